@@ -366,5 +366,6 @@ def time_left() -> float:
 
 def check_time() -> None:
     """Raise TimeIsUp if the time limit has been reached."""
-    if time_left() <= 0.0:
+    deadline = _DEADLINE.get()
+    if deadline < math.inf and deadline <= time.monotonic():
         raise TimeIsUp

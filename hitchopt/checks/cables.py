@@ -9,7 +9,6 @@ if all cables do for some positions of the clasps, none is taut.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +28,6 @@ from hitchopt.checks.spans import (
     bent_edges,
     cable_names,
     cached,
-    cached_value,
     leg_vectors,
     magnitude,
     without_shared_zeros,
@@ -41,7 +39,7 @@ from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, lazy
 
 Mask = NDArray[np.bool_]
 
@@ -55,12 +53,15 @@ RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on span
 LYING = frozenset({CableState.LYING})
 
 
+_saved_lengths = cached(saved_lengths)
+
+
 class Cables(MotionSpans):
     """Spans of cables; lengths are relative to the cable's length."""
 
     names = staticmethod(cable_names)
 
-    @cached_property
+    @lazy
     def scale(self) -> Array:
         """(spans, 1) [1/m] Inverse of the cable's length."""
         return 1.0 / self.source.team.cable_length[self.item, None]
@@ -70,7 +71,7 @@ class Cables(MotionSpans):
         c = self.read(table, item)
         return Enclosed(c[:, None] if c.ndim == 2 else c, noise) * self.scale
 
-    @cached_property
+    @lazy
     def parts(self) -> list[Enclosed]:
         """The q-leg, the r-leg, and the edge or its straight parts on both sides of an arc."""
         legs, edges = leg_vectors(self.source), bent_edges(self.source)
@@ -78,7 +79,7 @@ class Cables(MotionSpans):
         straight_edges = edges if self.source.has_wraps else edges[:1]
         return straight_parts + [self.scaled(edge, noise=self.noise) for edge in straight_edges]
 
-    @cached_property
+    @lazy
     def excess(self) -> Enclosed:
         """Excess of the length of legs and edge over the cable's length."""
         length = self.parts[0].norm + self.parts[1].norm
@@ -87,10 +88,10 @@ class Cables(MotionSpans):
         if self.source.has_wraps:
             arcs = self.read(wrapped_arcs(self.source))
             length = length + arc_lengths(arcs * self.scale[..., None])
-        savings = cached_value(self.source, saved_lengths)
+        savings = _saved_lengths(self.source)
         return length - 1.0 if savings is None else length - self.scaled(savings) - 1.0
 
-    @cached_property
+    @lazy
     def sag(self) -> Enclosed:
         """Excess of the cable over its chords: ``(ρ g / T)² s³ cos²α / 24`` for each.
 
@@ -191,13 +192,14 @@ SPAN = CheckRule(
 def _leg_and_edge(motion: Motion) -> list[Array]:
     """Return the pull of every drone's leg, and its cable's tension [N], without common zeros."""
     tension = np.repeat(motion.tensions.coefficients, 2, axis=1)
-    return without_shared_zeros([motion.pulls.coefficients, tension])
+    pairs = without_shared_zeros([motion.pulls.coefficients[:, :, None], tension[:, :, None]])
+    return [each[:, :, 0] for each in pairs]
 
 
 class Slides(Drones):
     """Spans of drones whose cables slide against friction."""
 
-    @cached_property
+    @lazy
     def friction_ratio(self) -> Array:
         """(spans,) ``e^{μ θ}``, θ the smallest wrap angle of the cable at its clasp."""
         leaving, arriving = bent_edges(self.source)
@@ -267,7 +269,7 @@ def _thrust_jump(motion: Motion) -> WorstCase:
 def end_thrusts(motion: Motion, x: float) -> tuple[Array, Array]:
     """Return thrusts (pieces, 2n, 3) [N] at x in [0, 1] of all pieces, and errors (pieces, 2n)."""
     shape = motion.drones.pieces, motion.team.drones
-    batches = [spans.at(np.full(len(spans), x)).thrust for spans in Drones.of(motion)]
+    batches = [spans.at(x).thrust for spans in Drones.of(motion)]
     f = np.concatenate([each.c[..., 0] for each in batches]).reshape(*shape, 3)
     errors = [np.broadcast_to(each.r, len(each.c)) for each in batches]
     return f, np.concatenate(errors).reshape(shape)

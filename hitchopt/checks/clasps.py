@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import cached_property
 from itertools import permutations
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +24,9 @@ from hitchopt.checks.spans import (
     MotionSpans,
     bent_edges,
     cached,
-    cached_value,
     derivative_margin,
     edge_vectors,
+    joined_arrays,
     leg_vectors,
     without_shared_zeros,
 )
@@ -40,7 +39,7 @@ from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import Extremum, worst
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, lazy
 
 BALANCE_LIMIT = 5e-3  # Relative to the tension: vertices are then within millimetres
 MIN_ANGLE = -180.0  # [deg] Smallest angle, also of edges without direction
@@ -54,6 +53,7 @@ MAX_HALVINGS = 12  # of pieces on which rolls are not yet bounded
 OPEN_STATES = frozenset({CableState.ROLLING, CableState.LYING})
 LYING = frozenset({CableState.LYING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
+Flags = NDArray[np.bool_]
 LEG_ENDS = np.array([0, 1])  # Legs at a clasp: q of the cable ahead, r of the cable behind
 
 
@@ -85,10 +85,13 @@ def clasp_sizes(motion: Motion) -> dict[str, Array]:
         "weights": weights[..., None] * taut[:, cables],
         "loads": np.zeros((len(taut), len(cables), 3, 1)) if loads is None else loads,
     }
-    rows = [row for table in tables.values() for row in np.moveaxis(table, 2, 0)]
-    reduced = iter(without_shared_zeros(rows))
-    divided = {name: [next(reduced) for _ in range(tables[name].shape[2])] for name in tables}
-    return {name: np.stack(same_degree(*rows), axis=2) for name, rows in divided.items()}
+    return dict(zip(tables, without_shared_zeros([*tables.values()]), strict=True))
+
+
+@cached
+def has_loads(motion: Motion) -> bool:
+    """Return whether clasps carry weight."""
+    return any(np.any(clasp_sizes(motion)[name]) for name in ("weights", "loads"))
 
 
 def edge_tensions(motion: Motion) -> Array:
@@ -112,7 +115,15 @@ class Clasps(MotionSpans):
 
     names = staticmethod(clasp_names)
 
-    @cached_property
+    closed: Flags | None = None
+    """(spans,), whether a clasp is known to be closed; None if that is not known of any."""
+
+    def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
+        spans = super()._like(index, extent, points=points)
+        spans.closed = None if self.closed is None else self.closed[index]
+        return spans
+
+    @lazy
     def cables(self) -> Indices:
         """(spans, 2) The cables ahead and behind."""
         return both_cables(self.source)[self.item]
@@ -121,36 +132,34 @@ class Clasps(MotionSpans):
         """Return one of ``clasp_sizes``."""
         return Enclosed(self.read(clasp_sizes(self.source)[name])[..., None, :])
 
-    @cached_property
-    def chords(self) -> tuple[Enclosed, Enclosed]:
-        """Chords of legs and of edges, from the clasp [m]."""
-        leaving, arriving = bent_edges(self.source)
-        ahead, behind = self.cables.T
-        edges = np.stack([self.read(leaving, ahead), -self.read(arriving, behind)], axis=1)
-        legs = self.read(leg_vectors(self.source), 2 * self.cables + LEG_ENDS)
-        return Enclosed(legs, self.noise), Enclosed(edges, self.noise)
+    @lazy
+    def chords(self) -> Enclosed:
+        """Chords (spans, 2, 2) of legs, then of edges, from the clasp [m]."""
+        chords = self.read(_chords(self.source))
+        return Enclosed(chords.reshape(-1, 2, 2, *chords.shape[2:]), self.noise)
 
-    @cached_property
+    @lazy
     def other_legs(self) -> Enclosed:
         """Lengths of the cables' other legs [m]."""
         # A drone at a chain's end has no leg, regardless of its stored vector.
         legs = leg_vectors(self.source) * self.source.team.layout.has_leg.reshape(-1, 1, 1)
         return Enclosed(self.read(legs, 2 * self.cables + 1 - LEG_ENDS), self.noise).norm
 
-    @cached_property
-    def along(self) -> tuple[Enclosed, Enclosed]:
-        """Directions of legs, q̂_k and r̂_{k-1}, and of edges, u_k and -u_{k-1}."""
-        return self.chords[0].direction, self.chords[1].direction
+    @lazy
+    def along(self) -> Enclosed:
+        """Directions of legs, q̂_k and r̂_{k-1}, then of edges, u_k and -u_{k-1} (spans, 2, 2)."""
+        return self.chords.direction
 
-    @cached_property
+    @lazy
     def pulls(self) -> tuple[Enclosed, Enclosed]:
         """Pulls of legs and edges along their chords [N].
 
         An edge that is wrapped around an object sags with its whole length: the cable without legs.
         """
-        (leg, edge), team = self.chords, self.source.team
+        team = self.source.team
         if team.cable_density == 0.0:
             return self.size("legs"), self.size("edges")
+        leg, edge = _kinds(self.chords)
         squared = edge.xy.dot(edge.xy)
         if self.source.has_wraps:
             whole = Enclosed(team.cable_length[self.cables][..., None, None])
@@ -160,22 +169,18 @@ class Clasps(MotionSpans):
         pulled = chord_pull(self.size("legs"), self.size("leg_halves"), flat, leg[2])
         return pulled, chord_pull(self.size("edges"), self.size("edge_halves"), squared)
 
-    @cached_property
+    @lazy
     def forces(self) -> Enclosed:
         """Both cables' forces [N]: ``P_q q̂_k + P_k u_k``, ``P_r r̂_{k-1} - P_{k-1} u_{k-1}``."""
-        return self.along[0] * self.pulls[0] + self.along[1] * self.pulls[1]
+        legs, edges = _kinds(self.along)
+        return legs * self.pulls[0] + edges * self.pulls[1]
 
-    @cached_property
+    @lazy
     def weight(self) -> Enclosed:
         """[N] Weight of both cables on the clasp."""
         return self.size("weights") - self.size("leg_halves") * self.other_legs
 
-    @staticmethod
-    def has_loads(motion: Motion) -> bool:
-        """Return whether clasps carry weight."""
-        return any(np.any(clasp_sizes(motion)[name]) for name in ("weights", "loads"))
-
-    @cached_property
+    @lazy
     def object_force(self) -> Enclosed:
         """[N] Force of objects on the clasp."""
         motion, loads = self.source, self.read(clasp_sizes(self.source)["loads"])
@@ -184,42 +189,43 @@ class Clasps(MotionSpans):
         error = mass * derivative_margin(motion.vertices, 2)[self.piece, clasps]
         return Enclosed(loads, np.where(np.any(loads != 0.0, axis=(1, 2)), error, 0.0))
 
-    @cached_property
+    @lazy
     def residual(self) -> Enclosed:
         """``P_q q̂_k + P_k u_k + P_r r̂_{k-1} - P_{k-1} u_{k-1} - W_k ẑ`` and loads of objects."""
         force = self.forces.sum()
-        if self.has_loads(self.source):
+        if has_loads(self.source):
             force = force - self.weight.sum().along_z() + self.object_force
         return force
 
-    @cached_property
+    @lazy
     def contact(self) -> Enclosed:
         """Force of each cable on the other, such as ``W^k ẑ - (P_q q̂_k + P_k u_k)`` [N].
 
         ``W^k`` is the cable's own weight at the clasp plus half of the clasp's load.
         """
-        if not self.has_loads(self.source):
+        if not has_loads(self.source):
             return -self.forces
         force = Enclosed(self.object_force.c[:, None], np.asarray(self.object_force.r)[..., None])
         return self.weight.along_z() - self.forces - force * 0.5
 
-    @cached_property
+    @lazy
     def turn(self) -> tuple[Enclosed, Enclosed, Enclosed]:
         """Cosine of the roll, sine over |V|, up to a common positive factor, and the vector V.
 
         With V the sum of the legs' pulls, D their difference and ū = u_k + u_{k-1}, cosine and sine
         are proportional to ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
         """
-        pulls = (self.along[0] * self.pulls[0]).reduced(ROUGH_ORDER)
+        pulls = (_kinds(self.along)[0] * self.pulls[0]).reduced(ROUGH_ORDER)
         q, r = select(pulls, 0), select(pulls, 1)
-        ahead = (select(self.along[1], 0) - select(self.along[1], 1)).reduced(ROUGH_ORDER)
+        edges = _kinds(self.along)[1]
+        ahead = (select(edges, 0) - select(edges, 1)).reduced(ROUGH_ORDER)
         total, difference = q + r, q - r
         cosine = difference.dot(ahead) * total.dot(total) - difference.dot(total) * ahead.dot(total)
         return cosine, difference.dot(ahead.cross(total)), total
 
     def rolls(self) -> Array:
         """Return the rolls (spans,) [deg] at mid span: 0 if ``q̂_k`` leans toward ``u_k``."""
-        (q, r), (u, back) = (np.moveaxis(each.middle, 1, 0) for each in self.along)
+        (q, r), (u, back) = np.moveaxis(self.along.middle, 0, 2)
         pull, other = np.moveaxis(self.pulls[0].middle, 1, 0)
         axis = unit(pull * q + other * r)
         upward = np.cross(u - back, axis)
@@ -228,16 +234,35 @@ class Clasps(MotionSpans):
         return np.asarray(np.degrees(np.arctan2(rise, run)))
 
 
+@cached
+def _chords(motion: Motion) -> Array:
+    """Return chords (pieces, clasps, 4, 3, N+1) [m] of legs, then of edges, from the clasp."""
+    legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
+    ahead, behind = motion.team.layout.ahead, motion.team.layout.behind
+    rows = legs[:, 2 * ahead], legs[:, 2 * behind + 1], leaving[:, ahead], -arriving[:, behind]
+    return joined_arrays([row[:, :, None] for row in rows], axis=2)
+
+
+def _kinds(value: Enclosed) -> tuple[Enclosed, Enclosed]:
+    """Return values (spans, 2, 2) of legs, and those of edges."""
+    r = np.broadcast_to(value.r, value.c.shape[:-2])
+    return Enclosed(value.c[:, 0], r[:, 0]), Enclosed(value.c[:, 1], r[:, 1])
+
+
 def _relative(force: Enclosed, spans: Clasps) -> Bound:
     """Return the upper bound of a scalar, or of the norm of a vector, over the smaller tension.
 
     It is infinite where a tension is not positive.
     """
     c, tensions = same_degree(force.c, spans.size("edges").c)
-    sizes = c if c.shape[1] == 1 else column_lengths(c)[:, None]
-    sizes, smallest = sizes + np.asarray(force.r)[..., None, None], np.min(tensions, axis=1)
-    ratio = np.divide(sizes, smallest, out=np.full_like(sizes, np.inf), where=smallest > 0.0)
-    return Enclosed(ratio).upper
+    sizes = c[:, 0] if c.shape[1] == 1 else column_lengths(c)
+    sizes, smallest = (
+        sizes + np.asarray(force.r)[..., None],
+        np.minimum.reduce(tensions, axis=1)[:, 0],
+    )
+    positive = smallest > 0.0
+    ratio = np.where(positive, sizes / np.where(positive, smallest, 1.0), np.inf)
+    return Enclosed(ratio[:, None]).upper
 
 
 def _balance(spans: Clasps) -> Bound:
@@ -247,17 +272,20 @@ def _balance(spans: Clasps) -> Bound:
     cables transfer to each other exceeds their contact force. While they pass weight to each other,
     the weight of both cables may be carried elsewhere.
     """
-    residual, opening = _relative(spans.residual, spans), _opening(spans)
-    if spans.has_loads(spans.source):
-        opening = largest_of([opening, _rolling(spans)])
-    closed = opening.value < 0.0
-    closed |= spans.source.in_states(OPEN_STATES)[spans.piece]
-    value, lies = residual.value, spans.source.in_states(LYING)[spans.piece]
-    if np.any(lies):
-        team = spans.source.team
+    residual, motion = _relative(spans.residual, spans), spans.source
+    value, x = residual.value, residual.x
+    if not motion.cable_states.isdisjoint(LYING):
+        lies, team = motion.in_states(LYING)[spans.piece], motion.team
         weight = GRAVITY * team.cable_density * np.sum(team.cable_length[spans.cables], axis=1)
         value = value - np.where(lies, weight / np.min(team.tension[spans.cables], axis=1), 0.0)
-    return Bound(np.where(closed, value, np.inf), np.where(closed, residual.x, opening.x))
+    if spans.closed is None or not np.logical_and.reduce(spans.closed):
+        opening = _opening(spans)
+        if has_loads(motion):
+            opening = largest_of([opening, _rolling(spans)])
+        spans.closed = (opening.value < 0.0) | motion.in_states(OPEN_STATES)[spans.piece]
+        value = np.where(spans.closed, value, np.inf)
+        x = np.where(spans.closed, x, opening.x)
+    return Bound(value, x)
 
 
 def _opening(spans: Clasps) -> Bound:
@@ -268,13 +296,18 @@ def _opening(spans: Clasps) -> Bound:
     Without a load, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` for a roll ψ and an exterior angle φ. Its
     magnitude at OPEN_ROLL is added, so clasps count as open from there on.
     """
-    legs, edges = (each.reduced(ROUGH_ORDER) for each in spans.along)
-    directions = [(legs + edges) * 0.5] if spans.source.has_friction else [legs, edges]
-    products = [spans.contact.reduced(ROUGH_ORDER).dot(each) for each in directions]
-    peaks = [np.max(each.c + np.asarray(each.r)[..., None, None], axis=1) for each in products]
+    along = spans.along.reduced(ROUGH_ORDER)
+    edges = _kinds(along)[1]
+    directions = along.sum(-2) * 0.5 if spans.source.has_friction else along
+    contact = spans.contact.reduced(ROUGH_ORDER)
+    if not spans.source.has_friction:
+        contact = Enclosed(contact.c[:, None], np.asarray(contact.r)[:, None])
+    products = contact.dot(directions)
+    peaks = products.c[..., 0, :] + np.asarray(products.r)[..., None]
+    peak = np.maximum.reduce(peaks, axis=tuple(range(1, peaks.ndim - 1)))
     share = math.cos(math.radians(0.5 * OPEN_ROLL)) ** 2
     margin = 0.5 * share * (select(edges, 0) - select(edges, 1)).norm_upper.value ** 2
-    largest = _relative(Enclosed(np.maximum(peaks[0], peaks[-1])), spans)
+    largest = _relative(Enclosed(peak[:, None]), spans)
     return Bound(largest.value + margin, largest.x)
 
 
@@ -296,7 +329,7 @@ def roll_changes(motion: Motion) -> tuple[Array, Array]:
     """
     first, total = np.zeros((2, len(motion.team.layout.clasps)))
     for spans in Clasps.of(motion):
-        rolls = [spans.at(np.full(len(spans), x)).rolls() for x in (0.0, 0.5, 1.0)]
+        rolls = [spans.at(x).rolls() for x in (0.0, 0.5, 1.0)]
         cosine, sine, whole = spans.turn
         middle = np.radians(rolls[1])[:, None]
         along = cosine * np.cos(middle) + sine * whole.norm * np.sin(middle)
@@ -322,7 +355,7 @@ def roll_past(motion: Motion, senses: Array, tolerance: float) -> NDArray[np.boo
             spans = spans.take(_past(spans, senses, tolerance) > 0.0)
             if not len(spans):
                 break
-            middle = spans.at(np.full(len(spans), 0.5))
+            middle = spans.at(0.5)
             past[spans.item[_past(middle, senses, tolerance) > 0.0]] = True
             spans = spans.take(~past[spans.item]).halves()
         past[spans.item] = True
@@ -354,12 +387,13 @@ class Corner(NamedTuple):
 
 def cut_corners(motion: Motion) -> tuple[Corner, ...]:
     """Return the corners cut off by a robot that has joined or is about to leave."""
-    lying, rolling = motion.in_states(LYING), motion.in_states(OPEN_STATES - LYING)
-    if not np.any(lying):
+    if motion.cable_states.isdisjoint(LYING):
         return ()
-    return cached_value(motion, _corners_cut, tuple(lying.tolist()), tuple(rolling.tolist()))
+    lying, rolling = motion.in_states(LYING), motion.in_states(OPEN_STATES - LYING)
+    return _corners_cut(motion, tuple(lying.tolist()), tuple(rolling.tolist()))
 
 
+@cached
 def _corners_cut(
     motion: Motion, lying: Sequence[bool], rolling: Sequence[bool]
 ) -> tuple[Corner, ...]:

@@ -13,9 +13,10 @@ pieces at a time, and spans with too many of them are halved.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -45,7 +46,7 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import BranchAndBound, Extremum, TimeSpans
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, lazy
 
 # Number of pairs up to which an index costs more than it saves; pairs times pieces at a time
 MAX_LISTED, MAX_COMPARED = 8000, 32_768
@@ -116,7 +117,7 @@ class Hulls(Origin):
 
 
 ORIGIN = Origin()
-PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]
+AXES, PLAN_AXES = np.eye(3), np.array([1.0, 1.0, 0.0])[:, None]
 
 
 def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
@@ -125,20 +126,25 @@ def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
     They are bounded along n, the quadratic through the directions of the shortest connections at
     three points. As ``|n| ≤ (1 + |n|²) / 2``, the smallest ratio of coefficients is a lower bound.
     """
-    order = 2 + max(2, bernstein.degree(a), bernstein.degree(b))
-    samples = [np.moveaxis(c @ bernstein.at_nodes(2, bernstein.degree(c)).T, -1, 0) for c in (a, b)]
-    first, middle, last = shape.normals(differences(*samples))
-    n = np.stack([first, 2.0 * middle - 0.5 * (first + last), last], axis=-1)
-    along = bernstein.elevate(np.min(bernstein.dot(n[:, None], a), axis=1), order)
-    along -= bernstein.elevate(np.max(bernstein.dot(n[:, None], b), axis=1), order)
-    along -= bernstein.elevate(shape.support(np.moveaxis(n, -1, 1)), order)
-    sizes = 0.5 + 0.5 * np.maximum(bernstein.elevate(bernstein.dot(n, n), order), 0.0)
-    ratios = np.maximum(along / sizes, 0.0)
-    lower = np.min(ratios, axis=-1)
+    nodes = 2 if a.shape[-1] + b.shape[-1] > 2 else 0  # a single one at a point
+    samples = [
+        bernstein.transform(c, bernstein.at_nodes(nodes, c.shape[-1] - 1)).transpose(3, 0, 1, 2)
+        for c in (a, b)
+    ]
+    normals = shape.normals(differences(*samples))
+    n = bernstein.interpolate(normals.transpose(1, 2, 0))
+    along, farthest, sizes, reach = bernstein.same_degree(
+        np.minimum.reduce(bernstein.dot(n[:, None], a), axis=1),
+        np.maximum.reduce(bernstein.dot(n[:, None], b), axis=1),
+        bernstein.dot(n, n),
+        shape.support(n.mT),
+    )
+    ratios = np.maximum((along - farthest - reach) / (0.5 + 0.5 * np.maximum(sizes, 0.0)), 0.0)
+    lower = np.minimum.reduce(ratios, axis=-1)
     # If locations tie, as for bodies that come to rest, an end is reported.
-    start, end = (ratios[:, i] <= lower * (1.0 + TIE) for i in (0, -1))
-    interior = np.argmin(ratios, axis=-1) / order
-    return Bound(lower, np.where(start, 0.0, np.where(end, 1.0, interior)))
+    at_start, at_end = ((ratios <= (1.0 + TIE) * lower[:, None])[:, i] for i in (0, -1))
+    interior = ratios.argmin(axis=-1) / (ratios.shape[-1] - 1 or 1)
+    return Bound(lower, np.where(at_start, 0.0, np.where(at_end, 1.0, interior)))
 
 
 def gap(spans: PairSpans) -> Bound:
@@ -242,12 +248,12 @@ class Moving:
         pair = self.names[0][i], self.names[1][j]
         return tuple(filter(None, pair if self.lengths is None else pair[::-1]))
 
-    @property
+    @lazy
     def others(self) -> Array:
         """The second group."""
         return self.first if self.second is None else self.second
 
-    @property
+    @lazy
     def count(self) -> int:
         """Size of the second group: item ``i * count + j`` is a pair."""
         return int(self.others.shape[1])
@@ -265,13 +271,14 @@ class Moving:
             on &= self.allowed(first, second)
         return Pairs(first[on], second[on])
 
-    @cached_property
+    @lazy
     def boxes(self) -> tuple[Array, Array]:
         """Bounding boxes (2, 3, pieces, bodies) of the bodies of each group.
 
         They are relative to the mean position: common motion changes no distance.
         """
-        drift = np.mean(self.first, axis=(1, 2), keepdims=True)
+        count = self.first.shape[1] * self.first.shape[2]
+        drift = np.add.reduce(self.first, axis=(1, 2), keepdims=True) / count
         own = _boxes(self.first - drift)
         if self.lengths is not None:
             # No cable hangs deeper than one that leads straight down and up again.
@@ -287,7 +294,7 @@ class Moving:
     def extent(self) -> Array:
         """Lower and upper corner (2, 3) [m] of the shape's bounding box."""
         shape = self.shape.flattened(self.height_ratio)
-        return np.stack([-shape.support(-np.eye(3)), shape.support(np.eye(3))])
+        return np.array([-shape.support(-AXES), shape.support(AXES)])
 
     def gaps(self, pairs: Pairs) -> Array:
         """Return lower bounds (pieces, pairs) [m] of distances, from the boxes of pairs."""
@@ -297,7 +304,7 @@ class Moving:
         lower, upper = self.extent[..., None, None]
         offsets = np.maximum(a_lower - b_upper - upper, b_lower - a_upper + lower)
         np.maximum(offsets, 0.0, out=offsets)
-        gaps: Array = np.sqrt(np.einsum("cpi,cpi->pi", offsets, offsets))
+        gaps: Array = np.sqrt(np.add.reduce(offsets * offsets))
         if self.active is not None:
             gaps[~self.active[:, pairs.first]] = np.inf
         return gaps
@@ -328,7 +335,7 @@ class Moving:
 def _boxes(corners: Array) -> Array:
     """Return boxes (2, 3, pieces, bodies) of corners (pieces, bodies, k, 3, degree + 1) [m]."""
     each = corners.transpose(2, 4, 3, 0, 1).reshape(-1, 3, *corners.shape[:2])  # of points
-    return np.stack([each.min(axis=0), each.max(axis=0)])
+    return np.array([np.minimum.reduce(each), np.maximum.reduce(each)])
 
 
 class PairSpans(TimeSpans):
@@ -336,10 +343,10 @@ class PairSpans(TimeSpans):
 
     source: Moving
 
-    @cached_property
+    @lazy
     def ends(self) -> tuple[Array, Array]:
         """Corners (spans, corners, 3, degree + 1) [m] of both bodies."""
-        i, j = np.divmod(self.item, self.source.count)
+        i, j = divmod(self.item, self.source.count)
         return self.read(self.source.first, i), self.read(self.source.others, j)
 
     @property
@@ -383,11 +390,13 @@ def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> It
     """Yield the spans of pairs whose boxes are near, the nearest ones at mid span first."""
     gaps, item = moving.gaps(pairs), pairs.first * moving.count + pairs.second
     if gaps.size > MAX_SEEDS:
-        seeds = np.sort(np.argpartition(gaps, MAX_SEEDS, axis=None)[:MAX_SEEDS])
-        piece, pair = np.divmod(seeds[gaps.flat[seeds] < np.inf], len(pairs))
-        yield PairSpans(moving, moving.breaks, piece, item[pair]).at(np.array(0.5))
-    cutoff = min((attained() + moving.margin) * (1.0 + SLACK), np.finfo(np.float64).max)
-    piece, pair = np.nonzero(~(gaps > cutoff))  # nan excludes nothing
+        flat = gaps.ravel()
+        seeds = flat.argpartition(MAX_SEEDS)[:MAX_SEEDS]
+        seeds.sort()
+        piece, pair = divmod(seeds[flat[seeds] < np.inf], gaps.shape[1])
+        yield PairSpans(moving, moving.breaks, piece, item[pair]).at(0.5)
+    cutoff = min((attained() + moving.margin) * (1.0 + SLACK), sys.float_info.max)
+    piece, pair = (~(gaps > cutoff)).nonzero()  # nan excludes nothing
     yield PairSpans(moving, moving.breaks, piece, item[pair])
 
 
@@ -548,7 +557,8 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
         return flags
 
     corners_cut = cut_corners(motion)
-    active = np.ones((len(parts.corners), len(part)), dtype=np.bool_)
+    corners_cut = cut_corners(motion)
+    active = np.ones(parts.corners.shape[:2], dtype=np.bool_)
     for corner in corners_cut:
         active[corner.pieces] = False
         meeting = 3 * corner.behind + 2, 3 * corner.ahead

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import partial
 from operator import attrgetter
 
 import numpy as np
@@ -39,7 +39,7 @@ from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, TimeSpans, worst
-from hitchopt.values import Array
+from hitchopt.values import Array, lazy
 
 # Degree of the factors of a turning rate: they err by 1e-9 on the spans that matter
 ORDER = 6
@@ -76,7 +76,9 @@ def leg_sags(motion: Motion) -> list[Array]:
 
 
 def _sags(motion: Motion, taut: Array, tensions: Array) -> list[Array]:
-    return without_shared_zeros([0.5 * GRAVITY * motion.team.cable_density * taut, tensions])
+    halves = 0.5 * GRAVITY * motion.team.cable_density * taut
+    pairs = without_shared_zeros([halves[:, :, None], tensions[:, :, None]])
+    return [each[:, :, 0] for each in pairs]
 
 
 @cached
@@ -97,7 +99,7 @@ class Drones(MotionSpans):
         """Return a derivative of the position by time."""
         return self.derivative(self.source.drones, order)
 
-    @cached_property
+    @lazy
     def mass(self) -> Array:
         """(spans, 1) [kg]."""
         return self.source.team.mass[self.item, None]
@@ -107,34 +109,34 @@ class Drones(MotionSpans):
         c = self.read(rate(self.source, table) if order else table(self.source))[:, None]
         return Enclosed(c, ROUNDING * np.max(np.abs(c), axis=(1, 2)))
 
-    @cached_property
+    @lazy
     def leg(self) -> Enclosed:
         """Vector along the straight part of cable that ends at the drone [m]."""
         return Enclosed(self.read(pull_vectors(self.source)), self.noise)
 
-    @cached_property
+    @lazy
     def along(self) -> Enclosed:
         """Direction of the leg."""
         return self.leg.direction
 
-    @cached_property
+    @lazy
     def sag(self) -> Enclosed:
         """[1/m] Half of the leg's weight per length over its tension."""
         half, tension = self.scalars(leg_sags(self.source))
         return (half * tension.inverse).reduced(ORDER)
 
-    @cached_property
+    @lazy
     def span_squared(self) -> Enclosed:
         """[m²] Squared horizontal length of the leg."""
         return self.leg.xy.dot(self.leg.xy)
 
-    @cached_property
+    @lazy
     def level_pull(self) -> Enclosed:
         """Pull of the leg over its tension if its ends were at equal heights."""
         pull: Enclosed = chord_pull(1.0, self.sag, self.span_squared)
         return pull.reduced(ORDER)
 
-    @cached_property
+    @lazy
     def pull(self) -> Enclosed:
         """[N] Pull of the leg along its chord: ``chord_pull``, with T factored out."""
         tension = self.scalar(tensions_of_legs)
@@ -157,27 +159,27 @@ class Drones(MotionSpans):
         """[N/m] Half of the weight per length of cables."""
         return 0.5 * GRAVITY * self.source.team.cable_density
 
-    @cached_property
+    @lazy
     def taut_weight(self) -> Enclosed:
         """[N/m] Half of the weight per length of taut cables."""
         return self.half * self.scalar(taut_shares)
 
-    @cached_property
+    @lazy
     def slack_weight(self) -> Enclosed:
         """[N/m] Half of the weight per length of hanging cables."""
         return self.half - self.taut_weight
 
-    @cached_property
+    @lazy
     def partner(self) -> Enclosed:
         """[m] Offset of the cable's other end."""
         return Enclosed(self.read(partners(self.source)), self.noise)
 
-    @cached_property
+    @lazy
     def length(self) -> Array:
         """The cable's length (spans,) [m]."""
         return self.source.team.cable_length[self.item // 2]
 
-    @cached_property
+    @lazy
     def load(self) -> Enclosed:
         """[N] Minus the force of the cable on the drone."""
         load = self.along * self.pull
@@ -189,14 +191,14 @@ class Drones(MotionSpans):
             load = load + (self.slack_weight * self.length[:, None]).along_z()
         return load
 
-    @cached_property
+    @lazy
     def pull_terms(self) -> tuple[Interval, Interval]:
         """1/σ and coth σ of the cable as if hanging; both decrease with σ."""
         sigma = steepness_of(self.partner, self.length)
         low, high = pull_terms(sigma.high), pull_terms(sigma.low)
         return Interval(low[0], high[0]), Interval(low[1], high[1])
 
-    @cached_property
+    @lazy
     def thrust(self) -> Enclosed:
         """[N] f = m (a + g ẑ) - (force of the cable)."""
         hover = self.mass * GRAVITY * UPWARD
@@ -205,7 +207,7 @@ class Drones(MotionSpans):
             own = self.motion_rate(2) * self.mass + hover
         return own + self.load if self.source.team.has_cables else own
 
-    @cached_property
+    @lazy
     def load_rate(self) -> Enclosed:
         """[N/s] The derivative of the load by time."""
         parts = self.source.drones, self.source.vertices
@@ -254,7 +256,7 @@ class Drones(MotionSpans):
         force_rate = force_rate + _hanging_force(self.partner, *change, self.slack_weight)
         return -force_rate - (growth * self.length[:, None]).along_z()
 
-    @cached_property
+    @lazy
     def turning(self) -> Enclosed:
         """ω = f × ḟ / |f|² [rad/s], about axes perpendicular to the thrust."""
         own = self.motion_rate(3) * self.mass

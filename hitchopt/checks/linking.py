@@ -117,7 +117,7 @@ def _open_pairs(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[
                 break
             check_time()
             spans = undecided(spans)
-            record(undecided(spans.at(np.full(len(spans), 0.5))))
+            record(undecided(spans.at(0.5)))
             spans = spans.take(~np.isin(spans.item, items[-1])).halves()
         record(spans)
     return np.concatenate(items), np.concatenate(times)
@@ -133,7 +133,7 @@ def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
         separated, across = _are_separated(chords), _are_crossing(chords)
         crossing = spans.take(across & ~separated)
         if len(crossing) and not spans.points:
-            ends = [crossing.at(np.full(len(crossing), x)) for x in (0.0, 1.0)]
+            ends = [crossing.at(x) for x in (0.0, 1.0)]
             signs = [_sign(np.concatenate(each.ends, axis=1)[..., 0]) for each in ends]
             times = [each.times(np.zeros(len(each))) for each in ends]
             events.append(np.stack([crossing.item, *times, *signs]))

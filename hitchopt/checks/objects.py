@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -40,7 +39,7 @@ from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_frame, surface_
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, lazy
 
 Mask = NDArray[np.bool_]
 
@@ -127,7 +126,7 @@ class Held(MotionSpans):
         is_object = np.arange(len(motion.requirements.objects)) == index
         return cls.all_of(motion, motion.drones.breaks, len(is_object), pieces[:, None] & is_object)
 
-    @cached_property
+    @lazy
     def body(self) -> SolidObject:
         """The object."""
         return tuple(self.source.requirements.objects.values())[int(self.item[0])]
@@ -137,7 +136,7 @@ class Held(MotionSpans):
         every = np.arange(table.shape[1])
         return self.read(table, np.broadcast_to(every, (len(self), len(every))))
 
-    @cached_property
+    @lazy
     def start_pieces(self) -> Indices:
         """(spans,) First pieces of the current holds; the spans' own if not carried."""
         carried = carried_objects(self.source)
@@ -145,17 +144,17 @@ class Held(MotionSpans):
         starts = np.where(carried & np.roll(carried, 1, axis=0), 0, own)
         return np.asarray(np.maximum.accumulate(starts)[self.piece, self.item])
 
-    @cached_property
+    @lazy
     def pose(self) -> Enclosed:
         """x, y, z [m], cosine and sine of yaw."""
         return Enclosed(self.read(self.source.poses.coefficients), self.noise)
 
-    @cached_property
+    @lazy
     def acceleration(self) -> Enclosed:
         """Acceleration of the centre of mass [m/s²]."""
         return self.derivative(centres(self.source), 2)
 
-    @cached_property
+    @lazy
     def share(self) -> Enclosed:
         """Share of its weight that cables carry."""
         return Enclosed(self.read(self.source.load_share.coefficients)[:, None])
@@ -179,34 +178,34 @@ def bends(motion: Motion) -> Array:
 class Gripped(Held):
     """Spans of an object that edges are wrapped around."""
 
-    @cached_property
+    @lazy
     def corners(self) -> Enclosed:
         """Corners of edges, as ``bends`` (spans, n, 4) [m]."""
         return Enclosed(self.of_items(bends(self.source)), self.noise)
 
-    @cached_property
+    @lazy
     def places(self) -> Array:
         """Contacts at the start of the hold, in the object's frame (spans, n, 2, 3) [m]."""
         poses = self.source.poses.coefficients[self.start_pieces, self.item, :, 0]
         return in_frame(poses[:, None, None], bends(self.source)[self.start_pieces, :, 1:3, :, 0])
 
-    @cached_property
+    @lazy
     def chords(self) -> Enclosed:
         """Straight parts of edges, before and behind the object (spans, n, 2) [m]."""
         return _straight_parts(self.corners)
 
-    @cached_property
+    @lazy
     def legs(self) -> Enclosed:
         """Legs of cables (spans, n, 2) [m]."""
         legs = self.of_items(leg_vectors(self.source))
         return Enclosed(legs.reshape(len(self), -1, 2, *legs.shape[2:]), self.noise)
 
-    @cached_property
+    @lazy
     def tension(self) -> Enclosed:
         """Tensions of edges (spans, n) [N]."""
         return Enclosed(self.of_items(self.source.tensions.coefficients)[:, :, None])
 
-    @cached_property
+    @lazy
     def pulls(self) -> Enclosed:
         """Pulls of edges on the object, before and behind it (spans, n, 2) [N].
 
@@ -220,7 +219,7 @@ class Gripped(Held):
             pull = chord_pull(pull, half, edge * edge)
         return self.chords.direction * add_axis(pull) * -SIGNS
 
-    @cached_property
+    @lazy
     def slip_load(self) -> Array:
         """Lower bound of ``μ Σ T_k θ_k`` (spans,) [N].
 
@@ -233,7 +232,7 @@ class Gripped(Held):
         before, behind = (select(self.chords, i).xy for i in (0, 1))
         return np.asarray(self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1))
 
-    @cached_property
+    @lazy
     def load(self) -> Array:
         """Upper bound (spans,) [N] of the carried ``m (g + a_z)`` plus the load of turning."""
         carried = ((self.acceleration[2] + GRAVITY) * self.share).upper.value
@@ -445,13 +444,13 @@ PLACE_TOLERANCE = 1e-4  # [m] Largest drift of clasps below a rim, and mean drif
 class Resting(Held):
     """Spans of an object with a rim that rests on all clasps."""
 
-    @cached_property
+    @lazy
     def clasps(self) -> Enclosed:
         """Clasps (spans, n) [m] in the object's frame."""
         c = self.of_items(self.source.vertices.coefficients)
         return in_object_frame(self.pose, Enclosed(c, self.noise))
 
-    @cached_property
+    @lazy
     def places(self) -> Array:
         """Horizontal positions of the clasps at the start of the hold (spans, n, 2) [m]."""
         poses = self.source.poses.coefficients[self.start_pieces, self.item, :, 0]

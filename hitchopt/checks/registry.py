@@ -100,24 +100,23 @@ def certify(
     limited = [each for each in REPORTS if each.limit(motion) is not None]
     unlimited = [each for each in REPORTS if each in requested and each not in limited]
     mergeable = [each for each in (*limited, *unlimited) if not each.whole]
-    parts, results = _parts(motion), dict[Motion, dict[str, Sequence[SpanResult]]]()
-    evaluated: dict[Motion, list[CheckRule | ReportRule]] = {
-        part: [*(rule for rule in RULES if rule.limit_of(part) is not None), *mergeable]
-        for part in parts
-    }
+    parts = _parts(motion)
 
     def tell(part: Motion, each: CheckRule | ReportRule) -> None:
         if progress is not None:
-            label = f"{parts[part].name}: " if parts[part].name else ""
-            progress(f"{label}{each.name}, {evaluated[part].index(each)} of {len(evaluated[part])}")
+            rules = [rule for rule in RULES if rule.limit_of(part) is not None]
+            names = [rule.name for rule in rules] + [report.name for report in mergeable]
+            if each.name in names:
+                label = f"{parts[part].name}: " if parts[part].name else ""
+                progress(f"{label}{each.name}, {names.index(each.name)} of {len(names)}")
 
-    for part, each in evaluated.items():
-        results[part] = dict.fromkeys(RULE_OF, ())
+    results = dict[Motion, dict[str, tuple[SpanResult, ...]]]()
+    for part in parts:
+        own = results[part] = {}
         with value_cache():
-            for rule in each:
-                if isinstance(rule, CheckRule):
-                    tell(part, rule)
-                    results[part][rule.name] = rule.span_results(part)
+            for rule in RULES:
+                tell(part, rule)
+                own[rule.name] = rule.span_results(part)
     with value_cache():
         across = {
             chapter: {rule.name: _across(rule, chapter) for rule in RULES}
@@ -126,11 +125,12 @@ def certify(
         }
         checks = list[Check | None]()
         for rule in RULES:
-            own = [
+            alone = [
                 _label(worst_of(span.check for span in results[part][rule.name]), group)
                 for part, group in parts.items()
             ]
-            checks.append(_of_parts(rule, motion, [*own, *(x[rule.name] for x in across.values())]))
+            between = [each[rule.name] for each in across.values()]
+            checks.append(_of_parts(rule, motion, [*alone, *between]))
 
     def reported(report: ReportRule) -> Check | None:
         """Return the check of a report."""
@@ -143,9 +143,11 @@ def certify(
             for part, group in parts.items():
                 tell(part, report)
                 values.append(_label(report.check(part, results[part], gamma), group))
-            for chapter, own in across.items():
+            for chapter, every in across.items():
                 flat = tracking.flattened(chapter)
-                between = own if flat is chapter else {x: _across(RULE_OF[x], flat) for x in own}
+                between = (
+                    every if flat is chapter else {x: _across(RULE_OF[x], flat) for x in every}
+                )
                 radius = radius_across(flat, between.values(), gamma)
                 values.append(radius.check(report, report.limit(chapter), gamma))
         return worst_of(values)
@@ -215,8 +217,8 @@ def rest_continuity(groups: Iterable[Group]) -> Check | None:
 
 def _label(check: Check | None, group: Group) -> Check | None:
     """Return a group's check with names of drones, cables and vertices labelled by group."""
-    if check is None:
-        return None
+    if check is None or not group.name:
+        return check
     same = {GROUND, *group.motion.requirements.objects}
     where = tuple(place if place in same else group.label(place) for place in check.where)
     return replace(check, where=where)

@@ -9,7 +9,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.certificate import Check, with_tolerance, worst_of
-from hitchopt.checks.spans import MotionSpans
+from hitchopt.checks.spans import MotionSpans, runs_of
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
@@ -142,9 +142,10 @@ class CheckRule:
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
         states = motion.cable_states
-        if all(states.isdisjoint(evaluator.states) for evaluator in self.evaluators):
-            return None
-        return self.limit(motion) if callable(self.limit) else self.limit
+        for evaluator in self.evaluators:
+            if not states.isdisjoint(evaluator.states):
+                return self.limit(motion) if callable(self.limit) else self.limit
+        return None
 
     def check(self, motion: Motion, *, exported: bool = False) -> Check | None:
         """Return the worst check over all time spans in which the rule applies; None without any.
@@ -159,14 +160,16 @@ class CheckRule:
         if limit is None:
             return ()
         limit = self.exported_limit if exported and self.exported_limit is not None else limit
-        return tuple(
-            SpanResult(evaluator.states, evaluator.evaluate(span, limit).check(self, limit))
-            for evaluator in self.evaluators
-            if (evaluator.exported or not exported) and not states.isdisjoint(evaluator.states)
-            for span in (
-                (motion,) if states <= evaluator.states else motion.spans(evaluator.states)
-            )
-        )
+        results = list[SpanResult]()
+        with np.errstate(all="ignore"):  # coefficients may have any value: nan fails a check
+            for evaluator in self.evaluators:
+                own = evaluator.states
+                if (exported and not evaluator.exported) or states.isdisjoint(own):
+                    continue
+                for span in (motion,) if states <= own else runs_of(motion, own):
+                    worst_case = evaluator.evaluate(span, limit)
+                    results.append(SpanResult(own, worst_case.check(self, limit)))
+        return tuple(results)
 
 
 SpanResults = Mapping[str, Sequence[SpanResult]]
@@ -194,4 +197,5 @@ class ReportRule:
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check:
         """Return the value as a check, which holds without a limit."""
         limit, assumed_gamma = self.limit(motion), None if self.whole else gamma
-        return self.evaluate(motion, results, gamma).check(self, limit, assumed_gamma)
+        with np.errstate(all="ignore"):
+            return self.evaluate(motion, results, gamma).check(self, limit, assumed_gamma)

@@ -6,25 +6,24 @@ formulas use are cached: those of a motion within ``value_cache``, those of span
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
-from functools import cached_property, wraps
+from functools import wraps
 from math import perm
 from typing import Any, NamedTuple, Self, TypeVar, cast
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.loads import reduce_constants
-from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.trajectory.search import BATCH, TimeSpans
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, lazy
 
 ROUNDING = 2.0**-40
 """Margin of every bound, relative to the largest numbers that enter the quantity.
@@ -38,41 +37,44 @@ PART_NAMES = ("q-leg", "edge", "r-leg")
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 F = TypeVar("F", bound=Callable[..., Any])
-T = TypeVar("T")
 
-_CACHE: ContextVar[WeakKeyDictionary[Any, dict[Any, Any]] | None] = ContextVar(
-    "cache", default=None
-)
+_CACHE: ContextVar[dict[Any, Any] | None] = ContextVar("cache", default=None)
 
 
 @contextmanager
 def value_cache() -> Iterator[None]:
     """Cache values within the outermost context, as they take more memory than the motion."""
     cache = _CACHE.get()
-    token = _CACHE.set(WeakKeyDictionary() if cache is None else cache)
+    token = _CACHE.set({} if cache is None else cache)
     try:
         yield
     finally:
         _CACHE.reset(token)
 
 
-def cached_value(source: Any, value: Callable[..., T], *args: Any) -> T:
-    """Return ``value(source, *further)``, computed once within ``value_cache``.
-
-    Callers must not modify it.
-    """
-    cache = _CACHE.get()
-    if cache is None:
-        return value(source, *args)
-    values, key = cache.setdefault(source, {}), (value, *args)
-    if key not in values:
-        values[key] = value(source, *args)
-    return cast("T", values[key])
-
-
 def cached(value: F) -> F:
-    """Decorate a function with ``cached_value``; its first argument is the source."""
-    return cast("F", wraps(value)(lambda source, *args: cached_value(source, value, *args)))
+    """Return a function whose values are computed once within ``value_cache``.
+
+    Callers must not modify them.
+    """
+
+    @wraps(value)
+    def stored(*args: Any) -> Any:
+        cache = _CACHE.get()
+        if cache is None:
+            return value(*args)
+        key = value, args
+        if key not in cache:
+            cache[key] = value(*args)
+        return cache[key]
+
+    return cast("F", stored)
+
+
+@cached
+def runs_of(motion: Motion, states: Set[CableState]) -> tuple[Motion, ...]:
+    """Return ``Motion.spans``, the same for all rules."""
+    return motion.spans(states)
 
 
 @cached
@@ -90,9 +92,14 @@ def position_margin(motion: Motion) -> float:
 @cached
 def derivative(part: PiecewisePolynomial, order: int) -> Array:
     """Return the coefficients (pieces, …, degree + 1) of a derivative by time."""
-    if order == 0:
-        return part.coefficients
-    return part.replaced(derivative(part, order - 1)).differentiated(1).coefficients
+    return by_time(derivative(part, order - 1), part.durations) if order else part.coefficients
+
+
+def by_time(c: Array, durations: Array) -> Array:
+    """Return the derivative by time of polynomials (pieces, …, degree + 1)."""
+    slope = bernstein.differentiate(c)
+    slope /= durations.reshape(-1, *(1,) * (c.ndim - 1))
+    return slope
 
 
 @cached
@@ -104,25 +111,28 @@ def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
     """
     gain = 2.0**order * perm(part.degree, order) / part.durations**order
     size = _largest(derivative(part, order))
-    jumps = _largest(np.diff(part.coefficients))
-    return np.asarray((DIFFERENCE_ROUNDING * gain)[:, None] * jumps + ROUNDING * size)
+    margin: Array = (DIFFERENCE_ROUNDING * gain)[:, None] * _jumps(part) + ROUNDING * size
+    return margin
+
+
+@cached
+def _jumps(part: PiecewisePolynomial) -> Array:
+    """Return the largest differences (pieces, items) of adjacent coefficients."""
+    c = part.coefficients
+    return _largest(c[..., 1:] - c[..., :-1])
 
 
 def _largest(coefficients: Array) -> Array:
     """Return the largest magnitudes (pieces, items) of coefficients (pieces, items, d, m)."""
-    flat = coefficients.reshape(*coefficients.shape[:2], -1)
-    largest: Array = np.maximum(
-        np.max(flat, axis=-1, initial=0.0), -np.min(flat, axis=-1, initial=0.0)
-    )
+    flat = np.abs(coefficients).reshape(*coefficients.shape[:2], -1)
+    largest: Array = np.maximum.reduce(flat, axis=-1, initial=0.0)
     return largest
 
 
 @cached
 def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
     """Return the derivative by time of a table of a motion (pieces, …, degree + 1)."""
-    slope = bernstein.differentiate(table(motion))
-    slope /= motion.drones.durations.reshape(-1, *(1,) * (slope.ndim - 1))
-    return slope
+    return by_time(table(motion), motion.drones.durations)
 
 
 class MotionSpans(TimeSpans):
@@ -139,9 +149,10 @@ class MotionSpans(TimeSpans):
 
         Batches are cached, except for many items: their values would fill the memory.
         """
-        if motion.drones.pieces * motion.team.drones > MAX_CACHED:
+        pieces, drones = motion.drones.coefficients.shape[:2]
+        if pieces * drones > MAX_CACHED:
             return cls.all_of(motion, motion.drones.breaks, len(cls.names(motion)))
-        return cached_value(motion, _cached_batches, cls)
+        return _cached_batches(motion, cls)
 
     def scalars(self, tables: Sequence[Array]) -> list[Enclosed]:
         """Return exact scalars from tables (pieces, items, degree + 1)."""
@@ -152,12 +163,13 @@ class MotionSpans(TimeSpans):
         margin = derivative_margin(part, order)[self.piece, self.item]
         return Enclosed(self.read(derivative(part, order)), margin)
 
-    @cached_property
+    @lazy
     def noise(self) -> float:
         """[m] Rounding error of differences of positions."""
         return position_margin(self.source)
 
 
+@cached
 def _cached_batches(motion: Motion, spans_type: type[MotionSpans]) -> tuple[Any, ...]:
     """Return the spans of whole pieces of every item."""
     return tuple(spans_type.all_of(motion, motion.drones.breaks, len(spans_type.names(motion))))
@@ -253,13 +265,18 @@ def part_names(motion: Motion, parts: Indices) -> list[str]:
 def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:
     """Return polynomials divided by the factor ``x^a (1 - x)^b`` that all those of an item share.
 
-    They are (pieces, items, degree + 1) each, constants in degree 0.
+    They are (pieces, items, k, degree + 1) each, constants in degree 0.
     """
     rows = [reduce_constants(row) for row in rows]
-    if not any(np.any(np.all([row[..., end] == 0.0 for row in rows], axis=0)) for end in (0, -1)):
+    ends = np.concatenate([row[..., [0, -1]] for row in rows], axis=2)
+    if not np.logical_or.reduce(np.logical_and.reduce(ends == 0.0, axis=2), axis=None):
         return rows
-    table = _divided(_divided(np.stack(same_degree(*rows), axis=2))[..., ::-1])[..., ::-1]
-    return [reduce_constants(table[:, :, i]) for i in range(len(rows))]
+    table, first, parts = joined_arrays(rows, axis=2), 0, list[Array]()
+    table = _divided(_divided(table)[..., ::-1])[..., ::-1]
+    for row in rows:
+        parts.append(reduce_constants(table[:, :, first : first + row.shape[2]]))
+        first += row.shape[2]
+    return parts
 
 
 def _divided(table: Array) -> Array:

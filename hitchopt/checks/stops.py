@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -50,7 +49,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, lazy
 
 Flags = NDArray[np.bool_]
 
@@ -110,12 +109,13 @@ class OnClock(MotionSpans):
         jets = np.concatenate([self.cells.jets, advance(self.cells.jets, half)])
         return self._on_cells(ClockPhases(self.cells.owner[twice], jets, half[twice]), twice)
 
-    def at(self, x: Array) -> Self:
-        """Return the points at x (spans,) of their time, from 0 to 1."""
-        jets = advance(self.cells.jets, x * self.cells.duration)
-        return self._on_cells(ClockPhases(self.cells.owner, jets, np.zeros(len(self))))
+    def at(self, x: Array | float, index: Any = slice(None)) -> Self:
+        """Return the points at x (spans,) of their time, from 0 to 1, of the chosen spans."""
+        cells = self.cells.select(index)
+        jets = advance(cells.jets, x * cells.duration)
+        return self._on_cells(ClockPhases(cells.owner, jets, 0.0 * cells.duration), index)
 
-    @cached_property
+    @lazy
     def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
         """The rate s and its derivatives by time, as lines over plan time.
 
@@ -141,7 +141,7 @@ class OnClock(MotionSpans):
 class DronesOnClock(OnClock, Drones):
     """Spans of drones on clocks: derivatives are by time, the rest is as in the checks."""
 
-    @cached_property
+    @lazy
     def _moved(self) -> tuple[Enclosed, Enclosed]:
         s, slope, jerk = self.clock
         v, a, j = (self.derivative(self.source.drones, order) for order in (1, 2, 3))
@@ -151,7 +151,7 @@ class DronesOnClock(OnClock, Drones):
         """Return the acceleration or the jerk."""
         return self._moved[order - 2]
 
-    @cached_property
+    @lazy
     def load_rate(self) -> Enclosed:
         """[N/s] The derivative of the load by time."""
         return super().load_rate * self.clock[0]
@@ -170,7 +170,7 @@ class ClockLimit:
     norms_suffice: Callable[..., Flags]
     utilization: Callable[[Any], Array]  # largest share of a limit (spans,)
 
-    @cached_property
+    @lazy
     def sizes(self) -> Array:
         """(orders, pieces, items): bounds of the norms of derivatives by plan time."""
         bounds = []
@@ -200,7 +200,7 @@ class ClockLimit:
     def _refine(self, spans: OnClock, feasible: Flags, halvings: int) -> None:
         """Set ``feasible`` to False where spans violate a limit, or stay undecided."""
         if len(spans):
-            middle = self.utilization(spans.at(np.full(len(spans), 0.5)))
+            middle = self.utilization(spans.at(0.5))
             feasible[spans.cells.owner[~(middle <= 1.0)]] = False
             spans = spans.take(feasible[spans.cells.owner])
         if len(spans):
@@ -415,8 +415,7 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
 
 def _longest_stop(motion: Motion, _: SpanResults, __: float) -> WorstCase:
     """Return the longest time to rest [s] over all times of a command, with that time."""
-    with np.errstate(all="ignore"):  # coefficients may have any value; nan violates a limit
-        longest, begins = stop_table(motion).longest
+    longest, begins = stop_table(motion).longest
     worst = int(np.argmax(longest))
     return WorstCase(float(longest[worst]), float(begins[worst]))
 

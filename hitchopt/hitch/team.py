@@ -31,6 +31,7 @@ from hitchopt.values import (
     check_instance,
     flag,
     integer,
+    lazy,
     per_robot,
     sequence,
     units,
@@ -563,12 +564,12 @@ class Team(ByValue):
         """Indices into arrays of points, cables and drones."""
         return layout_of(self.robots, self.topology)
 
-    @property
+    @lazy
     def mass(self) -> NDArray[np.float64]:
         """(2n,) [kg]: mass of each drone, in the order q0, r0, q1, r1, …."""
         return self._per_drone("mass")
 
-    @property
+    @lazy
     def max_thrust(self) -> NDArray[np.float64]:
         """(2n,) [N]: largest thrust of each drone, in the order q0, r0, q1, r1, …."""
         return self._per_drone("max_thrust")
@@ -642,8 +643,10 @@ class Team(ByValue):
 
     def _per_drone(self, name: str) -> NDArray[np.float64]:
         """Return one value per drone."""
-        values = np.array([getattr(kind, name) for kind in self.quadrotor], dtype=np.float64)
-        return np.repeat(values, self.drones // len(values))
+        kinds = np.array([getattr(kind, name) for kind in self.quadrotor], dtype=np.float64)
+        values = np.repeat(kinds, self.drones // len(kinds))
+        values.setflags(write=False)
+        return values
 
     @property
     def point_names(self) -> tuple[str, ...]:

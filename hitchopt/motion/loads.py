@@ -131,8 +131,8 @@ def leg_tensions(motion: Motion) -> Array:
 
 def reduce_constants(coefficients: Array) -> Array:
     """Return constants in degree 0, where products are cheaper; other polynomials unchanged."""
-    constant = np.all(coefficients == coefficients[..., :1])
-    return coefficients[..., :1] if constant else coefficients
+    first = coefficients[..., :1]
+    return first if np.logical_and.reduce(coefficients == first, axis=None) else coefficients
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
@@ -19,7 +18,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.values import check_instance, sequence
+from hitchopt.values import check_instance, lazy, sequence
 
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
@@ -313,12 +312,12 @@ class Motion(OneLine):
         parts = same_degree(stored.coefficients, plain.coefficients)
         return bool(np.max(np.abs(parts[0] - parts[1]), initial=0.0) <= PLAIN_TOLERANCE)
 
-    @cached_property
+    @lazy
     def has_friction(self) -> bool:
         """Whether any leg pulls with another tension than its cable."""
         return not self._is_plain("leg_tensions")
 
-    @cached_property
+    @lazy
     def has_wraps(self) -> bool:
         """Whether any edge has contacts with an object; otherwise all edges are straight."""
         return not self._is_plain("contacts")
@@ -343,7 +342,7 @@ class Motion(OneLine):
             phases = [replace(phase, state=CableState.NONE) for phase in phases]
         return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
 
-    @property
+    @lazy
     def has_ring_changes(self) -> bool:
         """Whether robots join or leave the ring (``motion.chapters``)."""
         return any(phase.ring is not None for phase in self.phases)
@@ -402,7 +401,7 @@ class Motion(OneLine):
         """Tension of the leg at each drone, q0, r0, q1, …, of shape (2n,) [N]."""
         return self.leg_tensions.reshaped(2 * self.team.robots)
 
-    @property
+    @lazy
     def cable_states(self) -> frozenset[CableState]:
         """States of the cables in all phases; without phases, ``HITCHED`` or ``NONE``."""
         if not self.phases:
@@ -418,7 +417,9 @@ class Motion(OneLine):
         """Return whether the cables are in one of the states on each piece (pieces,)."""
         present = self.cable_states
         if present <= states or present.isdisjoint(states):
-            return np.full(self.drones.pieces, present <= states)
+            every = np.empty(self.drones.pieces, dtype=np.bool_)
+            every[:] = present <= states
+            return every
         in_phase: NDArray[np.bool_] = np.array([p.state in states for p in self.phases])
         return in_phase[self.phase_of_piece]
 

@@ -30,16 +30,13 @@ def degree(coefficients: Array) -> int:
 def basis(x: Array, order: int) -> Array:
     """Return the Bernstein polynomials of degree ``order`` at x (…), as (…, order + 1)."""
     x = np.asarray(x, dtype=np.float64)[..., None]
-    rising = np.empty((*x.shape[:-1], order + 1))
-    falling = np.empty_like(rising)
-    rising[..., 0] = falling[..., 0] = 1.0
-    rising[..., 1:] = x
-    falling[..., 1:] = 1.0 - x
-    for powers in (rising, falling):  # x**i is ten times as slow
-        np.multiply.accumulate(powers, axis=-1, out=powers)
-    rising *= falling[..., ::-1]
-    rising *= binomials(order)
-    return rising
+    powers = np.empty((2, *x.shape[:-1], order + 1))
+    powers[..., 0] = 1.0
+    powers[0, ..., 1:], powers[1, ..., 1:] = x, 1.0 - x
+    np.multiply.accumulate(powers, axis=-1, out=powers)  # x**i is ten times as slow
+    values: Array = powers[0] * powers[1, ..., ::-1]
+    values *= binomials(order)
+    return values
 
 
 def derivative_basis(x: Array, order: int, derivative: int) -> Array:
@@ -64,7 +61,7 @@ def evaluate(coefficients: Array, x: Array | float) -> Array:
 
 def differentiate(coefficients: Array) -> Array:
     """Return the derivative with respect to x; that of a constant is a constant zero."""
-    order = degree(coefficients)
+    order = coefficients.shape[-1] - 1
     if order == 0:
         return np.zeros_like(coefficients)
     slope: Array = coefficients[..., 1:] - coefficients[..., :-1]
@@ -74,36 +71,32 @@ def differentiate(coefficients: Array) -> Array:
 
 def elevate(coefficients: Array, order: int) -> Array:
     """Return the polynomials in degree ``order``, which is at least their own."""
-    if order == degree(coefficients):
-        return coefficients
-    return transform(coefficients, elevation(degree(coefficients), order))
+    own = coefficients.shape[-1] - 1
+    return coefficients if order == own else transform(coefficients, elevation(own, order))
 
 
 def same_degree(*parts: Array) -> list[Array]:
     """Return polynomials (…, degree + 1) in the largest of their degrees."""
-    order = max(degree(part) for part in parts)
+    order = max([part.shape[-1] for part in parts]) - 1
     return [elevate(part, order) for part in parts]
 
 
 def transform(coefficients: Array, matrix: Array) -> Array:
     """Return the products (…, k) of a matrix (k, m) and vectors (…, m), MAX_PRODUCT at a time."""
-    flat = coefficients.reshape(-1, coefficients.shape[-1])
-    count = max(1, MAX_PRODUCT // max(1, matrix.size))
-    if len(flat) <= count:
+    flat, k = coefficients.reshape(-1, coefficients.shape[-1]), matrix.shape[0]
+    if flat.size * k <= MAX_PRODUCT:
         products: Array = flat @ matrix.T
     else:
-        products = np.empty((len(flat), len(matrix)))
+        products, count = np.empty((len(flat), k)), max(1, MAX_PRODUCT // matrix.size)
         for first in range(0, len(flat), count):
             part = slice(first, first + count)
             np.matmul(flat[part], matrix.T, out=products[part])
-    return products.reshape(*coefficients.shape[:-1], len(matrix))
+    return products.reshape(*coefficients.shape[:-1], k)
 
 
 def multiply(a: Array, b: Array) -> Array:
     """Return the product, of degree deg a + deg b; leading axes broadcast."""
-    if degree(a) == 0 or degree(b) == 0:
-        return a * b
-    return _multiply(a, b, 1)
+    return a * b if a.shape[-1] == 1 or b.shape[-1] == 1 else _multiply(a, b, 1)
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -135,7 +128,7 @@ def _product(a: Array, b: Array, axes: int) -> Array:
     pairs = max(a.size * n, b.size * m) // (1 if axes == 1 else a.shape[-2])
     if pairs * (m + n - 1) > MAX_PRODUCT:
         return _convolved(a, b, axes)
-    each = np.einsum("...i,...j->...ij", a, b) if axes == 1 else np.swapaxes(a, -1, -2) @ b
+    each = a[..., None] @ b[..., None, :] if axes == 1 else a.mT @ b
     product = each.reshape(-1, m * n) @ _product_matrix(m - 1, n - 1)
     return product.reshape(*each.shape[:-2], m + n - 1)
 
@@ -169,18 +162,21 @@ def halve(coefficients: Array) -> tuple[Array, Array]:
 
 
 def restrict(coefficients: Array, lower: Array | float, upper: Array | float) -> Array:
-    """Return the coefficients on [lower, upper] ⊂ [0, 1]; ends broadcast as in ``evaluate``."""
-    rows = np.broadcast_shapes(np.shape(lower), np.shape(upper), coefficients.shape[:-1])
-    lower, upper = (np.broadcast_to(end, rows).T for end in (lower, upper))
-    c = np.broadcast_to(coefficients, (*rows, coefficients.shape[-1]))
-    c = np.array(c.T, order="C")  # long rows take a third of the time
-    order, rest = len(c) - 1, 1.0 - upper
+    """Return the coefficients on [lower, upper] ⊂ [0, 1].
+
+    Ends broadcast against the coefficients' leading axes, and have no more of them.
+    """
+    lower, upper = (np.array(end, ndmin=coefficients.ndim - 1).T for end in (lower, upper))
+    shape = 0.0 * (lower + upper)
+    c = np.add(coefficients.T, shape, order="C")  # long rows take a third of the time
+    order, rest = c.shape[0] - 1, 1.0 - upper
     for r in range(1, order + 1):  # de Casteljau: restrict to [0, upper]
         c[r:] = rest * c[r - 1 : -1] + upper * c[r:]
-    start = np.divide(lower, upper, out=np.zeros_like(rest), where=upper > 0.0)
+    start = lower / np.where(upper > 0.0, upper, 1.0)
     rest = 1.0 - start
-    for r in range(1, order + 1) if np.any(start) else ():  # then [lower / upper, 1] of that
-        c[: order + 1 - r] = rest * c[: order + 1 - r] + start * c[1 : order + 2 - r]
+    if np.logical_or.reduce(start, axis=None):  # then [lower / upper, 1] of that
+        for r in range(1, order + 1):
+            c[: order + 1 - r] = rest * c[: order + 1 - r] + start * c[1 : order + 2 - r]
     return np.ascontiguousarray(c.T)
 
 
@@ -201,6 +197,12 @@ def nodes(order: int) -> Array:
 def at_nodes(order: int, degree: int) -> Array:
     """(order + 1, degree + 1): the basis at ``nodes(order)``; the middle for order 0."""
     return _frozen(basis(nodes(order), degree))
+
+
+@lru_cache
+def lowering(degree: int, order: int) -> Array:
+    """(order + 1, degree + 1): matrix that interpolates polynomials at ``nodes(order)``."""
+    return _frozen(_interpolation(order) @ at_nodes(order, degree))
 
 
 @lru_cache

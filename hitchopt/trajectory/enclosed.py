@@ -13,24 +13,25 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.geometry.vectors import column_lengths
+from hitchopt.geometry.vectors import column_lengths, unit
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array
+from hitchopt.values import Array, lazy
 
 EPS = 2.0**-46
 """Rounding of an operation relative to the sizes that enter it: 64 units in the last place."""
+
+UPWARD = np.array([[0.0], [0.0], [1.0]])
 
 ROOT_ORDER, INVERSE_ORDER = 6, 4
 """Degrees of interpolants: they err by 1e-9 where numbers vary by per cents, as on the spans that
 matter. An inverse enters more products than a root."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Bound:
     """Bounds (spans,) of a quantity on each of many spans.
 
@@ -41,7 +42,7 @@ class Bound:
     x: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Interval:
     """Intervals with lower and upper ends (…)."""
 
@@ -68,7 +69,7 @@ class Interval:
         return Enclosed(middle[..., None, None], 0.5 * (self.high - self.low))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Enclosed:
     """Vector polynomials on [0, 1], each enclosed by a ball."""
 
@@ -81,28 +82,25 @@ class Enclosed:
     @classmethod
     def of(cls, value: Enclosed | ArrayLike) -> Enclosed:
         """Return enclosed values unchanged, and numbers or vectors (…, components) as constants."""
-        if isinstance(value, Enclosed):
+        if type(value) is Enclosed:
             return value
-        numbers = np.asarray(value, dtype=np.float64)
-        return cls(np.atleast_1d(numbers)[..., None])
+        numbers = np.array(value, dtype=np.float64, ndmin=1)
+        return cls(numbers[..., None])
 
     @property
     def degree(self) -> int:
         """Degree of the polynomials."""
         return bernstein.degree(self.c)
 
-    @cached_property
+    @lazy
     def size(self) -> Array:
         """(…): bound of the polynomials' norm, without the ball."""
-        sizes = np.abs(self.c[..., 0, :]) if self.c.shape[-2] == 1 else column_lengths(self.c)
-        # Along the first axis, this takes a tenth of the time.
-        largest: Array = np.maximum.reduce(np.ascontiguousarray(sizes.T)).T
-        return largest
+        c = self.c
+        return _largest(np.abs(c[..., 0, :]) if c.shape[-2] == 1 else column_lengths(c))
 
     def __getitem__(self, component: int) -> Enclosed:
         """Return one component."""
-        rows = slice(component, component + 1 or None)
-        return Enclosed(self.c[..., rows, :], self.r)
+        return Enclosed(self.c[..., component, None, :], self.r)
 
     def widened(self, radius: Array | float) -> Enclosed:
         """Return the value with a larger ball."""
@@ -112,13 +110,18 @@ class Enclosed:
         return Enclosed(-self.c, self.r)
 
     def __add__(self, other: Enclosed | ArrayLike) -> Enclosed:
-        other = Enclosed.of(other)
-        order = max(self.degree, other.degree)
-        c = bernstein.elevate(self.c, order) + bernstein.elevate(other.c, order)
-        return Enclosed(c, self.r + other.r + EPS * (self.size + other.size))
+        return self.plus(other, 1.0)
 
     def __sub__(self, other: Enclosed | ArrayLike) -> Enclosed:
-        return self + -Enclosed.of(other)
+        return self.plus(other, -1.0)
+
+    def plus(self, other: Enclosed | ArrayLike, sign: float) -> Enclosed:
+        """Return the sum with a value, or for the sign -1 the difference."""
+        other = Enclosed.of(other)
+        a, b = self.c, other.c
+        if a.shape[-1] != b.shape[-1]:
+            a, b = bernstein.same_degree(a, b)
+        return Enclosed(a + sign * b, self.r + other.r + EPS * (self.size + other.size))
 
     def __mul__(self, other: Enclosed | ArrayLike) -> Enclosed:
         """Return the product with a scalar (one component), or component by component."""
@@ -128,15 +131,15 @@ class Enclosed:
     __radd__, __rmul__ = __add__, __mul__
 
     def __rsub__(self, other: ArrayLike) -> Enclosed:
-        return -self + other
+        return Enclosed.of(other) - self
 
     def dot(self, other: Enclosed | ArrayLike) -> Enclosed:
         """Return the scalar product."""
         other = Enclosed.of(other)
-        if self.c.shape[:-1] == other.c.shape[:-1]:
+        if self.c.shape[-2] == other.c.shape[-2]:
             c = bernstein.dot(self.c, other.c)[..., None, :]
         else:
-            c = np.sum(bernstein.multiply(self.c, other.c), axis=-2, keepdims=True)
+            c = np.add.reduce(bernstein.multiply(self.c, other.c), axis=-2, keepdims=True)
         return Enclosed(c, _error(self, other))
 
     def cross(self, other: Enclosed) -> Enclosed:
@@ -149,16 +152,16 @@ class Enclosed:
 
     def sum(self, axis: int = -1) -> Enclosed:
         """Return the sum over a leading axis, counted from the last one of these."""
-        r = np.sum(self.r + EPS * self.size, axis=axis)
-        return Enclosed(np.sum(self.c, axis=axis - 2), r)
+        r = np.add.reduce(self.r + EPS * self.size, axis=axis)
+        return Enclosed(np.add.reduce(self.c, axis=axis - 2), r)
 
     def reduced(self, order: int) -> Enclosed:
         """Return the value in at most degree ``order``, with the error added to the ball."""
-        if self.degree <= order:
+        degree = self.c.shape[-1] - 1
+        if degree <= order:
             return self
-        nodal = bernstein.transform(self.c, bernstein.at_nodes(order, self.degree))
-        low = bernstein.interpolate(nodal)
-        error = Enclosed(bernstein.elevate(low, self.degree) - self.c)
+        low = bernstein.transform(self.c, bernstein.lowering(degree, order))
+        error = Enclosed(bernstein.elevate(low, degree) - self.c)
         return Enclosed(low, self.r + error.size + EPS * self.size)
 
     @property
@@ -168,91 +171,91 @@ class Enclosed:
 
     def along_z(self) -> Enclosed:
         """Return a scalar as a vector along z."""
-        zero = np.zeros_like(self.c)
-        return Enclosed(np.concatenate([zero, zero, self.c], axis=-2), self.r)
+        return Enclosed(self.c * UPWARD, self.r)
 
     @property
     def direction(self) -> Enclosed:
         """Unit vector y / |y|; the zero vector and radius 1 where y may vanish."""
         inverse = self.norm.inverse
         unit = self * inverse
-        valid = np.asarray(np.isfinite(inverse.r) & (unit.r < 1.0))
+        valid = np.isfinite(inverse.r) & (unit.r < 1.0)
+        if np.logical_and.reduce(valid, axis=None):
+            return unit
         c = np.where(valid[..., None, None], unit.c, 0.0)
         return Enclosed(c, np.where(valid, unit.r, 1.0))
 
-    @cached_property
+    @lazy
     def inverse(self) -> Enclosed:
         """Inverse of a positive scalar; the radius is infinite where it may not be positive."""
-        order = INVERSE_ORDER if self.degree else 0
-        nodal = bernstein.transform(self.c, bernstein.at_nodes(order, self.degree))
-        valid = np.min(nodal, axis=(-2, -1)) > 0.0
-        w = bernstein.interpolate(1.0 / np.where(valid[..., None, None], nodal, 1.0))
-        size = np.max(np.abs(w), axis=(-2, -1))
-        product = bernstein.multiply(self.c, w)
+        nodal = _at_nodes(self.c, INVERSE_ORDER)
+        positive = np.minimum.reduce(nodal, axis=-1)[..., 0] > 0.0
+        w = _through_nodes(1.0 / np.where(positive[..., None, None], nodal, 1.0))
+        size = _largest(np.abs(w[..., 0, :]))
+        product = bernstein.multiply(self.c, w)[..., 0, :]
         # | w - 1/a | = | a w - 1 | / a, and 1/a <= max w / (1 - | a w - 1 |).
-        residual = np.max(np.abs(product - 1.0), axis=(-2, -1)) + size * (self.r + EPS * self.size)
-        valid &= residual < 1.0
+        residual = _largest(np.abs(product - 1.0)) + size * (self.r + EPS * self.size)
+        valid = positive & (residual < 1.0)
+        if np.logical_and.reduce(valid, axis=None):
+            return Enclosed(w, residual * size / (1.0 - residual))
         radius = np.where(valid, residual * size / np.where(valid, 1.0 - residual, 1.0), np.inf)
         return Enclosed(np.where(valid[..., None, None], w, 0.0), radius)
 
-    @cached_property
+    @lazy
     def norm(self) -> Enclosed:
         """Euclidean norm."""
         return self.dot(self).root
 
-    @cached_property
+    @lazy
     def root(self) -> Enclosed:
         """Square root of a scalar, 0 where it is negative."""
-        order = ROOT_ORDER if self.degree else 0
-        nodal = bernstein.transform(self.c, bernstein.at_nodes(order, self.degree))
-        v = bernstein.interpolate(np.sqrt(np.maximum(nodal, 0.0)))
-        degree = max(self.degree, 2 * order)
-        squared = bernstein.elevate(bernstein.multiply(v, v), degree)
-        residual = np.abs(bernstein.elevate(self.c, degree) - squared)[..., 0, :]
+        v = _through_nodes(np.sqrt(np.maximum(_at_nodes(self.c, ROOT_ORDER), 0.0)))
+        c, squared = bernstein.same_degree(self.c, bernstein.multiply(v, v))
+        residual = _largest(np.abs(c - squared)[..., 0, :]) + EPS * self.size + self.r
         # | √a - v | = | a - v² | / (√a + v); for any v, 0 <= √a <= √(|coefficients| + radius).
-        lower, upper = np.min(v[..., 0, :], axis=-1), np.sqrt((self.size + self.r) * (1.0 + EPS))
-        error = np.max(residual, axis=-1) + EPS * self.size + self.r
-        error = np.divide(error, lower, out=np.full_like(error, np.inf), where=lower > 0.0)
+        lower = np.minimum.reduce(v[..., 0, :], axis=-1)
+        upper = np.sqrt((self.size + self.r) * (1.0 + EPS))
         # Where a is smaller than its rounding, the middle of that interval errs less.
-        half = 0.5 * upper
-        valid = ~(half < error)
-        v = np.where(valid[..., None, None], v, half[..., None, None])
-        error = np.where(valid, error, half)
+        half, positive = 0.5 * upper, lower > 0.0
+        error = residual / np.where(positive, lower, 1.0)
+        valid = positive & (error <= half)
+        if not np.logical_and.reduce(valid, axis=None):
+            v = np.where(valid[..., None, None], v, half[..., None, None])
+            error = np.where(valid, error, half)
         return Enclosed(v, error + EPS * upper)
 
     @property
     def norm_upper(self) -> Bound:
         """Upper bound of the norm: it is convex, hence largest at a coefficient."""
-        return Enclosed((column_lengths(self.c) * (1.0 + EPS))[..., None, :], self.r).upper
+        lengths = column_lengths(self.c)
+        x = lengths.argmax(axis=-1) / (lengths.shape[-1] - 1 or 1)
+        return Bound(_largest(lengths) * (1.0 + EPS) + self.r, x)
 
     @property
     def norm_lower(self) -> Bound:
         """Lower bound of the norm, at least 0: the component along the direction at mid span."""
-        direction = self.middle
-        size = np.sqrt(np.sum(direction * direction, axis=-1, keepdims=True))
-        direction = np.divide(direction, size, out=np.zeros_like(direction), where=size > 0.0)
-        lower = self.dot(direction).lower
-        return Bound(np.maximum(lower.value, 0.0), lower.x)
+        along = (unit(self.middle)[..., None, :] @ self.c)[..., 0, :]
+        lower = np.minimum.reduce(along, axis=-1) - (self.r + EPS * self.size) * (1.0 + EPS)
+        x = along.argmin(axis=-1) / (along.shape[-1] - 1 or 1)
+        return Bound(np.maximum(lower, 0.0), x)
 
     @property
     def upper(self) -> Bound:
         """Upper bound of a scalar."""
         row = self.c[..., 0, :]
-        index = row.argmax(axis=-1)
-        return Bound(np.maximum.reduce(row, axis=-1) + self.r, index / max(1, self.degree))
+        x = row.argmax(axis=-1) / (row.shape[-1] - 1 or 1)
+        return Bound(np.maximum.reduce(row, axis=-1) + self.r, x)
 
     @property
     def lower(self) -> Bound:
         """Lower bound of a scalar."""
-        upper = (-self).upper
-        return Bound(-upper.value, upper.x)
+        row = self.c[..., 0, :]
+        x = row.argmin(axis=-1) / (row.shape[-1] - 1 or 1)
+        return Bound(np.minimum.reduce(row, axis=-1) - self.r, x)
 
     @property
     def range(self) -> Interval:
         """Interval that contains a scalar."""
-        row = self.c[..., 0, :]
-        lowest, highest = np.minimum.reduce(row, axis=-1), np.maximum.reduce(row, axis=-1)
-        return Interval(lowest - self.r, highest + self.r)
+        return Interval(self.lower.value, self.upper.value)
 
     @property
     def norm_range(self) -> Interval:
@@ -262,10 +265,30 @@ class Enclosed:
     @property
     def middle(self) -> Array:
         """(…, components): the polynomials at mid span."""
-        if self.degree == 0:
+        if self.c.shape[-1] == 1:
             return self.c[..., 0]
         values: Array = self.c @ bernstein.at_nodes(0, self.degree)[0]
         return values
+
+
+def _largest(rows: Array) -> Array:
+    """Return the largest of each row (…, k)."""
+    if rows.shape[-1] == 1:
+        return rows[..., 0]
+    # Along the first axis, this takes a tenth of the time.
+    largest: Array = np.maximum.reduce(np.ascontiguousarray(rows.T)).T
+    return largest
+
+
+def _at_nodes(c: Array, order: int) -> Array:
+    """Return the values of polynomials at ``nodes(order)``; those of constants at one node."""
+    degree = c.shape[-1] - 1
+    return bernstein.transform(c, bernstein.at_nodes(order, degree)) if degree else c
+
+
+def _through_nodes(values: Array) -> Array:
+    """Return the polynomials through values of ``_at_nodes``."""
+    return bernstein.interpolate(values) if values.shape[-1] > 1 else values
 
 
 def _error(a: Enclosed, b: Enclosed) -> Array:
@@ -274,31 +297,31 @@ def _error(a: Enclosed, b: Enclosed) -> Array:
     Zero times an unbounded factor is zero.
     """
     x, y = a.size, b.size
-    if isinstance(a.r, float) and isinstance(b.r, float) and a.r == b.r == 0.0:
+    if type(a.r) is type(b.r) is float and a.r == b.r == 0.0:
         return EPS * (x * y)
-    with np.errstate(invalid="ignore", over="ignore"):
-        error: Array = x * (EPS * y + b.r) + a.r * (y + b.r)
-        if math.isnan(np.add.reduce(error, axis=None)):
-            error = EPS * (x * y)
-            for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
-                is_zero = (np.asarray(size) == 0.0) | (radius == 0.0)
-                error = error + np.where(is_zero, 0.0, size * radius)
+    if math.isfinite(np.add.reduce(a.r + b.r, axis=None)):
+        return x * (EPS * y + b.r) + a.r * (y + b.r)
+    error = EPS * (x * y)
+    with np.errstate(invalid="ignore"):
+        for size, radius in ((x, b.r), (y, a.r), (a.r, b.r)):
+            is_zero = (np.asarray(size) == 0.0) | (np.asarray(radius) == 0.0)
+            error = error + np.where(is_zero, 0.0, size * radius)
     return error
 
 
 def vector(*parts: Enclosed) -> Enclosed:
     """Return the vector of the components of all parts, in order."""
-    order = max(part.degree for part in parts)
-    shape = np.broadcast_shapes(*(part.c.shape[:-2] for part in parts))
-    each = [bernstein.elevate(part.c, order) for part in parts]
-    c = [np.broadcast_to(rows, (*shape, *rows.shape[-2:])) for rows in each]
-    r: Array = np.sqrt(sum(np.square(part.r) for part in parts))
-    return Enclosed(np.concatenate(c, axis=-2), r)
+    each = bernstein.same_degree(*[part.c for part in parts])
+    shape = np.broadcast_shapes(*[c.shape[:-2] for c in each])
+    each = [np.broadcast_to(c, (*shape, *c.shape[-2:])) for c in each]
+    r: Array = np.sqrt(sum([np.square(part.r) for part in parts]))
+    return Enclosed(np.concatenate(each, axis=-2), r)
 
 
 def largest_of(bounds: list[Bound], floor: float = -np.inf) -> Bound:
     """Return, on each span, the largest of several bounds and of ``floor``."""
-    values = np.stack([bound.value for bound in bounds])
-    index = np.argmax(values, axis=0)[None]
-    x = np.take_along_axis(np.stack([bound.x for bound in bounds]), index, axis=0)[0]
-    return Bound(np.maximum(np.max(values, axis=0), floor), x)
+    value, x = bounds[0].value, bounds[0].x
+    for bound in bounds[1:]:
+        x = np.where(bound.value > value, bound.x, x)
+        value = np.maximum(value, bound.value)
+    return Bound(np.maximum(value, floor), x)

@@ -33,8 +33,12 @@ them, bounds are accepted: valid, but less tight."""
 BATCH = 4096
 """Number of spans bounded in one call: the arrays of a formula fit into the caches."""
 
-TIE_DIGITS, TIE = 9, 1e-9
-"""Digits of bounds, and relative difference of values, at which the first one in time is chosen."""
+TIE_STEPS, TIE = 1e9, 1e-9
+"""Steps of bounds up to the largest one, and relative difference of values, at which the first one
+in time is chosen."""
+
+WHOLE = np.array([[0.0], [1.0]])
+"""Start and end of whole pieces."""
 
 MAX_CANDIDATES = 32
 """Number of spans of a batch, those with the worst bounds, in which a value is computed."""
@@ -60,7 +64,8 @@ class TimeSpans:
     source: object with the polynomials.
     breaks: (pieces + 1,) [s]
     piece, item: (spans,)
-    extent: (2, spans), local parameters of starts and ends, from 0 to 1; None for whole pieces.
+    extent: (2, spans), local parameters of starts and ends, from 0 to 1; None for whole pieces,
+        whose attribute is (2, 1).
     points: whether the spans have no length.
     """
 
@@ -76,7 +81,8 @@ class TimeSpans:
     ) -> None:
         self.source, self.breaks, self.piece, self.item = source, breaks, piece, item
         self.whole, self.points = extent is None, points
-        self.extent = np.repeat([[0.0], [1.0]], len(item), axis=1) if extent is None else extent
+        self.extent = WHOLE if extent is None else extent
+        self._weights: dict[int, Array] = {}  # of points, by degree
 
     def __len__(self) -> int:
         return len(self.item)
@@ -89,10 +95,11 @@ class TimeSpans:
 
         ``mask`` (pieces,) or (pieces, items) selects spans; None selects all.
         """
-        selected = np.ones((len(breaks) - 1, items), dtype=np.bool_)
+        piece, item = divmod(np.arange((len(breaks) - 1) * items), items)
         if mask is not None:
-            selected &= mask.reshape(len(selected), -1)
-        piece, item = np.nonzero(selected)
+            shape = len(breaks) - 1, items
+            selected = np.broadcast_to(mask.reshape(shape[0], -1), shape).ravel()
+            piece, item = piece[selected], item[selected]
         yield from batches(cls(source, breaks, piece, item))
 
     def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
@@ -106,16 +113,20 @@ class TimeSpans:
 
     def halves(self) -> Self:
         """Return all first halves, then all second halves."""
-        (lower, upper), twice = self.extent, np.tile(np.arange(len(self)), 2)
-        middle = 0.5 * (lower + upper)
-        return self._like(twice, np.concatenate([[lower, middle], [middle, upper]], axis=1))
+        (lower, upper), count = self.extent, self.item.size
+        extent = np.empty((2, 2, count))  # (start and end, half, span)
+        extent[0, 0], extent[1, 1] = lower, upper
+        extent[0, 1] = extent[1, 0] = 0.5 * (lower + upper)
+        return self._like(np.arange(2 * count) % count, extent.reshape(2, -1))
 
-    def at(self, x: Array) -> Self:
-        """Return the points at local parameters x (spans,) of the spans, from 0 to 1."""
-        positions = self.extent[0] + x * (self.extent[1] - self.extent[0])
-        return self._like(slice(None), np.stack([positions, positions]), points=True)
+    def at(self, x: Array | float, index: Any = slice(None)) -> Self:
+        """Return the points at local parameters x (spans,), from 0 to 1, of the chosen spans."""
+        lower, upper = self.extent if self.whole else self.extent[:, index]
+        extent = np.empty((2, self.piece[index].size))
+        extent[:] = lower + x * (upper - lower)
+        return self._like(index, extent, points=True)
 
-    def times(self, x: Array) -> Array:
+    def times(self, x: Array | float) -> Array:
         """Return the times [s] at local parameters x (spans,)."""
         (lower, upper), starts = self.extent, self.breaks[self.piece]
         durations = self.breaks[self.piece + 1] - starts
@@ -135,9 +146,11 @@ class TimeSpans:
         if self.whole or c.shape[-1] == 1:
             return c
         if self.points:
-            weights = bernstein.basis(self.extent[0], c.shape[-1] - 1)
-            values: Array = np.einsum("s...i,si->s...", c, weights)
-            return values[..., None]
+            order = c.shape[-1] - 1
+            if order not in self._weights:
+                self._weights[order] = bernstein.basis(self.extent[0], order)[..., None]
+            values = c.reshape(c.shape[0], -1, order + 1) @ self._weights[order]
+            return values.reshape(*c.shape[:-1], 1)
         lower, upper = self.extent.reshape(2, -1, *(1,) * (c.ndim - 2))
         return bernstein.restrict(c, lower, upper)
 
@@ -204,10 +217,10 @@ class BranchAndBound(Generic[S]):
     @property
     def threshold(self) -> float:
         """Bound at or below which spans are closed."""
-        if not math.isfinite(self.value):
+        if not -np.inf < self.value < np.inf:
             return self.value
         tight = self.value + max(self.absolute, self.relative * abs(self.value))
-        return min(tight, self.target) if self.value <= self.target else tight
+        return self.target if self.value <= self.target < tight else tight
 
     def add(self, spans: S) -> None:
         """Bound the spans once, and keep those open that may contain the worst value."""
@@ -218,7 +231,8 @@ class BranchAndBound(Generic[S]):
     def finish(self) -> Extremum:
         """Halve open spans until all are closed, and return the answer."""
         # Deepest first: few spans are alive at a time, and the worst values come early.
-        self._open.sort(key=lambda entry: float(entry[1].max()))
+        if len(self._open) > 1:
+            self._open.sort(key=lambda entry: float(entry[1].max()))
         budget = max(MAX_SPANS, 10 * self.evaluated) + self.evaluated
         while self._open:
             spans, bounds, depth = self._open.pop()
@@ -230,7 +244,7 @@ class BranchAndBound(Generic[S]):
                 continue
             inherited = np.concatenate([bounds, bounds])
             for i, batch in enumerate(batches(spans.halves())):
-                parents = inherited[i * BATCH : i * BATCH + len(batch)]
+                parents = inherited[i * BATCH : (i + 1) * BATCH]
                 self._open.append((batch, np.minimum(parents, self._bounds(batch)), depth + 1))
         worst = max(self.ceiling, self.value)
         return Extremum(self.sign * worst, self.attained, self.item, self.time)
@@ -238,52 +252,56 @@ class BranchAndBound(Generic[S]):
     def _bounds(self, batch: S) -> Array:
         """Return upper bounds (spans,) of sign · quantity, and record the largest value."""
         check_time()
-        self.evaluated += len(batch)
-        with np.errstate(all="ignore"):  # coefficients may have any value; nan is handled below
-            bound = self.formula(batch)
-            bounds = _without_nan(self.sign * bound.value)
-            # Spans that tie are taken in order: the answer is the same on every machine.
-            size = np.max(np.abs(bounds), initial=0.0, where=np.isfinite(bounds)) or 1.0
-            rounded = np.round(bounds / size, TIE_DIGITS)
-            candidates = np.sort(np.argsort(-rounded, kind="stable")[:MAX_CANDIDATES])
-            if self.item >= 0:  # no value exceeds its span's bound
-                candidates = candidates[bounds[candidates] >= self.value - TIE * abs(self.value)]
-            if len(candidates):
-                points = batch.take(candidates).at(bound.x[candidates])
-                if self.rough and bounds.max() <= self.target:
-                    values = bounds[candidates]
-                else:
-                    values = _without_nan(self.sign * self.formula(points).value)
-                self._record(points, values)
+        self.evaluated += batch.item.size
+        bound = self.formula(batch)
+        bounds = self._signed(bound)
+        # Spans that tie are taken in order: the answer is the same on every machine.
+        size = np.maximum.reduce(sizes := np.abs(bounds)) or 1.0
+        if size == np.inf:
+            size = np.max(sizes, initial=0.0, where=np.isfinite(sizes)) or 1.0
+        candidates = (-np.rint(bounds / size * TIE_STEPS)).argsort(kind="stable")[:MAX_CANDIDATES]
+        candidates.sort()
+        if self.item >= 0:  # no value exceeds its span's bound
+            candidates = candidates[bounds[candidates] >= self.value - TIE * abs(self.value)]
+        if candidates.size:
+            points = batch.at(bound.x[candidates], candidates)
+            if self.rough and bounds.max() <= self.target:
+                values = bounds[candidates]
+            else:
+                values = self._signed(self.formula(points))
+            self._record(points, values)
         return bounds
+
+    def _signed(self, bound: Bound) -> Array:
+        """Return sign · quantity, with nan replaced by infinity, which fails a check."""
+        values: Array = self.sign * bound.value
+        values[np.isnan(values)] = np.inf
+        return values
 
     def _record(self, points: S, values: Array) -> None:
         """Record the largest value, or the first in time of values that tie."""
-        largest = float(values.max())
-        tie = TIE * abs(largest) if math.isfinite(largest) else 0.0
-        best = int(np.argmax(values >= largest - tie))
-        value, time = float(values[best]), float(points.times(np.zeros(len(points)))[best])
+        largest = float(np.maximum.reduce(values))
+        tie = TIE * abs(largest) if largest - largest == 0.0 else 0.0  # not if infinite
+        best = int((values >= largest - tie).argmax())
+        value, time = float(values[best]), float(points.times(0.0)[best])
         earlier = self.item >= 0 and value >= self.value - tie and time < self.time
         if value > self.value + tie or earlier or (self.item < 0 and np.isinf(self.value)):
             self.value, self.item, self.time = max(value, self.value), int(points.item[best]), time
 
     def _prune(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
         """Close spans at the threshold, and return the remaining ones, if any."""
-        closed = bounds <= self.threshold
-        self.ceiling = max(self.ceiling, float(np.max(bounds[closed], initial=-np.inf)))
-        if closed.all():
+        is_open = bounds > self.threshold
+        index, closed = is_open.nonzero()[0], bounds[~is_open]
+        if closed.size:
+            self.ceiling = max(self.ceiling, float(np.maximum.reduce(closed)))
+        if not index.size:
             return None
-        return (spans.take(~closed), bounds[~closed]) if closed.any() else (spans, bounds)
-
-
-def _without_nan(values: Array) -> Array:
-    """Return values with nan replaced by infinity, which fails a check."""
-    return np.where(np.isnan(values), np.inf, values)
+        return (spans.take(index), bounds[index]) if closed.size else (spans, bounds)
 
 
 def batches(spans: S) -> Iterator[S]:
     """Yield the spans, BATCH at a time."""
-    if 0 < len(spans) <= BATCH:
+    if 0 < spans.item.size <= BATCH:
         yield spans
     else:
         yield from (spans.take(slice(i, i + BATCH)) for i in range(0, len(spans), BATCH))

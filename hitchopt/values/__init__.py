@@ -7,8 +7,9 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +21,20 @@ Array = NDArray[np.float64]
 
 Indices = NDArray[np.intp]
 """Type of arrays of indices."""
+
+if TYPE_CHECKING:
+    lazy = cached_property
+else:
+
+    class lazy(cached_property):  # noqa: N801, used like a function
+        """``cached_property`` without a lock, which takes longer than short formulas."""
+
+        def __get__(self, instance: object, owner: type | None = None) -> object:
+            if instance is None:
+                return self
+            value = instance.__dict__[self.attrname] = self.func(instance)
+            return value
+
 
 MAX_COORDINATE = 1000.0
 """[m] Largest coordinate. Rounding makes accelerations jump in proportion to it: at 200 m by up to

@@ -83,6 +83,11 @@ def test_restriction_broadcasts_over_spans() -> None:
     for i in range(2):
         one = bernstein.restrict(c[i], float(lower[i, 0]), float(upper[i, 0]))
         np.testing.assert_allclose(part[i], one, atol=1e-14)
+    every = bernstein.restrict(c[:, :1], lower[:, 0], upper[:, 0])  # on all spans
+    for i in range(2):
+        np.testing.assert_allclose(
+            every[:, i], bernstein.restrict(c[:, 0], 0.1 + 0.4 * i, upper[i, 0])
+        )
 
 
 def test_shared_tables_are_read_only() -> None:
