@@ -269,7 +269,8 @@ class LegTask:
 
     def reference_margins(self) -> Array:
         """Return the smallest margin (J,) of the reference on every polygon."""
-        return LegBodies(self, (self.reference,)).margins(self.reference)
+        bodies = LegBodies(self, (self.reference,))
+        return bodies.margins(bodies.nodes(self.reference))
 
     @property
     def _uneven_fractions(self) -> Array:
@@ -461,18 +462,22 @@ class LegBodies:
         scale = scales_of(self.task.requirements)[:, : nodes.shape[-1]]
         return shortest_offset(between * scale[kind][:, None])
 
-    def margins(self, d: Array) -> Array:
+    def margins(self, nodes: Array) -> Array:
         """Return the smallest distance over its limit (J,), relative to the margins of the knots.
 
         Crossings at their margin do not count.
+
+        Parameters
+        ----------
+        nodes: (J·count, 2 or 3) [m], positions of the nodes.
         """
         task, (frame, _, _, kind) = self.task, self.pairs
         limits = limits_of(task.requirements.separation)[kind]
-        ratios = length(self.offsets(self.nodes(d))) / limits
+        ratios = length(self.offsets(nodes)) / limits
         crossing_margins = task.margins[CROSSING, frame] * (1.0 - 1e-9)
         inactive = (kind == CROSSING) & (ratios >= crossing_margins)
         relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, frame]
-        smallest = np.full(len(d), np.inf)
+        smallest = np.full(len(self.points), np.inf)
         np.minimum.at(smallest, frame, relative)
         return task.largest_margin * smallest
 
@@ -528,7 +533,8 @@ class LegBodies:
         start = np.clip(task.reference, *task.bounds)
         if task.roughness > 0.0 or not np.array_equal(start, task.reference):
             return None
-        margin, drones = float(np.min(self.margins(start))), self.nodes(start)[self.drones, :2]
+        nodes = self.nodes(start)
+        margin, drones = float(np.min(self.margins(nodes))), nodes[self.drones, :2]
         if margin < task.largest_margin or (
             arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
         ):
@@ -551,7 +557,8 @@ class LegBodies:
             before, d = d, x[: d.size].reshape(d.shape)
             if float(np.max(np.abs(d - before))) < tolerance:
                 break
-            if first and np.min(self.margins(d)) >= task.largest_margin * (1.0 - 1e-9):
+            enough = task.largest_margin * (1.0 - 1e-9)
+            if first and np.min(self.margins(self.nodes(d))) >= enough:
                 break
-        margin = float(np.min(self.margins(d)))
+        margin = float(np.min(self.margins(self.nodes(d))))
         return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))

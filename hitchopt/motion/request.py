@@ -38,11 +38,12 @@ def request_of(motion: Motion) -> dict[str, Any]:
     requirements = replace(motion.requirements, objects=objects_at_first(motion))
     start: dict[str, Any] = {"drones": first}
     if team.has_cables:
-        assignment = motion.assignment or Assignment.fixed(team.robots)
-        roles = np.argsort(assignment.robots).tolist()
-        inverse = Assignment(tuple(roles), tuple(assignment.flipped[role] for role in roles))
-        drones, team = inverse.drones(first), inverse.team(team)
-        start = {"drones": {"q": drones[0::2], "r": drones[1::2]}}
+        assignment = motion.assignment
+        if assignment is not None:
+            roles = np.argsort(assignment.robots).tolist()
+            inverse = Assignment(tuple(roles), tuple(assignment.flipped[role] for role in roles))
+            first, team = inverse.drones(first), inverse.team(team)
+        start = {"drones": {"q": first[0::2], "r": first[1::2]}}
         if motion.formed[0]:
             points = len(motion.phases[0].ring or motion.team.point_names)
             x, y, z = motion.vertices.coefficients[0, :points, ..., 0].T
