@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
-from hitchopt.checks.objects import arc_lengths, wrapped_arcs
+from hitchopt.checks.objects import arc_lengths, select, wrapped_arcs
 from hitchopt.checks.rule import (
     CheckRule,
     Evaluator,
@@ -28,10 +28,12 @@ from hitchopt.checks.spans import (
     bent_edges,
     cable_names,
     cached,
+    joined_arrays,
     leg_vectors,
     magnitude,
     without_shared_zeros,
 )
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
@@ -39,7 +41,7 @@ from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array, Indices, lazy
+from hitchopt.values import Array, lazy
 
 Mask = NDArray[np.bool_]
 
@@ -66,25 +68,20 @@ class Cables(MotionSpans):
         """(spans, 1) [1/m] Inverse of the cable's length."""
         return 1.0 / self.source.team.cable_length[self.item, None]
 
-    def scaled(self, table: Array, item: Indices | None = None, noise: float = 0.0) -> Enclosed:
+    def scaled(self, table: Array, noise: float = 0.0) -> Enclosed:
         """Return vectors or scalars of a table, relative to the cable's length."""
-        c = self.read(table, item)
+        c = self.read(table)
         return Enclosed(c[:, None] if c.ndim == 2 else c, noise) * self.scale
 
     @lazy
-    def parts(self) -> list[Enclosed]:
-        """The q-leg, the r-leg, and the edge or its straight parts on both sides of an arc."""
-        legs, edges = leg_vectors(self.source), bent_edges(self.source)
-        straight_parts = [self.scaled(legs, 2 * self.item + end, self.noise) for end in (0, 1)]
-        straight_edges = edges if self.source.has_wraps else edges[:1]
-        return straight_parts + [self.scaled(edge, noise=self.noise) for edge in straight_edges]
+    def parts(self) -> Enclosed:
+        """The q-leg, the r-leg, and the edge or its straight parts at an arc (spans, 3 or 4)."""
+        return Enclosed(self.read(_parts(self.source)), self.noise) * self.scale[:, None]
 
     @lazy
     def excess(self) -> Enclosed:
         """Excess of the length of legs and edge over the cable's length."""
-        length = self.parts[0].norm + self.parts[1].norm
-        for part in self.parts[2:]:
-            length = length + part.norm
+        length = self.parts.norm.sum()
         if self.source.has_wraps:
             arcs = self.read(wrapped_arcs(self.source))
             length = length + arc_lengths(arcs * self.scale[..., None])
@@ -97,14 +94,26 @@ class Cables(MotionSpans):
 
         Both straight parts of an edge sag as one.
         """
-        q, r, *edges = self.parts
-        edge = edges[0] if len(edges) == 1 else edges[0] + edges[1]
-        sag_sum = q.norm * q.xy.dot(q.xy) + r.norm * r.xy.dot(r.xy)
-        for part in edges:
-            sag_sum = sag_sum + part.norm * edge.xy.dot(edge.xy)
+        chords = self.parts
+        if self.source.has_wraps:
+            whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)
+            chords = whole * self.scale[:, None]
+        sag_sum = (self.parts.norm * chords.xy.dot(chords.xy)).sum()
         weight, tension = self.scalars(edge_sags(self.source))
         ratio = (weight * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
         return sag_sum * (ratio * ratio) * (1.0 / 24.0)
+
+
+@cached
+def _parts(motion: Motion, whole: bool = False) -> Array:
+    """Return the parts of cables (pieces, n, 3 or 4, 3, N+1) [m] as in ``Cables.parts``.
+
+    With ``whole``, both straight parts of an edge are their sum.
+    """
+    legs, edges = leg_vectors(motion), bent_edges(motion)
+    edges = (edges[0] + edges[1],) * 2 if whole else edges
+    rows = legs[:, 0::2], legs[:, 1::2], *(edges if motion.has_wraps else edges[:1])
+    return joined_arrays([row[:, :, None] for row in rows], axis=2)
 
 
 def _length_error(spans: Cables) -> Bound:
@@ -115,13 +124,13 @@ def _length_error(spans: Cables) -> Bound:
     """
     has_weight = spans.source.team.cable_density > 0.0
     excess = spans.excess + spans.sag if has_weight else spans.excess
-    stored = spans.scaled(spans.source.legs.coefficients)
-    errors = [stored[i] - spans.parts[i].norm for i in (0, 1)]
-    largest = largest_of([each.norm_upper for each in (excess, *errors)])
-    lies = spans.source.in_states(LYING)[spans.piece]
-    if not np.any(lies):
+    stored = Enclosed(spans.read(spans.source.legs.coefficients)[:, :, None]) * spans.scale[:, None]
+    errors = (stored - select(spans.parts.norm, [0, 1])).norm_upper
+    each = [Bound(errors.value[:, i], errors.x[:, i]) for i in (0, 1)]
+    largest = largest_of([excess.norm_upper, *each])
+    if spans.source.cable_states.isdisjoint(LYING):
         return largest
-    team = spans.source.team
+    team, lies = spans.source.team, spans.source.in_states(LYING)[spans.piece]
     sag = (sag_factors(team, team.tension) * team.cable_length**2)[spans.item]
     return Bound(largest.value - np.where(lies, sag, 0.0), largest.x)
 
@@ -261,18 +270,22 @@ def _pull_jump(motion: Motion) -> WorstCase:
 
 def _thrust_jump(motion: Motion) -> WorstCase:
     """Return the largest jump of a drone's thrust, by its norm."""
-    (left, before), (right, after) = (end_thrusts(motion, x) for x in (0.0, 1.0))
-    jumps = np.linalg.norm(left[1:] - right[:-1], axis=-1) + before[1:] + after[:-1]
+    (left, right), (before, after) = end_thrusts(motion)
+    jumps = length(left[1:] - right[:-1]) + before[1:] + after[:-1]
     return worst_at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
 
 
-def end_thrusts(motion: Motion, x: float) -> tuple[Array, Array]:
-    """Return thrusts (pieces, 2n, 3) [N] at x in [0, 1] of all pieces, and errors (pieces, 2n)."""
-    shape = motion.drones.pieces, motion.team.drones
-    batches = [spans.at(x).thrust for spans in Drones.of(motion)]
-    f = np.concatenate([each.c[..., 0] for each in batches]).reshape(*shape, 3)
-    errors = [np.broadcast_to(each.r, len(each.c)) for each in batches]
-    return f, np.concatenate(errors).reshape(shape)
+def end_thrusts(motion: Motion) -> tuple[Array, Array]:
+    """Return thrusts (2, pieces, 2n, 3) [N] at starts and ends of all pieces, and their errors."""
+    shape, parts = (2, motion.drones.pieces, motion.team.drones), list[Array]()
+    for spans in Drones.of(motion):
+        count = len(spans)
+        x, index = np.repeat([0.0, 1.0], count), np.tile(np.arange(count), 2)
+        thrust = spans.at(x, index).thrust
+        errors = np.broadcast_to(thrust.r, 2 * count)
+        parts.append(np.column_stack([thrust.c[..., 0], errors]).reshape(2, count, 4))
+    each = np.concatenate(parts, axis=1).reshape(*shape, 4)
+    return each[..., :3], each[..., 3]
 
 
 def _out_of_range(

@@ -298,7 +298,7 @@ def jumps_of_thrust(motion: Motion, chapters: Sequence[Motion]) -> WorstCase:
                 piece = slice(-1, None) if x else slice(0, 1)
                 index = own.drones.pieces - 1 if x else 0
                 cut = own.slice_pieces(slice(index, index + 1), own.phases[piece])
-                thrusts, errors = end_thrusts(cut, x)
+                thrusts, errors = (each[int(x)] for each in end_thrusts(cut))
                 names = own.team.drone_names
                 for k, name in enumerate(names):
                     label = own.team.labels[k // 2]
