@@ -21,7 +21,7 @@ EAST = np.array([1.0, 0.0, 0.0])
 
 def dot(a: Array, b: Array) -> Array:
     """Return the scalar products (…) of vectors (…, d); leading axes broadcast."""
-    products: Array = np.vecdot(a, b)
+    products: Array = np.einsum("...i,...i->...", a, b)
     return products
 
 
