@@ -83,7 +83,7 @@ MUTATIONS = (
     Mutation("/motion/loads.py", "1.0 - np.cos(_rise_angle(team, mass, edges, tensions))", "0.0 * _rise_angle(team, mass, edges, tensions)", "carry_box", "the rim's strut dropped"),
     Mutation("cables.py", "np.exp(self.source.team.cable_friction", "np.exp(-self.source.team.cable_friction", "friction", "sign of friction"),
     Mutation("cables.py", "high.value - largest * friction", "high.value - 0.9 * largest * friction", "friction", "a factor of the range of tensions"),
-    Mutation("linking.py", "CableState.GROUND, CableState.FREE})", "CableState.GROUND, CableState.FREE, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
+    Mutation("linking.py", "CableState.FREE, CableState.DRAWN})", "CableState.FREE, CableState.DRAWN, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
     Mutation("linking.py", "event_index, after - before", "event_index, after + before", "form_triangle", "sign of crossings"),
     Mutation("objects.py", "horizontal.dot(inward) * (centre[2] -", "horizontal.dot(inward) * 10.0 * (centre[2] -", "carry_box", "a factor of inertia leaning"),
     Mutation("objects.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),

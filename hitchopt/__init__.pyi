@@ -70,8 +70,8 @@ from hitchopt.steps import FollowVertex as FollowVertex, Form as Form, Grasp as 
 from hitchopt.steps import Land as Land, Leave as Leave, Lift as Lift, Loosen as Loosen
 from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as MoveVertex
 from hitchopt.steps import Release as Release, SetDown as SetDown, Settle as Settle
-from hitchopt.steps import Replace as Replace, Transport as Transport
-from hitchopt.steps import TransportObject as TransportObject, Withdraw as Withdraw
+from hitchopt.steps import Replace as Replace, Tie as Tie, Transport as Transport
+from hitchopt.steps import TransportObject as TransportObject, Untie as Untie, Withdraw as Withdraw
 from hitchopt.steps.flying import Fly as Fly
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 
@@ -178,6 +178,14 @@ class Mission(_Mission):
         lift: float = 0.3,
         via: ArrayLike | None = None,
     ) -> Self: ...
+    def tie(
+        self,
+        around: str,
+        at: float | None = None,
+        tension: float | None = None,
+        duration: _Seconds = None,
+    ) -> Self: ...
+    def untie(self, duration: _Seconds = None) -> Self: ...
 
 def morph(
     start: Hitch,

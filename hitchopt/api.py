@@ -25,7 +25,7 @@ from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggesti
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
-from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Withdraw
+from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Tie, Withdraw
 from hitchopt.steps.step import Stage
 from hitchopt.storage.yaml_file import read_text
 from hitchopt.values import check_instance, path, positive, text
@@ -284,7 +284,7 @@ STEP_FUNCTIONS = tuple(
     for kind in STEPS
     if (kind.stages is None or kind.stages[0] is Stage.FREE)
     and "object" not in keys_of(kind)
-    and kind not in (Settle, Join, Withdraw, Replace)
+    and kind not in (Settle, Join, Withdraw, Replace, Tie)
 )
 """Kinds of steps that are functions too: those that need neither an object nor an idle robot, and
 whose name is free (``hitchopt.settle`` computes the static equilibrium with compliant drones)."""

@@ -36,7 +36,7 @@ from hitchopt.checks.spans import (
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -165,7 +165,7 @@ def _size(motion: Motion) -> float:
 
 
 LENGTH_ERROR = Evaluator(
-    WorstOverSpans(Cables, _length_error, "max"), HITCHED_STATE, True, (Cables.excess, Cables.sag)
+    WorstOverSpans(Cables, _length_error, "max"), TAUT_STATES, True, (Cables.excess, Cables.sag)
 )
 
 CABLE_LENGTH = CheckRule(
@@ -246,9 +246,9 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
     hitch, tensions and pulls count as 0.
     """
     cases = [_pull_jump(motion), _thrust_jump(motion)]
-    if np.any(motion.formed):
+    if np.any(motion.taut):
         ranges = np.moveaxis(stated_tensions(motion), -1, 0)
-        if not np.all(motion.formed):  # ramps are next to spans without a hitch
+        if not np.all(motion.taut):  # ramps are next to spans without a hitch
             ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
         cases += [_out_of_range(motion, Cables, motion.tensions.coefficients, ranges)]
         cases += [_end_deviation(motion)]
@@ -263,7 +263,7 @@ def _pull_jump(motion: Motion) -> WorstCase:
     parts = motion.tensions.coefficients, motion.pulls.coefficients
     each = np.concatenate([part[..., [0, -1]] for part in parts], axis=1)
     names = [*cable_names(motion), *motion.team.drone_names]
-    left, right = np.moveaxis(np.where(motion.formed[:, None, None], each, 0.0), -1, 0)
+    left, right = np.moveaxis(np.where(motion.taut[:, None, None], each, 0.0), -1, 0)
     noise = ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
     return worst_at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
 
@@ -303,7 +303,7 @@ def _out_of_range(
         return largest_of([over, Bound(smallest / friction - low.value, low.x)], 0.0)
 
     spans: Iterator[MotionSpans]
-    spans = spans_type.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.formed)
+    spans = spans_type.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.taut)
     largest = worst(spans, excess, "max")
     where = (spans_type.names(motion)[largest.item],) if largest.worst > 0.0 else ()
     return WorstCase(largest.worst, largest.time, where)
@@ -313,16 +313,17 @@ def _end_deviation(motion: Motion) -> WorstCase:
     """Return the distance of tensions from the team's at ends of phases that state a range.
 
     Ends at which an object is held before and after are excluded: all steps of a grasp share its
-    range.
+    range. So are bent cables, which are held by the tension at which they are tied.
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
     holds = [phase.hold is not None for phase in motion.phases] or [False]
     holding = np.pad(np.array(holds)[motion.phase_of_piece], 1, mode="edge")
     c, team = motion.tensions.coefficients, motion.team.tension
+    bent = motion.in_states(frozenset({CableState.BENT}))
     deviation = np.zeros((motion.drones.pieces + 1, motion.team.robots))
     for end, other, shift in ((0, slice(0, -2), 0), (-1, slice(2, None), 1)):
-        changes = (index[1:-1] != index[other]) & (index[1:-1] >= 0) & motion.formed
-        changes &= ~(holding[1:-1] & holding[other])
+        changes = (index[1:-1] != index[other]) & (index[1:-1] >= 0) & motion.taut
+        changes &= ~(holding[1:-1] & holding[other]) & ~bent
         joints = np.flatnonzero(changes) + shift
         deviation[joints] = np.maximum(deviation[joints], np.abs(c[changes][..., end] - team))
     return worst_at_joint(deviation, motion.drones.breaks, Cables.names(motion))
@@ -333,11 +334,12 @@ def _ramps(motion: Motion) -> Mask:
 
     The mask is (pieces, n). Nothing moves on a ramp, and it ends at the team's tension.
     """
-    resting, unhitched = motion.formed, ~motion.formed
+    resting, unhitched = motion.taut, ~motion.taut
     for part in (motion.drones, motion.vertices):
         resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= REST_DRIFT)
     ends = motion.tensions.coefficients[..., [0, -1]]
-    is_low = motion.team.tension[:, None] - ends > TENSION_LIMIT
+    lowest = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
+    is_low = lowest[..., None] - ends > TENSION_LIMIT
     ramps = np.zeros(is_low.shape[:2], dtype=np.bool_)
     for flip in (slice(None), slice(None, None, -1)):  # forward in time, and backward
         at_rest, lows = resting[flip], is_low[flip, :, flip]
@@ -350,7 +352,7 @@ def _ramps(motion: Motion) -> Mask:
 
 
 JUMPS_AND_RANGES = Evaluator(
-    _worst_tension, FREE_STATES | HITCHED_STATE, formulas=(_pull_jump, _thrust_jump, _out_of_range)
+    _worst_tension, FREE_STATES | TAUT_STATES, formulas=(_pull_jump, _thrust_jump, _out_of_range)
 )
 
 TENSION = CheckRule("tension", "N", "max", TENSION_LIMIT, (JUMPS_AND_RANGES,), whole=True)

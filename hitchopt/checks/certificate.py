@@ -25,7 +25,7 @@ GROUPS = {
         "arena", "tracking_radius",
     ),
     "motion": ("speed", "acceleration", "jerk", "vertex_speed", "body_rate"),
-    "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "support"),
+    "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "hinge", "support"),
     "cables": ("legs", "cable_length", "span", "convexity", "interlacing"),
     "timing": ("continuity", "stoppable", "survivable", "duration"),
 }  # fmt: skip

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import permutations
+from operator import attrgetter
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -458,6 +459,69 @@ def spare_forces(motion: Motion) -> Array:
     return spare * weakest
 
 
+BENT = frozenset({CableState.BENT})
+PASSED_SHARE = 0.4  # Largest share of a cable's weight at a clasp that the other cable bears
+
+
+class LegEnds(MotionSpans):
+    """Spans of the inner ends of legs of cables that are taut on their own."""
+
+    names = staticmethod(attrgetter("team.drone_names"))
+
+
+@cached
+def _bent_sizes(motion: Motion) -> list[Array]:
+    """Return tensions [N] and half of the weights per length [N/m] of legs, without shared zeros.
+
+    They are (pieces, 2n, degree + 1), and rise together as cables are drawn.
+    """
+    half = 0.5 * GRAVITY * motion.team.cable_density
+    rows = leg_tensions(motion), half * np.repeat(tautness(motion), 2, axis=1)
+    reduced = without_shared_zeros([row[:, :, None] for row in rows])
+    return [row[:, :, 0] for row in reduced]
+
+
+def _kink(spans: LegEnds) -> Bound:
+    """Return the force that is missing where a leg meets its edge, over the tension.
+
+    Leg and edge pull on the point between them, which carries half of their weights. Both are
+    chords of one sagging cable: level forces of the second order, the square of half of the cable's
+    weight over its tension, are not counted, nor is PASSED_SHARE of the weight on the point, which
+    the other cable of a clasp may bear.
+    """
+    motion, team, (cable, end) = spans.source, spans.source.team, np.divmod(spans.item, 2)
+    legs, edges = leg_vectors(motion), bent_edges(motion)
+    parts = [spans.read(x, cable) * sign for x, sign in zip(edges, (1.0, -1.0), strict=True)]
+    leg = Enclosed(spans.read(legs), spans.noise)
+    edge = Enclosed(np.where(end[:, None, None] == 0, *parts), spans.noise)
+    other = Enclosed(spans.read(legs, spans.item ^ 1), spans.noise).norm
+    tension, half = spans.scalars(_bent_sizes(motion))
+    length = Enclosed(team.cable_length[cable][:, None, None])
+    wrapped = length - leg.norm - other
+    force = leg.direction * chord_pull(tension, half, leg.xy.dot(leg.xy), leg[2])
+    force = force + edge.direction * chord_pull(tension, half, wrapped * wrapped)
+    weight = half * (length - other)
+    missing, smallest = force - weight.along_z(), tension.lower.value
+    level, upright = missing.xy.norm_upper, missing[2].norm_upper.value
+    upright = np.maximum(upright - PASSED_SHARE * weight.lower.value, 0.0)
+    taut = smallest > 0.0
+    divisor = np.where(taut, smallest, 1.0)
+    second_order = ((half * length).upper.value / divisor) ** 2
+    across = np.maximum(level.value / divisor - second_order, 0.0)
+    return Bound(np.where(taut, np.hypot(across, upright / divisor), np.inf), level.x)
+
+
+def _bent_residual(motion: Motion, limit: float) -> WorstCase:
+    """Return the largest missing force of cables that are taut on their own, over the tension.
+
+    It is that where legs meet edges, and that on the object around which they bend.
+    """
+    largest = worst(LegEnds.of(motion), _kink, "max", target=with_tolerance(limit, "max"))
+    where = (motion.team.drone_names[largest.item],)
+    each = WorstCase(largest.worst, largest.time, where), unbalanced(motion)
+    return max(each, key=lambda case: case.worst)
+
+
 FORMULAS = (_balance, Clasps.residual, _opening, _rolling, Clasps.contact, slip, missing_force)
 
 EQUILIBRIUM = CheckRule(
@@ -465,7 +529,10 @@ EQUILIBRIUM = CheckRule(
     "1",
     "max",
     BALANCE_LIMIT,
-    (Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),),
+    (
+        Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),
+        Evaluator(_bent_residual, BENT, formulas=(_kink,)),
+    ),
 )
 
 
@@ -473,8 +540,12 @@ EQUILIBRIUM = CheckRule(
 def _corners(motion: Motion) -> Array:
     """Return the horizontal edges behind and ahead of corners (pieces, corners, 2, 2, …).
 
-    A chain has an additional corner between its last edge and the reversed first one.
+    A chain has an additional corner between its last edge and the reversed first one. Those of two
+    cables are the straight parts that end at the object between them.
     """
+    if motion.team.layout.closed and motion.team.robots == 2:
+        leaving, arriving = bent_edges(motion)
+        return np.stack([arriving[:, both_cables(motion)[:, 1], :2], leaving[:, :, :2]], axis=2)
     edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
     both = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
     ends = np.stack([edges[:, -1:], -edges[:, :1]], axis=2)

@@ -74,7 +74,7 @@ from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import (
     CLASPED_STATES,
     FREE_STATES,
-    HITCHED_STATE,
+    TAUT_STATES,
     CableState,
     HoldBy,
     Motion,
@@ -382,6 +382,12 @@ def _drones_and_chords(motion: Motion) -> Iterator[Moving]:
     yield Moving.of(motion, flat, cable_ends(flat), allowed=lambda i, k: i // 2 != k, names=names)
 
 
+def _drones_and_drawn(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of drones and the chords of other cables, and of drawn cables and the ground."""
+    yield from _drones_and_chords(motion)
+    yield cables_and_ground(motion)
+
+
 def _drones_and_hanging(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of hanging cables and other cables' drones or the ground.
 
@@ -413,6 +419,7 @@ def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
 
 
 ON_GROUND = frozenset({CableState.GROUND})
+DRAWN = frozenset({CableState.DRAWN})
 
 CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
@@ -420,17 +427,18 @@ CABLE_CLEARANCE = CheckRule(
     "min",
     lambda motion: DISTANCES["cable_clearance"].limit(motion.requirements.separation),
     (
-        Evaluator(nearest(_drones_and_taut), HITCHED_STATE, exported=True, formulas=(gap,)),
+        Evaluator(nearest(_drones_and_taut), TAUT_STATES, exported=True, formulas=(gap,)),
         Evaluator(nearest(_drones_and_chords), ON_GROUND, exported=True),
+        Evaluator(nearest(_drones_and_drawn), DRAWN, exported=True),
         Evaluator(
             nearest(_drones_and_hanging),
-            FREE_STATES - ON_GROUND,
+            FREE_STATES - ON_GROUND - DRAWN,
             exported=True,
             formulas=(chain_distance,),
         ),
         Evaluator(
             nearest(_drones_and_clasped),
-            FREE_STATES | HITCHED_STATE,
+            FREE_STATES | TAUT_STATES,
             formulas=(upright_distance,),
         ),
     ),
@@ -440,7 +448,10 @@ CABLE_CLEARANCE = CheckRule(
     "length",
     remedy_at=partial(leg_remedy, distance="separation.cable"),
 )
-"""Distance of cables from other drones and the ground; horizontal while they lie on it."""
+"""Distance of cables from other drones and the ground; horizontal while they lie on it.
+
+Cables that are drawn taut rise: their distances from drones are horizontal, too.
+"""
 
 
 def _drones_and_bodies(motion: Motion) -> Iterator[Moving]:
@@ -509,8 +520,8 @@ def _hanging_and_objects(motion: Motion) -> Iterator[Moving]:
         for name, each, pose in _objects(span):
             rest = Enclosed(pose.c[:1, :, :1])
             for slab in each.slabs:
-                on_ground = part.phase.state is CableState.GROUND
-                options["formula"] = gap if on_ground else partial(beside_or_above, top=slab.upper)
+                on_chord = part.phase.state in ON_GROUND | DRAWN
+                options["formula"] = gap if on_chord else partial(beside_or_above, top=slab.upper)
                 yield pairs_with_shape(span, ends, names, name, from_above(slab), rest, **options)
 
 
@@ -541,12 +552,16 @@ OBJECT_CLEARANCE = CheckRule(
         else None
     ),
     (
-        Evaluator(nearest(_taut_and_objects), HITCHED_STATE, exported=True, formulas=(gap,)),
-        Evaluator(nearest(moving_object_pairs), HITCHED_STATE),
+        Evaluator(nearest(_taut_and_objects), TAUT_STATES, exported=True, formulas=(gap,)),
+        Evaluator(nearest(moving_object_pairs), TAUT_STATES),
         Evaluator(
-            nearest(_hanging_and_objects), FREE_STATES, exported=True, formulas=(beside_or_above,)
+            nearest(_hanging_and_objects),
+            FREE_STATES - DRAWN,
+            exported=True,
+            formulas=(beside_or_above,),
         ),
-        Evaluator(nearest(_clasped_and_objects), FREE_STATES | HITCHED_STATE),
+        Evaluator(nearest(_hanging_and_objects), DRAWN, exported=True),
+        Evaluator(nearest(_clasped_and_objects), FREE_STATES | TAUT_STATES),
     ),
     "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
     "or stand it higher where the ground is near, or allow a smaller separation.object",
@@ -675,8 +690,8 @@ ARENA = CheckRule(
     lambda motion: None if motion.requirements.arena is None else 0.0,
     (
         Evaluator(WorstOverSpans(Drones, drone_wall_gap, "min", magnitude), exported=True),
-        Evaluator(WorstOverSpans(Parts, _part_wall_gap, "min", magnitude), HITCHED_STATE),
-        Evaluator(_object_wall_gap, HITCHED_STATE),
+        Evaluator(WorstOverSpans(Parts, _part_wall_gap, "min", magnitude), TAUT_STATES),
+        Evaluator(_object_wall_gap, TAUT_STATES),
     ),
     ARENA_REMEDY,
     remedy_at=_arena_remedy,

@@ -41,7 +41,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
 from hitchopt.hitch.pairs import DISTANCES, TautBodies
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -579,7 +579,7 @@ def _hanging_cables(motion: Motion) -> Iterator[Moving]:
     Neighbours may touch while they are being clasped or unclasped.
     """
     for part in phase_parts(motion):
-        linked = part.phase.state not in (CableState.GROUND, CableState.FREE)
+        linked = part.phase.state not in (CableState.GROUND, CableState.FREE, CableState.DRAWN)
         chords = Bodies(cable_ends(plan_points(part.motion)), cable_names(motion))
         allowed = partial(_unclasped, motion.team.layout) if linked else None
         yield Moving.between(part.motion, chords, allowed=allowed)
@@ -632,9 +632,9 @@ CROSSING = CheckRule(
     "min",
     lambda motion: DISTANCES["crossing"].limit(motion.requirements.separation),
     (
-        Evaluator(nearest(_taut_parts), HITCHED_STATE, formulas=(gap,)),
+        Evaluator(nearest(_taut_parts), TAUT_STATES, formulas=(gap,)),
         Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),
-        Evaluator(nearest(_clasped_cables), FREE_STATES | HITCHED_STATE),
+        Evaluator(nearest(_clasped_cables), FREE_STATES | TAUT_STATES),
     ),
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",

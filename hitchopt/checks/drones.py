@@ -35,7 +35,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import level_length, pull_terms, steepness
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, reduce_constants, tautness
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import HITCHED_STATE, TAUT_STATES, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, TimeSpans, worst
@@ -417,7 +417,7 @@ LEGS = CheckRule(
     "m",
     "min",
     lambda motion: motion.requirements.limits.leg,
-    (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), HITCHED_STATE),),
+    (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), TAUT_STATES),),
     "use a longer cable, a smaller polygon, or a smaller limits.leg",
     ease="length",
 )

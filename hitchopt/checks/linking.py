@@ -48,9 +48,11 @@ from hitchopt.checks.distances import (
     near_pairs,
     upright_pieces,
 )
+from hitchopt.checks.objects import carried_objects
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
     PART_NAMES,
+    PhasePart,
     clasped_pairs,
     derivative,
     derivative_margin,
@@ -59,6 +61,7 @@ from hitchopt.checks.spans import (
     pair_of,
     phase_parts,
     position_margin,
+    rate,
 )
 from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
@@ -67,10 +70,21 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import cable_of, sag_factors
 from hitchopt.hitch.pairs import MIN_GAP
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, JOINT, CableState, Motion, Phase
+from hitchopt.motion.loads import stated_tensions
+from hitchopt.motion.motion import (
+    FREE_STATES,
+    HITCHED_STATE,
+    JOINT,
+    TAUT_STATES,
+    CableState,
+    HoldBy,
+    Motion,
+    Phase,
+)
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
-from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.trajectory.search import batches
+from hitchopt.trajectory.bernstein import same_degree
+from hitchopt.trajectory.enclosed import Enclosed, Interval
+from hitchopt.trajectory.search import TimeSpans, batches
 from hitchopt.values import Array, Indices
 
 MIN_DISTANCE = 1e-6  # [m] of chords that do not touch, and of drones outside sheets
@@ -222,8 +236,8 @@ def _outside_sheet(spans: PairSpans) -> Flags:
 MAX_LAID_GAP = 0.02  # [m] Largest distance of cables that lie on each other: their sags differ
 MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
 # States in which neighbours have the crossing number 0; it changes in clasping, and then is 1
-UNLINKED = frozenset({CableState.GROUND, CableState.FREE})
-LAID_STATES = OPEN_STATES | {CableState.LAYING}  # followed by half crossings
+UNLINKED = frozenset({CableState.GROUND, CableState.FREE, CableState.DRAWN})
+LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}  # followed by half crossings
 MAX_NAMED = 12  # maximum number of pairs in ``where``
 MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
 MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
@@ -334,6 +348,8 @@ def _errors(
         if required is not None and state not in LAID_STATES:
             start = float(first.motion.drones.breaks[0])
             yield first.phase, clasped[np.abs(numbers) != required], start
+            if is_hitched:
+                yield first.phase, clasped[_opposite(clasped, numbers)], start
         is_last = last.pieces.stop == motion.drones.pieces
         if is_hitched:
             ties.senses[:] = numbers
@@ -344,14 +360,8 @@ def _errors(
         )
         if state in LAID_STATES:
             around = neighbour_states[i], neighbour_states[i + 2]
-            is_laid = state is CableState.LAYING
-            wrong = ties.lay(span, *around) if is_laid else ties.roll(span, around[1])
-            yield last.phase, clasped[wrong], ends[-1]
-            for part in parts:
-                start = float(part.motion.drones.breaks[0])
-                yield part.phase, _contradictions(part.motion), start
-                if part.phase.state in OPEN_STATES:
-                    yield part.phase, clasped[ties.past(part.motion)], start
+            yield last.phase, clasped[ties.followed(state, span, *around)], ends[-1]
+            yield from _laid_errors(parts, ties)
             continue
         crossings = chord_crossings(span.drones)
         pairs = pair_of(layout, crossings.first, crossings.second)
@@ -369,10 +379,21 @@ def _errors(
             yield part.phase, pairs[selected], crossings.time[selected]
             if is_hitched:
                 continue
-            yield part.phase, _contradictions(part.motion), float(part.motion.drones.breaks[0])
+            own = part.motion if state is not CableState.DRAWN else span
+            yield part.phase, _contradictions(own), float(part.motion.drones.breaks[0])
             if state is not CableState.GROUND:  # there, drones keep a horizontal distance
                 drone, cable, time = drones_inside_hanging_cables(part.motion)
                 yield part.phase, pair_of(layout, drone // 2, cable), time
+
+
+def _laid_errors(parts: Sequence[PhasePart], ties: Ties) -> Iterator[tuple[Phase, Indices, float]]:
+    """Yield phases in LAID_STATES with their contradicting cables and pairs, and times."""
+    clasped = np.sort(clasped_pairs(parts[0].motion.team.layout))
+    for part in parts:
+        start = float(part.motion.drones.breaks[0])
+        yield part.phase, _contradictions(part.motion), start
+        if part.phase.state in OPEN_STATES:
+            yield part.phase, clasped[ties.past(part.motion)], start
 
 
 def _followed(phase: Phase) -> CableState:
@@ -404,6 +425,20 @@ class Ties:
         numbers = np.full(len(order), int(motion.formed[0]), dtype=np.intp)
         return cls(order, numbers, numbers.copy(), 0 * numbers)
 
+    def followed(
+        self,
+        state: CableState,
+        motion: Motion,
+        before: CableState | None,
+        after: CableState | None,
+    ) -> Flags:
+        """Update the ties in one of LAID_STATES, and return invalid pairs (clasps,)."""
+        if state is CableState.BENT:
+            return self.bend(motion, before, after)
+        if state is CableState.LAYING:
+            return self.lay(motion, before, after)
+        return self.roll(motion, after)
+
     def lay(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
         """Update the ties while cables are laid or lifted, and return invalid pairs (clasps,).
 
@@ -432,6 +467,35 @@ class Ties:
                 floor, signs = over * contact - MAX_JUMP, signs if rising else over
             wrong |= compared & ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)
         self.numbers[:], self.lying[:] = 0, signs
+        return wrong
+
+    def bend(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
+        """Update the ties while cables are bent around an object, and return invalid pairs.
+
+        Before they roll, or after that, both cables of a clasp cross beyond the object, seen from
+        above. Since they began to cross, one is above the other, and they come to lie on each
+        other. At all other times they keep apart.
+        """
+        layout, lying = motion.team.layout, 0 * self.lying
+        wrong: Flags = (self.numbers != 0) & (before is not CableState.ROLLING)
+        for i, k in enumerate(self.order.tolist()):
+            heights = heights_beyond(motion, int(layout.ahead[k]), int(layout.behind[k]))
+            for end, ordered, outer in ((before, heights, 0), (after, heights[::-1], 1)):
+                if end is not CableState.ROLLING:
+                    continue
+                count = int(np.sum(np.logical_and.accumulate(~np.isnan(ordered[:, 0]))))
+                ends = ordered[count - 1, 2:] if count else np.zeros(2)
+                # On the span on which they begin, or cease, to cross
+                sign = int(np.all(ends > 0.0)) - int(np.all(ends < 0.0))
+                wrong[i] |= sign == 0 or not abs(ordered[0, outer]) <= MAX_LAID_GAP
+                wrong[i] |= not np.all(sign * ordered[:count] >= -MAX_LAID_GAP)
+                if end is before:
+                    wrong[i] |= sign != self.lying[i]
+                if end is after:
+                    lying[i] = sign
+                ordered[:count] = np.inf
+            wrong[i] |= bool(np.any(np.min(heights, 1) * np.max(heights, 1) <= 0.0))
+        self.numbers[:], self.lying[:] = 0, lying
         return wrong
 
     def roll(self, motion: Motion, after: CableState | None) -> Flags:
@@ -466,6 +530,69 @@ class Ties:
             sides = (roll_past(motion, x, 180.0 - OPEN_ROLL) for x in (senses, -senses))
             return np.asarray(np.any([*sides], axis=0)[self.order])
         return roll_past(motion, senses, MAX_PAST_ROLL)[self.order]
+
+
+def _opposite(clasped: Indices, numbers: Indices) -> Flags:
+    """Return clasps (clasps,) of two cables that clasp twice, in opposite senses.
+
+    ``clasped`` are the sorted pairs. Such cables come apart where the object between them ends.
+    """
+    same = clasped[:, None] == clasped
+    return np.asarray(np.any(same & (numbers[:, None] != numbers), axis=1))
+
+
+MAX_HEIGHT_ERROR = 5e-3  # [m] Largest width of the interval of the height of a crossing
+
+
+def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
+    """Return the heights of a crossing beyond an object, on spans in the order of time (spans, 4).
+
+    The chord of the cable ``ahead`` from its first contact to its q-drone crosses that of the cable
+    ``behind`` from its last contact to its r-drone. Its height over the other one [m], where they
+    cross seen from above, is given at the start and the end of each span, with its lowest and
+    highest value. It is nan where a plane separates them and 0 where they may touch.
+    """
+    drones, contacts = same_degree(motion.drones.coefficients, motion.contacts.coefficients)
+    first = np.stack([contacts[:, ahead, 0], drones[:, 2 * ahead]], axis=1)
+    second = np.stack([contacts[:, behind, 1], drones[:, 2 * behind + 1]], axis=1)
+    chords = np.concatenate([first, second], axis=1)[:, None]
+    spans = TimeSpans(motion, motion.drones.breaks, *np.indices((len(chords), 1)).reshape(2, -1))
+    times, found = list[Array](), list[Array]()
+    for depth in range(MAX_HALVINGS):
+        if not len(spans):
+            break
+        check_time()
+        crossing, height = _crossing_height(spans.read(chords))
+        apart = _are_separated(spans.read(chords)) & ~crossing
+        narrow = crossing & (height.high - height.low <= MAX_HEIGHT_ERROR)
+        middle = spans.at(np.full(len(spans), 0.5)).read(chords)
+        touching = ~(_are_separated(middle) | _crossing_height(middle)[0])
+        done = apart | narrow | touching | (depth == MAX_HALVINGS - 1)
+        ends = [_crossing_height(spans.at(np.full(len(spans), x)).read(chords)) for x in (0.0, 1.0)]
+        rows = np.stack([ends[0][1].low, ends[1][1].low, height.low, height.high], axis=1)
+        rows[~crossing] = 0.0
+        rows[apart] = np.nan
+        times.append(spans.times(np.zeros(len(spans)))[done])
+        found.append(rows[done])
+        spans = spans.take(~done).halves()
+    return np.asarray(np.concatenate(found)[np.argsort(np.concatenate(times), kind="stable")])
+
+
+def _crossing_height(chords: Array) -> tuple[Flags, Interval]:
+    """Return on which spans two chords cross for certain, seen from above, and the first's height.
+
+    Heights are over the second chord [m].
+    """
+    a, b, c, d = (Enclosed(chords[:, k]) for k in range(4))
+    normal = (b - a).cross(d - c)
+    crossing = np.ones(len(chords), dtype=np.bool_)
+    for start, end, one, other in ((a, b, c, d), (c, d, a, b)):
+        sides = [(end - start).xy.cross((to - start).xy).range for to in (one, other)]
+        left, right = ((x.low > 0.0) & (y.high < 0.0) for x, y in (sides, sides[::-1]))
+        crossing &= left | right
+    with np.errstate(all="ignore"):
+        height = (a - c).dot(normal).range * normal[2].range.inverse
+    return crossing, height
 
 
 def height_gaps(motion: Motion) -> Array:
@@ -508,14 +635,15 @@ def _contradictions(motion: Motion) -> Indices:
     Legs and tensions are zero without a hitch. On the ground, drones move only vertically, and some
     cable is closer to it than a hanging cable may be. In clasping, drones at a clasp turn about a
     fixed point, and some chords cross. In tightening, cables are slack for most of the time. Laid
-    cables do not turn. In rolling, vertices and legs are at rest; unequal tensions, loads and
+    cables do not turn. In drawing, drones keep their heights and move either apart or together. In
+    rolling, vertices and legs are at rest; unequal tensions, loads and
     objects are not allowed.
     """
     state, n = motion.phases[0].state, motion.team.robots
     single = np.arange(n) * (n + 1)
     parts = [motion.legs.coefficients, motion.tensions.coefficients, motion.pulls.coefficients]
     sizes = [np.max(np.abs(c), axis=(0, -1)).reshape(n, -1) for c in parts]
-    has_values = np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1) & ~motion.formed[0]
+    has_values = np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1) & ~motion.taut[0]
     invalid = [single[has_values]]
     if state is CableState.GROUND:
         level = motion.drones.coefficients[:, :, :2]
@@ -523,6 +651,12 @@ def _contradictions(motion: Motion) -> Indices:
         invalid.append(single[np.any(moves > MAX_SIDEWAYS, axis=1)])
         if above_ground(motion):
             invalid.append(single)
+    elif state is CableState.DRAWN:
+        c = motion.drones.coefficients
+        heights = np.max(np.ptp(c[:, :, 2], axis=-1), axis=0).reshape(n, 2)
+        rates = rate(motion, chord_squares)
+        turns_back = (np.min(rates, (0, -1)) < -MAX_DRIFT) & (np.max(rates, (0, -1)) > MAX_DRIFT)
+        invalid.append(single[np.any(heights > MAX_SIDEWAYS, axis=1) | turns_back])
     elif state is CableState.CLASPING:
         layout, c = motion.team.layout, motion.drones.coefficients
         pairs, crossings = clasped_pairs(layout), chord_crossings(motion.drones)
@@ -536,10 +670,12 @@ def _contradictions(motion: Motion) -> Indices:
         invalid.append(single[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > MAX_SIDEWAYS])
     elif state in OPEN_STATES:
         pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
-        loaded = any(phase.hold is not None for phase in motion.phases) or np.any(motion.team.load)
+        loaded = bool(np.any(carried_objects(motion)) or np.any(motion.team.load))
+        loaded |= any(p.hold is not None and p.hold.by is HoldBy.REST for p in motion.phases)
         moves = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > MAX_SIDEWAYS
         lying, legs = state is CableState.LYING, motion.legs.coefficients
-        sags = sag_factors(motion.team, motion.team.tension)[:, None] * np.max(legs, (0, -1)) ** 3
+        lowest = np.min(stated_tensions(motion)[..., 0], axis=0)
+        sags = sag_factors(motion.team, lowest)[:, None] * np.max(legs, (0, -1)) ** 3
         drift = MAX_LEG_CHANGE if lying else sags + MAX_LEG_DRIFT
         moves |= bool(np.any(np.ptp(legs, axis=(0, -1)) > drift))
         moves |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
@@ -551,6 +687,12 @@ def _contradictions(motion: Motion) -> Indices:
     elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
         invalid.append(single)
     return np.unique(np.concatenate(invalid))
+
+
+def chord_squares(motion: Motion) -> Array:
+    """Return squared lengths of cables' chords (pieces, n, degree + 1) [m²]."""
+    chords = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
+    return bernstein.dot(chords, chords)
 
 
 def _taut_share(motion: Motion) -> float:
@@ -577,7 +719,7 @@ INTERLACING = CheckRule(
     lambda motion: (
         None if motion.cable_states <= {CableState.HITCHED} or motion.team.robots == 1 else 0.0
     ),
-    (Evaluator(_interlacing_errors, FREE_STATES | HITCHED_STATE),),
+    (Evaluator(_interlacing_errors, FREE_STATES | TAUT_STATES),),
     "place the drones so that cables need not pass each other",
     whole=True,
 )

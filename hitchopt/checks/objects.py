@@ -25,6 +25,7 @@ from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
     cached,
+    inner_ends,
     joined_arrays,
     leg_vectors,
     magnitude,
@@ -33,7 +34,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import centre_path, held_pieces, reduce_constants, rim_drop, tautness
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, HoldBy, Motion
+from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, TAUT_STATES, HoldBy, Motion
 from hitchopt.objects import Section, Slab, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_frame, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
@@ -44,6 +45,7 @@ from hitchopt.values import Array, Indices, lazy
 Mask = NDArray[np.bool_]
 
 GRIP_LIMIT = 1.5  # Slip load over load
+MIN_LIP = 0.01  # [m] Width of a lip beyond the cables on which it lies
 WRAP_GAP = 2e-5  # [m] Largest gap or overlap of an edge and the section it is wrapped around
 MIN_CHORD = 1e-9  # [m] Arcs with shorter chords are their chords
 # An edge leads to the object before it, and away from it behind it
@@ -171,6 +173,10 @@ def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
 def bends(motion: Motion) -> Array:
     """Return start, both contacts and end of edges (pieces, n, 4, 3, …) [m]."""
     layout, vertices = motion.team.layout, motion.vertices.coefficients
+    if motion.has_bent_cables:
+        ends = inner_ends(motion)
+        parts = [ends[:, :, :1], motion.contacts.coefficients, ends[:, :, 1:]]
+        return joined_arrays(parts, axis=2)
     start, end = (vertices[:, points, None] for points in (layout.starts, layout.ends))
     return joined_arrays([start, motion.contacts.coefficients, end], axis=2)
 
@@ -266,9 +272,22 @@ def slip_ratio(spans: Gripped) -> Bound:
 
     It is minus infinity where edges are not wrapped around the object.
     """
-    carried = np.any(spans.share.c > 0.0, axis=(1, 2))
+    carried = np.any(spans.share.c > 0.0, axis=(1, 2)) & ~_below_lip(spans)
     ratio = _ratio(spans.slip_load, np.where(carried, spans.load * (1.0 + ROUNDING), 0.0))
     return Bound(np.where(_misplaced(spans), -math.inf, ratio.value), ratio.x)
+
+
+def _below_lip(spans: Gripped) -> Mask:
+    """Return on which spans (spans,) a lip of the object lies on all edges, and bears its weight.
+
+    The lip's underside is at the contacts, and it reaches beyond them.
+    """
+    rim, places = spans.body.rim, spans.places
+    if rim is None or rim.height == spans.body.lower:
+        return np.zeros(len(spans), dtype=np.bool_)
+    touching = np.abs(places[..., 2] - rim.height) <= PLACE_TOLERANCE
+    below = rim.section.clearance(places[..., :2])[0] <= -MIN_LIP
+    return np.asarray(np.all(touching & below, axis=(1, 2)))
 
 
 def _ratio(a: Array, b: Array) -> Bound:
@@ -306,7 +325,7 @@ GRIP = CheckRule(
     "1",
     "min",
     lambda motion: GRIP_LIMIT if gripped_objects(motion) or motion.has_wraps else None,
-    (Evaluator(_slipping, HITCHED_STATE | FREE_STATES, formulas=FORMULAS),),
+    (Evaluator(_slipping, TAUT_STATES | FREE_STATES, formulas=FORMULAS),),
     "lower the object's mass, raise the tension, or use rougher cables",
     whole=True,  # relative to the start of holds
 )
@@ -384,6 +403,47 @@ def missing_force(spans: Gripped) -> Bound:
     horizontal = np.maximum(force.xy.norm_upper.value, moment) - friction
     missing = np.hypot(np.maximum(horizontal, 0.0), force[2].norm_upper.value)
     return _ratio(missing, np.min(spans.tension.lower.value, axis=-1))
+
+
+MIN_HINGE = 0.03  # [m] Height of two clasps above the centre of mass, in addition to errors
+
+
+def _hinge_limit(motion: Motion) -> float | None:
+    """Return the smallest height of the clasps of two cables above a centre of mass [m]."""
+    is_hinge = motion.team.layout.closed and motion.team.robots == 2 and gripped_objects(motion)
+    tube = motion.requirements.limits.tube
+    return MIN_HINGE + tube.level * tube.ratio if is_hinge else None
+
+
+def hinge_height(spans: Gripped) -> Bound:
+    """Return the height of the lowest clasp above the centre of mass [m]; infinite at no load."""
+    clasps = Enclosed(spans.of_items(spans.source.vertices.coefficients), spans.noise)
+    centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
+    heights = (clasps - add_axis(centre))[2].lower.value
+    carried = np.any(spans.share.c > 0.0, axis=(1, 2))
+    lowest = np.where(carried, np.min(heights, axis=-1), np.inf)
+    return Bound(lowest, np.full(len(lowest), 0.5))
+
+
+def _lowest_hinge(motion: Motion, limit: float) -> WorstCase:
+    """Return the smallest height of clasps above the centre of mass of an object they carry."""
+    cases = [WorstCase(math.inf, 0.0)]
+    for index, name, pieces in gripped_objects(motion):
+        parts = Gripped.of_object(motion, index, pieces)
+        smallest = worst(parts, hinge_height, "min", target=with_tolerance(limit, "min"))
+        cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
+    return min(cases, key=lambda each: each.worst)
+
+
+HINGE = CheckRule(
+    "hinge",
+    "m",
+    "min",
+    _hinge_limit,
+    (Evaluator(_lowest_hinge, HITCHED_STATE, formulas=(hinge_height,)),),
+    "tie higher above the centre of mass",
+)
+"""Two clasps are a hinge: an object hangs upright from them, but falls over above them."""
 
 
 @cached
@@ -476,12 +536,27 @@ def force_line(spans: Resting) -> Bound:
     return Bound(lowest[k] - margin - 2.0 * PLACE_TOLERANCE, shift.upper.x[k])
 
 
+def foot(spans: Gripped) -> Bound:
+    """Return how far within its foot a standing object is pressed on its support [m].
+
+    Edges pull with a moment about the point below the centre of mass. The support's force is that
+    moment over the weight beside it.
+    """
+    body = spans.body
+    centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
+    down = np.array([0.0, 0.0, body.centre_of_mass[2] - body.lower])
+    arms = select(spans.corners, [1, 2]) - add_axis(add_axis(centre - Enclosed.of(down)))
+    moment = arms.cross(spans.pulls).sum().sum().xy.norm_upper
+    inside = -float(body.section.clearance(body.section.centroid)[0])
+    return Bound(inside - moment.value / (body.mass * GRAVITY), moment.x)
+
+
 def _force_lines(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a force line from the edge of its supports [m].
 
     It is minus infinity if an object moves or is carried without a hold, if it floats, if its
     heading is no unit vector, if holding clasps do not surround it or have left their positions, or
-    if it would slide.
+    if it would slide. Two cables must not push over an object as they are tied around it.
     """
     size, begins = magnitude(motion), motion.drones.breaks
     each = [WorstCase(math.inf, 0.0, size=size)]
@@ -500,6 +575,10 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
             invalid |= resting
         for spans in Resting.of_object(motion, index, resting & ~invalid):
             invalid[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
+        if motion.team.layout.closed and motion.team.robots == 2 and not body.fixed:
+            standing = Gripped.of_object(motion, index, gripped & ~carried & ~moves)
+            pressed = worst(standing, foot, "min")
+            each.append(WorstCase(pressed.worst, pressed.time, (name,), size))
         parts = Resting.of_object(motion, index, resting & carried & fully & ~invalid)
         smallest = worst(parts, force_line, "min")
         each.append(WorstCase(smallest.worst, smallest.time, (name,), size))
@@ -554,7 +633,7 @@ SUPPORT = CheckRule(
     "m",
     "min",
     lambda motion: 0.0 if motion.requirements.objects else None,
-    (Evaluator(_force_lines, HITCHED_STATE | FREE_STATES, formulas=(force_line,)),),
+    (Evaluator(_force_lines, TAUT_STATES | FREE_STATES, formulas=(force_line,)),),
     "carry it more gently, or hold it farther out or closer below its centre of mass",
     whole=True,
 )

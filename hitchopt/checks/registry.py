@@ -46,6 +46,7 @@ RULES = (
     INTERLACING,
     clearance.OBJECT_CLEARANCE,
     objects.GRIP,
+    objects.HINGE,
     objects.SUPPORT,
     DURATION,
 )

@@ -188,9 +188,23 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 
 @cached
 def leg_vectors(motion: Motion) -> Array:
-    """Return vectors (pieces, 2n, 3, N+1) [m] from its vertex to each drone q0, r0, q1, …."""
+    """Return vectors (pieces, 2n, 3, N+1) [m] of legs, to each drone q0, r0, q1, …."""
+    if motion.has_bent_cables:
+        drones, anchors = same_degree(motion.drones.coefficients, inner_ends(motion))
+        return drones - anchors.reshape(drones.shape)
     drones, vertices = positions(motion)
     return drones - vertices[:, motion.team.layout.anchors]
+
+
+def inner_ends(motion: Motion) -> Array:
+    """Return the inner ends of legs (pieces, n, 2, 3, N+1) [m]: anchors of bent cables, or clasps.
+
+    Anchors that are stored in other states have no meaning.
+    """
+    vertices, anchors = same_degree(motion.vertices.coefficients, motion.anchors.coefficients)
+    at_clasps = vertices[:, motion.team.layout.anchors].reshape(anchors.shape)
+    bent = motion.in_states(frozenset({CableState.BENT}))
+    return np.where(bent[:, None, None, None, None], anchors, at_clasps)
 
 
 @cached
@@ -222,6 +236,9 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
         edges = edge_vectors(motion)
         return edges, edges
     layout = motion.team.layout
+    if motion.has_bent_cables:
+        ends, contacts = same_degree(inner_ends(motion), motion.contacts.coefficients)
+        return contacts[:, :, 0] - ends[:, :, 0], ends[:, :, 1] - contacts[:, :, 1]
     vertices, contacts = same_degree(motion.vertices.coefficients, motion.contacts.coefficients)
     leaving = contacts[:, :, 0] - vertices[:, layout.starts]
     return leaving, vertices[:, layout.ends] - contacts[:, :, 1]
@@ -237,6 +254,16 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     if not motion.has_wraps:
         return joined_arrays(nodes, axis=1)[:, layout.part_nodes], layout.parts
     # Hitches that grip an object are closed: contacts are nodes of their edges.
+    if motion.has_bent_cables:
+        ends, contacts = inner_ends(motion), motion.contacts.coefficients
+        drones = motion.drones.coefficients
+        drones, ends, contacts = same_degree(drones, ends, contacts)
+        pairs = drones.reshape(ends.shape)
+        corners = [pairs[:, :, 0], ends[:, :, 0], contacts[:, :, 0]]
+        route = np.stack([*corners, contacts[:, :, 1], ends[:, :, 1], pairs[:, :, 1]], axis=2)
+        parts = np.stack([route[:, :, :-1], route[:, :, 1:]], axis=3)
+        part = (3 * np.arange(layout.robots)[:, None] + np.array([0, 1, 1, 1, 2])).ravel()
+        return parts.reshape(len(parts), -1, *parts.shape[3:]), part
     contacts = motion.contacts.coefficients
     first = layout.points + 2 * layout.robots + 2 * np.arange(layout.robots)[:, None]
     routes = np.hstack([layout.routes[:, :2], first, first + 1, layout.routes[:, 2:]])

@@ -4,7 +4,8 @@ It is the largest r such that all distances keep their limits at all times, with
 r of its plan and every vertex within γ r, independently of each other, and taut parts of cables
 straight between them. For two drones, it is half the shortest shift of their offset with which
 their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
-hanging cable moves with its ends, and its depth changes.
+hanging cable moves with its ends, and its depth changes. A cable that is drawn taut hangs no lower
+than before; its drones' errors along it change the tension at which it is straight.
 
 If ``limits.tracking`` has a larger height than level, errors are within an ellipsoid with radius r
 and the same ratio of height and radius. Heights are divided by this ratio in all distances. That
@@ -41,7 +42,7 @@ from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
@@ -76,7 +77,7 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         approach["object_clearance"] = (ratio, ratio)
     for name, factors in approach.items():
         for each in results[name]:
-            on_floor = name == "arena" and each.states != HITCHED_STATE
+            on_floor = name == "arena" and each.states != TAUT_STATES
             if not (on_floor or (name in HANGING_CHECKS and _is_hanging(each))):
                 slack = _slack(each.check) / factors[each.states <= FREE_STATES]
                 terms.append(WorstCase(slack, each.check.time, each.check.where))
@@ -84,7 +85,7 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         wall = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
         where = (motion.team.drone_names[wall.item],)
         terms.append(WorstCase(max(wall.worst, 0.0), wall.time, where))
-    for span in motion.spans(FREE_STATES):
+    for span in motion.spans(FREE_STATES - {CableState.DRAWN}):
         tightest = worst(Drones.of(span), _excess, "min")
         cable = cable_names(span)[tightest.item // 2]
         terms.append(WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
@@ -120,7 +121,8 @@ def _slack(check: Check) -> float:
 
 
 def _is_hanging(result: SpanResult) -> bool:
-    return result.states.isdisjoint(HITCHED_STATE) and result.states != {CableState.GROUND}
+    on_chords = {CableState.GROUND}, {CableState.DRAWN}
+    return result.states.isdisjoint(TAUT_STATES) and result.states not in on_chords
 
 
 def _excess(spans: Drones) -> Bound:

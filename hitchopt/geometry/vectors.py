@@ -53,6 +53,13 @@ def unit(a: Array, fallback: ArrayLike = 0.0, min_length: ArrayLike = 0.0) -> Ar
     return directions
 
 
+def rotated(a: Array, angle: float) -> Array:
+    """Return vectors (…, 2) rotated counter-clockwise by an angle [rad]."""
+    c, s = np.cos(angle), np.sin(angle)
+    turned: Array = a @ np.array([[c, s], [-s, c]])
+    return turned
+
+
 def shortest_offset(differences: Array) -> Array:
     """Return the shortest vector (…, d) [m] from the second body to the first.
 

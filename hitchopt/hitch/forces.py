@@ -302,7 +302,15 @@ def hanging_forces(team: Team, drones: Array) -> Array:
     return forces
 
 
-def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut: Array) -> Array:
+def cable_forces(
+    team: Team,
+    drones: Array,
+    vertices: Array,
+    pulls: Array,
+    taut: Array,
+    *,
+    per_drone: bool = False,
+) -> Array:
     """Return the forces (…, 2n, 3) [N] of cables on drones, from hanging (taut = 0) to taut (1).
 
     A leg pulls its drone toward the vertex with ``chord_pull`` (without a leg, at a chain's end,
@@ -316,10 +324,12 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     drones, vertices: (…, 2n, 3), (…, points, 3) [m]
     pulls: (…, 2n) [N], tensions of the legs at their clasps; 0 while there is no hitch.
     taut: (…, n), from 0 to 1.
+    per_drone: whether ``vertices`` are instead the points (…, 2n, 3) [m] toward which drones are
+        pulled.
     """
     if not team.has_cables:
         return np.zeros(drones.shape)
-    spans = drones - vertices[..., team.layout.pulled_to, :]
+    spans = drones - (vertices if per_drone else vertices[..., team.layout.pulled_to, :])
     share, along = np.repeat(taut, 2, axis=-1), pulls
     half = 0.5 * GRAVITY * team.cable_density * share
     if team.cable_density > 0.0:
@@ -334,14 +344,19 @@ def cable_forces(team: Team, drones: Array, vertices: Array, pulls: Array, taut:
     return forces
 
 
-def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
+def cable_force_rates(
+    team: Team, values: tuple[Array, ...], rates: tuple[Array, ...], *, per_drone: bool = False
+) -> Array:
     """Return the time derivatives (…, 2n, 3) [N/s] of ``cable_forces`` by central differences.
 
-    ``values`` are its arguments drones, vertices, pulls and taut, ``rates`` their time derivatives.
+    ``values`` are its arguments drones, vertices, pulls and taut, ``rates`` their time derivatives;
+    ``per_drone`` is as there.
     """
     step = 1e-5  # [s]; at 1 m/s a leg of 0.1 m turns by 1e-4: the relative error is 1e-9
     later, earlier = (
-        cable_forces(team, *(v + sign * r for v, r in zip(values, rates, strict=True)))
+        cable_forces(
+            team, *(v + sign * r for v, r in zip(values, rates, strict=True)), per_drone=per_drone
+        )
         for sign in (step, -step)
     )
     return (later - earlier) / (2.0 * step)

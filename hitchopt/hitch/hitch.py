@@ -46,6 +46,9 @@ def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
     """Return ``polygon`` as an outline with the team's topology and count, or raise InputError."""
     check_instance("team", team, Team)
     closed, points = team.layout.closed, team.layout.points
+    if closed and team.robots == 2:
+        remedy = "tie two cables around an object, or use three"
+        raise InputError("robots", 2, "at least 3 where cables hold a polygon", remedy)
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
     value, bound = polygon.vertices.tolist(), ""

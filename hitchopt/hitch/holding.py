@@ -309,7 +309,11 @@ def _raised(polygon: Array, z: Array, pull: Array, at: Array, weight: Array) -> 
     residual = weight[..., None] * ([1.0, 0.0, 0.0] - np.mean(means, axis=-2))
     squares = np.swapaxes(means, -1, -2) @ means
     forces = weight[..., None] / z.shape[-1]
-    forces = forces + (means @ np.linalg.solve(squares, residual[..., None]))[..., 0]
+    if z.shape[-1] == 2:  # no moment about the line through both clasps
+        lifts_needed = np.linalg.pinv(squares, hermitian=True) @ residual[..., None]
+    else:
+        lifts_needed = np.linalg.solve(squares, residual[..., None])
+    forces = forces + (means @ lifts_needed)[..., 0]
     stiffness = np.sum(rates * (1.0 - unit(parts)[..., 2] ** 2), axis=-1)
     return np.asarray(z + (forces - total * z) / stiffness)
 

@@ -533,7 +533,7 @@ class Team(ByValue):
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
-        n = integer("robots", robots, 3 if topology == CLOSED else self.min_open_robots, MAX_ROBOTS)
+        n = integer("robots", robots, 2 if topology == CLOSED else self.min_open_robots, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot", _names("qr", range(n)))
         if tension is None:

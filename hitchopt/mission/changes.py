@@ -263,6 +263,9 @@ def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
                 base = max(step.to[2], problem.objects[step.object].at[2])
                 lift = max(tops, default=0.0) + problem.separation.object - base
                 min_size = max(0.0, float(lift) / step.lift - 1.0)
+            if "hinge" in knob.covers:
+                lacking = (v.limit - v.value for v in violations if v.constraint == "hinge")
+                min_size = max(0.0, *lacking, 0.0) / knob.old
             yield replace(knob, key=key, make_edits=make_edits, min_size=min_size)
     yield from _wall_knobs(problem, violations)
 

@@ -25,15 +25,17 @@ from hitchopt.hitch.requirements import (
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, PartTeam, quadrotors
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
+from hitchopt.motion.motion import HoldBy
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.planners.carrying.planner import OPENING_TENSIONS
+from hitchopt.planners.carrying.planner import OPENING_TENSIONS, tying_tension
 from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
-from hitchopt.steps.carrying import TensionStep, goal_of
+from hitchopt.steps.carrying import TensionStep, TransportObject, goal_of
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import LEGS, LEGS_TEXT, TRIANGLE, Polygon, SlackSplit, Stage, slack_split
+from hitchopt.steps.straddling import Tie
 from hitchopt.steps.tying import check_rollable
 from hitchopt.values import Array, check_instance, closest_word, sequence, text
 from hitchopt.values.by_value import ByValue
@@ -62,6 +64,10 @@ ROLLING = {"open_vertex", "close_vertex", "join", "withdraw", "replace"}
 """Steps in which pairs roll, as in laying."""
 
 
+OF_TWO = "tie", "lift", "carry", "set_down", "untie", "transport_object", "hold", "land"
+"""Steps of two robots, whose cables are a hitch only around an object."""
+
+
 def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     """Return steps with their polygons as outlines and their legs as arrays.
 
@@ -80,6 +86,10 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
                 raise InputError("", "a step", bound, remedy)
             team, ring = team_and_ring(whole, unresolved, ring)
             changes |= ring != whole.labels
+            if whole.layout.closed and whole.robots == 2 and unresolved.name not in OF_TWO:
+                bound = f"one of {', '.join(OF_TWO)}, the steps of two robots"
+                remedy = "two cables hold nothing but an object: tie them around it"
+                raise InputError("", "a step of three robots or more", bound, remedy)
             step = unresolved.resolved_for(team)
             stage = stage.after(step, objects)
             before, outline = outline, step.checked_polygon_after(team, outline, reason)
@@ -305,6 +315,11 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
             smallest = min(OPENING_TENSIONS[0], *map(np.min, tensions))
             tension_range = smallest, max(map(np.max, tensions))
             hold = name, step.method_for(objects[name])
+        if isinstance(step, TransportObject | Tie) and team.robots == 2:
+            tensions = [team.tension, step.tension_for(team)]
+            smallest = min(OPENING_TENSIONS[0], tying_tension(team), *map(np.min, tensions))
+            tension_range = smallest, max(map(np.max, tensions))
+            hold = name, HoldBy.GRIP.value
         outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
         if name:
             moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
@@ -319,9 +334,9 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
         }
         if isinstance(step, Fly):
             request = {"drones": step.goal, "objects": request["objects"]}
-        elif outline is None:
+        elif outline is None and stage.stage not in (Stage.GRASPED, Stage.LIFTED):
             request |= {"polygon": None, "altitude": None}
-        elif stage.outline_specified and not step.blends:
+        elif outline is not None and stage.outline_specified and not step.blends:
             request["polygon"] = outline.vertices
         if outline is not None and altitude is not None:
             request["altitude"] = altitude
@@ -347,6 +362,10 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         places: Array = SWARM_PLACES.check("start", start)
         check_count("start", places, team)
         return places
+    if team.layout.closed and team.robots == 2 and not isinstance(start, DronesStart):
+        key = f"teams.{name}.robots" if name else "team.robots"
+        remedy = "start two robots with drones, and tie their cables around an object"
+        raise InputError(key, 2, "at least 3 where the start is a hitch", remedy)
     if isinstance(start, Hitch):
         if start.team is not team:
             raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")

@@ -23,7 +23,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import schedule_teams
 from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.steps import FollowVertex, Form, Step
+from hitchopt.steps import FollowVertex, Form, Step, Tie
 from hitchopt.steps.carrying import OBSTACLE_CHECKS, TransportObject
 from hitchopt.steps.certified_motions import (
     CertifiedMotion,
@@ -36,6 +36,7 @@ from hitchopt.steps.certified_motions import (
     with_settling,
 )
 from hitchopt.steps.step import RestState, StepPlan, StepTask
+from hitchopt.values import Array
 
 AT_START, UNPLANNED = "at the start (t = 0)", "not looked at yet: steps "
 
@@ -228,7 +229,20 @@ def _start_state(
         from hitchopt.planners.forming.approach import assign_robots
 
         assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
+    if team.layout.closed and team.robots == 2:
+        assignment = _assigned_sides(mission, start.drones)
     return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
+
+
+def _assigned_sides(mission: TeamMission, drones: Array) -> Assignment:
+    """Return the assignment with the first object that two cables tie on the right of both."""
+    assignment, objects = Assignment.fixed(mission.team.robots), mission.requirements.objects
+    tied = (step.object for step in mission.steps if isinstance(step, Tie | TransportObject))
+    if (name := next(tied, None)) is None:
+        return assignment
+    pairs = drones.reshape(-1, 2, 3)[..., :2]
+    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0]).T, (objects[name].at[:2] - pairs[:, 0]).T
+    return replace(assignment, flipped=tuple((x * v - y * u > 0.0).tolist()))
 
 
 def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:

@@ -112,7 +112,7 @@ def tautness(motion: Motion) -> Array:
 
     It is the weight with which forces blend from those of a hanging cable to those of a taut one
     (``forces.cable_forces``): ``T / T_stated``, T_stated the smaller of the team's tension and the
-    smallest one of the phase, each coefficient clipped to [0, 1]. Without a hitch it is 0. As a
+    smallest one of the phase, each coefficient clipped to [0, 1]. Slack cables have 0. As a
     polynomial it is continuous wherever tensions are.
 
     Returns
@@ -121,12 +121,12 @@ def tautness(motion: Motion) -> Array:
     """
     lowest = np.minimum(stated_tensions(motion)[..., :1], motion.team.tension[:, None])
     shares = motion.tensions.coefficients / ((1.0 - TENSION_ROUNDING) * lowest)
-    return np.where(motion.formed[:, None, None], np.clip(shares, 0.0, 1.0), 0.0)
+    return np.where(motion.taut[:, None, None], np.clip(shares, 0.0, 1.0), 0.0)
 
 
 def leg_tensions(motion: Motion) -> Array:
-    """Return legs' tensions at their clasps (pieces, 2n, degree + 1) [N]; 0 without a hitch."""
-    return np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
+    """Return legs' tensions at their inner ends (pieces, 2n, degree + 1) [N]; 0 if slack."""
+    return np.where(motion.taut[:, None, None], motion.pulls.coefficients, 0.0)
 
 
 def reduce_constants(coefficients: Array) -> Array:

@@ -43,24 +43,31 @@ class CableState(StrEnum):
       all vertices at rest.
     - ``LYING``: crossing cables pass weight to each other after a robot has joined, or before one
       leaves.
+    - ``DRAWN``: a hanging cable's drones move apart, at rest in height, until it is straight.
+    - ``BENT``: each cable is taut on its own and bends around one side of an object.
     """
 
     NONE = "none"
     GROUND = "on the ground"
     FREE = "hanging free"
+    DRAWN = "being drawn taut"
     CLASPING = "clasping"
     TIGHTENING = "being tightened"
     LAYING = "being laid"
     LYING = "lying across"
     ROLLING = "rolling"
+    BENT = "bent around an object"
     HITCHED = "hitched"
 
 
 HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING, CableState.LYING})
 """States in which the hitch exists: vertices, legs and tensions have a meaning."""
 
-FREE_STATES = frozenset(CableState) - HITCHED_STATE - {CableState.NONE}
-"""States of cables without a hitch."""
+TAUT_STATES = HITCHED_STATE | {CableState.BENT}
+"""States in which cables consist of taut parts, with a tension."""
+
+FREE_STATES = frozenset(CableState) - TAUT_STATES - {CableState.NONE}
+"""States of cables that are slack or lie on the ground."""
 
 
 CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING})
@@ -167,6 +174,7 @@ CURVES = (
     "poses",
     "load_share",
     "contacts",
+    "anchors",
 )
 """Polynomial fields of every motion."""
 
@@ -175,6 +183,7 @@ SOURCES: dict[str, frozenset[str]] = {
     "poses": frozenset({"requirements", "drones"}),
     "load_share": frozenset({"requirements", "drones"}),
     "contacts": frozenset({"vertices", "team"}),
+    "anchors": frozenset({"vertices", "team"}),
 }
 """Curves that need not be passed, and the fields from which they follow without friction, wrapped
 edges and objects that move."""
@@ -214,6 +223,8 @@ class Motion(OneLine):
         support, the default) to 1.
     contacts: shape (n, 2, 3) [m], first and last point at which edge k touches the section that it
         is wrapped around, one point if straight; by default the edges' midpoints.
+    anchors: shape (n, 2, 3) [m], inner ends of the q- and the r-leg of each cable; by default the
+        vertices. Others have a meaning in the state BENT only.
     others: external plans on this motion's clock, at rest before and after their own time. All
         distances to them are kept.
 
@@ -234,6 +245,7 @@ class Motion(OneLine):
     poses: PiecewisePolynomial = PLAIN
     load_share: PiecewisePolynomial = PLAIN
     contacts: PiecewisePolynomial = PLAIN
+    anchors: PiecewisePolynomial = PLAIN
     others: tuple[Group, ...] = ()
 
     def _parts(self) -> Iterator[str]:
@@ -252,6 +264,7 @@ class Motion(OneLine):
             "poses": (objects, 5),
             "load_share": (objects,),
             "contacts": (n, 2, 3),
+            "anchors": (n, 2, 3),
         }
         breaks = self.drones.breaks
         for name, shape in shapes.items():
@@ -300,6 +313,10 @@ class Motion(OneLine):
             c, layout = self.vertices.coefficients, self.team.layout
             middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
             return self.vertices.replaced(np.stack([middles, middles], axis=2))
+        if name == "anchors":
+            c, anchors = self.vertices.coefficients, self.team.layout.anchors
+            shape = len(c), self.team.robots, 2, *c.shape[2:]
+            return self.vertices.replaced(c[:, anchors].reshape(shape))
         objects = self.requirements.objects
         rest = poses_of(objects) if name == "poses" else np.zeros(len(objects))
         return PiecewisePolynomial.constant(self.drones.breaks, rest)
@@ -320,7 +337,20 @@ class Motion(OneLine):
     @lazy
     def has_wraps(self) -> bool:
         """Whether any edge has contacts with an object; otherwise all edges are straight."""
-        return not self._is_plain("contacts")
+        return self.has_bent_cables or not self._is_plain("contacts")
+
+    @lazy
+    def has_bent_cables(self) -> bool:
+        """Whether any cable is taut on its own and bent around an object."""
+        return CableState.BENT in self.cable_states
+
+    @property
+    def pull_points(self) -> PiecewisePolynomial:
+        """Points toward which cables pull drones, as ``cable_forces`` takes them.
+
+        They are the vertices, or all inner ends of legs (2n, 3) [m] if cables bend on their own.
+        """
+        return self.anchors.reshaped(-1, 3) if self.has_bent_cables else self.vertices
 
     @classmethod
     def single(
@@ -412,6 +442,11 @@ class Motion(OneLine):
     def formed(self) -> NDArray[np.bool_]:
         """(pieces,): whether the hitch exists on each piece."""
         return self.in_states(HITCHED_STATE)
+
+    @property
+    def taut(self) -> NDArray[np.bool_]:
+        """(pieces,): whether cables consist of taut parts on each piece."""
+        return self.in_states(TAUT_STATES)
 
     def in_states(self, states: Set[CableState]) -> NDArray[np.bool_]:
         """Return whether the cables are in one of the states on each piece (pieces,)."""

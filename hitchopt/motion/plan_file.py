@@ -25,7 +25,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.motion.chapters import check_rings
 from hitchopt.motion.combined import combined
 from hitchopt.motion.earlier_files import converted
-from hitchopt.motion.motion import CURVES, JOINT, WAIT, Group, Motion, Phase
+from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Group, Motion, Phase
 from hitchopt.motion.records import PLANNER_ONLY, REMEDY, check_same, decoded, encoded
 from hitchopt.motion.request import objects_at_first
 from hitchopt.motion.retiming import shifted
@@ -110,8 +110,14 @@ def _head(group: Group) -> dict[str, Any]:
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
     """Return the arrays of one team's motion."""
-    curves = {name: getattr(motion, name).coefficients for name in CURVES}
+    names = _stored([*motion.cable_states])
+    curves = {name: getattr(motion, name).coefficients for name in names}
     return {"breaks": motion.drones.breaks, **curves}
+
+
+def _stored(states: Sequence[str]) -> list[str]:
+    """Return the names of the curves that are stored for cables in these states."""
+    return [name for name in CURVES if CableState.BENT in states or name != "anchors"]
 
 
 def read_plan(path: Path) -> Motion:
@@ -167,7 +173,10 @@ def read_saved_plan(path: Path) -> SavedPlan:
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
         if version == FORMAT:
             arrays = {
-                key: [_read_arrays(path, f"{key}/{i}/") for i in range(len(settings[key]))]
+                key: [
+                    _read_arrays(path, f"{key}/{i}/", head["records"])
+                    for i, head in enumerate(settings[key])
+                ]
                 for key in (GROUPS, OTHERS)
             }
         else:
@@ -195,9 +204,9 @@ def read_saved_plan(path: Path) -> SavedPlan:
         raise FileError(f"{path}: {reason}; solve the problem again") from error
 
 
-def _read_arrays(path: Path, folder: str) -> dict[str, NDArray[Any]]:
+def _read_arrays(path: Path, folder: str, records: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     """Return the arrays of one team or external plan by their names."""
-    names = ["breaks", *CURVES]
+    names = ["breaks", *_stored([phase["state"] for phase in records["phases"]])]
     stored = read_arrays(path, [folder + name for name in names])
     return dict(zip(names, stored.values(), strict=True))
 

@@ -20,6 +20,8 @@ from hitchopt.steps.ring_change import Join as Join
 from hitchopt.steps.ring_change import Replace as Replace
 from hitchopt.steps.ring_change import Withdraw as Withdraw
 from hitchopt.steps.step import Step as Step
+from hitchopt.steps.straddling import Tie as Tie
+from hitchopt.steps.straddling import Untie as Untie
 from hitchopt.steps.tying import CloseVertex as CloseVertex
 from hitchopt.steps.tying import Form as Form
 from hitchopt.steps.tying import Land as Land
@@ -31,6 +33,7 @@ STEPS: tuple[type[Step], ...] = (
     *(Morph, Hold, MoveVertex, MoveEdge, Adjust, FollowVertex, Transport, Settle),
     *(Form, OpenVertex, CloseVertex, Join, Withdraw, Replace, Release, Land),
     *(Enclose, Grasp, Lift, Carry, SetDown, Loosen, Leave, TransportObject),
+    *(Tie, Untie),
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""
 

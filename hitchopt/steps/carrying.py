@@ -15,6 +15,7 @@ import numpy as np
 from hitchopt.checks.objects import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
@@ -54,6 +55,7 @@ from hitchopt.steps.step import (
     plan_to,
     planner_of,
 )
+from hitchopt.steps.straddling import Tie, Untie, check_hinge
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, points, words
 from hitchopt.values.units import LENGTH, TENSION
@@ -363,6 +365,7 @@ class Grasp(TensionStep):
 class Lift(Step):
     """The object's weight passes to the clasps, and it is lifted straight up."""
 
+    needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
     by: Annotated[float, Key(LENGTH, "How far up", 0.5)]
     duration: Seconds = None
@@ -374,6 +377,7 @@ class Lift(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
         planner = planner_of(task)
+        check_hinge(planner)
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]
         return moves_plan(self, task, replace(task.grasp, carried=True), moves)
@@ -383,6 +387,7 @@ class Lift(Step):
 class Carry(Step):
     """The object goes on a straight line and turns, so gently that it stays on its supports."""
 
+    needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.LIFTED)
     object: ObjectOf
     to: Place
@@ -404,6 +409,7 @@ class Carry(Step):
 class SetDown(Step):
     """The object goes straight down until it stands, and its weight passes to its support."""
 
+    needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.GRASPED)
     object: ObjectOf
     duration: Seconds = None
@@ -473,7 +479,12 @@ class Leave(Step):
 
 @dataclass(frozen=True, eq=False)
 class TransportObject(TensionStep):
-    """The hitch takes an object and sets it down elsewhere, in seven steps, or more by ``via``."""
+    """The hitch takes an object and sets it down elsewhere, in seven steps, or more by ``via``.
+
+    Two robots tie their cables around it, and untie them.
+    """
+
+    needs_hitch: ClassVar[bool | None] = None
 
     object: ObjectOf
     to: Place
@@ -491,6 +502,10 @@ class TransportObject(TensionStep):
         yield from super().knobs()
         yield Knob("lift", self.lift, "m", covers=OBSTACLE_CHECKS)
 
+    def tension_for(self, team: Team) -> Array:
+        """Return the tensions (n,) [N] while the object is held."""
+        return team.tension if self.tension is None else np.full(team.robots, self.tension)
+
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
         """Return the goal, turned by ``yaw``."""
         return np.append(self.to, body.yaw + self.yaw)
@@ -499,17 +514,20 @@ class TransportObject(TensionStep):
         """Return the plan of the seven steps; ``to`` must be on the surface below it."""
         body = object_of(task, self.object)
         flight_height = max(float(body.at[2]), float(self.to[2])) + self.lift
-        steps: list[Step] = [
-            Enclose(self.object),
-            Grasp(self.object, self.method_for(body), self.tension),
+        carrying: list[Step] = [
             Lift(flight_height - float(body.at[2])),
             *(Carry(self.object, place) for place in ([] if self.via is None else self.via)),
             Carry(self.object, np.append(self.to[:2], flight_height), self.yaw),
             SetDown(self.object),
-            Loosen(self.object),
-            Leave(self.object),
         ]
-        plan = plan_in_sequence([step.plan for step in steps], task)
+        grasp = Grasp(self.object, self.method_for(body), self.tension)
+        taking = [Enclose(self.object).plan, grasp.plan]
+        leaving = [Loosen(self.object).plan, Leave(self.object).plan]
+        if task.before.team.robots == 2:
+            tension = self.tension_for(task.before.team)
+            taking = [partial(Tie(self.object).plan_to_grip, tension=tension)]
+            leaving = [Untie().plan]
+        plan = plan_in_sequence([*taking, *(step.plan for step in carrying), *leaving], task)
         height = float(plan.after.with_objects(task.requirements).objects[self.object].at[2])
         if abs(height - self.to[2]) > CONTACT_GAP:
             key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"

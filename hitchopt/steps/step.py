@@ -388,8 +388,8 @@ def plan_to(
     """
     objects = dict(task.requirements.objects)
     body = objects[after.object] = objects[after.object].moved_to(place)
-    hitch = task.hitch
-    if (hold := after.hold) is not None:
+    hitch = task.before.hitch
+    if (hold := after.hold) is not None and hold.team.robots > 2:  # two clasps have no outline
         hitch = hold.hitch(body, below + float(hold.drop(after.tension, float(after.carried))))
     drones = motion.drones.at(motion.duration)
     return StepPlan(

@@ -134,7 +134,7 @@ class Form(Step):
         tied = concatenated(tying.stages(requirements, i))
         if tying.doubtful:  # no approach helps if tying is infeasible
             require_certified(StepPlan(tied, before))
-        parts = [_approach_motion(task, tying.drones_hanging), tied]
+        parts = [approach_motion(task, tying.drones_hanging), tied]
         if tying.hitch is not goal:
             lower = Phase("lower", i, 0.0, 0.0, HEIGHT_REMARK)
             parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
@@ -213,8 +213,8 @@ class Form(Step):
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
 
-def _approach_motion(task: StepTask, goal: Array) -> Motion:
-    """Return the motion along the first feasible route to the pre-hitch, or raise one error."""
+def approach_motion(task: StepTask, goal: Array) -> Motion:
+    """Return the motion of free cables along the first feasible route, or raise one error."""
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
     from hitchopt.steps.certified_motions import attempt, combined_failure, require_certified
 

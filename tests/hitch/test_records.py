@@ -26,7 +26,7 @@ def balanced(polygon: Any = TRIANGLE, **given: Any) -> Hitch:
 
 DEGREES = "must be below 1.571 rad; if degrees were meant, 0.785"
 REFUSED: list[Refusal] = [
-    *[(lambda n=n: Team(n, 2.0), "robots", "") for n in (2, 3.0, True, 10**9)],
+    *[(lambda n=n: Team(n, 2.0), "robots", "") for n in (1, 3.0, True, 10**9)],
     (lambda: Team(1, 2.2, topology="open"), "robots", "at least 2"),
     (lambda: Team(3, [2.0, 2.0]), "cable_length", "one per robot"),
     (lambda: Team(3, [2.0, 2.0, -1.0]), "cable_length[2]", "greater than 0"),

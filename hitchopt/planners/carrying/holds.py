@@ -369,7 +369,8 @@ class GripHold(HoldingHitch):
         slack = team.cable_length - edges
         split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
         q_legs = split * slack
-        loads, onward = clasp_loads(team, q_legs, slack, None), unit(arriving)
+        roll = state.between(*move.roll)[..., None] if np.any(move.roll) else None
+        loads, onward = clasp_loads(team, q_legs, slack, roll), unit(arriving)
         leg_pulls = pulls if has_feedforward else None
         directions = leg_directions(unit(leaving), T, team.topology, loads, onward, leg_pulls)
         clasps = np.concatenate([polygon, self.height + z[..., None]], axis=-1)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -94,6 +95,7 @@ class Move:
     # friction feed-forward before and after, as a share of clasp friction: legs pull harder than
     # edges, so that clasps close; negative while they open
     friction_share: tuple[float, float] = (0.0, 0.0)
+    roll: tuple[float, float] = (0.0, 0.0)  # of all clasps before and after [rad]
 
     @property
     def lifted(self) -> bool:
@@ -104,7 +106,7 @@ class Move:
     def steady(self) -> bool:
         """Whether the object or the clasps move straight, with constant loads and shapes."""
         yaw = self.start[3], self.end[3]
-        pairs = self.tension, self.load_share, self.closure, self.friction_share, yaw
+        pairs = self.tension, self.load_share, self.closure, self.friction_share, yaw, self.roll
         travels = bool(np.any(self.start != self.end)) or self.below[0] != self.below[1]
         return travels and all(np.array_equal(before, after) for before, after in pairs)
 
@@ -169,8 +171,20 @@ a piece, some 0.01 of the loads' rate of change before, displaces clasps by that
 duration."""
 
 
+class Timed(Protocol):
+    """A move with a law of motion."""
+
+    @property
+    def law(self) -> SmoothLaw:
+        """Law of its progress."""
+
+    @property
+    def steady(self) -> bool:
+        """Whether all points move straight, with constant loads and shapes."""
+
+
 def polynomials(
-    move: Move, curves: Callable[[Array], dict[str, Array]]
+    move: Timed, curves: Callable[[Array], dict[str, Array]]
 ) -> dict[str, PiecewisePolynomial]:
     """Return a move's curves by name, from rest to rest, as polynomials.
 

@@ -202,6 +202,17 @@ class MovePlanner:
         """Return the motion from around the object, with tensions (n,) [N], to the grip."""
         return self._passage((before, self.state.tension), (0.0, 1.0), name)[0]
 
+    def draw_grip(self, after: Array) -> list[Motion]:
+        """Return the motions that draw cables to the grip as they were tied, and raise tensions.
+
+        The tension stays as it is until they grip, and rises to ``after`` (n,) [N] then.
+        """
+        before = self.state.tension
+        motions = [self._passage((before, before), (0.0, 1.0), "draw")[0]]
+        if np.any(before != after):
+            motions.append(self.motion([self.move(LOAD_LAW, tension=(before, after))], "tighten"))
+        return motions
+
     def open_grip(self, after: Array, name: str) -> Motion:
         """Return the motion from the grip to around the object, with tensions (n,) [N].
 
@@ -291,6 +302,19 @@ class MovePlanner:
             yield self.within_limits(move)
         if share:
             yield self.move(LOAD_LAW, closure=(end, end), friction_share=(share, 0.0))
+
+
+MAX_SLOPE = 0.1
+"""Weight at a clasp over the tension with which cables are tied by default."""
+
+MIN_TENSION = 0.15
+"""[N] Smallest default of that tension."""
+
+
+def tying_tension(team: Team) -> float:
+    """Return the tension [N] with which cables are tied if the problem states none."""
+    weight = 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
+    return float(np.clip(weight / MAX_SLOPE, MIN_TENSION, max(np.min(team.tension), MIN_TENSION)))
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:

@@ -170,7 +170,8 @@ class GripTask:
         """Return the slip load over friction [N] of a grip, or minus its largest violation."""
         edges = np.roll(grip.vertices, -1, axis=0) - grip.vertices
         turns = turn(edges, np.roll(edges, -1, axis=0))
-        if not np.all(turns < 0.0) or np.sum(turns) < -3.0 * math.pi:  # not one clockwise turn
+        is_single = np.all(turns < 0.0) and np.sum(turns) >= -3.0 * math.pi  # clockwise turn
+        if self.robots > 2 and not is_single:
             return -math.inf
         scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
         imbalance = float(np.max(np.abs(grip.imbalance) / scale)) - MAX_IMBALANCE
@@ -335,10 +336,20 @@ def grip_polygons(
 ) -> HoldPolygons:
     """Return the polygons of the grip with the largest slip load.
 
+    Errors are those of ``grip_clasps``.
+
     Parameters
     ----------
     name, body: the object.
     gap: distance of the edges around it [m].
+    """
+    clasps = grip_clasps(name, body, team, requirements)
+    centre, section = body.centre_of_mass[:2], body.section
+    return HoldPolygons.about(clasps, centre, (section,), gap, GRIP_STRETCHES)
+
+
+def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirements) -> Array:
+    """Return the clasps (n, 2) [m] of the grip of an object with the largest slip load.
 
     Raises
     ------
@@ -355,12 +366,10 @@ def grip_polygons(
     friction, section = team.cable_friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
     try:
-        clasps = best_grip(task).vertices
+        return best_grip(task).vertices
     except InfeasibleError as error:
         words = f"around objects.{name}"
         raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
-    centre, section = body.centre_of_mass[:2], body.section
-    return HoldPolygons.about(clasps, centre, (section,), gap, GRIP_STRETCHES)
 
 
 # Rests.

@@ -37,6 +37,7 @@ BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "te
 BACKWARD |= {"draw taut": "slacken", "slide in": "slide out", "lay": "lift", "roll": "unroll"}
 BACKWARD |= {
     "approach": "leave",
+    "straddle": "unstraddle",
     "open": "close",
     "lower": "raise",
     "pass weight": "pass weight back",

@@ -1,0 +1,247 @@
+"""Steps of two robots: tie their cables around an object, and untie them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
+
+import numpy as np
+
+from hitchopt.checks.objects import MIN_HINGE
+from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.geometry.vectors import rotated
+from hitchopt.hitch import Team
+from hitchopt.hitch.holding import turn
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import in_world
+from hitchopt.planners.carrying.holds import GripHold
+from hitchopt.planners.carrying.planner import (
+    GraspState,
+    MovePlanner,
+    check_pull,
+    tying_tension,
+)
+from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
+from hitchopt.steps.step import (
+    Knob,
+    ObjectOf,
+    Seconds,
+    Stage,
+    Step,
+    StepPlan,
+    StepTask,
+    plan_to,
+    planner_of,
+)
+from hitchopt.steps.tying import approach_motion, check_rollable
+from hitchopt.values import Array
+from hitchopt.values.fields import Key
+from hitchopt.values.units import LENGTH, TENSION
+
+if TYPE_CHECKING:
+    from hitchopt.planners.carrying.straddle import Straddle
+
+PREFERRED_HINGE = 0.1
+"""[m] Preferred height of clasps above a centre of mass; objects then hang upright in wind."""
+
+NO_TURN, MAX_TURN = math.radians(2.0), math.radians(20.0)
+"""[rad] Angle up to which hanging cables need not turn about an object, and largest angle by which
+they turn on straight lines."""
+
+EDGE = 0.02
+"""[m] Smallest distance of clasps to the top and the bottom of an object."""
+
+
+def needed_height(body: SolidObject, requirements: Requirements) -> float:
+    """Return the lowest height of two clasps above an object's base [m] with which it hangs."""
+    tube = requirements.limits.tube
+    off = tube.level * tube.ratio or requirements.position_error * requirements.height_ratio
+    return float(body.centre_of_mass[2]) + MIN_HINGE + off
+
+
+def check_hinge(planner: MovePlanner) -> None:
+    """Raise InfeasibleError if an object would fall over two clasps that lift it."""
+    hold, body, name = planner.hold, planner.body, planner.state.object
+    if hold.team.robots != 2:
+        return
+    needed = needed_height(body, planner.requirements)
+    centre = float(body.centre_of_mass[2])
+    if hold.height >= needed - 1e-9:
+        return
+    limit, value = needed - centre, hold.height - centre
+    remedy = f"tie it at {math.ceil(1e3 * needed - 1e-3) / 1e3:g} m or higher above its base"
+    if needed > body.upper - EDGE:
+        remedy = "use three robots: two clasps as low as on this object are a hinge, and it falls"
+    when = "above the centre of mass, as it is lifted"
+    raise InfeasibleError([Violation("hinge", value, limit, "min", "m", (name,), when, remedy)])
+
+
+@dataclass(frozen=True)
+class Tie(Step):
+    """Two cables are laid past both sides of an object, tied beyond it, and drawn.
+
+    They come down beside it, bend around it, and each pair of drones at an end turns fully. Cables
+    grip the object with the team's tension then.
+    """
+
+    needs_hitch: ClassVar[bool | None] = False
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.GRASPED)
+    around: ObjectOf
+    at: Annotated[
+        float | None,
+        Key(LENGTH, "Height of the clasps above its base; null: at its rim, or else high", 0.3),
+    ] = None
+    tension: Annotated[
+        float | None,
+        Key(TENSION, "Of all cables while they are tied; null: low, as their weight permits", 0.3),
+    ] = None
+    duration: Seconds = None
+
+    @property
+    def object(self) -> str:
+        """Name of the object."""
+        return self.around
+
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step, or raise InputError for a team of other than two robots."""
+        if team.robots != 2 or not team.layout.closed:
+            bound = "2 where cables are tied around an object"
+            remedy = "form a hitch, and enclose and grasp the object"
+            raise InputError("robots", team.robots, bound, remedy)
+        return super().resolved_for(team)
+
+    def tension_for(self, team: Team) -> Array:
+        """Return the tensions (n,) [N] with which cables are tied."""
+        return np.full(team.robots, tying_tension(team) if self.tension is None else self.tension)
+
+    def height_for(self, body: SolidObject, requirements: Requirements) -> float:
+        """Return the height of the clasps above the object's base [m]."""
+        if self.at is not None:
+            return self.at
+        if body.rim is not None:
+            return body.rim.height
+        highest = body.upper - EDGE
+        preferred = float(body.centre_of_mass[2]) + PREFERRED_HINGE
+        return min(max(needed_height(body, requirements), preferred), highest)
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan to cables that grip the object."""
+        return self.plan_to_grip(task, task.before.team.tension)
+
+    def plan_to_grip(self, task: StepTask, tension: Array) -> StepPlan:
+        """Return the plan to cables that grip the object with tensions (n,) [N]."""
+        from hitchopt.planners.carrying.straddle import find_straddle
+
+        before, requirements, i = task.before, task.requirements, task.index
+        team, body, name = before.team, requirements.objects[self.around], self.around
+        check_rollable(f"step {i} ({self.name})", team, requirements)
+        if body.friction == 0.0:
+            bound, remedy = "above 0 where it is held", "cables hold it by friction"
+            raise InputError(f"objects.{name}.friction", 0.0, bound, remedy)
+        height = self.height_for(body, requirements)
+        if not body.lower + EDGE <= height <= body.upper - EDGE:
+            bound = f"from {body.lower + EDGE:g} to {body.upper - EDGE:g} m, on objects.{name}"
+            raise InputError(f"mission[{i}].{self.name}.at", height, bound, "tie it there")
+        check_pull(float(np.max(tension)), team, requirements)
+        clasps = _numbered(grip_clasps(name, body, team, requirements), body, before.drones)
+        halves = np.full(team.robots, 0.5)
+        hold = GripHold(team, body, clasps, height, halves, np.zeros(2), clasps, halves)
+        straddle = find_straddle(hold, self.tension_for(team), requirements, before.drones)
+        around, split = straddle.hold.polygon, straddle.hold.fractions
+        hold = replace(hold, around=around, open_fractions=split)
+        tying, full = _planners(straddle, hold, name, requirements, i)
+        hanging, _ = straddle.hanging(requirements)
+        approach = _approach_motions(task, hanging, body)
+        tied = [*straddle.stages(tying), *full.draw_grip(tension)]
+        motion = self.with_duration(task, concatenated([*approach, *tied]))
+        after = replace(full.state, tension=tension)
+        return plan_to(task, after, motion, body.place)
+
+    def knobs(self) -> Iterator[Knob]:
+        """Yield the height, and the knobs of all steps."""
+        yield from super().knobs()
+        if self.at is not None:
+            yield Knob("at", self.at, "m", covers=frozenset({"hinge"}))
+
+
+def _planners(
+    straddle: Straddle, hold: GripHold, name: str, requirements: Requirements, step: int
+) -> tuple[MovePlanner, MovePlanner]:
+    """Return the planners of moves of the cables as they are tied, and of their final hitch."""
+    polygons = HoldPolygons(hold.around, hold.polygon)
+    tying = GraspState(name, polygons, straddle.tension, straddle.hold)
+    full = replace(tying, hold=hold)
+    return MovePlanner(tying, requirements, step), MovePlanner(full, requirements, step)
+
+
+def _along(drones: Array) -> Array:
+    """Return the direction (2,) along both cables, that of cable 0, from drones (4, 3) [m]."""
+    pairs = drones.reshape(2, 2, 3)[..., :2]
+    return np.asarray((pairs[0, 1] - pairs[0, 0]) - (pairs[1, 1] - pairs[1, 0]))
+
+
+def _numbered(clasps: Array, body: SolidObject, drones: Array) -> Array:
+    """Return the clasps (2, 2) [m] in the order for drones (4, 3) [m]; turned about a disc.
+
+    Cable 0 runs from the first to the second one, as its drones are.
+    """
+    angle = float(turn(rotated(clasps[1] - clasps[0], body.yaw), _along(drones)))
+    if body.section.radius is not None:
+        return rotated(clasps, angle)
+    return clasps if abs(angle) <= 0.5 * math.pi else clasps[::-1].copy()
+
+
+def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Motion]:
+    """Return the motions of free cables to a goal (4, 3) [m], one on each side of an object.
+
+    They turn about the object if they are not along its clasps.
+    """
+    from hitchopt.planners.forming.stages import Keyframe, straight_stages
+
+    before, centre = task.before, in_world(body.pose, body.centre_of_mass)[:2]
+    angle = float(turn(_along(goal), _along(before.drones)))
+
+    def turned(share: float) -> Array:
+        level = centre + rotated(goal[:, :2] - centre, share * angle)
+        return np.column_stack([level, goal[:, 2]])
+
+    count = max(0, math.ceil((abs(angle) - NO_TURN) / MAX_TURN))
+    shares = np.linspace(1.0, 0.0, count + 1)
+    keyframes = [Keyframe("turn", turned(share)) for share in shares[1:].tolist()]
+    first, context = turned(1.0 if count else 0.0), (before.team, task.requirements, task.index)
+    return [approach_motion(task, first), *straight_stages(first, keyframes, *context)]
+
+
+@dataclass(frozen=True)
+class Untie(Step):
+    """The cables are untied as they were tied, backwards, until they hang beside the object."""
+
+    needs_hitch: ClassVar[bool | None] = None
+    stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.FREE)
+    duration: Seconds = None
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan to hanging cables."""
+        from hitchopt.planners.carrying.straddle import find_straddle
+        from hitchopt.planners.forming.stages import reversed_stages
+
+        requirements, planner = task.requirements, planner_of(task)
+        hold, name, team = planner.hold, planner.state.object, task.before.team
+        assert isinstance(hold, GripHold)
+        tension = np.full(team.robots, tying_tension(team))
+        straddle = find_straddle(replace(hold, body=planner.body), tension, requirements)
+        around, split = straddle.hold.polygon, straddle.hold.fractions
+        opened = replace(hold, body=planner.body, around=around, open_fractions=split)
+        tying, full = _planners(straddle, opened, name, requirements, task.index)
+        full = full.from_state(tension=planner.state.tension)
+        loosened = full.open_grip(tension, "loosen")
+        untied = reversed_stages(straddle.stages(tying))
+        motion = self.with_duration(task, concatenated([loosened, *untied]))
+        objects = dict(requirements.objects)
+        drones = motion.drones.at(motion.duration)
+        after = replace(task.before, drones=drones, hitch=None, grasp=None, objects=objects)
+        return StepPlan(motion, after)

@@ -1,0 +1,376 @@
+"""Two cables around an object: tied, carried and untied; laws of the plan, and lies about it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.checks import certify
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.motion.motion import CURVES, CableState, Motion, concatenated
+from hitchopt.objects import Section
+from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.planners.carrying.straddle import OPEN
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
+
+DRUM: dict[str, Any] = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5}
+AT = [0.4, -0.3, 0.0]
+
+
+def problem(mission: list[dict[str, Any]], body: dict[str, Any] = DRUM, **team: Any) -> ho.Problem:
+    """Two cables beside an object off the origin; names q and r as a user may give them."""
+    places = [[-0.7, 0.4, 0.0], [1.5, -1.0, 0.0]], [[1.5, 0.4, 0.0], [-0.7, -1.0, 0.0]]
+    drones = {"q": places[0], "r": [places[1][0], places[1][1]]}
+    cables = {"robots": 2, "cable_length": 2.4, "cable_density": 0.005, "tension": 1.0}
+    return problem_from_dict(
+        {
+            "team": {**cables, "quadrotor": "paper_132g", **team},
+            "limits": {"tilt_deg": 60, "tracking": 0.0},
+            "objects": {"drum": {**body, "at": AT}},
+            "start": {"drones": drones},
+            "mission": mission,
+        }
+    )
+
+
+TIE: dict[str, Any] = {"tie": {"around": "drum", "at": 0.3}}
+UNTIE: dict[str, Any] = {"untie": {}}
+
+
+@cache
+def cycle() -> ho.Plan:
+    """A drum that is tied, lifted, set down and untied."""
+    steps: list[dict[str, Any]] = [
+        TIE,
+        {"lift": {"by": 0.1}},
+        {"set_down": {"object": "drum"}},
+        UNTIE,
+    ]
+    return ho.solve(problem(steps))
+
+
+@cache
+def tied() -> Motion:
+    """The same drum, only tied."""
+    motion = ho.solve(problem([TIE])).motion
+    first = next(i for i, phase in enumerate(motion.phases) if phase.name == "draw taut")
+    pieces = slice(int(np.flatnonzero(motion.phase_of_piece == first)[0]), motion.drones.pieces)
+    own = motion.slice_pieces(pieces, motion.phases[first:])
+    return own.replaced(requirements=replace(own.requirements))
+
+
+def violated(motion: Motion) -> set[str]:
+    """The names of the checks that do not hold."""
+    return {check.name for check in certify(motion, reports=()).violated}
+
+
+def piece(motion: Motion, name: str) -> Array:
+    """The pieces of the first phase of a name, as a mask."""
+    index = [phase.name for phase in motion.phases].index(name)
+    return np.asarray(motion.phase_of_piece == index)
+
+
+def test_drum_is_tied_carried_and_untied() -> None:
+    plan = cycle()
+    assert plan.certificate.certified
+    names = [phase.name for phase in plan.motion.phases]
+    assert [x for x in ("straddle", "roll", "draw", "lift", "unroll") if x not in names] == []
+    states = {phase.name: phase.state for phase in plan.motion.phases}
+    assert states["straddle"] is states["lay"] is CableState.BENT
+    assert states["roll"] is CableState.ROLLING
+    poses = plan.motion.poses.coefficients[:, 0]
+    assert np.max(np.abs(poses[0, :, 0] - poses[-1, :, -1])) < REST_DRIFT
+    assert plan.certificate["hinge"].bound == pytest.approx(0.1, abs=1e-6)
+    assert not np.any(plan.motion.formed[-1])
+
+
+def test_cables_end_hanging_on_their_sides_of_the_object() -> None:
+    pairs = cycle().motion.drones.coefficients[-1, ..., -1].reshape(2, 2, 3)
+    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0])[:, :2].T, (AT[:2] - pairs[:, 0, :2]).T
+    assert np.all(x * v - y * u < 0.0)  # the object is on the right of both
+
+
+def test_saved_plan_is_read_back(tmp_path: Any) -> None:
+    cycle().save(tmp_path / "plan", picture=False)
+    read = ho.load(tmp_path / "plan").motion
+    for name in CURVES:
+        assert np.array_equal(
+            getattr(read, name).coefficients, getattr(cycle().motion, name).coefficients
+        )
+
+
+def test_drones_are_pulled_along_their_cables_in_every_state() -> None:
+    motion = tied()
+    times = np.linspace(0.0, motion.duration, 60)
+    plan = ho.Plan(motion, certify(motion, reports=()))
+    states = plan.at(times)
+    anchors = motion.anchors.at(motion.drones.breaks[0] + times).reshape(len(times), 4, 3)
+    breaks = motion.drones.breaks
+    pieces = np.clip(np.searchsorted(breaks, breaks[0] + times) - 1, 0, None)
+    index = motion.phase_of_piece[pieces]
+    bent = np.array([p.state is CableState.BENT and p.hold is not None for p in motion.phases])
+    bent = bent[index]
+    legs = anchors[bent] - states.positions[bent]
+    level = states.cable_forces[bent, :, :2]
+    along = np.sum(level * legs[..., :2], axis=-1)
+    assert np.all(along > 0.0)
+    tension = float(motion.phases[-2].tension[0]) if motion.phases[-2].tension else 0.0
+    assert np.all(np.linalg.norm(level, axis=-1) > 0.8 * tension)
+
+
+# Laws.
+
+
+def transformed(motion: Motion, change: Callable[[Array], Array], turn: Array) -> Motion:
+    """The motion with all points changed (…, 3, k), headings turned by a matrix (2, 2)."""
+    values: dict[str, Any] = {}
+    for name in ("drones", "vertices", "contacts", "anchors"):
+        part = getattr(motion, name)
+        points = change(np.moveaxis(part.coefficients, -2, -1))
+        values[name] = part.replaced(np.moveaxis(points, -1, -2))
+    poses = motion.poses.coefficients.copy()
+    poses[:, :, :3] = np.moveaxis(change(np.moveaxis(poses[:, :, :3], -2, -1)), -1, -2)
+    poses[:, :, 3:] = np.einsum("ij,pojk->poik", turn, poses[:, :, 3:])
+    objects = {
+        name: replace(
+            body,
+            at=change(body.at),
+            yaw=float(np.arctan2(*(turn @ [np.cos(body.yaw), np.sin(body.yaw)])[::-1])),
+        )
+        for name, body in motion.requirements.objects.items()
+    }
+    requirements = replace(motion.requirements, objects=objects)
+    return motion.replaced(requirements=requirements, poses=motion.poses.replaced(poses), **values)
+
+
+def same(one: Motion, other: Motion, tolerance: float = 1e-3) -> None:
+    """Both have the same certificate."""
+    first, second = (certify(x, reports=()) for x in (one, other))
+    assert first.certified
+    assert second.certified
+    for check in first.checks:
+        if check.worst is not None and check.name != "tension":
+            assert second[check.name].worst == pytest.approx(check.worst, rel=tolerance, abs=1e-4)
+
+
+@pytest.mark.slow
+def test_translation_and_rotation_change_no_check() -> None:
+    c, s = np.cos(0.7), np.sin(0.7)
+    matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    moved = transformed(tied(), lambda x: x @ matrix.T + [3.0, -2.0, 0.0], matrix[:2, :2])
+    same(tied(), moved)
+
+
+@pytest.mark.slow
+def test_mirror_image_has_the_other_sense() -> None:
+    """Reflected cables exchange q and r, to run clockwise, and both clasps change their sense."""
+    motion, flip = tied(), np.array([1.0, -1.0, 1.0])
+    mirrored = transformed(motion, lambda x: x * flip, np.diag([1.0, -1.0]))
+    swap = {"drones": [1, 0, 3, 2], "vertices": [1, 0], "tensions": [0, 1]}
+    values: dict[str, Any] = {
+        name: getattr(mirrored, name).replaced(getattr(mirrored, name).coefficients[:, order])
+        for name, order in swap.items()
+    }
+    for name in ("legs", "leg_tensions", "contacts", "anchors"):
+        part = getattr(mirrored, name)
+        values[name] = part.replaced(part.coefficients[:, :, ::-1])
+    same(motion, mirrored.replaced(**values))
+
+
+@pytest.mark.slow
+def test_renumbered_cables_change_no_check() -> None:
+    motion, values = tied(), dict[str, Any]()
+    orders = {"drones": [2, 3, 0, 1], "vertices": [1, 0]}
+    for name in ("drones", "vertices", "legs", "tensions", "leg_tensions", "contacts", "anchors"):
+        part = getattr(motion, name)
+        values[name] = part.replaced(part.coefficients[:, orders.get(name, [1, 0])])
+    same(motion, motion.replaced(**values))
+
+
+@pytest.mark.slow
+def test_tying_in_reverse_unties() -> None:
+    motion = tied()
+    end = float(motion.drones.breaks[-1])
+    phases = [p.retimed(end - p.end, end - p.start) for p in reversed(motion.phases)]
+    phases[0] = phases[0].retimed(0.0, phases[0].end)
+    reverse = motion.map_curves(lambda part: part.reversed(), motion.phases)
+    start = float(reverse.drones.breaks[0])
+    phases = [p.retimed(p.start + start, p.end + start) for p in phases]
+    same(motion, reverse.replaced(phases=tuple(phases)))
+
+
+# Lies.
+
+
+def edited(name: str, phase: str, change: Callable[[Array], Array]) -> Motion:
+    """The tied drum with a curve changed (pieces, …, degree + 1) in a phase."""
+    motion = tied()
+    part, chosen = getattr(motion, name), piece(motion, phase)
+    c = part.coefficients.copy()
+    c[chosen] = change(c[chosen])
+    return motion.replaced(**{name: part.replaced(c)})
+
+
+def relabelled(phase: str, **values: Any) -> Motion:
+    """The tied drum with other values of a phase."""
+    motion = tied()
+    phases = [replace(x, **values) if x.name == phase else x for x in motion.phases]
+    return motion.replaced(phases=tuple(phases))
+
+
+def shifted(*offset: float) -> Callable[[Array], Array]:
+    """Add an offset to points."""
+    return lambda c: c + np.array(offset)[:, None]
+
+
+def one_end(c: Array) -> Array:
+    """Exchange the drones of one clasp in height, about the clasps."""
+    c = c.copy()
+    for drone in (1, 2):  # r_0 and q_1, at clasp 1
+        c[:, drone, 2] = 2.0 * 0.3 - c[:, drone, 2]
+    return c
+
+
+LIES: dict[str, tuple[Callable[[], Motion], set[str]]] = {
+    "the sense at one end": (lambda: edited("drones", "roll", one_end), {"interlacing"}),
+    "no roll": (lambda: relabelled("roll", state=CableState.HITCHED), {"equilibrium"}),
+    "bent as if hitched": (lambda: relabelled("lay", state=CableState.HITCHED), {"equilibrium"}),
+    "bent as if drawn": (lambda: relabelled("straddle", state=CableState.DRAWN), {"interlacing"}),
+    "drawn as if bent": (lambda: relabelled("draw taut", state=CableState.BENT), {"tension"}),
+    "bent without an object": (lambda: relabelled("straddle", hold=None), {"grip"}),
+    "rolled as if laid": (lambda: relabelled("roll", state=CableState.LAYING), {"interlacing"}),
+    "a tension of its own": (lambda: relabelled("straddle", tension=(0.5, 0.6)), {"tension"}),
+    "anchors beside": (
+        lambda: edited("anchors", "straddle", shifted(0.0, 0.03, 0.0)),
+        {"equilibrium"},
+    ),
+    "contacts beside": (lambda: edited("contacts", "lay", shifted(0.01, 0.0, 0.0)), {"grip"}),
+    "contacts that rise": (lambda: edited("contacts", "lay", shifted(0.0, 0.0, 0.2)), {"grip"}),
+    "q below r": (
+        lambda: edited("drones", "lay", lambda c: c * np.array([1.0, 1.0, -1.0])[:, None]),
+        {"interlacing"},
+    ),
+    "an object elsewhere": (
+        lambda: edited("poses", "straddle", lambda c: c + np.eye(5)[0][:, None] * 0.05),
+        {"grip"},
+    ),
+    "a load while rolling": (
+        lambda: edited("load_share", "roll", lambda c: 0.0 * c + 1.0),
+        {"interlacing"},
+    ),
+    "a turn short": (
+        lambda: edited("drones", "roll", lambda c: np.repeat(c[..., :1], c.shape[-1], axis=-1)),
+        {"continuity"},
+    ),
+}
+
+
+@pytest.mark.parametrize("lie", LIES)
+def test_lies_are_refused(lie: str) -> None:
+    make, expected = LIES[lie]
+    assert expected <= violated(make())
+
+
+def test_half_turn_in_the_other_sense_is_refused() -> None:
+    """At -180° and 180° cables lie alike; rolled the other way round, they come apart."""
+    motion = tied()
+    chosen = piece(motion, "roll")
+    vertices = motion.vertices.coefficients[chosen][0, :, :, 0]
+    lowest = float(vertices[0, 2])
+    c = motion.drones.coefficients.copy()
+    c[chosen, :, 2] = 2.0 * lowest - c[chosen, :, 2]
+    assert "interlacing" in violated(motion.replaced(drones=motion.drones.replaced(c)))
+    assert OPEN < 0.0
+
+
+def test_tracking_error_counts_in_the_hinge() -> None:
+    steps: list[dict[str, Any]] = [{"tie": {"around": "drum", "at": 0.24}}, {"lift": {"by": 0.1}}]
+    exact = problem(steps)
+    tracked = replace(exact, limits=replace(exact.limits, tracking=0.05))
+    with pytest.raises(ho.InfeasibleError, match=r"hinge.*0\.04.*0\.08.*tie it at 0\.28 m"):
+        ho.solve(tracked)
+
+
+def test_clasps_below_the_centre_of_mass_are_refused() -> None:
+    steps: list[dict[str, Any]] = [{"tie": {"around": "drum", "at": 0.15}}, {"lift": {"by": 0.1}}]
+    with pytest.raises(ho.InfeasibleError, match=r"hinge.*-0\.05.*0\.03.*tie it at 0\.23 m"):
+        ho.solve(problem(steps))
+
+
+@cache
+def lipped() -> Motion:
+    """A smooth pot that lies on the cables below its lip, as it is lifted."""
+    body = {**DRUM, "friction": 0.05, "mass": 0.1, "rim": {"circle": 0.14, "at": 0.32}}
+    return ho.solve(problem([{"tie": {"around": "drum"}}, {"lift": {"by": 0.1}}], body)).motion
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("change", [{"height": 0.33}, {"section": Section(radius=0.125)}, None])
+def test_lip_on_the_cables_needs_no_friction(change: dict[str, Any] | None) -> None:
+    """Unless it is above them, or no wider than the ropes."""
+    pot = lipped().requirements.objects["drum"]
+    assert not violated(lipped())
+    assert pot.rim is not None
+    other = replace(pot, rim=replace(pot.rim, **change) if change else None)
+    requirements = replace(lipped().requirements, objects={"drum": other})
+    assert "grip" in violated(lipped().replaced(requirements=requirements))
+
+
+def test_second_opinion_refuses_what_it_does_not_know(tmp_path: Any) -> None:
+    cycle().save(tmp_path / "plan", picture=False)
+    with pytest.raises(second.UnreadableError, match="too few robots"):
+        list(second.verify(tmp_path / "plan"))
+
+
+@pytest.mark.slow
+def test_hinge_of_a_plan_is_certified() -> None:
+    """A heavier top raises the centre of mass above the clasps."""
+    motion = cycle().motion
+    taller = replace(motion.requirements.objects["drum"], upper=0.6)
+    requirements = replace(motion.requirements, objects={"drum": taller})
+    assert "hinge" in violated(motion.replaced(requirements=requirements))
+
+
+@pytest.mark.parametrize(
+    ("step", "message"),
+    [
+        ({"release": {}}, "two robots"),
+        ({"enclose": {"object": "drum"}}, "two robots"),
+        ({"tie": {"around": "drum", "at": 0.39}}, "0.38"),
+        ({"tie": {"around": "drun"}}, "drum"),
+    ],
+)
+def test_steps_that_do_not_fit_are_refused(step: dict[str, Any], message: str) -> None:
+    with pytest.raises(ho.InputError, match=message):
+        ho.solve(problem([step]))
+
+
+def test_three_robots_do_not_tie() -> None:
+    with pytest.raises(ho.InputError, match="robots"):
+        problem([TIE], robots=3)
+
+
+def test_wrong_piece_of_a_concatenation_is_noticed() -> None:
+    """The same stages without those that bend the cables."""
+    motion = tied()
+    parts = [
+        motion.slice_pieces(slice(*np.flatnonzero(piece(motion, x.name))[[0, -1]] + [0, 1]), [x])
+        for x in motion.phases
+        if x.name != "straddle"
+    ]
+    shifted_parts = [
+        each.map_curves(
+            lambda part: PiecewisePolynomial(part.breaks - part.breaks[0], part.coefficients),
+            [each.phases[0].retimed(0.0, each.duration)],
+        )
+        for each in parts
+    ]
+    assert "continuity" in violated(concatenated(shifted_parts))
