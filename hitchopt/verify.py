@@ -52,16 +52,21 @@ MIN_GAP = 1e-4  # [m] smallest distance of cables that cannot pass through each 
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
 PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
+HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
+PASSED = 0.4  # largest share of a cable's weight at a clasp that a cable below it may bear
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
 DEGREES = math.degrees(1.0)
 BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples of a limit, samples at once, halvings
 PASSING = {"proven", "warning"}  # the ground is unknown without an arena, hence warnings
-CROSSINGS = {"on the ground": 0, "hanging free": 0, "being tightened": 1, "hitched": 1}
+CROSSINGS = {"on the ground": 0, "hanging free": 0, "being drawn taut": 0}
+CROSSINGS |= {"being tightened": 1, "hitched": 1}  # of both cables of a clasp
 LAID, ROLLING = "being laid", "rolling"  # single taut cables; pairs between crossing and clasp
 CLASPING, TIGHTENED = "clasping", "being tightened"
 LYING, UNLINKED = "lying across", {"on the ground", "hanging free"}  # weight transfer; no links
+DRAWN, BENT = "being drawn taut", "bent around an object"  # single cables, the latter with edges
+OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, "hitched"}  # states of two cables that clasp twice
 EARLIER_FORMATS = ("hitchopt-plan/1", "hitchopt-plan/2")
-STATES = {*CROSSINGS, "clasping", LAID, ROLLING, LYING, "none"}
+STATES = {*CROSSINGS, "clasping", LAID, ROLLING, LYING, BENT, "none"}
 SAME = 1e-9  # [m], [N] largest difference of contacts from midpoints, of pulls from tensions
 MAX_COEFFS = 61  # coefficients of a curve
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
@@ -355,8 +360,13 @@ class Spans:
         return [b - a, d - c]
 
     def leg(self, i: Index) -> Line:
-        """Return legs from their vertices; zero at the ends of a chain."""
+        """Return legs from their inner ends; zero at the ends of a chain."""
         return self.point(i) - self.point(self.plan.anchor[i])
+
+    def halves(self, k: Index, end: int) -> list[list[Line]]:
+        """Return both ends of edge and leg beyond the contact at an end of cables, inside first."""
+        inner, outer = self.point(self.plan.edges[3 * end, k]), self.point(2 * k + end)
+        return [[self.point(self.plan.edges[1 + end, k]), inner], [inner, outer]]
 
     def ends(self, k: Index, b: int = -1) -> list[Line]:
         """Return both drones of cables in the frame of body b."""
@@ -429,7 +439,7 @@ class Spans:
     def tautness(self, k: Index) -> Line:
         """Return the tautness τ of cables: ``T / T_stated``, at most 1."""
         ratio = self.plan.tensions.on(self, k) * (1.0 / self.plan.min_tension[self.piece, k])
-        return minimum(ratio, 1.0).where(self.plan.formed[self.piece])
+        return minimum(ratio, 1.0).where(self.plan.taut[self.piece])
 
     def inverse_tension(self, T: Line, k: Index) -> Line:
         """Return ``τ / T`` of segments of cables k of tension T."""
@@ -470,7 +480,7 @@ class Spans:
         if p.n:
             leg, tau = self.leg_chord(i), self.tautness(i // 2)
             taut = leg.unit() * self.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
-            force = force + taut.where(p.formed[self.piece])
+            force = force + taut.where(p.taut[self.piece])
             if p.weight > 0.0 and np.any(tau.low < 1.0):
                 slack = -tau + 1.0
                 hanging = catenary_force(self, i) * slack * p.weight
@@ -672,7 +682,8 @@ class Plan:
 
     Points are N drones, then P vertices, then the two contacts of every edge with an object; twice
     the midpoint for a straight edge. Cable k runs from q_k via vertices begin[k] and end[k] to r_k.
-    The i-th leg starts at vertex anchor[i] and pulls at point pull_point[i].
+    The i-th leg starts at point anchor[i] and pulls at point pull_point[i]. If cables bend on their
+    own, further points are the inner ends of legs: their own ones then, and vertices otherwise.
 
     If robots join and leave, ``chapters`` are runs of pieces with one ring: the plan of that ring,
     ``ring_plan``, and one of every robot that waits, from ``start`` to ``stop``. Otherwise the plan
@@ -735,7 +746,8 @@ class Plan:
         if m < 1 or not np.all(self.h > 0.0):
             raise ValueError(f"{label}breaks do not increase")
         self._array("breaks", m + 1, bound=BIG)
-        too_few = n < 2 + self.closed and not len(self.robots)
+        too_few = n < 2 and not len(self.robots)
+        self.two = self.closed and n == 2  # both cables clasp each other twice, around an object
         if n and (team["topology"] not in ("closed", "open") or too_few):
             raise ValueError("team has too few robots, or a topology other than closed or open")
         if self.limits["reserve"] > 1.0 or self.limits["tilt"] >= 0.5 * math.pi:
@@ -754,24 +766,22 @@ class Plan:
         ends = [float(phase["end"]) for phase in self.phases[:-1]]
         self.phase = np.searchsorted(ends, self.breaks[:-1] + 0.5 * self.h)
         self._check_phases()
-        self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        self.formed = np.isin(self.state, ("hitched", ROLLING, LYING))
-        self.free = ~self.formed & (n > 0)
-        self.merged_state = np.where(self.state == LYING, ROLLING, self.state)
+        self._set_states()
         self._read_bodies(m, n)
         curves = [self._array("drones", m, N, 3), *self._read_cables(m, n, N, P)]
         drones, *on_cables = (elevate(x, max(y.shape[-1] for y in curves)) for x in curves)
         self.points = Curve(np.concatenate([drones, *on_cables], axis=1), self.h)
-        used = drones, *(x[self.formed] for x in on_cables)
+        used = drones, *(x[self.taut] for x in on_cables)
         self.size = max(float(np.max(np.abs(x), initial=0.0)) for x in used)
         self.length_loss, self.pull_loss, self.rim_depth, self.shares = rim_loads(self)
         # Ramps: tensions rise from 0, or fall to it, at rest next to pieces without a hitch.
-        rest = np.all(np.ptp(self.points.c[0][:, : N + P], axis=-1) <= REST_TOL, axis=(1, 2))
-        reached = ~self.formed
+        still = np.delete(self.points.c[0], self.edges[1:3].ravel(), axis=1)
+        rest = np.all(np.ptp(still, axis=-1) <= REST_TOL, axis=(1, 2))
+        reached = ~self.taut
         for _ in range(m):
             reached[1:] |= rest[1:] & reached[:-1]
             reached[:-1] |= rest[:-1] & reached[1:]
-        self.ramp = reached & self.formed
+        self.ramp = reached & self.taut
         self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
 
     def _read_quadrotors(self, team: dict[str, Any]) -> None:
@@ -786,6 +796,15 @@ class Plan:
             np.repeat([[float(kind[key])] for kind in kinds], N // len(kinds), axis=0)
             for key in ("mass", "max_thrust")
         )
+
+    def _set_states(self) -> None:
+        """Set states of pieces, and masks of those with a hitch, and with taut parts of cables."""
+        self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
+        self.merged_state = np.where(self.state == LYING, ROLLING, self.state)
+        self.formed = np.isin(self.state, ("hitched", ROLLING, LYING))
+        self.bent = self.state == BENT
+        self.taut = self.formed | self.bent
+        self.free = ~self.taut & (self.n > 0)
 
     def _check_phases(self) -> None:
         """Raise ValueError unless phases are consecutive and consistent."""
@@ -803,11 +822,13 @@ class Plan:
             complete &= {*UNLINKED, LAID}.issuperset(x for _, x in waiting)
             known = not hold or (hold["object"] in objects and hold["by"] in ("rest", "grip"))
             known &= {*range(self.n)}.issuperset(hold["cables"] if hold else ())
+            known &= not (self.two and hold) or (hold["by"], len({*hold["cables"]})) == ("grip", 2)
+            states = OF_TWO if self.two else STATES - {BENT}
             for valid, text in (
                 (follows, "does not start at the end of the previous phase"),
                 (at_break, "changes the state within a piece"),
                 (complete if changes else not waiting, "has invalid rings or waiting robots"),
-                (state in STATES and (state == "none") is (self.n == 0), f"has the state {state}"),
+                (state in states and (state == "none") is (self.n == 0), f"has the state {state}"),
                 (range_ is None or range_[0] <= range_[1], "has an empty range of tensions"),
                 (known, "holds an unknown object, or with unknown cables"),
             ):
@@ -861,13 +882,17 @@ class Plan:
         vertices, T = self._array("vertices", m, P, 3), self._array("tensions", m, n)
         middle, both = midpoints(vertices, n), np.stack([T, T], 2)
         contacts, pulls = self._array("contacts", m, n, 2, 3), self._array("leg_tensions", m, n, 2)
-        self.has_contacts, self.frictional = differ(contacts, middle), differ(pulls, both)
+        self.has_contacts = differ(contacts, middle) or bool(np.any(self.bent))
+        self.frictional = differ(pulls, both)
         contacts = contacts if self.has_contacts else middle
         pulls = pulls if self.frictional else both
         legs = self._array("legs", m, n, 2)
         flat = (x.reshape(m, 2 * n, 1, x.shape[-1]) for x in (pulls, legs))
         self.pulls, self.legs = (Curve(x, self.h) for x in flat)
         self.tensions = Curve(T[:, :, None], self.h)
+        on_cables = [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
+        if np.any(self.bent):
+            on_cables.append(self._inner_ends(vertices))
         self._read_ties(vertices)
         self.clasped = np.zeros((n, n), dtype=bool)  # cables that clasp each other
         self.clasped[self.clasps, self.behind] = self.clasped[self.behind, self.clasps] = True
@@ -882,12 +907,24 @@ class Plan:
         self.sag = np.asarray(np.square(self.weight * self.length / self.team) / 24.0)  # relative
         # Straight segments of taut cables: both points, cable, and vertices at the ends (k, 5).
         ends, on = self.edges[:: 1 if self.has_contacts else 3], np.flatnonzero(self.leg)
-        rows = [(self.anchor[on], on, on // 2, self.anchor[on], self.anchor[on])]
+        rows = [(self.anchor[on], on, on // 2, own.ravel()[on], own.ravel()[on])]
         rows += [(a, b, k, self.begin, self.end) for a, b in pairwise(ends)]
         self.segments = np.concatenate([np.stack(row, -1) for row in rows])
         leg_names = [f"{self.label}{'qr'[j % 2]}-leg {self.robots[j // 2]}" for j in on]
         self.segment_names = leg_names + [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
-        return [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
+        return on_cables
+
+    def _inner_ends(self, vertices: Array) -> Array:
+        """Read inner ends of legs (m, 2n, 3, N + 1) of cables that bend on their own."""
+        m, n = len(vertices), self.n
+        own = self._array("anchors", m, n, 2, 3)
+        count = max(own.shape[-1], vertices.shape[-1])
+        clasps = elevate(vertices, count)[:, self.anchor - self.N]
+        own = elevate(own, count).reshape(clasps.shape)
+        self.anchor = self.pull_point = self.edges[2, -1] + 1 + np.arange(2 * n)
+        self.edges[[0, 3]] = self.anchor.reshape(n, 2).T
+        self.labels += self.names
+        return np.where(self.bent[:, None, None, None], own, clasps)
 
     def _read_ties(self, vertices: Array) -> None:
         """Read which drones turn about vertices, and vertices of the hitch before or after."""
@@ -1088,6 +1125,13 @@ def lowest_height(s: Spans, k: Index) -> Line:
     return minimum(*(x[2] for x in cable)) - sag
 
 
+def above_floor(s: Spans, k: Index) -> Line:
+    """Return heights of hanging cables over the floor; only errors are larger by the ratio."""
+    p = s.plan
+    more: float = (p.ratio - 1.0) * p.settings["separation"]["cable"]
+    return (lowest_height(s, k) - p.floor + more) * (1.0 / p.ratio) - shift(s, k)
+
+
 def drones(p: Plan) -> Iterator[Row]:
     """Prove distances, rates and forces of drones."""
     s, lim, sep = p.spans(p.all_pieces, range(p.N), p.names), p.limits, p.sep
@@ -1145,10 +1189,10 @@ def wall_gap(s: Spans, x: Sequence[Line], depth: Line | float = 0.0, radius: flo
 
 def taut_cables(p: Plan) -> Iterator[Row]:
     """Prove distances, lengths and shapes of hitches, tensions, and force residuals of clasps."""
-    on, lim, ties, names = p.formed, p.limits, p.segments[:, 3:], p.segment_names
-    clasps = p.spans(on, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
+    on, lim, ties, names = p.taut, p.limits, p.segments[:, 3:], p.segment_names
+    clasps = p.spans(p.formed, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
     legs, cables = p.spans(on, np.flatnonzero(p.leg), p.names), p.spans(on, range(p.n), p.cables)
-    vertices = p.spans(on, range(p.V.start, p.V.stop), p.labels)
+    vertices = p.spans(p.formed, range(p.V.start, p.V.stop), p.labels)
     own = np.where(p.leg, np.arange(p.N), p.anchor)  # other end of the segment at each drone
     foreign = np.argwhere(np.all(p.segments[:, :2] != own[:, None, None], axis=2))
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
@@ -1158,8 +1202,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
 
     def turn_margin(s: Spans, _: Index) -> Line:
         """Return the margin of the total turn to more than one turn, or to one for a chain."""
-        turns = sum((exterior_angle(s, c) for c in range(len(p.clasps))), s.zero)
-        return -turns + (361.0 if p.closed else 360.0)
+        return -total_turn(s) + (361.0 if p.closed else 360.0)
 
     def range_excess(s: Spans, k: Index) -> Line:
         """Return ``T - T_max``, or ``T_min - T`` outside ramps."""
@@ -1199,7 +1242,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     if p.weight or np.any(p.load) or np.any(p.active):
         yield prove("contact 1 max", 0.0, closed, contact)
     yield prove("convexity deg min", 0.0, clasps, exterior_angle)
-    yield prove("convexity turn min", 0.0, p.spans(on, [0], ["outline"]), turn_margin)
+    yield prove("convexity turn min", 0.0, p.spans(p.formed, [0], ["outline"]), turn_margin)
     yield prove("tension N max", 1e-4, cables, range_excess)
     if p.frictional:
         yield prove("equilibrium 1 max", 5e-3, legs, friction_excess)
@@ -1414,23 +1457,142 @@ def contact(s: Spans, c: Index) -> Line:
     return largest.where(tensioned) - np.where(tensioned, 0.0, 1.0)[:, None]
 
 
+def wrap_angle(s: Spans, k: Index) -> Line:
+    """Return angles by which edges turn along an object in the horizontal plane [rad]."""
+    return angle(*(x[:2] for x in s.edge(k)))
+
+
+def total_turn(s: Spans) -> Line:
+    """Return sums of exterior angles, and of the turns of two cables along an object [deg]."""
+    turns = [exterior_angle(s, c) for c in range(len(s.plan.clasps))]
+    turns += [wrap_angle(s, k) * DEGREES for k in range(2 * s.plan.two)]
+    return sum(turns, s.zero)
+
+
 def exterior_angle(s: Spans, c: Index) -> Line:
     """Return exterior angles at clasps in the horizontal plane [deg]; clockwise is positive."""
     p, k, x = s.plan, s.plan.clasps[c], s.point(s.plan.begin[s.plan.clasps[c]])
     a, b = (x - s.point(p.begin[p.behind[c]]))[:2], (s.point(p.end[k]) - x)[:2]
+    if p.two:  # edges bend around an object
+        a, b = s.edge(p.behind[c])[1][:2], s.edge(k)[0][:2]
     right = a[1] * b[0] - a[0] * b[1]
     turn = angle(a, b) * DEGREES * np.where(right.v < 0.0, -1.0, 1.0)
     return Line(turn.v, turn.g, np.where(right.low * right.high > 0.0, turn.q, BIG), s.t)
+
+
+def crossing_parts(s: Spans, c: Index) -> Iterator[tuple[list[Line], list[Line]]]:
+    """Yield pairs of straight parts beyond an object on which bent cables of a clasp cross.
+
+    They are of the cable ahead, towards its q, and of the one behind, towards its r.
+    """
+    yield from product(s.halves(s.plan.clasps[c], 0), s.halves(s.plan.behind[c], 1))
+
+
+def signed_distance(a: Sequence[Line], b: Sequence[Line]) -> Line:
+    """Return the distance of lines b to lines a along ``a × b``; -FAR where that may vanish."""
+    n = (a[1] - a[0]).cross(b[1] - b[0])
+    valid = n.norm().low > 0.0
+    return (a[0] - b[0]).dot(n.unit()).where(valid) - np.where(valid, 0.0, FAR)[:, None]
+
+
+def runs_of(on: Mask) -> Iterator[Items]:
+    """Yield the runs of pieces in a mask."""
+    runs = groupby(range(len(on)), lambda q: bool(on[q]))
+    yield from (np.array([*pieces]) for valid, pieces in runs if valid)
+
+
+def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
+    """Return how bent cables cross beyond the object on a run of pieces, for every clasp (c,).
+
+    Values: the sign of signed distances, and height orders at the start and at the end, 1 if the
+    cable ahead is above; 0 if cables do not clearly cross at any sample.
+    """
+    count, parts = len(p.clasps), 8
+    x = np.tile(np.repeat((np.arange(parts) + 0.5) / parts, count), len(run))
+    c = np.tile(np.arange(count), parts * len(run))
+    s = Spans(p, np.repeat(run, parts * count), c[:, None], x, 0.0 * x)
+    gaps = np.zeros((len(c), 4))
+    with np.errstate(all="ignore"):
+        for k, (a, b) in enumerate(crossing_parts(s, c)):
+            u, w = ((y[1] - y[0]).v for y in (a, b))
+            inside = intersections(a[0].v, u, b[0].v, w)[0]
+            gaps[:, k] = np.where(np.isnan(inside), 0.0, signed_distance(a, b).v[:, 0])
+    gaps = gaps.reshape(-1, count, 4).swapaxes(1, 2).reshape(-1, count)
+    largest = gaps[np.argmax(np.abs(gaps), axis=0), np.arange(count)]
+    sign = np.sign(largest) * (np.abs(largest) >= p.crossing_limit[1])
+    orders = []
+    for q, end in ((run[0], -1.0), (run[-1], 1.0)):
+        t = p.spans(np.arange(len(p.h)) == q, range(count)).subspan(end)
+        a, b = next(crossing_parts(t, t.item[:, 0]))
+        up = np.cross((a[1] - a[0]).v, (b[1] - b[0]).v)[:, 2]
+        orders.append(sign * np.sign(up))
+    return sign, orders[0], orders[1]
+
+
+def bent_cables(p: Plan) -> Iterator[Row]:
+    """Prove that two cables bend around an object, balanced, and do not pass through each other.
+
+    Their arcs are on either side of the line through both vertices. They cross beyond the object
+    only, with the same one above until they are apart; their other straight parts are apart.
+    """
+    legs = p.spans(p.bent, range(p.N), p.names)
+    clasps = p.spans(p.bent, range(len(p.clasps)), p.labels[p.V])
+    both = p.spans(p.bent, [[0, 1]], p.cables, p.cables)
+    signs, first = np.zeros((len(p.h), len(p.clasps))), np.arange(p.N) % 2 == 0
+    for run in runs_of(p.bent):
+        signs[run] = bent_orders(p, run)[0]
+
+    def side(s: Spans, i: Index) -> Line:
+        """Return distances of contacts on the left of the line from first to last vertex."""
+        a, b = (s.point(x[i // 2])[:2] for x in (p.begin, p.end))
+        along, to = (b - a).unit(), s.point(p.edges[1:3].T.ravel()[i])[:2] - a
+        return along[0] * to[1] - along[1] * to[0]
+
+    def residual(s: Spans, i: Index) -> Line:
+        """Return forces where legs meet edges, over the tension.
+
+        Not counted are PASSED of the weight, which the other cable may bear, and level forces of
+        second order, ``(½ ρ g L / T)²``, as both are chords of one sagging cable.
+        """
+        k, (leaving, arriving) = i // 2, s.edge(i // 2)
+        edge = leaving.where(first[i]) - arriving.where(~first[i])
+        other, pull = s.leg(i + 1 - 2 * (i % 2)).norm(), s.edge_pull(k)
+        weight = s.tautness(k) * (-other + p.length[k]) * (0.5 * p.weight)
+        force = s.leg_chord(i).unit() * s.pull(i) + edge.unit() * pull - weight * UP
+        share = maximum(minimum(pull, s.pull(i)), MIN_TENSION).inverse()
+        loss = s.inverse_tension(p.tensions.on(s, k), k) * p.length[k] * (0.5 * p.weight)
+        level = maximum(force[:2].norm() * share - loss * loss, 0.0)
+        upright = maximum((force[2].norm() - weight * PASSED) * share, 0.0)
+        return concatenate(level, upright).norm()
+
+    def apart(s: Spans, i: Index, j: Index) -> Line:
+        """Return distances of straight parts of cables that are at different ends of an object."""
+        pairs = (product(s.halves(i, end), s.halves(j, end)) for end in (0, 1))
+        return minimum(*(distance(a, b) for a, b in chain(*pairs)))
+
+    def above(s: Spans, c: Index) -> Line:
+        """Return signed distances of cables that cross, or large ones where they are apart."""
+        sign, gaps = signs[s.piece, c, None], list[Line]()
+        for a, b in crossing_parts(s, c):
+            crossed = signed_distance(a, b) * sign - np.where(sign == 0.0, FAR, 0.0)
+            gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
+        return minimum(*gaps)
+
+    yield prove("equilibrium 1 max", 5e-3, legs, residual)
+    yield prove("crossing m min", MIN_GAP, legs, side)
+    yield prove("crossing m min", SAG_TOL, both, apart)
+    yield prove("laid m min", -SAG_TOL, clasps, above)
 
 
 def free_cables(p: Plan) -> Iterator[Row]:
     """Prove distances of cables that lie, hang, clasp or are tightened."""
     k, ground, ends = range(p.n), p.state == "on the ground", (p.names, p.cables)
     pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
-    clasped = p.clasped[pairs] & ~np.isin(p.state, ("on the ground", "hanging free"))[:, None]
+    clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
     both = p.spans(p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
-    free, hanging = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~ground))
-    lying, tightened = p.spans(p.free & ground, foreign, *ends), p.state == TIGHTENED
+    drawn, level = p.state == DRAWN, ground | (p.state == DRAWN)
+    free, hanging = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~level))
+    lying, tightened = p.spans(p.free & level, foreign, *ends), p.state == TIGHTENED
     apart = p.clasping[:, None] & ~p.clasped[pairs]
     loose = p.spans(apart, np.column_stack(pairs), p.cables, p.cables)
     on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
@@ -1442,17 +1604,15 @@ def free_cables(p: Plan) -> Iterator[Row]:
         gaps = (distance([s.point(i)], x, p.ratio) for x in pairwise(cable))
         return minimum(*gaps) - sag - shift(s, k)
 
-    def above_floor(s: Spans, k: Index) -> Line:
-        """Return heights over the floor, of which only errors are larger by the ratio."""
-        more: float = (p.ratio - 1.0) * p.settings["separation"]["cable"]
-        return (lowest_height(s, k) - p.floor + more) * (1.0 / p.ratio) - shift(s, k)
-
     def to_hull(s: Spans, i: Index, k: Index) -> Line:
         return prism_gap([s.point(i)], s.hull(k), p.ratio)
 
     def chord_share(s: Spans, k: Index) -> Line:
-        """Return chords, longer by errors of both ends, over lengths."""
-        chord = s.q_to_r(k)
+        """Return chords, longer by errors of both ends, over lengths.
+
+        Where cables are drawn taut, errors change the tension at which they are straight.
+        """
+        chord, error = s.q_to_r(k), np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)
         if p.ratio == 1.0:
             return (chord.norm() + error) * (1.0 / p.length[k])
         level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
@@ -1468,13 +1628,13 @@ def free_cables(p: Plan) -> Iterator[Row]:
         links = zip(pairwise(chord), pairwise(lower), strict=True)
         return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in links))
 
-    span, error, chord = ("span 1 max", 1.0), 2.0 * p.tracking, Spans.level_chord
+    span, chord = ("span 1 max", 1.0), Spans.level_chord
     yield prove(*span, free, chord_share)
     yield prove(*p.crossing_limit, both, lambda s, i, j: distance(chord(s, i), chord(s, j)))
     yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
     yield prove(*p.cable_limit, hanging, above_floor)
     # Distances of a point of a cable to both ends sum to at most its length
-    s = p.spans(p.free & ~ground, foreign, *ends)
+    s = p.spans(p.free & ~level, foreign, *ends)
     total = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
     reach = (p.sep["cable"] + EXACT_RANGE) * p.ratio
     s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
@@ -1488,6 +1648,28 @@ def free_cables(p: Plan) -> Iterator[Row]:
     s = p.spans(tightened, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
     yield from laid_cables(p)
+    yield from drawn_cables(p)
+
+
+def drawn_cables(p: Plan) -> Iterator[Row]:
+    """Prove that drones of cables drawn taut move either apart or together, above the ground.
+
+    Cables hang lowest where their drones are nearest.
+    """
+    for run in runs_of(p.state == DRAWN):
+        s = p.spans(np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
+        ends = [s.select(s.piece == q).subspan(x) for q, x in ((run[0], -1.0), (run[-1], 1.0))]
+        first, last = (norm(x.q_to_r(x.item[:, 0]).v) for x in ends)
+        parting = first <= last
+        for x, lowest in zip(ends, (parting, ~parting), strict=True):
+            yield prove(*p.cable_limit, x.select(lowest), above_floor)
+
+        def drawing(s: Spans, k: Index, parting: Mask = parting) -> Line:
+            """Return the rate at which drones move apart, or together, times their distance."""
+            rate = s.q_to_r(k).dot(s.point(2 * k + 1, 1) - s.point(2 * k, 1))
+            return rate * np.where(parting[k], 1.0, -1.0)[:, None]
+
+        yield prove("drawn m²/s min", -RESOLUTION, s, drawing)
 
 
 def laid_cables(p: Plan) -> Iterator[Row]:
@@ -1601,6 +1783,25 @@ def roll_changes(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
     return angles[0], np.sum(steps, axis=0), np.all(valid.reshape(-1, count), axis=0)
 
 
+def rolled(
+    p: Plan, run: Items, linked: Mask, links: tuple[Array, Array], around: tuple[str, str]
+) -> tuple[Array, Array, list[tuple[Mask, str]]]:
+    """Return senses and height orders (c,) after pairs have rolled, and masks of faults."""
+    (sense, order), (before, after) = links, around
+    start, change, valid = roll_changes(p, run)
+    opened = np.abs(start) >= OPEN_ROLL
+    valid &= (opened == (order != 0.0)) & (opened | linked)
+    sense = np.where(order != 0.0, order, sense)
+    roll = start + 180.0 * sense  # relative to lying across
+    roll = np.where(opened, (roll + 180.0) % 360.0 - 180.0, roll) + change
+    across = np.abs(roll) <= 180.0 - OPEN_ROLL
+    short = ~across & (np.abs(roll - 180.0 * sense) >= OPEN_ROLL)
+    faults = [(opened & (not before), "a clasp is open at the start")]
+    faults += [(~valid, "unlinked cables roll")]
+    faults += [(short | across & (after == "hitched"), "pairs do not roll by a half turn")]
+    return sense, np.where(across, sense, 0.0), faults
+
+
 def replay(
     p: Plan, half_crossings: Array, links: Array, around: Sequence[str]
 ) -> tuple[list[Fault], Array, Array]:
@@ -1623,7 +1824,7 @@ def replay(
 
     for at, (state, run) in enumerate(runs):
         before, after, q = names[at], names[at + 2], int(run[0])
-        number = np.sum(half_crossings[i, j, : q + 1], axis=-1)
+        number = np.sum(half_crossings[i, j, : q + 1], axis=-1) / (1 + p.two)
         linked = np.abs(number) == 1.0
         if state == LAID:
             check(q, (before != ROLLING) & (linked | (order != 0.0)), "linked cables are laid")
@@ -1648,20 +1849,19 @@ def replay(
                 order = upper if lowered else 0.0 * upper
             if before == ROLLING:
                 half_crossings[i, j, q + 1] -= sense
+        elif state == BENT:
+            _, first, last = bent_orders(p, run)
+            check(q, (before != ROLLING) & ((number != 0.0) | (order != 0.0)), "linked cables bend")
+            check(q, (before == ROLLING) & (first != order), "cables are lifted through each other")
+            check(q, (after == ROLLING) & (last == 0.0), "the height order of cables is not clear")
+            np.subtract.at(half_crossings[..., q + 1], (i, j), sense * (before == ROLLING))
+            order = last * (after == ROLLING)
         elif state == ROLLING:
-            start, change, valid = roll_changes(p, run)
-            opened = np.abs(start) >= OPEN_ROLL
-            check(q, (not before) & opened, "a clasp is open at the start")
-            valid &= (opened == (order != 0.0)) & (opened | linked)
-            check(q, ~valid, "unlinked cables roll")
-            half_crossings[i, j, run[-1] + 1] += np.where(linked, 0.0, order)
-            sign[run] = sense = np.where(order != 0.0, order, sense)
-            roll = start + 180.0 * sense  # relative to lying across
-            roll = np.where(opened, (roll + 180.0) % 360.0 - 180.0, roll) + change
-            across = np.abs(roll) <= 180.0 - OPEN_ROLL
-            short = ~across & (np.abs(roll - 180.0 * sense) >= OPEN_ROLL)
-            check(q, short | across & (after == "hitched"), "pairs do not roll by a half turn")
-            order = np.where(across, sense, 0.0)
+            np.add.at(half_crossings[..., run[-1] + 1], (i, j), np.where(linked, 0.0, order))
+            sense, order, wrong = rolled(p, run, linked, (sense, order), (before, after))
+            sign[run] = sense
+            for each, text in wrong:
+                check(q, each, text)
         elif state == "hitched" and before not in ("", ROLLING):
             sense = number
     links[:] = sense, order
@@ -1671,9 +1871,9 @@ def replay(
 def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     """Prove distances of a body to cables, other bodies, ground and walls."""
     body, stem, allowed = p.bodies[b], p.bodies[b].stem, allowed_contacts(p, b)
-    held, items = p.holding[b][:, p.segments[:, 2]] & p.formed[:, None], range(len(p.segments))
+    held, items = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None], range(len(p.segments))
     wrapped = p.grip[b][:, None] & (p.segments[:, 3] != p.segments[:, 4])  # edges, not legs
-    masks = p.formed[:, None] & ~held, held & ~wrapped
+    masks = p.taut[:, None] & ~held, held & ~wrapped
     off, holding = (p.spans(on, items, p.segment_names) for on in masks)
     free, clasping = (p.spans(on, range(p.n), p.cables) for on in (p.free, p.clasping))
     moving, carried = (p.spans(x[b], [0], [body.name]) for x in (p.moving, p.held))
@@ -1683,7 +1883,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         """Return heights of hanging cables above the body, or horizontal distances of chords."""
         height = (lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper) * (1.0 / p.ratio)
         height = height - shift(s, k)
-        height = height.where(p.state[s.piece] != "on the ground")
+        height = height.where(~np.isin(p.state[s.piece], ("on the ground", DRAWN)))
         return maximum(slab.enlarged(0.0, -BIG, BIG).gap(*s.ends(k, b)), height)
 
     def hull_gap(s: Spans, k: Index, slab: Slab) -> Line:
@@ -1818,7 +2018,7 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
         slip = s.zero
         for k in cables:
             weaker = (p.pulls.on(s, i) * capstan(s, i).inverse() for i in (2 * k, 2 * k + 1))
-            slip = slip + angle(*(x[:2] for x in s.edge(k))) * minimum(*weaker) * body.friction
+            slip = slip + wrap_angle(s, k) * minimum(*weaker) * body.friction
         a = p.poses.on(s, b, 2)
         load = (p.load_share.on(s, b) * (a[2] + G) + a[3:].norm() * turning) * body.mass
         return slip * maximum(load, 1e-6).inverse()
@@ -1871,6 +2071,39 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
     yield prove("grip wrap max", CONTACT_TOL, p.spans(on & p.active[b], [0], [body.name]), rotation)
 
 
+def hinged(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that a body does not fall over two clasps, nor over its foot as cables bend around it.
+
+    All forces of both cables' legs pass through the line through their clasps.
+    """
+    body, stem, held = p.bodies[b], p.bodies[b].stem, p.grip[b] & p.two
+
+    def hinge(s: Spans, j: Index) -> Line:
+        """Return heights of clasps above the centre of mass."""
+        return s.point(p.begin[j])[2] - s.world(b, body.centre)[2]
+
+    def foot(s: Spans, _: Index) -> Line:
+        """Return distances of the force line of a standing body from the edge of its foot.
+
+        Edges pull at contacts. The foot is the largest disc about the centre of the section.
+        """
+        base, weight = s.world(b, np.append(stem.centroid, stem.lower)), G * body.mass
+        down, moment = s.zero + weight, s.zero * UP
+        for k in (0, 1):
+            leaving, arriving = s.edge(k)
+            for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
+                pull = u * s.edge_pull(k)
+                down = down - pull[2]
+                moment = moment + (s.point(p.edges[1 + end, k]) - base).cross(pull)
+        return (down * float(stem.depth(stem.centroid)) - moment[:2].norm()) * (1.0 / weight)
+
+    loaded = held & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
+    clasps = p.spans(loaded, range(p.n), p.labels[p.V])
+    yield prove("hinge m min", HINGE + p.tracking * p.ratio, clasps, hinge)
+    standing = held & p.bent & (not body.fixed)
+    yield prove("support m min", 0.0, p.spans(standing, [0], [body.name]), foot)
+
+
 class Pair(Plan):
     """Two plans on common breaks; a plan rests before its start and after its end.
 
@@ -1918,7 +2151,7 @@ def solids(p: Plan) -> list[Solid]:
     hanging = p.free & ~laid & ~p.clasping
     sheets = (hanging, p.cables, Spans.sheet), (laid, p.cables, Spans.strip)
     hulls = p.clasping, p.cables, Spans.hull
-    return [drones, (p.formed, p.segment_names, Spans.segment), *sheets, hulls]
+    return [drones, (p.taut, p.segment_names, Spans.segment), *sheets, hulls]
 
 
 def between_plans(pair: Pair) -> Iterator[Row]:
@@ -2034,7 +2267,7 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
     """
     parts, bodies = [*chain(*p.chapters)], [body.name for body in p.bodies]
     same = ~np.isin(p.breaks[1:-1], [x.start for x in parts])[:, None]
-    both = (p.formed[1:] & p.formed[:-1])[:, None] & same
+    both = (p.taut[1:] & p.taut[:-1])[:, None] & same
 
     def jump(
         c: Array, names: Sequence[str], on: Any = True, slack: Any = 0.0, fold: Any = np.max
@@ -2054,6 +2287,8 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
         curves = (p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)
         values += chain(*(summed(curve, names) for curve, names in curves))
         values += summed(p.points.c[k][:, p.V], p.labels[p.V], both)
+        if np.any(p.bent):  # inner ends of legs
+            values += summed(p.points.c[k][:, p.anchor], p.names, both)
         values += summed(p.legs.c[k], p.names, both)
         for (curve, names), end in product(curves, (0, -1) if rests and k else ()):
             time = repeat(float(p.breaks[end]))
@@ -2067,7 +2302,7 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
         with np.errstate(all="ignore"):
             ends = [s.subspan(end).thrust(s.item[:, 0]).v for end in (-1.0, 1.0)]
         f[np.ix_(pieces, x.robots)] = np.stack(ends, -1).reshape(-1, x.n, 2, 3, 2)
-    on, slack = p.formed[:, None, None, None], p.weight * np.repeat(p.length[:, 0], 2) * ~same
+    on, slack = p.taut[:, None, None, None], p.weight * np.repeat(p.length[:, 0], 2) * ~same
     values = [*jump(f.reshape(-1, p.N, 3, 2), p.names, slack=slack)]
     values += [*jump(p.tensions.c[0] * on, p.cables, same), *jump(p.pulls.c[0] * on, p.names, same)]
     # At both ends of a range, tensions are the team's unless an object is held there
@@ -2086,6 +2321,7 @@ def interlacing(p: Plan) -> Iterator[Row]:
     faults, rings, first = list[Fault](), [chapter[0] for chapter in p.chapters], 0
     links = np.zeros((3, p.n, p.n))  # crossings, senses, and height orders, [behind, ahead]
     links[:2, *rings[0].robots[rings[0].pair]] = float(p.formed[0])
+    links[0] *= 1 + p.two
     later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # free now or later
     names = ["", "", *(x.merged_state[end] for x in rings for end in (0, -1)), "", ""]
     for at, ring in enumerate(rings):
@@ -2093,7 +2329,7 @@ def interlacing(p: Plan) -> Iterator[Row]:
         faults += link_faults(ring, links, loose, names[2 * at + 1 : 2 * at + 5 : 3])
         if ring is not rings[-1]:
             faults += seam_faults(p.chapters[at], p.chapters[at + 1], links)
-    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, LYING))):
+    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, LYING, BENT))):
         yield fault_row("interlacing", faults)
 
 
@@ -2128,7 +2364,7 @@ def link_faults(p: Plan, links: Array, loose: Mask, around: Sequence[str]) -> It
         return Line(s.zero.v, s.zero.g, np.where(apart | crosses, 0.0, BIG), s.t)
 
     # replay checks laid or rolling neighbours; crossing_legs, those beyond a changing robot's edge
-    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, LYING))
+    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, LYING, BENT))
     loose = loose[:, None] & ~(laid[:, None] & p.clasped[both])
     for mask, legs, _ in crossing_legs(p).values():
         loose[mask] &= np.any(np.stack(both, -1) != sorted(k // 2 for k in legs), axis=1)
@@ -2146,7 +2382,8 @@ def link_faults(p: Plan, links: Array, loose: Mask, around: Sequence[str]) -> It
     count = np.cumsum(half_crossings, axis=-1)
     own[0] = count[i, j, -1]
     links[:, *p.robots[p.pair]] = own
-    expected = np.where(p.clasped[..., None], [CROSSINGS.get(state, -1) for state in p.state], 0)
+    numbers = np.array([CROSSINGS.get(state, -1) for state in p.state]) * (1 + p.two)
+    expected = np.where(p.clasped[..., None], numbers, 0)
     same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
     wrong = (np.abs(count[..., 1:]) != expected) & ~same[1:]
     wrong = (wrong | (np.abs(count[..., :-1]) != expected) & ~same[:-1]) & (expected >= 0)
@@ -2217,13 +2454,14 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
             yield at, varies((c[:, 1::2] - c[:, 0::2])[on]), "cables turn while they are laid"
         if state in (ROLLING, LYING) and np.any(on):
             legs = p.legs.c[0][on]  # change as they sag, or as weight passes
-            sag = (p.weight / p.team) ** 2 / 24.0 * np.max(legs, (0, -1)).reshape(p.n, 2) ** 3
+            lowest = np.min(p.min_tension[on], axis=0)
+            sag = (p.weight / lowest) ** 2 / 24.0 * np.max(legs, (0, -1)).reshape(p.n, 2) ** 3
             drift = SAG_TOL if state == LYING else (sag + 1e-4).reshape(legs.shape[1:-1])
             rolls = varies(p.points.c[0][on][:, p.V]) or varies(legs, drift)
             yield at, rolls, "vertices or legs move while pairs roll"
             T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
             other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
-            busy = np.any(p.load) or np.any(p.held[:, on]) or other
+            busy = np.any(p.load) or np.any((p.rest | p.active)[:, on]) or other
             yield at, bool(busy), "pairs with loads or unequal tensions roll"
             start, change, _ = roll_changes(p, np.flatnonzero(on))
             shut = np.abs([start, start + change]) < OPEN_ROLL
@@ -2232,6 +2470,10 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
             ends = np.all(np.any([*passing, ~on], axis=0))
             ends = ends and np.max(np.abs(change)) < 180 - OPEN_ROLL
             yield at, state == LYING and not ends, "weight passes without a robot that changes"
+        if state == DRAWN and np.any(on):
+            yield at, varies(c[on][:, :, 2]), "drones change their heights as cables are drawn taut"
+        if p.two and np.any(on & p.formed):
+            yield at, phase["hold"] is None, "two cables are tied around nothing"
         if p.n and state == "on the ground":
             with np.errstate(all="ignore"):
                 depth = [np.min(lowest_height(s.subspan(x), k).v) for x in (-1.0, 0.0, 1.0)]
@@ -2278,10 +2520,11 @@ def object_faults(p: Plan) -> Iterator[Fault]:
 def plan_rows(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks, several for some limits."""
     for part in chain(*p.chapters):
-        taut = (taut_cables, crossing_leg_heights) if np.any(part.formed) else ()
-        for check in (consistency, drones, *taut, *((free_cables,) if p.n else ())):
+        taut = (taut_cables, crossing_leg_heights) if np.any(part.taut) else ()
+        bent = (bent_cables,) if np.any(part.bent) else ()
+        for check in (consistency, drones, *taut, *bent, *((free_cables,) if p.n else ())):
             yield from check(part)
-        for check_of, b in product((resting, gripped, clear_objects), range(len(p.bodies))):
+        for check_of, b in product((resting, gripped, hinged, clear_objects), range(len(p.bodies))):
             yield from check_of(part, b)
     yield from (*jumps(p), *interlacing(p))
 
