@@ -53,6 +53,7 @@ OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run s
 PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
 HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
+MIN_LIP = 0.01  # [m] smallest width of a lip beyond the edges that bear it
 PASSED = 0.4  # largest share of a cable's weight at a clasp that a cable below it may bear
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
 DEGREES = math.degrees(1.0)
@@ -666,6 +667,17 @@ class Body:
         self.slabs = [slab for slab in (self.stem, self.rim) if slab]
         self.pose = np.array([*o["at"], math.cos(o["yaw"]), math.sin(o["yaw"])])
         self.centre = np.append(self.stem.centroid, 0.5 * (self.stem.lower + self.stem.upper))
+
+    def has_lip_on(self, contacts: Array) -> Mask:
+        """Return whether edges with contacts (m, c, 3) bear the body by its lip, without friction.
+
+        The rim's underside is at all contacts, and reaches beyond them.
+        """
+        if self.rim is None or self.height == self.stem.lower:
+            return np.zeros(len(contacts), dtype=bool)
+        below = np.abs(contacts[..., 2] - self.height) <= CONTACT_TOL
+        wide = self.rim.depth(contacts[..., :2]) >= MIN_LIP
+        return np.asarray(np.all(below & wide, axis=1))
 
 
 def tube_of(tracking: Any) -> tuple[float, float]:
@@ -1519,7 +1531,7 @@ def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
             gaps[:, k] = np.where(np.isnan(inside), 0.0, signed_distance(a, b).v[:, 0])
     gaps = gaps.reshape(-1, count, 4).swapaxes(1, 2).reshape(-1, count)
     largest = gaps[np.argmax(np.abs(gaps), axis=0), np.arange(count)]
-    sign = np.sign(largest) * (np.abs(largest) >= p.crossing_limit[1])
+    sign = np.sign(largest) * (np.abs(largest) > 2.0 * SAG_TOL + MIN_GAP)
     orders = []
     for q, end in ((run[0], -1.0), (run[-1], 1.0)):
         t = p.spans(np.arange(len(p.h)) == q, range(count)).subspan(end)
@@ -2064,8 +2076,8 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
                 errors.append((n[0] * to[1] - n[1] * to[0] + stem.radius).where(valid))
         return maximum(*errors)
 
-    loaded = on & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
-    yield prove("grip 1 min", 1.5, p.spans(loaded, [0], [body.name]), grip_ratio)
+    slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1) & ~body.has_lip_on(start)
+    yield prove("grip 1 min", 1.5, p.spans(on & slides, [0], [body.name]), grip_ratio)
     yield prove("equilibrium 1 max", 5e-3, p.spans(on, [0], [body.name]), residual)
     yield prove("grip wrap max", 3 * WRAP_TOL, p.spans(on, cables, p.cables), wrap_error)
     yield prove("grip wrap max", CONTACT_TOL, p.spans(on & p.active[b], [0], [body.name]), rotation)
