@@ -6,6 +6,7 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from scripted import flight_of, regular_hitch, resting_task
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
+from hitchopt.lab.simulation.contacts import ClaspContacts
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
 from hitchopt.lab.simulation.report import drawn_flight, flight_scene, summary
@@ -373,3 +375,27 @@ def test_objects_are_placed_up_to_the_tracking_errors_of_the_plan(
     assert box.well_placed is ("misplaced" not in kinds)
     for failure in outcome.failures:
         assert ("tracking errors" in failure.words) is (tracking is not None)
+
+
+@pytest.mark.parametrize(("links", "each"), [(2, 1), (-2, -1), (0, 0), (1, 0), (-1, 0)])
+def test_two_cables_share_their_linking_number_over_both_clasps(links: int, each: int) -> None:
+    """Clasps of opposite senses sum to 0, and those of which one is lost to 1."""
+    layout = ho.Team(robots=2, cable_length=2.4).layout
+    linking = np.array([[0, links], [links, 0]])
+    assert judgement.clasp_links(linking, layout).tolist() == [each, each]
+
+
+def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() -> None:
+    """Cable 0 begins at vertex 0 and ends at vertex 1, and cable 1 the other way round."""
+    team = ho.Team(robots=2, cable_length=2.4)
+    contact = SimpleNamespace(
+        flex=np.array([[0, 1], [1, 0], [0, 1], [0, -1]]),
+        elem=np.array([[2, 17], [17, 2], [17, 2], [2, 2]]),
+        efc_address=np.arange(4),
+    )
+    data = SimpleNamespace(contact=contact, efc_force=np.array([1.0, 2.0, 3.0, 4.0]))
+    world: Any = SimpleNamespace(data=data, cable_vertices=np.array([0, 21, 42]))
+    contacts, clasps, forces = ClaspContacts(world, team).now()
+    assert contacts.tolist() == [0, 1, 2]
+    assert clasps.tolist() == [0, 0, 1]
+    assert forces.tolist() == [1.0, 2.0, 3.0]

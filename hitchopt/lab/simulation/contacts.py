@@ -53,7 +53,7 @@ class ClaspContacts:
         ranks = np.arange(len(layout.clasps))
         self._clasp = np.full((team.robots, team.robots), -1)
         self._clasp[layout.behind, layout.ahead] = ranks
-        self._clasp[layout.ahead, layout.behind] = ranks
+        self._segments = np.diff(world.cable_vertices) - 1
         self._force, self._moment, self._count = np.zeros(len(ranks)), np.zeros((len(ranks), 3)), 0
 
     def now(self) -> tuple[Index, Index, Array]:
@@ -61,7 +61,11 @@ class ClaspContacts:
         data = self._world.data
         flexes, rows = data.contact.flex, data.contact.efc_address
         between = np.flatnonzero(np.all(flexes >= 0, axis=1) & (rows >= 0))
-        clasp = self._clasp[flexes[between, 0], flexes[between, 1]]
+        one, other = flexes[between].T
+        ahead, behind = self._clasp[one, other], self._clasp[other, one]
+        # Two cables that clasp twice: at the vertex at which the other one begins, or ends
+        first = data.contact.elem[between, 1] < 0.5 * self._segments[other]
+        clasp = np.where((ahead >= 0) & ((behind < 0) | first), ahead, behind)
         contacts = between[clasp >= 0]
         force = np.maximum(data.efc_force[rows[contacts]], 0.0)  # elliptic: the normal comes first
         return contacts, clasp[clasp >= 0], force

@@ -14,6 +14,7 @@ from hitchopt.errors import OneLine, Progress
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import Flight, fly, ground_of
@@ -164,7 +165,7 @@ class ClaspState:
     """State of one vertex at the end of a flight."""
 
     name: str  # p0, p1, …
-    linking: int  # Gauss's linking number of its two cables, ±1 for a clasp
+    linking: int  # Gauss's linking number of its two cables, over their clasps; ±1 for a clasp
     bearing: float  # contact force at rest [N]
     # its smallest value for a clasp [N]; cables that only cross may also be linked
     least_bearing: float
@@ -249,6 +250,18 @@ def judge(flight: Flight) -> Outcome:
     return Outcome(clasps, tuple(sorted(failures, key=lambda failure: failure.time)), objects)
 
 
+def clasp_links(links: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
+    """Return the linking number of each clasp (clasps,), ±1 if it holds.
+
+    ``links`` (n, n) are those of all cables. Clasps of the same two cables share theirs equally,
+    and have 0 if it does not divide.
+    """
+    pairs = np.sort(np.stack([layout.behind, layout.ahead], axis=-1))
+    same = np.all(pairs[:, None] == pairs, axis=-1)
+    shares, rest = np.divmod(links[layout.behind, layout.ahead], np.sum(same, axis=1))
+    return np.asarray(np.where(rest == 0, shares, 0))
+
+
 def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     """Return the state of every vertex at the end of the plan."""
     team, layout = flight.task.team, flight.task.team.layout
@@ -256,7 +269,7 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     legs_before, bearing = _means(flight, flight.rested)
     moved = np.max(np.abs(_means(flight, flight.pulled)[0] - legs_before), axis=-1)
     stays = (moved <= MAX_SLIP) | np.isnan(flight.pulled)  # both are nan without a pull test
-    linking, least = links[layout.behind, layout.ahead], least_bearing(flight.task)[-1]
+    linking, least = clasp_links(links, layout), least_bearing(flight.task)[-1]
     bears = (bearing >= least) & (least > 0.0)
     holds = (np.abs(linking) == 1) & bears & stays & (flight.error is None)
     names = [team.point_names[point] for point in layout.clasps]
@@ -431,7 +444,7 @@ def loss_outcome(flight: Flight) -> LossOutcome | None:
     end = record.drones[record.t > record.t[-1] - HANG_TIME][:, ~survivors, 2]
     layout, linked = team.layout, np.zeros(0, dtype=np.intp)
     if flight.linking is not None:
-        linked = layout.clasps[np.abs(flight.linking[layout.behind, layout.ahead]) == 1]
+        linked = layout.clasps[np.abs(clasp_links(flight.linking, layout)) == 1]
     return LossOutcome(
         loss.drone,
         loss.time,
