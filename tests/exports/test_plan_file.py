@@ -226,7 +226,8 @@ def test_requests_are_in_the_order_of_the_start(formed: Path) -> None:
     assert request["limits"].tilt == pytest.approx(np.radians(45.0))
 
 
-ARRAYS = ("format", "settings", *(GROUP + name for name in ("breaks", *CURVES)))
+STORED = [name for name in CURVES if name != "anchors"]  # which are stored for bent cables only
+ARRAYS = ("format", "settings", *(GROUP + name for name in ("breaks", *STORED)))
 
 SPANS = "e = a['breaks'][-1]; r['phases'] = [p | {'start': e * x, 'end': e * y} for x, y in %s]"
 
