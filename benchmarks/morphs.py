@@ -120,23 +120,21 @@ def _rival(
     limit: float,
 ) -> Measurements:
     rival = Rival(start.team, limits, separation, limit)
-    ends = [
-        ho.Hitch.nearest(
-            start.team,
-            goal.translated([STEP * k, 0.0]),
-            1.0,
-            start.fractions,
-            limits=limits,
-            separation=separation,
-        )
-        for k in range(4)
-    ]
+    ends = [_end(start, goal.translated([STEP * k, 0.0]), limits, separation) for k in range(4)]
     flight, first = timed(lambda: _attempt(rival, start, ends[0]))
     second = _least(lambda k: _attempt(rival, start, ends[k]), 3)
     if isinstance(flight, RivalError):
         return Measurements(first, second, remark=str(flight))
     remark = f"breaks speed or acceleration by {flight.excess:.1%}" if flight.excess > 0.0 else ""
     return Measurements(first, second, flight=flight.duration, remark=remark)
+
+
+def _end(
+    start: ho.Hitch, goal: ho.ConvexPolygon, limits: ho.Limits, separation: ho.Separation
+) -> ho.Hitch:
+    """Return the hitch on the goal with the nearest fractions."""
+    kept = start.fractions
+    return ho.Hitch.nearest(start.team, goal, 1.0, kept, limits=limits, separation=separation)
 
 
 def _attempt(rival: Rival, start: ho.Hitch, end: ho.Hitch) -> RivalFlight | RivalError:
@@ -192,8 +190,7 @@ def outcomes(seed: int, rivals: dict[int, Rival], limit: float) -> dict[str, Out
         flight, seconds = timed(partial(flight_of, optimize))
         results[kind] = Outcome(seconds, flight)
     if n <= MAX_RIVAL_ROBOTS and results["straight"].flight is not None:
-        kept = {"limits": ho.Limits(), "separation": separation}
-        end = ho.Hitch.nearest(start.team, goal, 1.0, start.fractions, **kept)
+        end = _end(start, goal, ho.Limits(), separation)
         if n not in rivals:
             rivals[n] = Rival(start.team, ho.Limits(), separation, limit)
             _attempt(rivals[n], start, end)
@@ -209,6 +206,7 @@ def measure_random(count: int, limit: float, table: Table) -> None:
     ratios = ("time / straight: p50", "p95", "worst", "flight / straight: p50", "least", "worst")
     table.section("Random polygons, second solves", *columns, *ratios)
     rivals = dict[int, Rival]()
+    outcomes(0, rivals, limit)  # first solves
     by_size: dict[int, list[dict[str, Outcome]]] = defaultdict(list)
     for seed in range(count):
         by_size[SIZES[0][0] + seed % COUNT_OF_SIZES].append(outcomes(seed, rivals, limit))
