@@ -46,7 +46,7 @@ def test_public_names_have_words_and_others_are_refused() -> None:
 
 
 HEAVY = ("casadi", "matplotlib", "toppra", "scipy", "ruamel.yaml")
-UNUSED = ("matplotlib", "osqp", "scipy.interpolate")
+UNUSED = ("matplotlib", "osqp", "scipy.interpolate", "scipy.spatial")
 PLANNED = f"""
 import sys, hitchopt as ho
 from hitchopt.cli import main

@@ -12,10 +12,9 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.spatial.distance import pdist
 
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE
@@ -34,10 +33,12 @@ from hitchopt.planners.forming.stages import (
     stage,
     straight_stages,
 )
-from hitchopt.planners.separation import SeparatedFlight, SeparationTask
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.planners.separation import SeparationTask
 
 PAIR_SEPARATION = 1.6
 """Separation [1] of a gathered robot's two drones."""
@@ -97,6 +98,8 @@ class Approach(ABC):
         ``drones`` (J, 2n, 3) [m] determine the usable accelerations; ``bodies`` are the names and
         tethers of bodies.
         """
+        from hitchopt.planners.separation import SeparationTask
+
         limits = self.requirements.limits
         accelerations = usable_accelerations(self.team, limits, drones)
         accelerations = accelerations.reshape(len(start), -1).min(axis=1)
@@ -107,6 +110,13 @@ class Approach(ABC):
             self.requirements, limits=replace(limits, **rates), separation=separation
         )
         return SeparationTask(start, goal, requirements, acceleration=accelerations, **bodies)
+
+
+def separated(task: SeparationTask) -> PiecewisePolynomial:
+    """Return the flight of bodies; the planner and scipy's matrices are imported here."""
+    from hitchopt.planners.separation import SeparatedFlight
+
+    return SeparatedFlight(task).solve().drones
 
 
 class DirectApproach(Approach):
@@ -131,7 +141,7 @@ class DirectApproach(Approach):
         if np.max(np.abs(goal - start)) < MIN_FLIGHT:
             pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*rise, self._stage("approach", pause)]
-        drones = SeparatedFlight(self.problem).solve().drones
+        drones = separated(self.problem)
         at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
         lowest = min(
             float(np.min(lowest_points(self.team, x, requirements))) for x in drones.at(at)
@@ -159,6 +169,8 @@ class GatheredApproach(Approach):
     @cached_property
     def problem(self) -> SeparationTask:
         """The flight of the discs' centres, (n, 3) [m]."""
+        from scipy.spatial.distance import pdist
+
         separation, (halfway, last) = self.requirements.separation, self._headings
         radius, height = separation.radius, float(np.max(self.team.cable_length))
         discs = replace(separation, radius=(1.0 + PAIR_SEPARATION) * radius, height=height)
@@ -179,7 +191,7 @@ class GatheredApproach(Approach):
         gathered, turned = (self._pairs(task.start, heading) for heading in (halfway, last))
         over_goal = self.goal.copy()
         over_goal[:, 2] = np.maximum(over_goal[:, 2], task.goal[0, 2])
-        flight = SeparatedFlight(task).solve().drones
+        flight = separated(task)
         centres = np.moveaxis(flight.coefficients, -1, 1)
         drones = np.moveaxis(self._pairs(centres, last), 1, -1)
         return [

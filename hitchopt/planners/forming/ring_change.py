@@ -34,7 +34,7 @@ from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.chapters import WaitingRobot, with_waiting
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.retiming import append_motion, padded, resting
-from hitchopt.planners.forming.approach import DirectApproach
+from hitchopt.planners.forming.approach import DirectApproach, separated
 from hitchopt.planners.forming.laying import (
     SHARES,
     TENSION_SECONDS,
@@ -54,7 +54,6 @@ from hitchopt.planners.forming.stages import (
     straight_stages,
 )
 from hitchopt.planners.morph.path import shapes_along
-from hitchopt.planners.separation import SeparatedFlight
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -622,7 +621,7 @@ class RingChangeMotions:
             task = DirectApproach(team, level, goal, *context).problem
             prisms = (*task.requirements.keep_out, *starmap(self._prism, self.waiting.items()))
             own = replace(task.requirements, arena=self._clear_arena(goal), keep_out=prisms)
-            flight = SeparatedFlight(replace(task, requirements=own)).solve().drones
+            flight = separated(replace(task, requirements=own))
             motions.append(stage("approach", flight, team, *context))
         return [self._with_ring(each) for each in motions]
 
