@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, UnsupportedError
 from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
@@ -90,7 +90,8 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     Raises
     ------
     InputError: invalid or duplicate names.
-    UnsupportedError: several groups, one with a ring that changes.
+    UnsupportedError: several groups, one with a ring that changes, or with cables that are tied
+        around an object.
     """
     names = [each.name for each in (*groups, *others)]
     for index, name in enumerate(names):
@@ -102,6 +103,10 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
             raise InputError("teams", name, bound, "rename it")
     for each in (*(groups if len(groups) > 1 else ()), *others):
         each.motion.require_one_team("a plan of several teams", others=False)
+    flying = (*groups, *others)
+    if len(flying) > 1 and any(each.motion.has_bent_cables for each in flying):
+        message = "cables that bend around an object on their own keep no distances to other teams"
+        raise UnsupportedError(f"{message}; plan the team that ties them in a file without others")
     begin = min(float(each.motion.drones.breaks[0]) for each in groups)
     end = max(float(each.motion.drones.breaks[-1]) for each in groups)
     groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)

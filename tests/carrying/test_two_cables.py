@@ -14,7 +14,8 @@ import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.motion.motion import CURVES, CableState, Motion, concatenated
+from hitchopt.motion.combined import combined
+from hitchopt.motion.motion import CURVES, CableState, Group, Motion, concatenated
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.straddle import OPEN
@@ -324,10 +325,16 @@ def test_lip_on_the_cables_needs_no_friction(change: dict[str, Any] | None) -> N
     assert "grip" in violated(lipped().replaced(requirements=requirements))
 
 
-def test_second_opinion_refuses_what_it_does_not_know(tmp_path: Any) -> None:
+@pytest.mark.slow
+def test_second_opinion_proves_it(tmp_path: Any) -> None:
     cycle().save(tmp_path / "plan", picture=False)
-    with pytest.raises(second.UnreadableError, match="too few robots"):
-        list(second.verify(tmp_path / "plan"))
+    assert {row.verdict for row in second.verify(tmp_path / "plan")} == {"proven"}
+
+
+def test_other_teams_are_refused_while_cables_are_tied() -> None:
+    alone = Group("", tied())
+    with pytest.raises(ho.UnsupportedError, match="no distances to other teams"):
+        combined([alone], [Group("other", cycle().motion)])
 
 
 @pytest.mark.slow
