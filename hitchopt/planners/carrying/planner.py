@@ -220,6 +220,8 @@ class MovePlanner:
         """
         motion, moves = self._passage((self.state.tension, after), (1.0, 0.0), name)
         hold, layout, body = self.hold, self.hold.team.layout, self.body
+        if hold.team.robots == 2:  # whose clasps are untied before they leave
+            return motion
         last = [move for move in moves if move.closure[0] > move.closure[1]][-1]
         end = hold.curves(last, np.array([last.law.duration]))
         legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
