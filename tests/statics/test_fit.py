@@ -177,7 +177,8 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"robots": 2}, "robots = 2"),
+        ({"robots": 1}, "robots = 1"),
+        ({"robots": 2}, "robots = 2: must be at least 3.*enclose.*solve.*transport_object"),
         ({"tension": -1.0}, "tension = -1"),
         ({"clearance": -0.1}, "clearance = -0.1"),
         ({"outline": [[0, 0], [1, 1], [2, 2]]}, "outline"),

@@ -141,7 +141,7 @@ def fit(
     ----------
     outline: points (m, 2) [m], a circle's radius [m], a ``Section``, a geometry of shapely, or the
         path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
-    robots: number n of robots.
+    robots: number n of robots, at least 3: cables of two enclose no polygon.
     clearance: distance of cables to the object while it is enclosed [m].
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
@@ -155,6 +155,9 @@ def fit(
     InputError: a number out of its range, or an invalid outline.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
+    if robots == 2:
+        remedy = "give 3 or more; two tie around the object: solve a problem with transport_object"
+        raise InputError("robots", 2, "at least 3, whose cables enclose a polygon", remedy)
     integer("robots", robots, 3, MAX_ROBOTS)
     (kind,) = kinds_of(quadrotor, 1, "object")
     stated = Requirements(limits or Limits(), separation or Separation())
