@@ -331,6 +331,25 @@ def test_second_opinion_proves_it(tmp_path: Any) -> None:
     assert {row.verdict for row in second.verify(tmp_path / "plan")} == {"proven"}
 
 
+def prism(sides: int, radius: float) -> dict[str, Any]:
+    """The drum with a regular section of that many sides, of a circumradius [m]."""
+    angles = 2.0 * np.pi * np.arange(sides) / sides
+    points = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    return {**{k: v for k, v in DRUM.items() if k != "circle"}, "outline": points.tolist()}
+
+
+@pytest.mark.parametrize("sides", [8, pytest.param(10, marks=pytest.mark.slow)])
+def test_cables_are_level_as_they_leave_a_side(sides: int) -> None:
+    """Pitched edges would jump in height where they begin to turn about another corner."""
+    plan = ho.solve(problem([TIE], prism(sides, 0.12)))
+    assert plan.certificate["continuity"].worst < 1e-6
+
+
+def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"continuity.*deg.*longer cables.*circle"):
+        ho.solve(problem([TIE], prism(10, 0.3)))
+
+
 def test_other_teams_are_refused_while_cables_are_tied() -> None:
     alone = Group("", tied())
     with pytest.raises(ho.UnsupportedError, match="no distances to other teams"):

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
@@ -89,6 +89,9 @@ SAMPLES, FINE_SAMPLES = 21, 121
 MIN_BEND, PITCHED_SHARE = 1e-3, 0.6
 """Smallest distance of bends at which drones rest, and bend up to which cables are pitched, over
 that at which drones pass each other."""
+
+UNFIT = -1e3
+"""Margin of candidates that no plan can use."""
 
 ITERATIONS = 8
 """Fixed-point steps of the length of edges, whose sag changes as they bend."""
@@ -191,6 +194,16 @@ class Straddle:
         reaches = length(self._laid["drones"].reshape(-1, 2, 3)[..., :2] - polygon.mean(axis=0))
         passing = np.arctan2(widths[:, None], reaches) / self.turns
         return float(np.clip(PITCHED_SHARE * np.min(passing), 10.0 * MIN_BEND, 0.5))
+
+    @property
+    def _level(self) -> float:
+        """Bend of the last event before cables are pitched: those along sides are level."""
+        return max(x for x in self.events if x < self._pitched - MIN_BEND)
+
+    @property
+    def sides_passed(self) -> list[float]:
+        """Bends of events at which cables are pitched, and edges would leave the next side."""
+        return [x for x in self.events[1:-1] if x >= self._pitched - MIN_BEND]
 
     def curves(self, change: PlaceChange, t: Array) -> dict[str, Array]:
         """Return all curves of a change of the place at times t (…) [s], in the world."""
@@ -316,11 +329,11 @@ class Straddle:
     def ready(self) -> Place:
         """The place of straight cables that are going to touch the object.
 
-        They are pitched already, unless they touch it along a side.
+        They are pitched already, unless they touch a side then or later.
         """
         corners = self._corners(0.0)
-        is_flat = bool(np.any(corners[:, 0] != corners[:, 1]))
-        return self.first if is_flat else self.first._replace(pitch=self.pitch)
+        is_level = bool(np.any(corners[:, 0] != corners[:, 1])) or self._level > 0.0
+        return self.first if is_level else self.first._replace(pitch=self.pitch)
 
     @property
     def touching(self) -> Place:
@@ -336,8 +349,8 @@ class Straddle:
     def bent(self) -> list[Place]:
         """Places of cables that touch the object, from straight ones on, where drones rest."""
         bends = sorted({*self.events, self._pitched})
-        start = self.ready.pitch
-        rises = [min(x / self._pitched, 1.0) for x in bends]
+        start, level = self.ready.pitch, self._level
+        rises = [float(np.clip((x - level) / (self._pitched - level), 0.0, 1.0)) for x in bends]
         pitches = [start + (self.pitch - start) * rise for rise in rises]
         return [Place(x, 0.0, pitch, 0.0) for x, pitch in zip(bends, pitches, strict=True)]
 
@@ -504,7 +517,8 @@ def find_straddle(
 
     Clasps are tied so far from the object that drones which turn about each other keep off the
     ground, and are drawn to those of ``hold`` then. ``drones`` (2n, 3) [m] are those before, with
-    hanging cables.
+    hanging cables. InfeasibleError: pitched cables would meet sides of the object, wherever clasps
+    are tied.
     """
     centre, team, separation = np.mean(hold.polygon, axis=0), hold.team, requirements.separation
     spans, off = _longest_spans(team, requirements), requirements.position_error
@@ -535,8 +549,24 @@ def find_straddle(
             if margin < 0.0:
                 yield margin - 1.0, rolled
                 continue
+            if rolled.sides_passed:
+                yield UNFIT, rolled
+                continue
             for pitch in PITCHES:
                 straddle = replace(rolled, pitch=float(pitch))
                 yield min(margin, straddle.path_margin(requirements)), straddle
 
-    return best(candidates(), 0.0)
+    found = best(candidates(), 0.0)
+    if found.sides_passed:
+        raise InfeasibleError([_met_sides(found)])
+    return found
+
+
+def _met_sides(straddle: Straddle) -> Violation:
+    """Return the violation of pitched cables that meet the sides of an object."""
+    largest = math.degrees(float(np.max(straddle.turns)))
+    pitched = max(straddle.sides_passed) * largest
+    remedy = "use longer cables, which are tied farther out, or enclose the outline in a circle"
+    when = "where cables cross beyond the object and meet another of its sides as they bend"
+    limit = straddle._pitched * largest
+    return Violation("continuity", pitched, limit, "max", "deg", (), when, remedy)
