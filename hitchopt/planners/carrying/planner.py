@@ -38,6 +38,9 @@ CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing")
 LOAD_LAW = SmoothLaw(0.75)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
+MIN_PATH = 1e-6
+"""[m] Length of paths up to which clasps do not move."""
+
 MAX_SLOWINGS, SLOWING_FACTOR = 5, 1.5
 """Maximum number of slowings of a move, and factor of a slowing if the required one is unknown."""
 
@@ -299,7 +302,9 @@ class MovePlanner:
             yield self.move(LOAD_LAW, closure=(start, start), friction_share=(0.0, share))
         closures = np.unique([start, *hold.events, end])
         for one, other in pairwise((closures if start < end else closures[::-1]).tolist()):
-            law = self._slow_law(hold.travel * abs(other - one))
+            path = hold.travel * abs(other - one)
+            # Clasps that are tied where they grip do not move, but their drones may
+            law = self._slow_law(path) if path > MIN_PATH else LOAD_LAW
             move = self.move(law, closure=(one, other), friction_share=(share, share))
             yield self.within_limits(move)
         if share:
