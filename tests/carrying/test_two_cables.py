@@ -342,7 +342,19 @@ def prism(sides: int, radius: float) -> dict[str, Any]:
 def test_cables_are_level_as_they_leave_a_side(sides: int) -> None:
     """Pitched edges would jump in height where they begin to turn about another corner."""
     plan = ho.solve(problem([TIE], prism(sides, 0.12)))
-    assert plan.certificate["continuity"].worst < 1e-6
+    assert plan.certificate["continuity"].bound < 1e-6
+
+
+def test_thin_light_post_is_tied_where_cables_balance_each_for_itself() -> None:
+    """Drones pass each other near it with legs of similar lengths only where it is tied far out."""
+    assert ho.solve(problem([TIE], {**DRUM, "circle": 0.05, "mass": 0.04})).certificate.certified
+
+
+def test_clasps_that_are_tied_in_place_need_no_time_to_be_drawn() -> None:
+    post = {**DRUM, "circle": 0.06, "to": 2.5, "mass": 5.0}
+    phases = ho.solve(problem([{"tie": {"around": "drum", "at": 1.2}}], post)).motion.phases
+    (drawn,) = (phase for phase in phases if phase.name == "draw")
+    assert drawn.end - drawn.start < 2.0
 
 
 def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:

@@ -21,6 +21,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
+from hitchopt.checks import Check
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
@@ -33,7 +34,7 @@ from hitchopt.motion.motion import CableState, Motion, Phase, PhaseHold, concate
 from hitchopt.objects.placing import in_world, poses_of
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
-from hitchopt.planners.carrying.planner import MovePlanner
+from hitchopt.planners.carrying.planner import MovePlanner, first_violated
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO, MIN_SEPARATION
 from hitchopt.planners.forming.stages import (
     SMOOTH,
@@ -405,6 +406,14 @@ class Straddle:
             lowest / (MIN_HEIGHT + off) - 1.0,
         )
 
+    def unbalanced(self, requirements: Requirements) -> Check | None:
+        """Return the check that cables violate that lie on one another, each for itself; or None.
+
+        One cable of a clasp bears the other if their legs are of very different lengths.
+        """
+        change, phase = PlaceChange(self.laid, self.laid, SmoothLaw(0.5)), Phase("lay", 0, 0.0, 1.0)
+        return first_violated(self._whole(change, requirements, phase), ["equilibrium"])
+
     @property
     def drones_taut(self) -> Array:
         """(2n, 3) [m]: drones of straight cables beside the object."""
@@ -552,6 +561,9 @@ def find_straddle(
             if rolled.sides_passed:
                 yield UNFIT, rolled
                 continue
+            if rolled.unbalanced(requirements):
+                yield UNFIT, rolled
+                continue
             for pitch in PITCHES:
                 straddle = replace(rolled, pitch=float(pitch))
                 yield min(margin, straddle.path_margin(requirements)), straddle
@@ -559,6 +571,10 @@ def find_straddle(
     found = best(candidates(), 0.0)
     if found.sides_passed:
         raise InfeasibleError([_met_sides(found)])
+    unbalanced = found.unbalanced(requirements)
+    if unbalanced:
+        remedy = "raise the tension of tie, or use lighter cables or other lengths of them"
+        raise InfeasibleError([unbalanced.violation("as cables lie on one another", remedy)])
     return found
 
 
