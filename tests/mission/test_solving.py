@@ -165,7 +165,8 @@ def test_ties_are_settled_by_a_rule(name: str) -> None:
     changed = {key: noisy(data[key], rng) for key in ("start", "goal") if key in data}
     plan, before = ho.solve(any_problem_from_dict({**data, **changed})), planned(name)
     assert plan.duration == pytest.approx(before.duration, rel=1e-6)
-    np.testing.assert_allclose(places(plan), places(before), atol=1e-5)
+    # Programs of single drones are solved to 1e-3; another choice would be decimetres away.
+    np.testing.assert_allclose(places(plan), places(before), atol=1e-3)
 
 
 def test_the_published_scripts_case() -> None:
