@@ -105,12 +105,9 @@ def check_same(
 
     Numbers are equal within TOLERANCE, and within ``slack`` where keys begin so.
     """
-    if isinstance(request, dict) and isinstance(value, dict):  # most are exactly equal
-        absent = object()
-        different = [
-            key for key in request | value if request.get(key, absent) != value.get(key, absent)
-        ]
-        request, value = ({k: x[k] for k in different if k in x} for x in (request, value))
+    if isinstance(request, dict) and isinstance(value, dict):  # most records are exactly equal
+        same = {k for k, x in request.items() if is_dataclass(x) and x == value.get(k)}
+        request, value = ({k: x[k] for k in x if k not in same} for x in (request, value))
     requested, actual = (dict(_leaves(prefix, encoded(each))) for each in (request, value))
     for key in requested | actual:
         allowed = max([by for name, by in (slack or {}).items() if key.startswith(name)] or [0.0])
