@@ -48,7 +48,7 @@ from hitchopt.steps.step import (
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, bounded_points
+from hitchopt.values import Array, as_array, bounded_points
 from hitchopt.values.fields import FLAGS, Key, either, list_of, mapping_of, points
 from hitchopt.values.units import DURATION, SPEED, TENSION
 
@@ -453,7 +453,7 @@ _PLACES = points((None, 2), "x, y")
 def _vertex_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or places (J, 2); or raise InputError."""
     rows = value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(rows, list | tuple) and rows and np.shape(rows[0]) == (2,):
+    if isinstance(rows, list | tuple) and rows and as_array(rows[0]).shape == (2,):
         places: Array = _PLACES.check(key, value)
         if np.min(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=np.inf) < MIN_STRETCH:
             bound = f"points [x, y] at least {MIN_STRETCH:g} m apart"

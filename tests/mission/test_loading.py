@@ -417,6 +417,7 @@ def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None
         ({"path": [[3.0, 2.0, 0.3]], "speed": None}, ""),
         ({"path": [[2.0, 0.3]]}, "mission[0].follow_vertex.path = [[2.0, 0.3]]: must be points"),
         ({"path": [[2.0, 0.3], [1.0, 2.0, 0.4]], "speed": 0.1}, "follow_vertex.path[1] = "),
+        ({"path": [[[], 0.3, 0.4], [1.0, 2.0, 0.4]]}, "follow_vertex.path[0][0] = []"),
         ({"path": [[2.0, 0.3]], "speed": 0.0}, "follow_vertex.speed = 0"),
     ],
 )
