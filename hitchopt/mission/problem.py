@@ -139,13 +139,15 @@ class _ObjectStage:
         if name and name not in objects:
             bound = f"one of objects: {', '.join(objects) or 'there are none'}"
             remedy = closest_word(name, [*objects], "add it to objects")
-            raise InputError("object", name, bound, remedy)
+            key = "around" if isinstance(step, Tie) else "object"
+            raise InputError(key, name, bound, remedy)
         if step.stages is None:
             return self
         begin, end = step.stages
         if self.stage is not begin:
             kinds = "enclose, grasp, lift, carry, set_down, loosen and leave"
-            remedy = f"{kinds} an object, in this order"
+            remedy = f"{kinds} an object, in this order; two robots tie, lift, carry, "
+            remedy += "set_down and untie"
             current, required = str(self.stage), str(begin)
             if Stage.OPEN in (self.stage, begin):
                 remedy, closed = "open_vertex, then hold or close_vertex", "no open vertex"

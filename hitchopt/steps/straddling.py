@@ -80,6 +80,15 @@ def check_hinge(planner: MovePlanner) -> None:
     raise InfeasibleError([Violation("hinge", value, limit, "min", "m", (name,), when, remedy)])
 
 
+def _check_two(team: Team, remedy: str) -> None:
+    """Raise InputError with a remedy for a team of other than two robots."""
+    where = "where cables are tied around an object"
+    if team.robots != 2:
+        raise InputError("robots", team.robots, f"2 {where}", remedy)
+    if not team.layout.closed:
+        raise InputError("topology", team.topology, f"closed {where}", "leave team.topology out")
+
+
 @dataclass(frozen=True)
 class Tie(Step):
     """Two cables are laid past both sides of an object, tied beyond it, and drawn.
@@ -108,10 +117,7 @@ class Tie(Step):
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team of other than two robots."""
-        if team.robots != 2 or not team.layout.closed:
-            bound = "2 where cables are tied around an object"
-            remedy = "form a hitch, and enclose and grasp the object"
-            raise InputError("robots", team.robots, bound, remedy)
+        _check_two(team, "form a hitch, and enclose and grasp the object")
         return super().resolved_for(team)
 
     def tension_for(self, team: Team) -> Array:
@@ -223,6 +229,11 @@ class Untie(Step):
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.FREE)
     duration: Seconds = None
+
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step, or raise InputError for a team of other than two robots."""
+        _check_two(team, "loosen and leave the object, and release the hitch")
+        return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to hanging cables."""

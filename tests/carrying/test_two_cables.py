@@ -383,7 +383,8 @@ def test_hinge_of_a_plan_is_certified() -> None:
         ({"release": {}}, "two robots"),
         ({"enclose": {"object": "drum"}}, "two robots"),
         ({"tie": {"around": "drum", "at": 0.39}}, "0.38"),
-        ({"tie": {"around": "drun"}}, "drum"),
+        ({"tie": {"around": "drun"}}, r"tie\.around = .*drum"),
+        ({"untie": {}}, "no object.* tie, lift"),
     ],
 )
 def test_steps_that_do_not_fit_are_refused(step: dict[str, Any], message: str) -> None:
@@ -391,9 +392,21 @@ def test_steps_that_do_not_fit_are_refused(step: dict[str, Any], message: str) -
         ho.solve(problem([step]))
 
 
-def test_three_robots_do_not_tie() -> None:
-    with pytest.raises(ho.InputError, match="robots"):
-        problem([TIE], robots=3)
+@pytest.mark.parametrize("step", [TIE, {"untie": {}}])
+def test_three_robots_neither_tie_nor_untie(step: dict[str, Any]) -> None:
+    """Whatever way they hold an object."""
+    tray = {**DRUM, "rim": {"circle": 0.3, "at": 0.25}}
+    team = {"robots": 3, "cable_length": 2.2, "cable_density": 0.01, "tension": 1.0}
+    outline = [[0.4, 0.0], [-0.2, -0.35], [-0.2, 0.35]]
+    before = [{"enclose": {"object": "drum"}}, {"grasp": {"object": "drum"}}]
+    stated = {
+        "team": team,
+        "objects": {"drum": tray | {"at": [1.2, 0, 0]}},
+        "start": {"hitch": {"polygon": outline, "altitude": 1.0}},
+        "mission": [*before, step] if "untie" in step else [step],
+    }
+    with pytest.raises(ho.InputError, match=r"(tie|untie)\.robots = 3: must be 2"):
+        ho.solve(ho.problem_from_dict(stated))
 
 
 def test_wrong_piece_of_a_concatenation_is_noticed() -> None:

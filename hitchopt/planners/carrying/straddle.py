@@ -558,10 +558,7 @@ def find_straddle(
             if margin < 0.0:
                 yield margin - 1.0, rolled
                 continue
-            if rolled.sides_passed:
-                yield UNFIT, rolled
-                continue
-            if rolled.unbalanced(requirements):
+            if rolled.sides_passed or rolled.unbalanced(requirements):
                 yield UNFIT, rolled
                 continue
             for pitch in PITCHES:

@@ -51,7 +51,7 @@ NODES, WEIGHTS = leggauss(SAMPLES)
 """Gauss nodes in [-1, 1] of the samples in a piece, and their weights."""
 
 TIME_NODES, TIME_WEIGHTS = leggauss(8)
-"""The same of the integrals of time over pieces."""
+"""Gauss nodes and weights of the integrals of time over pieces."""
 
 
 def _inside(knots: Array, nodes: Array) -> Array:
