@@ -302,34 +302,24 @@ def hanging_forces(team: Team, drones: Array) -> Array:
     return forces
 
 
-def cable_forces(
-    team: Team,
-    drones: Array,
-    vertices: Array,
-    pulls: Array,
-    taut: Array,
-    *,
-    per_drone: bool = False,
-) -> Array:
+def cable_forces(team: Team, drones: Array, points: Array, pulls: Array, taut: Array) -> Array:
     """Return the forces (…, 2n, 3) [N] of cables on drones, from hanging (taut = 0) to taut (1).
 
-    A leg pulls its drone toward the vertex with ``chord_pull`` (without a leg, at a chain's end,
-    the edge pulls along itself) and puts half of its weight on the drone; the clasps carry the
-    rest. While tensions rise from 0, the share ``taut`` of all weights, including loads, moves from
-    hanging to taut cables: the ratio of weights to tensions and the directions of legs stay
-    constant, and no force jumps.
+    A leg pulls its drone toward its point, the vertex, with ``chord_pull`` (without a leg, at a
+    chain's end, the edge pulls toward the next vertex) and puts half of its weight on the drone;
+    the clasps carry the rest. While tensions rise from 0, the share ``taut`` of all weights,
+    including loads, moves from hanging to taut cables: the ratio of weights to tensions and the
+    directions of legs stay constant, and no force jumps.
 
     Parameters
     ----------
-    drones, vertices: (…, 2n, 3), (…, points, 3) [m]
+    drones, points: (…, 2n, 3) [m], drones and the points toward which they are pulled.
     pulls: (…, 2n) [N], tensions of the legs at their clasps; 0 while there is no hitch.
     taut: (…, n), from 0 to 1.
-    per_drone: whether ``vertices`` are instead the points (…, 2n, 3) [m] toward which drones are
-        pulled.
     """
     if not team.has_cables:
         return np.zeros(drones.shape)
-    spans = drones - (vertices if per_drone else vertices[..., team.layout.pulled_to, :])
+    spans = drones - points
     share, along = np.repeat(taut, 2, axis=-1), pulls
     half = 0.5 * GRAVITY * team.cable_density * share
     if team.cable_density > 0.0:
@@ -344,19 +334,14 @@ def cable_forces(
     return forces
 
 
-def cable_force_rates(
-    team: Team, values: tuple[Array, ...], rates: tuple[Array, ...], *, per_drone: bool = False
-) -> Array:
+def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array, ...]) -> Array:
     """Return the time derivatives (…, 2n, 3) [N/s] of ``cable_forces`` by central differences.
 
-    ``values`` are its arguments drones, vertices, pulls and taut, ``rates`` their time derivatives;
-    ``per_drone`` is as there.
+    ``values`` are its arguments drones, points, pulls and taut, ``rates`` their time derivatives.
     """
     step = 1e-5  # [s]; at 1 m/s a leg of 0.1 m turns by 1e-4: the relative error is 1e-9
     later, earlier = (
-        cable_forces(
-            team, *(v + sign * r for v, r in zip(values, rates, strict=True)), per_drone=per_drone
-        )
+        cable_forces(team, *(v + sign * r for v, r in zip(values, rates, strict=True)))
         for sign in (step, -step)
     )
     return (later - earlier) / (2.0 * step)

@@ -351,4 +351,5 @@ class Hitch(ByValue):
     def cable_forces(self) -> Array:
         """(2n, 3) [N]: force of the taut cable on each drone."""
         pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
-        return cable_forces(self.team, self.drones, self.vertices, pulls, taut)
+        points = self.vertices[self.team.layout.pulled_to]
+        return cable_forces(self.team, self.drones, points, pulls, taut)

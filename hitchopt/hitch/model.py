@@ -159,7 +159,7 @@ class DroneJets:
     def cable_forces(self) -> Array:
         """(J, 2n, 3) [N]: forces of cables on drones."""
         pulls, taut = self.flat.tensions[..., 0].repeat(2, axis=1), np.ones(self.team.robots)
-        points = self.flat.vertices[..., 0]
+        points = self.flat.vertices[..., 0][:, self.team.layout.pulled_to]
         return cable_forces(self.team, self.positions[..., 0], points, pulls, taut)
 
     @property

@@ -346,11 +346,10 @@ class Motion(OneLine):
 
     @property
     def pull_points(self) -> PiecewisePolynomial:
-        """Points toward which cables pull drones, as ``cable_forces`` takes them.
-
-        They are the vertices, or all inner ends of legs (2n, 3) [m] if cables bend on their own.
-        """
-        return self.anchors.reshaped(-1, 3) if self.has_bent_cables else self.vertices
+        """(2n, 3) [m] Points toward which cables pull drones: vertices, or ends of bent cables."""
+        if self.has_bent_cables:
+            return self.anchors.reshaped(-1, 3)
+        return self.vertices.replaced(self.vertices.coefficients[:, self.team.layout.pulled_to])
 
     @classmethod
     def single(

@@ -248,7 +248,7 @@ def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[St
             yield block
         return
     pulls, taut = map(motion.drones.replaced, (leg_tensions(motion), tautness(motion)))
-    parts, bent = (motion.drones, motion.pull_points, pulls, taut), motion.has_bent_cables
+    parts = motion.drones, motion.pull_points, pulls, taut
     velocities = motion.vertices.differentiated()
     rates, inner = [part.differentiated() for part in parts], motion.drones.breaks[1:-1]
     second, third = (motion.drones.differentiated(order) for order in (2, 3))
@@ -263,10 +263,10 @@ def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[St
             velocities=slopes[0],
             accelerations=second.at(plan_times),
             jerks=third.at(plan_times),
-            cable_forces=cable_forces(motion.team, *values, per_drone=bent),
-            cable_force_rates=cable_force_rates(motion.team, values, slopes, per_drone=bent),
-            vertices=motion.vertices.at(plan_times) if bent else values[1],
-            vertex_velocities=velocities.at(plan_times) if bent else slopes[1],
+            cable_forces=cable_forces(motion.team, *values),
+            cable_force_rates=cable_force_rates(motion.team, values, slopes),
+            vertices=motion.vertices.at(plan_times),
+            vertex_velocities=velocities.at(plan_times),
             legs=motion.legs.at(plan_times),
             tensions=motion.tensions.at(plan_times),
             object_poses=motion.poses.at(plan_times),

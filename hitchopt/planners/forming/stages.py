@@ -76,7 +76,7 @@ def stage(
         return motion
     pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
     forces = (PiecewisePolynomial(drones.breaks, c) for c in (pulls, tautness(motion)))
-    factor = turning_stretch(team, limit, (drones, motion.vertices, *forces))
+    factor = turning_stretch(team, limit, (drones, motion.pull_points, *forces))
     return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 

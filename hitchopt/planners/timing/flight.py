@@ -227,11 +227,11 @@ def needed_stretch(motion: Motion) -> float:
     which are close to it on a short span of time.
     """
     team, limits = motion.team, motion.requirements.limits
-    drones, pulls, bent = motion.drones, motion.pulls, motion.has_bent_cables
-    vertices = motion.pull_points
+    drones, points, pulls = motion.drones, motion.pull_points, motion.pulls
+    clasps = points if motion.has_bent_cables else motion.vertices
     factor, vertex_speed = 1e-12, np.zeros(0)
     rates = (limits.speed, limits.acceleration, limits.jerk)
-    bounds = [(vertices, 1, limits.vertex_speed)]
+    bounds = [(clasps, 1, limits.vertex_speed)]
     bounds += [(drones, order, limit) for order, limit in enumerate(rates, 1)]
     for chunk in _chunks(team, np.arange(drones.pieces)):
         for part, order, limit in bounds:
@@ -242,15 +242,13 @@ def needed_stretch(motion: Motion) -> float:
         jets = np.stack([_on_spans(drones, chunk, order) for order in range(4)], axis=-1)
         forces = np.zeros(jets.shape[:-1])
         if team.has_cables:
-            points, values = (_on_spans(part, chunk) for part in (vertices, pulls))
-            taut_shares = np.ones(team.robots)
-            forces = cable_forces(team, jets[..., 0], points, values, taut_shares, per_drone=bent)
+            ends, values = (_on_spans(part, chunk) for part in (points, pulls))
+            forces = cable_forces(team, jets[..., 0], ends, values, np.ones(team.robots))
         loads = loads_at_rest(team, forces)
         demands = Demands(jets, vertex_speed, loads, team, limits, FINAL_SHARE)
         factor = max(factor, float(np.max(demands.stretches())))
     taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
-    curves = drones, vertices, pulls, taut
-    return turning_stretch(team, limits.body_rate, curves, factor, per_drone=bent)
+    return turning_stretch(team, limits.body_rate, (drones, points, pulls, taut), factor)
 
 
 def _force_stretches(motion: Motion) -> Array:
@@ -263,8 +261,7 @@ def _force_stretches(motion: Motion) -> Array:
     if team.has_cables:
         curves = (part.coefficients for part in (drones, motion.pull_points, motion.pulls))
         places, points, pulls = (np.concatenate([c[..., 0], c[-1:, ..., -1]]) for c in curves)
-        taut, bent = np.ones((len(forces), team.robots)), motion.has_bent_cables
-        forces = cable_forces(team, places, points, pulls, taut, per_drone=bent)
+        forces = cable_forces(team, places, points, pulls, np.ones((len(forces), team.robots)))
     spare = np.maximum(spare_accelerations(team, limits, loads_at_rest(team, forces)), 1e-9)
     c = bernstein.differentiate(bernstein.differentiate(drones.coefficients))
     rates = column_lengths(c).max(axis=-1) / drones.durations[:, None] ** 2
@@ -273,12 +270,7 @@ def _force_stretches(motion: Motion) -> Array:
 
 
 def turning_stretch(
-    team: Team,
-    limit: float | None,
-    curves: Sequence[PiecewisePolynomial],
-    smallest: float = 1.0,
-    *,
-    per_drone: bool = False,
+    team: Team, limit: float | None, curves: Sequence[PiecewisePolynomial], smallest: float = 1.0
 ) -> float:
     """Return the stretch in time, at least ``smallest``, with which body rates keep their limit.
 
@@ -289,16 +281,14 @@ def turning_stretch(
     Parameters
     ----------
     limit: of the body rate [rad/s]; None for no limit.
-    curves: drones (2n, 3) [m], vertices (points, 3) [m], pulls (2n,) [N] and tautness (n,), the
+    curves: drones (2n, 3) [m], their points (2n, 3) [m], pulls (2n,) [N] and tautness (n,), the
         arguments of ``cable_forces``, on common breaks; for single drones only the first.
-    per_drone: as for ``cable_forces``.
     """
     if limit is None:
         return smallest
     factor, pieces = smallest, np.arange(curves[0].pieces)
     while math.isfinite(factor):
-        chunks = _chunks(team, pieces)
-        rate = max(_turning_rate(team, curves, x, factor, per_drone=per_drone) for x in chunks)
+        rate = max(_turning_rate(team, curves, chunk, factor) for chunk in _chunks(team, pieces))
         if rate <= LIMIT_SHARE * limit:
             break
         step = (1.0 + STRETCH_TOLERANCE) * (rate / (LIMIT_SHARE * limit)) ** (1.0 / 3.0)
@@ -307,20 +297,15 @@ def turning_stretch(
 
 
 def _turning_rate(
-    team: Team,
-    curves: Sequence[PiecewisePolynomial],
-    pieces: Indices,
-    stretch: float,
-    *,
-    per_drone: bool,
+    team: Team, curves: Sequence[PiecewisePolynomial], pieces: Indices, stretch: float
 ) -> float:
     """Return the largest turning rate [rad/s] of thrusts on pieces of a stretched flight."""
     values, rates = ([_on_spans(part, pieces, order) for part in curves] for order in (0, 1))
     second, third = (_on_spans(curves[0], pieces, order) for order in (2, 3))
     forces = force_rates = np.zeros_like(second)
     if team.has_cables:
-        forces = cable_forces(team, *values, per_drone=per_drone)
-        force_rates = cable_force_rates(team, tuple(values), tuple(rates), per_drone=per_drone)
+        forces = cable_forces(team, *values)
+        force_rates = cable_force_rates(team, tuple(values), tuple(rates))
     mass = team.mass[:, None]
     thrust = mass * second / stretch**2 + loads_at_rest(team, forces)
     rate = mass * third / stretch**3 - force_rates / stretch
