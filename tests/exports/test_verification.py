@@ -197,6 +197,20 @@ def test_times_are_all_multiples_and_the_end(duration: float, rate: float) -> No
     assert times.tolist() == multiples + extra
 
 
+def test_edges_pull_the_drones_at_the_ends_of_a_chain_along_themselves() -> None:
+    """These drones have no leg; their thrusts balance the weights and the last edges' tension."""
+    team = ho.Team(3, [1.4, 1.5, 1.6], tension=0.7, topology="open")
+    arc = [[0.3, -0.2], [0.6, 0.8], [1.6, 1.0], [2.4, 0.2]]
+    hitch = ho.Hitch.balanced(team, arc, altitude=1.2)
+    states = states_at(ho.hold(hitch, 1.0).motion, 0.5)
+    points = np.column_stack([arc, np.full(4, 1.2)])
+    for drone, (own, other) in ((0, (0, 1)), (5, (3, 2))):
+        along = points[other] - points[own]
+        pull = 0.7 * along / np.linalg.norm(along)
+        np.testing.assert_allclose(states.positions[drone], points[own], atol=1e-9)
+        np.testing.assert_allclose(states.cable_forces[drone], pull, atol=1e-9)
+
+
 def test_states_are_those_of_the_polynomials() -> None:
     motion, orders = hitch_plan(), ("positions", "velocities", "accelerations", "jerks")
     t = np.random.default_rng(1).uniform(0.0, motion.duration, (5, 7))
