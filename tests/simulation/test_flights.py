@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from scripted import hanging_task, regular_hitch, resting_task, smooth_step, world_of
 
 import hitchopt as ho
@@ -242,8 +243,15 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
     cargo = flight.task.cargo
     shifted_task = replace(flight.task, cargo=replace(cargo, poses=cargo.poses + 0.01))
     (shifted,) = judge(replace(flight, task=shifted_task)).objects
-    # Slip is relative to the pose at lift-off.
+    # Slip is relative to the pose at lift-off, and swinging about the hitch is none.
     assert shifted.slipped == pytest.approx(tray.slipped)
+    swings = Rotation.from_rotvec(0.2 * np.sin(record.t)[:, None] * [1.0, 0.0, 0.0])
+    middles, swung = np.mean(record.vertices, axis=1), record.poses.copy()
+    swung[:, 1, :3] = middles + swings.apply(swung[:, 1, :3] - middles)
+    attitudes = Rotation.from_quat(swung[:, 1, 3:], scalar_first=True)
+    swung[:, 1, 3:] = (swings * attitudes).as_quat(scalar_first=True)
+    (swinging,) = judge(replace(flight, record=replace(record, poses=swung))).objects
+    assert swinging.slipped == pytest.approx(tray.slipped)
     # The plan leaves the tray at rest:
     unheld = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "load_share")}
     poses = np.repeat(cargo.poses[:1], len(cargo.poses), axis=0)

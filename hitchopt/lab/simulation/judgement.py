@@ -185,7 +185,7 @@ class ObjectState:
     beyond: float  # distance of its base from where the plan's tracking errors may take it [m]
     tilted: float  # angle of its axis from the vertical [°]
     turned: float  # angle of its yaw from the plan's [°]
-    # largest motion relative to the hitch while fully carried [m]; nan if never carried
+    # largest motion of the hitch's middle on it while fully carried [m]; nan if never carried
     slipped: float
     # first time at which it was more than MAX_DROP below its plan while carried [s], or nan
     dropped: float
@@ -372,12 +372,13 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     plan, at_end = cargo.poses[rows], t > end - AVERAGING_TIME if rested else t == end
     yaws, tube = np.arctan2(plan[-1, :, 4], plan[-1, :, 3]), _tube_of(flight)
     offsets = poses[..., :3] - plan[..., :3]
-    planned = task.states.vertices[rows][:, task.team.layout.clasps]
-    vertices, states = record.vertices[: len(t)] - planned, []
+    vertices, states = record.vertices[: len(t)], list[ObjectState]()
     groups = np.array([group_of(task.team.point_names[p]) for p in task.team.layout.clasps])
     for i in np.flatnonzero(cargo.movable):
         name, carried = cargo.names[i], cargo.carried[rows, i]
         hitch = np.mean(vertices[:, groups == cargo.holders.get(name, "")], axis=1)
+        attitudes = Rotation.from_quat(poses[:, i, 3:], scalar_first=True)
+        middles = attitudes.apply(hitch - poses[:, i, :3], inverse=True)
         turned = Rotation.from_quat(poses[at_end, i, 3:], scalar_first=True).mean()
         axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
         dropped_times = t[carried & (offsets[:, i, 2] < -MAX_DROP - tube.largest)]
@@ -392,7 +393,7 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
                 beyond=float(length(excess)),
                 tilted=float(np.degrees(np.arccos(np.clip(axes[2, 2], -1.0, 1.0)))),
                 turned=float(np.degrees(np.arctan2(axes[1, 0], axes[0, 0]))),
-                slipped=_slipped(offsets[:, i] - hitch, carried),
+                slipped=_slipped(middles, carried),
                 dropped=float(np.min(dropped_times)) if dropped_times.size else np.nan,
                 free=not touched[t > end - RELEASE_TIME, i].any(),
                 round=all(slab.section.radius is not None for slab in cargo.objects[name].slabs),
@@ -401,14 +402,15 @@ def object_states(flight: Flight) -> tuple[ObjectState, ...]:
     return tuple(states)
 
 
-def _slipped(offsets: Array, carried: NDArray[np.bool_]) -> float:
-    """Return the largest motion of an object relative to the hitch since it was lifted [m].
+def _slipped(middles: Array, carried: NDArray[np.bool_]) -> float:
+    """Return the largest motion of a hitch's middle on an object since it was lifted [m].
 
-    ``offsets`` (samples, 3) [m] are relative to the hitch, nan without one.
+    ``middles`` (samples, 3) [m] are in the object's frame, in which tilting and swinging move no
+    point; nan without a hitch.
     """
-    chosen = np.flatnonzero(carried & np.isfinite(offsets[:, 0]))
+    chosen = np.flatnonzero(carried & np.isfinite(middles[:, 0]))
     runs = np.split(chosen, np.flatnonzero(np.diff(np.cumsum(~carried)[chosen])) + 1)
-    slips = [float(np.max(length(offsets[run] - offsets[run[0]]))) for run in runs if len(run)]
+    slips = [float(np.max(length(middles[run] - middles[run[0]]))) for run in runs if len(run)]
     return max(slips, default=np.nan)
 
 
