@@ -1544,8 +1544,9 @@ def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
 def bent_cables(p: Plan) -> Iterator[Row]:
     """Prove that two cables bend around an object, balanced, and do not pass through each other.
 
-    Their arcs are on either side of the line through both vertices. They cross beyond the object
-    only, with the same one above until they are apart; their other straight parts are apart.
+    Their arcs are on opposite sides of a line. They cross beyond the object only, with the same one
+    above until they are apart; their other straight parts are apart. Without an object between
+    them, all of their parts are.
     """
     legs = p.spans(p.bent, range(p.N), p.names)
     clasps = p.spans(p.bent, range(len(p.clasps)), p.labels[p.V])
@@ -1554,11 +1555,18 @@ def bent_cables(p: Plan) -> Iterator[Row]:
     for run in runs_of(p.bent):
         signs[run] = bent_orders(p, run)[0]
 
-    def side(s: Spans, i: Index) -> Line:
-        """Return distances of contacts on the left of the line from first to last vertex."""
-        a, b = (s.point(x[i // 2])[:2] for x in (p.begin, p.end))
-        along, to = (b - a).unit(), s.point(p.edges[1:3].T.ravel()[i])[:2] - a
-        return along[0] * to[1] - along[1] * to[0]
+    def opposite(s: Spans, *_: Index) -> Line:
+        """Return distances of arcs across a line [m], less than 0 where they may be on one side.
+
+        An arc turns by less than half a turn. It is on the side of its contacts if both straight
+        parts of its edge have the normal to that side on their left.
+        """
+        left = [[concatenate(-x[1], x[0]) for x in s.edge(k)] for k in (0, 1)]
+        first, second = (normalize(x.v) + normalize(y.v) for x, y in left)
+        n = normalize(first - second)
+        contacts = ([s.point(int(i))[:2] for i in p.edges[1:3, k]] for k in (0, 1))
+        gaps = [(a - b).dot(n) for a, b in product(*contacts)]
+        return minimum(*gaps, *(x.dot(n) for x in left[0]), *(x.dot(-n) for x in left[1]))
 
     def residual(s: Spans, i: Index) -> Line:
         """Return forces where legs meet edges, over the tension.
@@ -1591,8 +1599,13 @@ def bent_cables(p: Plan) -> Iterator[Row]:
         return minimum(*gaps)
 
     yield prove("equilibrium 1 max", 5e-3, legs, residual)
-    yield prove("crossing m min", MIN_GAP, legs, side)
+    yield prove("crossing m min", MIN_GAP, both, opposite)
     yield prove("crossing m min", SAG_TOL, both, apart)
+    cable, parts = p.segments[:, 2], p.segment_names
+    pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
+    loose = p.spans(p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
+    near = partial(distance, ratio=p.ratio)
+    yield prove(*p.crossing_limit, loose, lambda s, i, j: near(s.segment(i), s.segment(j)))
     yield prove("laid m min", -SAG_TOL, clasps, above)
 
 

@@ -547,7 +547,8 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
     """Yield the pairs of parts that share no clasp.
 
     These include the two legs of one cable, which may cross. Legs that cross at a cut-off corner
-    are excluded while they may touch.
+    are excluded while they may touch. Bent cables share no clasp; an object that they hold keeps
+    them apart, as the check ``interlacing`` verifies.
     """
     parts, table = taut_parts(motion), TautBodies.of(motion.team.layout)
     part, body = parts.part, table.of_parts(parts.part)
@@ -571,6 +572,10 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
         near_corner[corner.pieces] = True
         yield Moving.between(motion, parts, allowed=others, active=near_corner)
     yield Moving.between(motion, parts, allowed=crossing, active=active if corners_cut else None)
+    if motion.has_bent_cables:
+        held = np.array([phase.hold is not None for phase in motion.phases])[motion.phase_of_piece]
+        bodies = replace(parts, pieces=motion.in_states(frozenset({CableState.BENT})) & ~held)
+        yield Moving.between(motion, bodies, allowed=lambda i, j: part[i] // 3 != part[j] // 3)
 
 
 def _hanging_cables(motion: Motion) -> Iterator[Moving]:

@@ -23,7 +23,7 @@ both are drawn taut, although the chords may never have intersected.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
@@ -46,17 +46,21 @@ from hitchopt.checks.distances import (
     PairSpans,
     cable_ends,
     near_pairs,
+    nearest,
     upright_pieces,
 )
 from hitchopt.checks.objects import carried_objects
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
     PART_NAMES,
+    MotionSpans,
     PhasePart,
+    bent_edges,
     clasped_pairs,
     derivative,
     derivative_margin,
     edge_vectors,
+    inner_ends,
     leg_vectors,
     pair_of,
     phase_parts,
@@ -73,7 +77,6 @@ from hitchopt.hitch.pairs import MIN_GAP
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import (
     FREE_STATES,
-    HITCHED_STATE,
     JOINT,
     TAUT_STATES,
     CableState,
@@ -83,8 +86,8 @@ from hitchopt.motion.motion import (
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.trajectory.enclosed import Enclosed, Interval
-from hitchopt.trajectory.search import TimeSpans, batches
+from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval
+from hitchopt.trajectory.search import TimeSpans, batches, worst
 from hitchopt.values import Array, Indices
 
 MIN_DISTANCE = 1e-6  # [m] of chords that do not touch, and of drones outside sheets
@@ -250,14 +253,17 @@ PROBES = np.linspace(0.0, 1.0, 9)  # points of a piece, one of which shows that 
 def _largest_jump(motion: Motion, _: float) -> WorstCase:
     """Return the largest sum of jumps at joints: positions [m], velocities, accelerations [m/s²].
 
-    Drones and objects are compared, and vertices and legs while the hitch exists.
+    Drones and objects are compared, and vertices, legs and their inner ends while cables are taut.
     """
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.requirements.objects:
         parts.append((motion.poses, tuple(motion.requirements.objects)))
     legs = tuple(f"{name} {k}" for k in motion.team.labels for name in PART_NAMES[0::2])
-    for span in motion.spans(HITCHED_STATE):
+    for span in motion.spans(TAUT_STATES):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
+        if span.has_bent_cables:
+            ends = inner_ends(span).reshape(len(span.drones.durations), *span.drones.shape, -1)
+            parts.append((span.anchors.replaced(ends), legs))
     return jump_of(motion, parts)
 
 
@@ -474,10 +480,13 @@ class Ties:
 
         Before they roll, or after that, both cables of a clasp cross beyond the object, seen from
         above. Since they began to cross, one is above the other, and they come to lie on each
-        other. At all other times they keep apart.
+        other. At all other times they keep apart, as their arcs and their ends at different clasps
+        do always.
         """
         layout, lying = motion.team.layout, 0 * self.lying
         wrong: Flags = (self.numbers != 0) & (before is not CableState.ROLLING)
+        wrong |= not nearest(_opposite_ends)(motion, MAX_LAID_GAP).worst >= MAX_LAID_GAP
+        wrong |= not worst(BothCables.of(motion), opposite_sides, "min", target=0.0).worst > 0.0
         for i, k in enumerate(self.order.tolist()):
             heights = heights_beyond(motion, int(layout.ahead[k]), int(layout.behind[k]))
             for end, ordered, outer in ((before, heights, 0), (after, heights[::-1], 1)):
@@ -552,10 +561,8 @@ def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
     cross seen from above, is given at the start and the end of each span, with its lowest and
     highest value. It is nan where a plane separates them and 0 where they may touch.
     """
-    drones, contacts = same_degree(motion.drones.coefficients, motion.contacts.coefficients)
-    first = np.stack([contacts[:, ahead, 0], drones[:, 2 * ahead]], axis=1)
-    second = np.stack([contacts[:, behind, 1], drones[:, 2 * behind + 1]], axis=1)
-    chords = np.concatenate([first, second], axis=1)[:, None]
+    both = outer_chords(motion)[:, [2 * ahead, 2 * behind + 1]]
+    chords = both.reshape(len(both), 1, 4, *both.shape[3:])
     spans = TimeSpans(motion, motion.drones.breaks, *np.indices((len(chords), 1)).reshape(2, -1))
     times, found = list[Array](), list[Array]()
     for depth in range(MAX_HALVINGS):
@@ -593,6 +600,44 @@ def _crossing_height(chords: Array) -> tuple[Flags, Interval]:
     with np.errstate(all="ignore"):
         height = (a - c).dot(normal).range * normal[2].range.inverse
     return crossing, height
+
+
+def outer_chords(motion: Motion) -> Array:
+    """Return chords from contacts with an object to drones (pieces, 2n, 2, 3, degree + 1) [m]."""
+    drones, contacts = same_degree(motion.drones.coefficients, motion.contacts.coefficients)
+    return np.stack([contacts.reshape(drones.shape), drones], axis=2)
+
+
+def _opposite_ends(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of chords of bent cables that lead to different clasps."""
+    names = motion.team.drone_names
+    pairs = Moving.of(motion, outer_chords(motion), names=(names, names))
+    yield replace(pairs, allowed=lambda i, j: (i + j) % 2 == 0)
+
+
+class BothCables(MotionSpans):
+    """Spans of two cables together."""
+
+    names = staticmethod(lambda _: ("both cables",))
+
+
+def opposite_sides(spans: BothCables) -> Bound:
+    """Return a bound [m] that is positive where two bent cables are on opposite sides of a line.
+
+    An arc leads from its first to its last contact, and turns right by less than half a turn. It is
+    on one side of a line if both contacts are, and neither straight part of its edge leads across
+    that line toward the object.
+    """
+    motion, cables = spans.source, np.broadcast_to([0, 1], (len(spans), 2))
+    parts = [spans.read(edges, cables)[..., :2, :] for edges in bent_edges(motion)]
+    normals = np.stack(same_degree(*parts), axis=2)[..., ::-1, :] * [[-1.0], [1.0]]  # to the left
+    contacts = Enclosed(spans.read(motion.contacts.coefficients, cables), spans.noise).xy
+    directions = unit(Enclosed(normals).middle)  # (spans, cable, end, 2)
+    along = unit(np.sum(directions[:, 0] - directions[:, 1], axis=1))[:, None, None]
+    turned = Enclosed(normals, spans.noise).dot(along * [[[1.0]], [[-1.0]]])
+    places = contacts.dot(along).range
+    gap = np.min(places.low[:, 0], axis=-1) - np.max(places.high[:, 1], axis=-1) - MIN_GAP
+    return Bound(np.minimum(gap, np.min(turned.lower.value, axis=(1, 2))), np.full(len(spans), 0.5))
 
 
 def height_gaps(motion: Motion) -> Array:

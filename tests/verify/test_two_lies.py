@@ -178,6 +178,37 @@ def lowered(motion: Motion) -> Motion:
     return all_of(edited("drones", "lay", down, np.s_[:, :2]), *cables)(motion)
 
 
+def at_rest(
+    phase: str, shares: tuple[float, float], angle: float, offset: tuple[float, ...] = (0, 0, 0)
+) -> Change:
+    """Let cables rest as they are at shares of a phase, with the second one turned and moved."""
+
+    def change(motion: Motion) -> Motion:
+        own = part(motion, phase, phase)
+        one, (c, s) = (
+            own.slice_pieces(slice(0, 1), own.phases),
+            np.array([np.cos(angle), np.sin(angle)]),
+        )
+        curves = {}
+        for name in ("drones", "anchors", "contacts"):
+            curve, resting = getattr(own, name), getattr(one, name)
+            first, second = (curve.at(share * own.duration).reshape(2, 2, 3) for share in shares)
+            second = second @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) + offset
+            places = np.stack([first[0], second[1]]).reshape(1, *resting.shape, 1)
+            curves[name] = resting.replaced(places + 0.0 * resting.coefficients)
+        phases = (own.phases[0].retimed(*one.drones.breaks.tolist()),)
+        return one.replaced(phases=phases, **curves)
+
+    return change
+
+
+def jump(c: Array) -> Array:
+    """Shift the piece in the middle by 0.1 mm."""
+    c[len(c) // 2] += 1e-4
+    return c
+
+
+HEAVY = of_object(mass=5.0)
 REST = PhaseHold("drum", HoldBy.REST, (0, 1))
 ALONE = PhaseHold("drum", HoldBy.GRIP, (0,))
 
@@ -215,6 +246,13 @@ LIES = [
     Lie("tie", "contacts are 1 cm aside", edited("contacts", "lay", plus(0.01, 0.0, 0.0)), "grip", "grip"),
     Lie("tie", "contacts are 20 cm higher", edited("contacts", "lay", plus(0.0, 0.0, 0.2)), "grip", "grip"),
     Lie("tie", "edges are straight", edited("contacts", "lay", lambda c: np.repeat(np.mean(c, axis=2, keepdims=True), 2, axis=2)), "grip", "grip"),
+    Lie("tie", "cables touch each other at their q-ends", at_rest("lower", (0.0, 0.0), np.pi / 2, (-0.574, 0.274, 0.0)), "interlacing", "crossing"),
+    Lie("tie", "cables touch each other at their r-ends", at_rest("lower", (0.0, 0.0), np.pi / 2, (-0.274, 0.574, 0.0)), "crossing", "crossing"),
+    Lie("tie", "cables pass 3 cm above each other", at_rest("lower", (0.0, 0.0), np.pi / 2, (-0.574, 0.274, 0.03)), "crossing", "crossing"),
+    Lie("tie", "cables overlap on one side", all_of(HEAVY, at_rest("straddle", (1.0, 1.0), np.radians(140.0))), "interlacing", "crossing"),
+    Lie("tie", "a cable is below the other on one side", all_of(HEAVY, at_rest("straddle", (1.0, 0.5), np.pi)), "interlacing", "crossing"),
+    Lie("tie", "anchors jump", edited("anchors", "lower", jump, np.s_[:, 0, 0, 0]), "continuity", "continuity"),
+    Lie("tie", "legs jump", edited("legs", "lower", jump, np.s_[:, 1, 1]), "continuity", "continuity"),
     # Forces.
     Lie("carry", "the drum is as heavy as three", of_object(mass=0.24), "grip", "grip"),
     Lie("carry", "the drum is smooth", of_object(friction=0.1), "grip", "grip"),
