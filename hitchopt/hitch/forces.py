@@ -278,13 +278,18 @@ def _unbalanced(
     return InfeasibleError([Violation(name, value, limit, "max", "N", (point,), "", remedy)])
 
 
-def contact_forces(edge_directions: Array, tensions: ArrayLike, topology: str = CLOSED) -> Array:
+def contact_forces(
+    edge_directions: Array,
+    tensions: ArrayLike,
+    topology: str = CLOSED,
+    arriving: Array | None = None,
+) -> Array:
     """Return the contact forces (…, clasps) [N] between the two cables of each clasp.
 
     Without loads they are ``2 T_k T_{k-1} sin φ / |V|``, where φ is the exterior angle. Parameters
     are those of ``leg_directions``.
     """
-    q, _ = leg_directions(edge_directions, tensions, topology)
+    q, _ = leg_directions(edge_directions, tensions, topology, arriving=arriving)
     bend: Array = np.asarray(tensions, dtype=np.float64) * length(edge_directions + q)
     return bend[..., layout_of(q.shape[-2], topology).ahead]
 

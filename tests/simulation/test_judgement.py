@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 from numpy.typing import NDArray
+from plans import planned
 from scripted import flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
-from hitchopt.lab.simulation.contacts import ClaspContacts
+from hitchopt.lab.simulation.contacts import MIN_BEARING_RATIO, ClaspContacts, least_bearing
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
 from hitchopt.lab.simulation.report import drawn_flight, flight_scene, summary
@@ -28,6 +29,7 @@ from hitchopt.lab.simulation.task import Cargo, Task
 from hitchopt.lab.simulation.world import InvalidRunError
 from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.live.lost import RELEASE_TIME, Reactions
+from hitchopt.motion.motion import CableState
 from hitchopt.objects import Section, SolidObject
 from hitchopt.view.style import save_figure
 
@@ -399,3 +401,20 @@ def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() ->
     assert contacts.tolist() == [0, 1, 2]
     assert clasps.tolist() == [0, 0, 1]
     assert forces.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize("name", ["two_robots_drum", "grip_drum"])
+def test_clasps_of_bent_edges_need_a_share_of_what_a_cable_bends_with(name: str) -> None:
+    motion = planned(name).motion
+    task = Task.of(motion)
+    held = task.cargo.held[:, 0] & np.all(task.states.tensions > 0.2, axis=1)
+    for phase in motion.phases:  # pairs that roll press less
+        if phase.state is CableState.ROLLING:
+            held &= (task.states.t < phase.start) | (task.states.t > phase.end)
+    t, starts = task.states.t[held], motion.team.layout.starts
+    vertices = task.states.vertices[held][:, starts]
+    legs, edges = task.states.positions[held][:, 0::2], motion.contacts.at(t)[:, :, 0]
+    bends = np.linalg.norm(unit(legs - vertices) + unit(edges - vertices), axis=-1)
+    expected = MIN_BEARING_RATIO * task.states.tensions[held] * bends
+    assert np.any(held)
+    np.testing.assert_allclose(least_bearing(task)[held], expected, rtol=0.1)

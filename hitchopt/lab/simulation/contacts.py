@@ -34,12 +34,19 @@ def least_bearing(task: Task) -> Array:
     It is a fraction of the contact force without friction, which is ``|T (u_{k-1} + u_k)|`` for
     equal tensions; 0 if a cable has no tension.
     """
-    by_part = []
+    by_part, t = [], task.states.t - task.states.t[0]
     for part in task.parts:
-        team, bearing = part.team, np.zeros((len(task.states.t), len(part.team.layout.clasps)))
-        taut = np.all(part.states.tensions > 0.0, axis=-1)
-        edges = unit(team.layout.edges(part.states.vertices[taut]))
-        forces = contact_forces(edges, part.states.tensions[taut], team.topology)
+        team, motion, T = part.team, part.motion, part.states.tensions
+        bearing = np.zeros((len(t), len(team.layout.clasps)))
+        taut = np.all(T > 0.0, axis=-1)
+        if motion is not None and motion.has_wraps:  # edges bend around an object
+            layout, vertices = team.layout, part.states.vertices[taut]
+            first, last = np.moveaxis(motion.contacts.at(t[taut]), -2, 0)
+            ends = first - vertices[:, layout.starts], vertices[:, layout.ends] - last
+        else:
+            ends = (team.layout.edges(part.states.vertices[taut]),) * 2
+        leaving, arriving = map(unit, ends)
+        forces = contact_forces(leaving, T[taut], team.topology, arriving)
         bearing[taut] = MIN_BEARING_RATIO * forces
         by_part.append(bearing)
     return np.concatenate(by_part, axis=1)
