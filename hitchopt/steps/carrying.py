@@ -93,7 +93,8 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     if not task.before.team.layout.closed:
         raise InputError("team.topology", "open", "closed where objects are held", "close it")
     if body.fixed:
-        raise InputError(f"{key}.fixed", True, "false where it is held", "leave it out")
+        remedy = "leave it out, or only tie two cables around it"
+        raise InputError(f"{key}.fixed", True, "false where it is lifted", remedy)
     if body.friction == 0.0:
         bound, remedy = "above 0 where it is held", "only friction moves it along with the cables"
         raise InputError(f"{key}.friction", 0.0, bound, remedy)
@@ -377,6 +378,7 @@ class Lift(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight up."""
         planner = planner_of(task)
+        object_of(task, planner.state.object)  # two cables may be tied around any
         check_hinge(planner)
         to = goal_of(self, task.requirements, planner.state.object)
         moves = [planner.transfer(0.0, 1.0), planner.carry(to, LIFT_SPEED)]

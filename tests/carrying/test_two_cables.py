@@ -392,6 +392,17 @@ def test_steps_that_do_not_fit_are_refused(step: dict[str, Any], message: str) -
         ho.solve(problem([step]))
 
 
+def test_fixed_objects_and_those_below_others_are_tied_but_not_lifted() -> None:
+    lift = [TIE, {"lift": {"by": 0.1}}]
+    with pytest.raises(ho.InputError, match=r"objects\.drum\.fixed = True: must be false"):
+        ho.solve(problem(lift, {**DRUM, "fixed": True}))
+    whole = problem(lift)
+    lid = ho.SolidObject(Section(radius=0.05), 0.0, 0.02, 0.01, 0.5, at=[*AT[:2], 0.4])
+    stacked = replace(whole, objects={**whole.objects, "lid": lid})
+    with pytest.raises(ho.InputError, match=r"objects\.lid\.at .* must be off objects\.drum"):
+        ho.solve(stacked)
+
+
 @pytest.mark.parametrize("step", [TIE, {"untie": {}}])
 def test_three_robots_neither_tie_nor_untie(step: dict[str, Any]) -> None:
     """Whatever way they hold an object."""
