@@ -209,6 +209,8 @@ def _leave_diagnosis(
         if repair_to and suggestions:
             _write_changed(*repair_to, suggestions)
     message = f"no plan; the diagnosis is in {folder / DIAGNOSIS}"
+    if content.get("suggestions") and not repair_to:
+        message += "; --repair-to FILE writes the problem with the first change"
     if (previous := folder / PREVIOUS).is_dir():
         record(previous=str(previous))
         message += f"; the last certified plan is in {previous}"
@@ -396,7 +398,12 @@ def example_files() -> list[Path]:
         str,
         "MODEL",
     ),
-    option("--robots", "Write a problem for this number of robots, 3 to 12; 3.", int, "N"),
+    option(
+        "--robots",
+        "Write a problem for this number of robots, of two drones each, 3 to 12; 3.",
+        int,
+        "N",
+    ),
     option(
         "--schema",
         "Write problem.schema.json, with which editors complete and check problem files.",

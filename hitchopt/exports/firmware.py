@@ -54,7 +54,8 @@ PARAMETER_TOLERANCE = 1e-5  # Relative tolerance of parameters in single precisi
 def refuse_controllers(team: Team, supported: Collection[str], receiver: str) -> None:
     """Raise InputError if a team has a named controller that a receiver does not support."""
     for name in {kind.controller for kind in team.quadrotor} - {None, *supported}:
-        bound, remedy = f"one of {', '.join(supported)} for {receiver}", "plan for one of them"
+        bound = f"one of {', '.join(supported)} for {receiver}"
+        remedy = "plan for one of them, or without a controller, by mass and max_thrust"
         raise InputError("team.quadrotor.controller", name, bound, remedy)
 
 

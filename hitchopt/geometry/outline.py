@@ -122,7 +122,10 @@ class Outline(ByValue, ABC):
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
             turn, min_turn = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
-            bound = f"a convex corner (it turns right by {turn:.6g}°, not {min_turn:.2g}° at least)"
+            turn_in_words = f"left by {-turn:.6g}°" if turn < 0.0 else f"right by {turn:.6g}°"
+            bound = (
+                f"a convex corner: it turns {turn_in_words}, not right by {min_turn:.2g}° or more"
+            )
             remedy = "move the point outward, or list the points in clockwise order"
             raise self._error(bound, remedy, int(self.corners[flattest]))
 

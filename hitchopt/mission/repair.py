@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import re
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +18,15 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InfeasibleError, OneLine, Progress, TimeIsUp, time_left
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    OneLine,
+    Progress,
+    TimeIsUp,
+    UnitWarning,
+    time_left,
+)
 from hitchopt.mission.changes import (
     SPACE_CHECKS,
     Change,
@@ -58,6 +67,9 @@ MAX_SIZE_RATIO, MAX_SUGGESTIONS, MAX_CHANGES = 4.0, 3, 3
 """Maximum ratio of a suggestion's size to the smallest one; maximum numbers of suggestions, and of
 changes in one suggestion."""
 
+MAX_ROUNDS = 2 * MAX_CHANGES
+"""Maximum number of changes in one suggestion if several changes of one quantity count each."""
+
 
 @dataclass(frozen=True, eq=False)
 class Suggestion(OneLine):
@@ -95,10 +107,13 @@ def find_suggestions(
 
     Each has been planned and certified. If no single change is enough, up to MAX_CHANGES are
     combined. The search is a heuristic: smaller changes may exist, and no result is no proof.
-    ``error`` is that of the problem; after ``budget`` [s] no further plan is started.
+    ``error`` is that of the problem; after ``budget`` [s] no further plan is started. Unusual
+    values that are tried are not warned of.
     """
-    end = time.monotonic() + budget
-    return _Search(problem, error, end, progress, MAX_CHANGES).suggestions()
+    search = _Search(problem, error, time.monotonic() + budget, progress, MAX_CHANGES)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnitWarning)
+        return search.suggestions()
 
 
 class _Search:
@@ -114,7 +129,7 @@ class _Search:
         end: float,
         progress: Progress | None,
         max_changes: int,
-        already_changed: frozenset[str] = frozenset(),
+        already_changed: tuple[str, ...] = (),
     ) -> None:
         self._problem, self._error, self._progress, self._end = problem, error, progress, end
         self._max_changes, self._already_changed = max_changes, already_changed
@@ -252,7 +267,9 @@ class _Search:
     def _completions(self, first: Change) -> list[Suggestion]:
         """Return suggestions that combine a first change with changes that repair the rest."""
         changed, error = self._already_changed, self._errors[str(first)]
-        limits = self._max_changes - (first.key not in changed), changed | {first.key}
+        if len(changed) >= MAX_ROUNDS:
+            return []
+        limits = self._max_changes - (first.key not in changed), (*changed, first.key)
         rest = _Search(first.problem, error, self._end, self._progress, *limits).suggestions()
         return [replace(each, change=each.change.after(first)) for each in rest]
 

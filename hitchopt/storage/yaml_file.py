@@ -188,8 +188,16 @@ class _Reader:
             reason = getattr(error, "problem", None) or repr(str(error).partition("\n")[0])
             place = "" if mark is None else f":{mark.line + 1}:{mark.column + 1}"
             remedy = "indent with spaces" if "\\t" in reason else "correct this line"
-            if "flow" in str(getattr(error, "context", "")):
-                remedy += f", or close the bracket of line {error.context_mark.line + 1}"  # type: ignore[attr-defined]
+            context, begin = (
+                str(getattr(error, "context", "")),
+                getattr(error, "context_mark", None),
+            )
+            for kind, name in (("flow", "bracket"), ("quoted", "quote")):
+                if kind in context and begin is not None:
+                    remedy += f", or close the {name} of line {begin.line + 1}"
+            if "block" in context or "mapping values" in reason:
+                remedy += " or the one above: entries of one list or mapping are indented alike, "
+                remedy += "those of a list begin with `- `, keys end with `: `"
             raise FileError(f"{self.name}{place}: is not YAML ({reason}); {remedy}") from None
 
     def _node(self, event: Any, path: list[str | int]) -> Node:

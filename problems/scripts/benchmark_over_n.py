@@ -24,9 +24,10 @@ seconds(3)  # the first plan of a process loads libraries
 sizes = [3, 4, 6, 8]
 times = [seconds(n) for n in sizes]
 
-figure, axes = plt.subplots(figsize=(3.5, 2.5), layout="constrained")
+plt.rcParams.update({"font.size": 8, "pdf.fonttype": 42})  # fonts that publishers take
+figure, axes = plt.subplots(figsize=(3.5, 2.5), layout="constrained")  # [inch]
 axes.plot(sizes, times, "o-")
-axes.set(xlabel="robots", ylabel="processor time [s]", ylim=(0, None))
+axes.set(xlabel="robots", ylabel="processor time [s]", ylim=(0, 1.1 * max(times)))
 figure.savefig("benchmark.pdf")
 for n, spent in zip(sizes, times, strict=True):
     print(f"{n} robots: {spent:.2f} s")

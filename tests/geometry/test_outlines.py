@@ -100,7 +100,7 @@ STAR = [[math.sin(4 * math.pi * k / 5), math.cos(4 * math.pi * k / 5)] for k in 
 
 REFUSED: list[tuple[type[Any], object, str, str]] = [
     (ConvexPolygon, [[0, 0], [1, 0], [0, 1]], "polygon", "clockwise"),
-    (ConvexPolygon, [[0, 0], [0, 1], [1, 1], [0.4, 0.6]], "polygon[3]", "convex"),
+    (ConvexPolygon, [[0, 0], [0, 1], [1, 1], [0.4, 0.6]], "polygon[3]", "turns left by"),
     (ConvexPolygon, [[0, 0], [0, 1], [0, 1], [1, 1]], "polygon[1]", "coincident"),
     (ConvexPolygon, [[0, 0], [0, 1], [1]], "polygon", "at least 3"),
     (ConvexPolygon, STAR, "polygon", "simple"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import fields
@@ -20,6 +21,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.mission.changes import change_of, knobs_of, scaled_outlines, team_edit, with_edits
 from hitchopt.mission.fitted import fitting_cables
 from hitchopt.mission.loading import problem_from_dict
+from hitchopt.mission.repair import find_suggestions
 from hitchopt.mission.solving import contents, solve_problem
 from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import read_yaml, split_key
@@ -418,6 +420,31 @@ def test_a_slipping_grip_gets_a_lighter_or_rougher_object(monkeypatch: pytest.Mo
     body["mass"] = 0.5 * (lighter + body["mass"])
     with pytest.raises(ho.InfeasibleError):
         ho.solve(problem_from_dict(data))
+
+
+def test_searches_end_where_each_change_breaks_another_limit_and_warn_of_no_trial(
+    monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+) -> None:
+    faults, limits = (
+        itertools.cycle(("thrust", "tilt", "load")),
+        {"thrust": 2.6, "tilt": 45.0, "load": 0.4},
+    )
+
+    def refuse(*_: object, **__: object) -> None:
+        name = next(faults)
+        limit = limits[name]
+        fault = ho.Violation(
+            name, 2.0 * limit, limit, "max", "N", ("q0",), "at the start", "lower it"
+        )
+        raise ho.InfeasibleError([fault])
+
+    data = small(mission=[{"hold": {"seconds": 1.0}}], team={"robots": 3, "cable_length": 90.0})
+    problem = problem_from_dict(data)
+    monkeypatch.setattr("hitchopt.mission.repair.solve_problem", refuse)
+    with pytest.raises(ho.InfeasibleError) as refused:
+        refuse()
+    assert find_suggestions(problem, refused.value, PATIENCE) == ()
+    assert not recwarn.list
 
 
 def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:

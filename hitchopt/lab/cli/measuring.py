@@ -92,7 +92,8 @@ def evaluate(
 
     with ProgressBar("reading and evaluating"):
         result = ho.evaluate(recording, task, **options)
-    folder = recording.absolute().parent / RESULTS if output is None else output
+    beside = recording if recording.name else recording.absolute()  # but for `.`
+    folder = beside.parent / RESULTS if output is None else output
     with ProgressBar("writing the results"):
         save_evaluation(folder, result, format, width)
     say(_tables(result), directory=str(folder), evaluation=summary(result))
@@ -119,10 +120,13 @@ def _tables(evaluation: ho.Evaluation) -> str:
         evaluation.sag,
         f"{evaluation.flight.source}: plan time is {fit.rate:.6g} t {fit.offset:+.3f} s, frame "
         f"{fit.frame}, drones {1e3 * fit.rms:.0f} mm from the plan (root mean square)",
-        "standard errors include the scatter of markers about their cables; it is constant in a "
-        "flight, so averaging over time does not reduce it",
-        "names: " + ", ".join(f"{a}={b}" for a, b in zip(fit.names, drones, strict=True)),
     ]
+    if any(math.isfinite(row.standard_error) for row in evaluation.short_table):
+        parts.append(
+            "standard errors include the scatter of markers about their cables; it is constant in "
+            "a flight, so averaging over time does not reduce it"
+        )
+    parts.append("names: " + ", ".join(map("=".join, zip(fit.names, drones, strict=True))))
     return "\n\n".join(parts)
 
 

@@ -308,9 +308,10 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     for i, name in enumerate(team.drone_names):
         look: Any = {"ls": "-" if i % 2 == 0 else "--", "lw": 0.9, "color": colours[i // 2]}
         bottom.plot(t, 1e3 * evaluation.drone_errors[:, i], label=name, **look)
-    kind = "crossing" if evaluation.clasps is None else "clasp"
+    kind = "crossings" if evaluation.clasps is None else "clasps"
+    kind += ", ± standard error" if np.isfinite(evaluation.standard_errors).any() else ""
     for axes, words in (
-        (top, f"vertices to the plan [mm]\n({kind}s, ± standard error)"),
+        (top, f"vertices to the plan [mm]\n({kind})"),
         (bottom, "drones to their\nsetpoints [mm]"),
     ):
         axes.set(ylabel=words, xlim=(t[0], t[-1]))
@@ -353,8 +354,9 @@ def _draw_from_above(axes: Axes, evaluation: Evaluation, colours: Sequence[str])
         axes.plot(*plan, "--", color=style.LIMIT_COLOUR, label="planned")
         axes.plot(*polygon, color=style.INK, lw=1.4, label="measured")
         near = np.abs(cloud.t - evaluation.t[i]) < SNAPSHOT_TIME
-        look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
-        axes.scatter(*cloud.positions[near, :2].T, **look)
+        if near.any():
+            look: Any = {"s": 6, "color": "0.45", "zorder": 3, "label": "markers"}
+            axes.scatter(*cloud.positions[near, :2].T, **look)
         axes.set_title(f"from above, t = {evaluation.t[i]:.2f} s", fontsize="medium")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")
