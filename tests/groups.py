@@ -1,4 +1,4 @@
-"""Motions of several groups, and beside others, for tests."""
+"""Motions of several groups, beside others, and with robots that join, for tests."""
 
 from __future__ import annotations
 
@@ -41,6 +41,28 @@ def flown_by(motion: Motion, **kinds: ho.Quadrotor) -> Motion:
         return replace(group, motion=group.motion.replaced(team=team))
 
     return combined([changed(each) if each.name in kinds else each for each in motion.groups])
+
+
+def part(motion: Motion, first: str, last: str) -> Motion:
+    """Return phases from one name to the first of another one after it."""
+    names = [phase.name for phase in motion.phases]
+    start = names.index(first)
+    stop = names.index(last, start) + 1
+    on = np.flatnonzero(np.isin(motion.phase_of_piece, range(start, stop)))
+    cut = motion.slice_pieces(slice(on[0], on[-1] + 1), motion.phases[start:stop])
+    return shifted(cut, -float(cut.drones.breaks[0]))
+
+
+@cache
+def joining() -> Motion:
+    """Return the part of a plan in which a ring is laid, and a fourth robot joins it."""
+    return part(planned("join_a_fourth").motion, "draw taut", "hold")
+
+
+@cache
+def leaving() -> Motion:
+    """Return the same until that robot has left again."""
+    return part(planned("join_a_fourth").motion, "draw taut", "leave")
 
 
 @cache

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
 from format_readers import READERS, bag_messages, glb_animation, vector
+from groups import joining
 from matplotlib.colors import to_rgb
 from plans import planned
 from ruamel.yaml import YAML
@@ -48,6 +49,10 @@ AXES = {
 }
 
 FRAMES = [(name, frame) for name in HOMES for frame in format_of(name).frames]
+CASES = [
+    *((*each, "hitch") for each in FRAMES),
+    *((name, format_of(name).frames[0], "swarm") for name in HOMES),
+]
 
 RATE = 25.0  # [Hz]
 
@@ -59,8 +64,7 @@ def in_file(frame: str, v: Array) -> Array:
     return np.stack(AXES[frame](east, north, v[..., 2]), axis=-1)
 
 
-@pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize(("name", "frame"), FRAMES)
+@pytest.mark.parametrize(("name", "frame", "motion"), CASES)
 def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path) -> None:
     plan = MOTIONS[motion]()
     kind, team = format_of(name), plan.team
@@ -121,7 +125,7 @@ def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) ->
     "name", [pytest.param("crazyswarm2", marks=pytest.mark.slow), "parquet", "gltf"]
 )
 def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path: Path) -> None:
-    motion, slower = planned("join_a_fourth").motion, 1.02 if name == "crazyswarm2" else 1.0
+    motion, slower = joining(), 1.02 if name == "crazyswarm2" else 1.0
     parts = exported(motion, name, tmp_path, stretch=slower)  # 31 pieces take some speed
     for part in parts:
         assert part.verdict.violated == ()
@@ -135,7 +139,7 @@ def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path:
 
 def test_a_hitch_that_changes_its_robots_holds_no_tension_by_set_points(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedError, match="hold_tension=True needs a hitch with the same"):
-        exported(planned("join_a_fourth").motion, "csv", tmp_path, hold_tension=True)
+        exported(joining(), "csv", tmp_path, hold_tension=True)
 
 
 def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:

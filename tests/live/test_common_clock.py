@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
-from groups import alone, beside, hitch_and_swarm, moved, two_hitches
+from groups import (
+    alone,
+    beside,
+    hitch_and_swarm,
+    joining,
+    leaving,
+    moved,
+    two_hitches,
+)
 from plans import planned
 
 import hitchopt as ho
@@ -12,6 +22,7 @@ from hitchopt.checks import certify
 from hitchopt.live.abort import Aborts, AbortTable, until_stop
 from hitchopt.live.fly import CommandedPlan
 from hitchopt.live.lost import Reactions
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
@@ -119,9 +130,11 @@ def test_features_for_one_ring_are_refused_by_name() -> None:
             refused()
 
 
-@pytest.mark.parametrize("time", [20.0, 30.0, 39.5])
-def test_a_plan_stopped_while_a_robot_joins_keeps_its_rings(time: float) -> None:
-    motion = planned("join_a_fourth").motion
+@pytest.mark.parametrize(("plan", "time"), [(joining, 10.0), (joining, 20.0), (leaving, 29.5)])
+def test_a_plan_stopped_while_a_robot_joins_or_leaves_keeps_its_rings(
+    plan: Callable[[], Motion], time: float
+) -> None:
+    motion = plan()
     stopped = until_stop(motion, time, stop=True)
     ring = next(phase.ring for phase in motion.phases if phase.end > stopped.rest)
     assert stopped.motion.phases[-1].ring == ring
@@ -131,16 +144,15 @@ def test_a_plan_stopped_while_a_robot_joins_keeps_its_rings(time: float) -> None
 @pytest.mark.parametrize(
     ("time", "how", "last"),
     [
-        (31.0, "hold", "roll"),
-        (28.0, "land", "land"),
-        (22.0, "back", "draw taut"),
-        pytest.param(31.0, "back", "draw taut", marks=pytest.mark.slow),
+        (21.0, "hold", "roll"),
+        (18.0, "land", "land"),
+        (12.0, "back", "draw taut"),
+        pytest.param(21.0, "back", "draw taut", marks=pytest.mark.slow),
     ],
 )
 def test_aborts_as_a_robot_joins_end_safely(time: float, how: str, last: str) -> None:
     """Stopped amid a roll; landed as a ring of four; and back as three before and after joining."""
-    motion = planned("join_a_fourth").motion
-    abort = Aborts(motion).plan(time, how)
+    abort = Aborts(joining()).plan(time, how)
     assert abort.certificate.certified
     assert abort.motion.phases[-1].name == last
 

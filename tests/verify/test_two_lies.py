@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from groups import part
 from plans import planned
 
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.retiming import shifted
 from hitchopt.objects import Section
 from hitchopt.objects.bodies import Rim
 from hitchopt.values import Array, Indices
@@ -42,16 +42,6 @@ class Lie(NamedTuple):
     change: Change
     check: str
     row: str
-
-
-def part(motion: Motion, first: str, last: str) -> Motion:
-    """Return phases from one name to the first of another one after it."""
-    names = [phase.name for phase in motion.phases]
-    start = names.index(first)
-    stop = names.index(last, start) + 1
-    on = np.flatnonzero(np.isin(motion.phase_of_piece, range(start, stop)))
-    cut = motion.slice_pieces(slice(on[0], on[-1] + 1), motion.phases[start:stop])
-    return shifted(cut, -float(cut.drones.breaks[0]))
 
 
 PARTS = {

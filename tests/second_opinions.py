@@ -1,0 +1,52 @@
+"""Rows of ``verify`` by some of its functions alone, which is sooner than all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import chain, combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hitchopt import verify as second
+
+Rows = Callable[..., Iterator[second.Row]]
+OF_WHOLE: set[Rows] = {second.jumps, second.interlacing}
+OF_TAUT: set[Rows] = {second.taut_cables, second.crossing_leg_heights}
+OF_BODIES: set[Rows] = {second.resting, second.gripped, second.hinged, second.clear_objects}
+OF_PAIRS: set[Rows] = {second.between_plans, second.object_distances}
+
+
+def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
+    """Yield the rows of functions for what they take: plans, their parts, bodies or pairs."""
+    own, others = second.read(path)
+    parts, besides = ([x for p in plans for x in chain(*p.chapters)] for plans in (own, others))
+    for rows in functions:
+        if rows in OF_WHOLE:
+            yield from chain(*map(rows, own))
+        elif rows in OF_TAUT:
+            yield from chain(*(rows(part) for part in parts if np.any(part.taut)))
+        elif rows in OF_BODIES:
+            yield from chain(*(rows(part, b) for part in parts for b in range(len(part.bodies))))
+        elif rows in OF_PAIRS:
+            for p, q in combinations([*parts, *besides], 2):
+                if p in parts and max(p.start, q.start) < min(p.stop, q.stop):
+                    yield from chain(*map(rows, _pairs(p, q, own, rows)))
+        else:
+            yield from chain(*map(rows, parts))
+
+
+def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[second.Pair]:
+    """Yield a pair of plans, for objects in both orders."""
+    keys = p.settings["separation"]
+    wide = {key: max(each.settings["separation"][key] for each in own) for key in keys}
+    off = max(each.tube[0] for each in own), max(each.tube[1] for each in own)
+    yield second.Pair(p, q, wide, off)
+    if rows is second.object_distances:
+        yield second.Pair(q, p, wide, off)
+
+
+def violated(path: Path, *functions: Rows) -> set[str]:
+    """Return the limits that functions find violated."""
+    return {row.name for row in opinion(path, *functions) if row.verdict == "violated"}
