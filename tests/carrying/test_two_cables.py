@@ -13,6 +13,10 @@ import pytest
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
+from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.forces import hanging_forces
+from hitchopt.hitch.team import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import CURVES, CableState, Group, Motion, concatenated
@@ -125,6 +129,33 @@ def test_drones_are_pulled_along_their_cables_in_every_state() -> None:
     assert np.all(along > 0.0)
     tension = float(motion.phases[-2].tension[0]) if motion.phases[-2].tension else 0.0
     assert np.all(np.linalg.norm(level, axis=-1) > 0.8 * tension)
+
+
+def test_cables_beside_the_object_are_catenaries_within_what_bent_cables_may_lack() -> None:
+    motion = tied()
+    team, (lower,) = motion.team, [p for p in motion.phases if p.name == "lower"]
+    times = np.linspace(lower.start, lower.end, 20) - motion.drones.breaks[0]
+    states = ho.Plan(motion, certify(motion, reports=())).at(times)
+    q, r = states.positions[:, 0::2], states.positions[:, 1::2]
+    half = 0.5 * GRAVITY * team.cable_density / states.tensions[..., None]
+    weights = half * (team.cable_length[:, None] - states.legs[..., ::-1])
+    second_order = (half * team.cable_length[:, None]) ** 2
+    forces = states.cable_forces - hanging_forces(team, states.positions)
+    errors = np.linalg.norm(forces, axis=-1).reshape(weights.shape) / states.tensions[..., None]
+    assert np.all(errors <= PASSED_SHARE * weights + second_order + BALANCE_LIMIT)
+    # Where legs meet edges, they are displaced by what they lack, over their stiffness
+    begin = motion.drones.breaks[0]
+    anchors, middles = (each.at(begin + times) for each in (motion.anchors, motion.contacts))
+    chord = (r - q)[..., None, :2]
+    shares = np.sum((anchors - q[..., None, :])[..., :2] * chord, axis=-1)
+    shares = np.moveaxis(shares / np.sum(chord**2, axis=-1), -1, 0)
+    depths = Catenary.between(q, r, team.cable_length).depth(2.0 * shares - 1.0)
+    heights = np.moveaxis(q[..., 2] + shares * (r - q)[..., 2] - depths, 0, -1)
+    edges = np.linalg.norm(anchors - middles, axis=-1)
+    displaced = PASSED_SHARE * weights + BALANCE_LIMIT
+    displaced = displaced * states.legs * edges / (states.legs + edges)
+    assert np.all(np.abs(anchors[..., 2] - heights) <= displaced)
+    assert np.max(np.abs(anchors[..., 2] - heights)) > 0.25 * np.max(displaced)
 
 
 # Laws.
