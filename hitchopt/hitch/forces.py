@@ -130,6 +130,8 @@ def clasp_loads(
     return ClaspLoads(forces, halves, np.broadcast_to(angles, q.shape), edges)
 
 
+Sides = tuple[Series, Series]  # of both legs at a clasp, r_{k-1} and q_k
+
 TRIANGLE_PASSES = 3
 """Fixed-point iterations of a force triangle with heavy legs, whose pulls depend on their rise; the
 residual after three is below 1e-4 of the tension."""
@@ -139,10 +141,10 @@ def closed_triangle(
     V: Series,
     onward: Series,
     roll: Series | None,
-    tensions: tuple[Series, Series],
-    halves: tuple[Series, Series] | None,
+    tensions: Sides,
+    halves: Sides | None,
     check: Callable[[Any, Any, Any], None] | None = None,
-) -> tuple[Series, Series]:
+) -> Sides:
     r"""Return the directions of the legs r_{k-1} and q_k that hold a clasp in balance.
 
     ``P_q q̂_k = a v̂ + h m`` and ``P_r r̂_{k-1} = (|V| - a) v̂ - h m`` close a triangle with the given
@@ -166,21 +168,23 @@ def closed_triangle(
     if roll is not None:
         cosine, sine = roll.cosine_and_sine
         across = cosine * across + sine * across.cross(along)
-    behind, ahead = tensions
-    for remaining in reversed(range(TRIANGLE_PASSES if halves else 1)):
+
+    def directions(along: Series, across: Series, behind: Series, ahead: Series) -> Sides:
         if check is not None:
             check(size.value, behind.value, ahead.value)
         a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
         h = ((ahead - a) * (ahead + a)).root
-        sides = ((size - a) * along - h * across, a * along + h * across)
-        directions = sides[0] / behind, sides[1] / ahead
-        if remaining and halves:
-            rises = [direction.row(2) for direction in directions]
-            behind, ahead = (
-                chord_pull(tension, half, 1.0 - rise * rise, rise)
-                for tension, half, rise in zip(tensions, halves, rises, strict=True)
-            )
-    return directions
+        return ((size - a) * along - h * across) / behind, (a * along + h * across) / ahead
+
+    pulls = tensions
+    for _ in range(TRIANGLE_PASSES - 1 if halves else 0):
+        rises = directions(along.row(2), across.row(2), *pulls)
+        behind, ahead = (
+            chord_pull(tension, half, 1.0 - rise * rise, rise)
+            for tension, half, rise in zip(tensions, halves or (), rises, strict=True)
+        )
+        pulls = behind, ahead
+    return directions(along, across, *pulls)
 
 
 def leg_directions(
@@ -243,14 +247,15 @@ def leg_directions(
 
     rolled, halves, V = None, None, pulled
     if loads is not None:
-        rolled, V = Series([loads.roll[None]]), pulled - loads.forces
-        halves = Series([loads.halves[None, ..., 0]]), Series([loads.halves[None, ..., 1]])
+        rolled, V = Series(loads.roll[None, None]), pulled - loads.forces
+        weights = loads.halves[None, None]
+        halves = Series(weights[..., 0]), Series(weights[..., 1])
     with np.errstate(all="ignore"):  # V vanishes where equal tensions pull straight on
         directions = closed_triangle(
             Series.of_vectors(V),
             Series.of_vectors(u + v),
             rolled,
-            (Series([own[0][None]]), Series([own[1][None]])),
+            (Series(own[0][None, None]), Series(own[1][None, None])),
             halves,
             check,
         )

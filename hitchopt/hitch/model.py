@@ -312,9 +312,9 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
         rho = weight if choice else None
     else:  # the legs of cables k-1 and k+1 do not matter
         q_legs, lengths, rho = ca.vertcat(0.0, q_legs, 0.0), ca.vertcat(0.0, lengths), None
-    points = [Series([point]) for point in corners]
-    edges = [Edge.of(points[i + 1] - points[i], Series([tensions[i]]), rho) for i in range(3)]
-    d = [Series([q_legs[i]]) for i in range(3)]
+    points = [Series(point) for point in corners]
+    edges = [Edge.of(points[i + 1] - points[i], Series(tensions[i]), rho) for i in range(3)]
+    d = [Series(q_legs[i]) for i in range(3)]
     first, second = (
         clasp_legs(
             (edges[i], edges[i + 1]),
@@ -322,7 +322,7 @@ def planar(loaded: bool, choice: bool) -> ca.Function:
             lengths[i],
             loads[3 * i : 3 * i + 3] if loaded else None,
             rho,
-            Series([roll[i]]) if loaded else None,
+            Series(roll[i]) if loaded else None,
             equal=choice,
         )
         for i in range(2)

@@ -11,12 +11,12 @@ rotated hitch keeps its shape. The drones' trajectories follow from these flat o
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -101,8 +101,12 @@ class Retarget(OneLine):
         return Plan(self.motion, certify(self.motion), "Steered")
 
 
-class _RetryLaterError(Exception):
-    """The current plan cannot be left at this time."""
+class _Departure(NamedTuple):
+    """The current plan until a time, the path to rest from there, and the brake on it [s]."""
+
+    past: Motion
+    stop: RetargetPath
+    brake: float
 
 
 class Replanner(OneLine):
@@ -199,12 +203,12 @@ class Replanner(OneLine):
         at = nonnegative("at", at)
         goal = self._requested(polygon, vertex, to, yaw)
         reason = ""
-        for delay in DELAYS:
-            try:
-                result, self._goal = self._retarget(*goal, at + delay)
-            except _RetryLaterError as error:
-                reason = reason or str(error)
+        for departure in self._departures(at):
+            if isinstance(departure, str):
+                reason = reason or departure
                 continue
+            try:
+                result, self._goal = self._retarget(*goal, departure)
             except InfeasibleError as error:
                 reason = str(error)
                 break
@@ -238,15 +242,16 @@ class Replanner(OneLine):
         vertices = (own.vertices - own.centroid) @ np.array([[c, s], [-s, c]]) + centroid[:2]
         return checked_polygon(team, vertices), float(centroid[2]), yaw
 
+    def _departures(self, at: float) -> Iterator[_Departure | str]:
+        """Yield the departures from the current plan at ``at`` [s] or later, or why not then."""
+        for delays in (DELAYS[:1], DELAYS[1:]):  # all later ones at once
+            yield from _departures([self._past(at + delay) for delay in delays], self._limits)
+
     def _retarget(
-        self, outline: Outline, altitude: float, yaw: float, at: float
+        self, outline: Outline, altitude: float, yaw: float, departure: _Departure
     ) -> tuple[Retarget, Hitch]:
-        """Return the result of leaving the current plan at a time, and the hitch at its end."""
-        past = self._past(at)
-        stop = self._stop_at_end(past)
-        brake = stop.brake(self._limits)
-        if brake is None:
-            raise _RetryLaterError(f"from t = {past.duration:.4g} s: no brake keeps all limits")
+        """Return the result of a departure from the current plan, and the hitch at its end."""
+        past, stop, brake = departure
         recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
         end = self._end(outline, altitude)
         path = RetargetPath.to(past.team, stop.state, end, yaw)
@@ -285,21 +290,39 @@ class Replanner(OneLine):
         first, last = breaks[piece : piece + 2].tolist()
         return truncated(self.motion, max(at, min(first + MIN_PIECE, last)))
 
-    def _stop_at_end(self, past: Motion) -> RetargetPath:
-        """Return the path from the state at the end of a motion to rest at its positions."""
-        when = f"at t = {past.duration:.4g} s"
-        if not past.phases[-1].formed or past.phases[-1].hold is not None:
+
+def _departures(pasts: Sequence[Motion], limits: Limits) -> Iterator[_Departure | str]:
+    """Yield departures from the ends of motions, or why these cannot be left.
+
+    A brake is the first of BRAKE_DURATIONS that keeps the limits at samples.
+    """
+    free = [p for p in pasts if p.phases[-1].formed and p.phases[-1].hold is None]
+    for past in pasts:
+        if past not in free:
             reason = "an object is held" if past.phases[-1].formed else "there is no hitch"
-            raise _RetryLaterError(f"{when} {reason}")
-        state = MovingState.at_end(past)
-        stop = RetargetPath(past.team, state, state.vertices[..., 0], state.fractions[:, 0])
-        model = stop.jets(np.zeros(1), 1.0, None)[1].positions[0, ..., 0]
+            yield f"at t = {past.duration:.4g} s {reason}"
+    if not free:
+        return
+    stops = [RetargetPath.to_rest(past.team, MovingState.at_end(past)) for past in free]
+    times = np.outer(BRAKE_DURATIONS, BRAKE_SAMPLES)
+    shape, t = (len(free), *times.shape), times.ravel()
+    durations = np.repeat(BRAKE_DURATIONS, times.shape[1])
+    weights = _weights(t, durations, None)
+    outputs = np.concatenate([stop.ends @ weights for stop in stops])
+    drones = _drones(free[0].team, outputs)
+    shares = _excess(drones, limits, np.tile(t, len(free))).reshape(shape).max(axis=2)
+    models = drones.positions[:: len(t), ..., 0]
+    for past, stop, model, share in zip(free, stops, models, shares, strict=True):
         tensions = past.tensions.coefficients[-1, :, -1]
-        errors = tensions - past.team.tension, model - state.drones[..., 0]
+        errors = tensions - past.team.tension, model - stop.state.drones[..., 0]
+        feasible = np.flatnonzero(share <= BRAKE_SHARE) if stop.state.moves else [0]
         if any(np.abs(error).max() > STATE_TOLERANCE for error in errors):
             reason = "legs lean, are rolled, or do not have the team's tensions"
-            raise _RetryLaterError(f"{when} {reason}")
-        return stop
+            yield f"at t = {past.duration:.4g} s {reason}"
+        elif not len(feasible):
+            yield f"from t = {past.duration:.4g} s: no brake keeps all limits"
+        else:
+            yield _Departure(past, stop, BRAKE_DURATIONS[feasible[0]])
 
 
 def _breaks(brake: float, shift: float) -> Array:
@@ -367,8 +390,13 @@ class RetargetPath:
         angle += 2.0 * math.pi * round((yaw - angle) / (2.0 * math.pi))
         return cls(team, state, vertices, end.fractions, angle)
 
+    @classmethod
+    def to_rest(cls, team: Team, state: MovingState) -> RetargetPath:
+        """Return the path to rest at the positions of a state."""
+        return cls(team, state, state.vertices[..., 0], state.fractions[:, 0])
+
     @cached_property
-    def _ends(self) -> Array:
+    def ends(self) -> Array:
         """(m, 4): mean point, relative shape, fractions and angle: start with rates, and end."""
         centre, goal = self.state.vertices.mean(axis=0), self.end.mean(axis=0)
         shape = (self.state.vertices - centre).reshape(-1, STATE)
@@ -380,33 +408,21 @@ class RetargetPath:
         ends[:, STATE] = np.concatenate(last)
         return ends
 
-    def jets(self, t: Array, brake: float | Array, shift: float | None) -> tuple[Array, DroneJets]:
-        """Return the jets of vertices (J, points, 3, 4) and of drones at times t (J,) [s].
-
-        ``brake``, which may be one per time (J,), and ``shift`` are durations [s]; None is for the
-        brake alone.
-        """
-        team, layout = self.team, self.team.layout
-        outputs = self._ends @ _weights(t, brake, shift)
-        centre, split = outputs[:, :3], outputs[:, 3 + 3 * layout.points : -1]
-        shape = outputs[:, 3 : 3 + 3 * layout.points].reshape(len(t), layout.points, 3, JET)
-        vertices = centre[:, None] + (_rotated(shape, outputs[:, -1]) if self.yaw != 0.0 else shape)
-        edges = layout.edges(vertices, axis=1)
-        tensions = np.zeros((len(t), team.robots, JET))
-        tensions[..., 0] = team.tension
-        slack = -cable_along(team, edges, tensions)
-        slack[..., 0] += team.cable_length
-        q_legs = layout.q_leg_jets(jets.product(split, slack), slack)
-        return vertices, drone_jets(team, FlatJets(vertices, q_legs, tensions))
+    def drones(self, t: Array, brake: float, shift: float) -> DroneJets:
+        """Return the drones at times t (J,) [s] for durations of brake and shift [s]."""
+        return _drones(self.team, self.ends @ _weights(t, brake, shift), turns=self.yaw != 0.0)
 
     def curves(self, breaks: Array, brake: float, shift: float) -> list[PiecewisePolynomial]:
         """Return the four polynomials of a motion, which start exactly at the state."""
         count, h = len(breaks) - 1, ONE_SIDED * (breaks[1:] - breaks[:-1])
         times = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
-        vertices, drones = self.jets(times, brake, shift)
+        drones = self.drones(times, brake, shift)
         legs = drones.legs * self.team.layout.has_leg[..., None]
         starts = (self.state.drones, self.state.vertices, self.state.legs)
-        rows = [part.reshape(2 * count, -1, JET) for part in (drones.positions, vertices, legs)]
+        rows = [
+            part.reshape(2 * count, -1, JET)
+            for part in (drones.positions, drones.flat.vertices, legs)
+        ]
         derivatives = np.moveaxis(np.concatenate(rows, axis=1), -1, 0)
         left, right = derivatives[:, :count], derivatives[:, count:]
         left[:STATE, 1:] = right[:STATE, :-1]
@@ -416,53 +432,62 @@ class RetargetPath:
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
         return [*curves.split([part.shape[:-1] for part in starts]), curves.replaced(pulls)]
 
-    def excess(self, limits: Limits, t: Array, brake: float | Array, shift: float | None) -> Array:
-        """Return the factor by which a motion is too fast at times (J,) [s]; at most 1 is feasible.
-
-        Thrust and tilt, which do not scale, count by the square root of their share of the limit.
-        At t = 0 only the jerk counts, because the state is fixed.
-        """
-        points, drones = self.jets(t, brake, shift)
-        rates = np.maximum.reduce(column_lengths(drones.positions), axis=1).T
-        vertex_speed = np.maximum.reduce(length(points[..., 1]), axis=1)
-        thrusts = drones.thrusts
-        horizontal, upward = np.hypot(thrusts[..., 0], thrusts[..., 1]), thrusts[..., 2]
-        thrust = np.hypot(horizontal, upward) / self.team.max_thrust
-        tilt = np.arctan2(horizontal, upward)
-        ratios = [
-            rates[1] / limits.speed,
-            vertex_speed / limits.vertex_speed,
-            np.sqrt(rates[2] / limits.acceleration),
-            np.sqrt(np.maximum.reduce(thrust, axis=1)),
-            np.sqrt(np.maximum.reduce(tilt, axis=1) / limits.tilt),
-        ]
-        moving = np.maximum.reduce(ratios) * (t > 0.0)
-        factor = np.maximum(moving, np.cbrt(rates[3] / limits.jerk))
-        return np.where(np.isnan(factor), math.inf, factor)
-
-    def brake(self, limits: Limits) -> float | None:
-        """Return the first duration [s] of a brake that keeps the limits at samples, or None."""
-        if not self.state.moves:
-            return BRAKE_DURATIONS[0]
-        times = np.outer(BRAKE_DURATIONS, BRAKE_SAMPLES)
-        durations = np.repeat(BRAKE_DURATIONS, times.shape[1])
-        excess = self.excess(limits, times.ravel(), durations, None).reshape(times.shape)
-        feasible = np.flatnonzero(excess.max(axis=1) <= BRAKE_SHARE)
-        return BRAKE_DURATIONS[feasible[0]] if len(feasible) else None
-
     def shortest_shift(self, limits: Limits, brake: float) -> float | None:
         """Return the duration [s] of a shift that keeps all limits at samples, or None."""
         shift = MIN_SHIFT
         for _ in range(SHIFT_ROUNDS):
             ends = np.array([brake, shift]) * (1.0 - ONE_SIDED)
             times = np.concatenate([max(shift, brake) * SAMPLES, ends])
-            excess = float(self.excess(limits, times, brake, shift).max())
+            drones = self.drones(times, brake, shift)
+            excess = float(_excess(drones, limits, times).max())
             if excess <= SHARE:
                 return shift
             if not math.isfinite(excess):
                 return None
             shift *= max(excess / TARGET_SHARE, MIN_GROWTH)
         return None
+
+
+def _drones(team: Team, outputs: Array, *, turns: bool = False) -> DroneJets:
+    """Return the drones for jets (J, m, JET) of the outputs: mean point, shape, fractions, angle.
+
+    Without ``turns``, all angles are zero.
+    """
+    layout, count = team.layout, len(outputs)
+    centre, split = outputs[:, :3], outputs[:, 3 + 3 * layout.points : -1]
+    shape = outputs[:, 3 : 3 + 3 * layout.points].reshape(count, layout.points, 3, JET)
+    vertices = centre[:, None] + (_rotated(shape, outputs[:, -1]) if turns else shape)
+    edges = layout.edges(vertices, axis=1)
+    tensions = np.zeros((count, team.robots, JET))
+    tensions[..., 0] = team.tension
+    slack = -cable_along(team, edges, tensions)
+    slack[..., 0] += team.cable_length
+    q_legs = layout.q_leg_jets(jets.product(split, slack), slack)
+    return drone_jets(team, FlatJets(vertices, q_legs, tensions))
+
+
+def _excess(drones: DroneJets, limits: Limits, t: Array) -> Array:
+    """Return the factor by which motions are too fast at times (J,) [s]; at most 1 is feasible.
+
+    Thrust and tilt, which do not scale, count by the square root of their share of the limit.
+    At t = 0 only the jerk counts, because the state is fixed.
+    """
+    rates = np.maximum.reduce(column_lengths(drones.positions), axis=1).T
+    vertex_speed = np.maximum.reduce(length(drones.flat.vertices[..., 1]), axis=1)
+    thrusts = drones.thrusts
+    horizontal, upward = np.hypot(thrusts[..., 0], thrusts[..., 1]), thrusts[..., 2]
+    thrust = np.hypot(horizontal, upward) / drones.team.max_thrust
+    tilt = np.arctan2(horizontal, upward)
+    ratios = [
+        rates[1] / limits.speed,
+        vertex_speed / limits.vertex_speed,
+        np.sqrt(rates[2] / limits.acceleration),
+        np.sqrt(np.maximum.reduce(thrust, axis=1)),
+        np.sqrt(np.maximum.reduce(tilt, axis=1) / limits.tilt),
+    ]
+    moving = np.maximum.reduce(ratios) * (t > 0.0)
+    factor = np.maximum(moving, np.cbrt(rates[3] / limits.jerk))
+    return np.where(np.isnan(factor), math.inf, factor)
 
 
 def _weights(t: Array, brake: float | Array, shift: float | None) -> Array:
