@@ -580,13 +580,14 @@ def _exterior(spans: Corners) -> Bound:
     return Bound(np.where(valid, offset + np.degrees(middle + lowest), MIN_ANGLE), cross.lower.x)
 
 
-def _smallest_angle(motion: Motion, _: float) -> WorstCase:
+def _smallest_angle(motion: Motion, limit: float) -> WorstCase:
     """Return the smallest exterior angle in degrees, seen from above; ``where`` names the vertex.
 
     If the outline turns by more than 360° in all at the start, it is the negative remainder: for a
     polygon that winds around its inside more than once, or a chain, whose ends ``where`` names.
     """
-    smallest, start = worst(Corners.of(motion), _exterior, "min"), motion.vertices.breaks[0]
+    target, start = with_tolerance(limit, "min", share=0.5), motion.vertices.breaks[0]
+    smallest = worst(Corners.of(motion), _exterior, "min", target=target)
     layout, points = motion.team.layout, motion.team.point_names
     clasps, ends = np.arange(len(layout.clasps)), () if layout.closed else (points[0], points[-1])
     where = (points[layout.clasps[smallest.item]],) if smallest.item < len(clasps) else ends

@@ -53,6 +53,7 @@ MAX_LISTED, MAX_COMPARED = 8000, 32_768
 # Pairs with the nearest boxes, whose distances at mid span exclude others; number of neighbours of
 # each of many bodies among which they are searched
 MAX_SEEDS, NEIGHBOURS = 256, 8
+ROUGH_SEEDS = 32  # the same where bounds suffice
 # Pairs per body above which a span with moving bodies is halved; maximum number of halvings
 MAX_PER_BODY, MAX_DEPTH = 12, 8
 # Relative: largest difference of distances that tie, and margin of comparisons of boxes
@@ -357,11 +358,12 @@ class PairSpans(TimeSpans):
 
 
 def near_pairs(
-    moving: Moving, attained: Callable[[], float], depth: int = 0
+    moving: Moving, attained: Callable[[], float], depth: int = 0, *, rough: bool = False
 ) -> Iterator[PairSpans]:
     """Yield spans of all pairs that may be closer than the smallest attained distance.
 
-    ``attained`` is called again after every yield. Points at which some pairs are near come first.
+    ``attained`` is called again after every yield. Points at which some pairs are near come first;
+    if bounds suffice (``rough``), the spans of some near pairs.
     A single piece is halved, up to a ``depth``, if the index lists many pairs of moving bodies.
     """
     pairs, pieces = moving.pairs, len(moving.first)
@@ -381,20 +383,26 @@ def near_pairs(
         pairs = None if close is None else moving.select(close.first, close.second)
     if split or pairs is None:
         for half in moving.halves():
-            yield from near_pairs(half, attained, depth + (pieces == 1))
+            yield from near_pairs(half, attained, depth + (pieces == 1), rough=rough)
     else:
-        yield from _compared(moving, attained, pairs)
+        yield from _compared(moving, attained, pairs, rough=rough)
 
 
-def _compared(moving: Moving, attained: Callable[[], float], pairs: Pairs) -> Iterator[PairSpans]:
+def _compared(
+    moving: Moving, attained: Callable[[], float], pairs: Pairs, *, rough: bool = False
+) -> Iterator[PairSpans]:
     """Yield the spans of pairs whose boxes are near, the nearest ones at mid span first."""
     gaps, item = moving.gaps(pairs), pairs.first * moving.count + pairs.second
-    if gaps.size > MAX_SEEDS:
+    count = ROUGH_SEEDS if rough else MAX_SEEDS
+    if gaps.size > count:
         flat = gaps.ravel()
-        seeds = flat.argpartition(MAX_SEEDS)[:MAX_SEEDS]
+        seeds = flat.argpartition(count)[:count]
         seeds.sort()
-        piece, pair = divmod(seeds[flat[seeds] < np.inf], gaps.shape[1])
-        yield PairSpans(moving, moving.breaks, piece, item[pair]).at(0.5)
+        seeds = seeds[flat[seeds] < np.inf]
+        piece, pair = divmod(seeds, gaps.shape[1])
+        spans = PairSpans(moving, moving.breaks, piece, item[pair])
+        yield spans if rough else spans.at(0.5)
+        flat[seeds if rough else []] = np.inf
     cutoff = min((attained() + moving.margin) * (1.0 + SLACK), sys.float_info.max)
     piece, pair = (~(gaps > cutoff)).nonzero()  # nan excludes nothing
     yield PairSpans(moving, moving.breaks, piece, item[pair])
@@ -418,7 +426,7 @@ def smallest(moving: Moving, **options: float) -> Extremum:
     Without a pair, it is infinite and the item is -1.
     """
     search: BranchAndBound[PairSpans] = BranchAndBound(moving.formula, "min", **options)
-    for spans in near_pairs(moving, lambda: search.attained):
+    for spans in near_pairs(moving, lambda: search.attained, rough=search.rough):
         search.add(spans)
         if search.attained <= search.absolute:  # the bodies touch: no pair is worse
             return Extremum(0.0, search.attained, search.item, search.time)

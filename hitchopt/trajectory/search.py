@@ -256,6 +256,11 @@ class BranchAndBound(Generic[S]):
         bound = self.formula(batch)
         bounds = self._signed(bound)
         # Spans that tie are taken in order: the answer is the same on every machine.
+        if self.rough and bounds.max() <= self.target:
+            best = bounds.argmax(axis=0, keepdims=True)
+            self.record(batch.at(bound.x[best], best), bounds[best])
+            return bounds
+        # Spans that tie are taken in order: the answer is the same on every machine.
         size = np.maximum.reduce(sizes := np.abs(bounds)) or 1.0
         if size == np.inf:
             size = np.max(sizes, initial=0.0, where=np.isfinite(sizes)) or 1.0
@@ -265,11 +270,7 @@ class BranchAndBound(Generic[S]):
             candidates = candidates[bounds[candidates] >= self.value - TIE * abs(self.value)]
         if candidates.size:
             points = batch.at(bound.x[candidates], candidates)
-            if self.rough and bounds.max() <= self.target:
-                values = bounds[candidates]
-            else:
-                values = self._signed(self.formula(points))
-            self._record(points, values)
+            self.record(points, self._signed(self.formula(points)))
         return bounds
 
     def _signed(self, bound: Bound) -> Array:
@@ -278,8 +279,8 @@ class BranchAndBound(Generic[S]):
         values[np.isnan(values)] = np.inf
         return values
 
-    def _record(self, points: S, values: Array) -> None:
-        """Record the largest value, or the first in time of values that tie."""
+    def record(self, points: S, values: Array) -> None:
+        """Record the largest of sign · values, or the first in time of values that tie."""
         largest = float(np.maximum.reduce(values))
         tie = TIE * abs(largest) if largest - largest == 0.0 else 0.0  # not if infinite
         best = int((values >= largest - tie).argmax())
