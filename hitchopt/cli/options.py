@@ -62,6 +62,12 @@ def width_option(of: str) -> click.Option:
     return option("--width", words, float, "INCHES")
 
 
+def picture_options(of: str = "the picture") -> tuple[click.Option, click.Option]:
+    """Return the options for format and width of a picture among other results."""
+    formats = option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf"))
+    return formats, width_option(of)
+
+
 def command(
     argument: str, *options: click.Option, **more: Any
 ) -> Callable[[Callable[..., None]], click.Command]:

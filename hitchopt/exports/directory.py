@@ -33,12 +33,12 @@ from hitchopt.values import Array
 SETPOINTS, VERTICES = "setpoints.csv", "vertices.csv"
 CERTIFICATE, DIAGNOSIS = "certificate.json", "diagnosis.json"
 SUMMARY, REPORT = "summary.png", "report.html"
-STATICS, STATICS_PICTURE = "statics.json", "statics.png"
+STATICS, STATICS_PICTURES = "statics.json", ("statics.png", "statics.svg", "statics.pdf")
 ABORTS, ABORT_PLANS = "aborts.json", "aborts.zip"
 
 OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),
-    *(STATICS, STATICS_PICTURE, ABORTS, ABORT_PLANS),
+    *(STATICS, *STATICS_PICTURES, ABORTS, ABORT_PLANS),
 )
 """Names of hitchopt's files in DIR; other files are never replaced or removed."""
 

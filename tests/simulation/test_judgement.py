@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from matplotlib.text import Text
 from numpy.typing import NDArray
 from plans import planned
 from scripted import flight_of, regular_hitch, resting_task
@@ -171,7 +172,7 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     motion = ho.hold(HITCH, 2.0).motion
     figure = drawn_flight(flight_with(), motion, "Four ropes")
     titles = [axes.get_title() for axes in figure.axes]
-    assert titles[:2] == ["start, 0.0 s", "after the pull test, 5.0 s"]
+    assert titles[:2] == ["start, 0.0 s", "pull test, 5.0 s"]
     words = "Four ropes\n4 robots, 8 drones, 2 s, simulated: every vertex holds"
     assert figure.get_suptitle() == words
     save_figure(figure, tmp_path / "flight.png")
@@ -185,6 +186,14 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
         (replace(flight_with(), outcome=Outcome((), (failure,))), f"but {failure.words}"),
     ):
         assert drawn_flight(simulation, motion).get_suptitle().endswith(words)
+    page = drawn_flight(flight_with(), motion, "Four ropes", 3.5)
+    assert (page.get_size_inches()[0], page.get_suptitle()) == (3.5, "")
+    page.draw_without_rendering()
+    for text in page.findobj(Text):
+        if text.get_text() and text.get_visible():
+            box = text.get_window_extent()
+            assert text.get_fontsize() == 8.0
+            assert -1.0 <= box.x0 < box.x1 <= page.bbox.x1 + 1.0, text
     brief = flight_with(None, end=0.0)  # no frames
     assert flight_scene(brief, motion) is None
     assert len(drawn_flight(brief, motion).axes) == 3

@@ -9,7 +9,7 @@ from typing import Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, option, plan_path, width_option
+from hitchopt.cli.options import PATH, command, option, picture_options, plan_path
 from hitchopt.cli.output import ProgressBar, record, say, span_text, table
 from hitchopt.errors import InputError
 
@@ -36,12 +36,13 @@ CIRCLE = "circle:"  # Prefix of a radius in place of an outline
     option("--cable-error", "Error of cable lengths: 0.01 bound, sd:0.01.", str, "M"),
     option("--position-error", "Error of drones' positions, likewise.", str, "M"),
     option("--force-error", "Error of the force feed-forward, likewise.", str, "N"),
-    width_option("the picture"),
+    *picture_options(),
 )
 def statics(
     directory: Path,
     times: tuple[float, ...],
     samples: int,
+    format: str,
     width: float | None,
     *,
     tolerance: bool,
@@ -51,7 +52,7 @@ def statics(
 
     Lengths, density, friction and controllers are the plan's by default. With friction, a vertex
     rests anywhere in its band, depending on the history of the clasps. Writes statics.json and
-    statics.png to DIR, or to DIR/TEAM for several teams. Ends with 3 if a cable is slack or a clasp
+    a picture to DIR, or to DIR/TEAM for several teams. Ends with 3 if a cable is slack or a clasp
     does not hold.
     """
     import numpy as np
@@ -85,7 +86,7 @@ def statics(
                 settled = ranges.settled
             else:
                 ranges, settled = None, settle(part, t, **conditions)
-            save_statics(folder, settled, ranges, width)
+            save_statics(folder, settled, ranges, format, width)
         content = contents[group.name] = statics_content(settled, ranges)
         tables = _statics_tables(content)
         say(f"Team {group.name}\n{tables}" if group.name else tables)
@@ -95,7 +96,7 @@ def statics(
             feed_forward=bool(values["feed_forward"].all()),
         ):
             say(f"note: {note}")
-        say(f"statics.json and statics.png are in {folder}")
+        say(f"statics.json and statics.{format} are in {folder}")
         loose += map(group.label, (*content["slack_cables"], *content["loose_clasps"]))
     record(directory=str(path.parent), statics=contents.get("", contents))
     if loose:
@@ -282,7 +283,7 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     option("--robots", "Number of robots.", int, "N", required=True),
     option(
         "-o --output",
-        "Directory for fit.json and fit.png; nothing is written without it.",
+        "Directory for fit.json and its picture; nothing is written without it.",
         PATH,
         "DIR",
     ),
@@ -297,6 +298,7 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     option("--tilt-deg", "Largest tilt of drones.", 45.0, "DEG"),
     option("--quadrotor-mass", "Of every drone.", 0.132, "KG"),
     option("--max-thrust", "Of every drone.", 2.6, "N"),
+    *picture_options(),
     type=str,
 )
 def fit(
@@ -306,6 +308,8 @@ def fit(
     mass: float | None,
     by: str,
     tilt_deg: float,
+    format: str,
+    width: float | None,
     **options: Any,
 ) -> None:
     """Fit a hitch to OUTLINE: polygons that enclose, grip and support it, and maximum masses.
@@ -326,8 +330,8 @@ def fit(
     notes = [f"note: {note}" for note in result.notes]
     say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
-        save_fit(output, result, mass, by)
-        say(f"fit.json and fit.png are in {output}", directory=str(output))
+        save_fit(output, result, mass, by, format, width)
+        say(f"fit.json and fit.{format} are in {output}", directory=str(output))
     if mass is not None:
         result.raise_if_too_heavy(mass, by)
         say(f"{1e3 * mass:g} g are held by {by}")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import PATH, command, option, plan_path, width_option
+from hitchopt.cli.options import PATH, command, option, picture_options, plan_path
 from hitchopt.cli.output import ProgressBar, say, table
 from hitchopt.errors import InputError
 
@@ -40,8 +40,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     option("--density", "Cable density, as weighed.", float, "KG/M"),
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),
-    option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf")),
-    width_option("the picture"),
+    *picture_options(),
     option("--filter filters", "Replay attitude filters on the recorded sensors; needs no plan."),
     option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
     required=False,

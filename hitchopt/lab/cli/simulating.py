@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, option, plan_path, width_option
+from hitchopt.cli.options import PATH, command, option, picture_options, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
@@ -119,6 +119,7 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
     ),
     option("--reaction/--no-reaction", "Whether the others react to a loss, or ignore it.", True),
+    *picture_options("the picture of a single flight"),
 )
 def simulate(
     directory: Path,
@@ -127,6 +128,8 @@ def simulate(
     processes: int | None,
     lose: str | None,
     as_calibrated: Path | None,
+    format: str,
+    width: float | None,
     *,
     reaction: bool,
     **options: Any,
@@ -161,7 +164,7 @@ def simulate(
         say(f"note: {warning}")
     folder = directory / RESULTS if output is None else output
     if runs is None:
-        _simulate_one(task, settings, folder, directory)
+        _simulate_one(task, settings, folder, directory, format, width)
         return
     with ProgressBar("flying") as progress:
         campaign = run_campaign(task, settings, runs, processes, progress)
@@ -192,7 +195,9 @@ def _with_loss(
     return settings, task.released(reaction.motion, reaction.start, RELEASE_TIME)
 
 
-def _simulate_one(task: Task, settings: Settings, folder: Path, directory: Path) -> None:
+def _simulate_one(
+    task: Task, settings: Settings, folder: Path, directory: Path, format: str, width: float | None
+) -> None:
     """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
     from hitchopt.lab.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
     from hitchopt.lab.simulation.judgement import simulate as simulate_task
@@ -203,7 +208,7 @@ def _simulate_one(task: Task, settings: Settings, folder: Path, directory: Path)
         simulation = simulate_task(task, settings, progress)
     saved = read_saved_plan(plan_path(directory))
     with ProgressBar("writing the results"):
-        save_simulation(folder, simulation, saved.motion, saved.title)
+        save_simulation(folder, simulation, saved.motion, saved.title, format, width)
     message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
     say(message, directory=str(folder), simulation=summary(simulation))
     if simulation.errors.t.size and not task.groups:

@@ -32,20 +32,21 @@ from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.painter import MAX_PANELS, Shot, draw_storyboard, shots_in_motion
-from hitchopt.view.pictures import draw_phases
+from hitchopt.view.pictures import PAGE_LEGEND, PAGE_PLAN, PAGE_SHARE, draw_phases
 from hitchopt.view.scene import Scene, recorded_scene
 
 FORMAT = "hitchopt-simulation/1"
 
-SUMMARY, PICTURE = "simulation.json", "simulation.png"
+SUMMARY, PICTURES = "simulation.json", ("simulation.png", "simulation.svg", "simulation.pdf")
 VERTICES, CABLES, DRONES = "vertices.csv", "cables.csv", "drones.csv"
 OBJECTS, CAMPAIGN, RUNS = "objects.csv", "campaign.json", "runs.csv"
 
 # Names that belong to hitchopt in the directory of results; other files are never touched
-OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, PICTURE, CAMPAIGN, RUNS)
+OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, *PICTURES, CAMPAIGN, RUNS)
 
 # Width and height [inch], and width ratios of storyboard and plots, as in a plan's summary
 SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
+PAGE_PLOT = 1.3  # Height of a plot on a page [inch]
 
 MEAN_TIME = 0.2  # Averaging time of thick tension curves [s]
 MAX_LABELS = 6  # Largest number of vertices in the legend
@@ -57,12 +58,19 @@ OTHER_FAILURES = ("touch", "dropped", "misplaced", "caught")
 
 
 def save_simulation(
-    directory: Path | str, simulation: Simulation, motion: Motion, title: str = ""
+    directory: Path | str,
+    simulation: Simulation,
+    motion: Motion,
+    title: str = "",
+    format: str = "png",
+    width: float | None = None,
 ) -> Path:
     """Write summary, tables, recording and picture, all of them or none; return the directory.
 
-    The picture shows the plan ``motion`` under a title. Raises FileError if writing fails.
+    The picture shows the plan ``motion`` under a title, as ``simulation.png``, ``svg`` or ``pdf``;
+    with a ``width`` [inch] it is a figure for a paper. Raises FileError if writing fails.
     """
+    picture = drawn_flight(simulation, motion, title, width)
     flight, errors = simulation.flight, simulation.errors
     record, team, cargo = flight.record, flight.task.team, flight.task.cargo
     rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
@@ -93,7 +101,7 @@ def save_simulation(
         del tables[OBJECTS]
     writers: dict[str, Writer] = {name: partial(write_table, *v) for name, v in tables.items()}
     writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
-    writers[PICTURE] = lambda path: style.save_figure(drawn_flight(simulation, motion, title), path)
+    writers[f"simulation.{format}"] = lambda path: style.save_figure(picture, path)
     writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
     return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
@@ -174,22 +182,42 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     }
 
 
-def drawn_flight(simulation: Simulation, motion: Motion, title: str = "") -> Figure:
-    """Return the picture of a flight of a plan: a storyboard, and errors and tensions over time."""
-    figure = style.new_figure(SIZE)
-    grid = figure.add_gridspec(3, 2, width_ratios=WIDTHS)
+def drawn_flight(
+    simulation: Simulation, motion: Motion, title: str = "", width: float | None = None
+) -> Figure:
+    """Return the picture of a flight of a plan: a storyboard, and errors and tensions over time.
+
+    With a ``width`` [inch] it is a figure for a paper, without a headline.
+    """
+    if width is None:
+        figure = style.new_figure(SIZE)
+        parts = figure.add_gridspec(1, 2, width_ratios=WIDTHS)
+    else:
+        heights = min(PAGE_SHARE * width, PAGE_PLAN), 3.0 * PAGE_PLOT
+        figure = style.page_figure(width, sum(heights) + PAGE_LEGEND)
+        parts = figure.add_gridspec(2, 1, height_ratios=heights)
     scene = flight_scene(simulation, motion)
     if scene is not None:  # shots of the plan up to the end, and the end
         end = float(scene.t[-1])
         shots = [shot for shot in shots_in_motion(motion) if shot.time <= end + SHOT_TOLERANCE]
         if np.isfinite(simulation.flight.pulled):
-            words = "after the pull test" if simulation.flight.task.states.formed[-1] else "at rest"
+            words = "pull test" if simulation.flight.task.states.formed[-1] else "at rest"
             shots = [*shots[: MAX_PANELS - 1], Shot(words, end, essential=True)]
         radius = ROPE_RADIUS * float(np.linalg.norm(np.ptp(scene.drones, axis=(0, 1))))
         thick = replace(scene, radius=float(np.clip(radius, scene.radius, MAX_ROPE_RADIUS)))
-        draw_storyboard(grid[:, 0], thick, shots, (scene.t, scene.drones))
-    _draw_over_time([figure.add_subplot(grid[i, 1]) for i in range(3)], simulation, motion)
-    style.headline(figure, title, f"{style.facts(motion)}, simulated: {ending(simulation)}")
+        draw_storyboard(parts[0], thick, shots, (scene.t, scene.drones))
+    rows = parts[1].subgridspec(3, 1)
+    plots = [figure.add_subplot(rows[row]) for row in range(3)]
+    _draw_over_time(plots, simulation, motion)
+    if width is None:
+        style.headline(figure, title, f"{style.facts(motion)}, simulated: {ending(simulation)}")
+        return figure
+    figure.align_ylabels(plots)
+    if legend := plots[0].get_legend():
+        style.legend_on_page(figure, list(filter(None, legend.legend_handles)))
+        legend.remove()
+    else:
+        style.set_page_text(figure)
     return figure
 
 
@@ -226,10 +254,10 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
         middle.plot(each[0].t - each[0].t[0], tension, **line)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
-    first = "vertex error," if simulation.settings.preset.exact else "vertex error ± 1 to 2 cm,"
-    second = f"tension [N], {MEAN_TIME:g} s means\nthick, planned dashed"
-    titles = f"{first}\nsag included [cm]", second
-    for axes, words in zip(plots, (*titles, "farthest drone\nfrom setpoint [cm]"), strict=True):
+    first = "vertex error" if simulation.settings.preset.exact else "vertex error\n± 1 to 2 cm"
+    second = f"tension [N],\nplanned dashed,\n{MEAN_TIME:g} s means thick"
+    titles = f"{first},\nsag included [cm]", second, "farthest drone\nto setpoint [cm]"
+    for axes, words in zip(plots, titles, strict=True):
         axes.set_ylabel(words)
         axes.set_xlim(0.0, end)
         style.from_zero(axes, 0.3 if axes.get_legend() else 0.1)

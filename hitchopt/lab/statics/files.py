@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Polygon
+from matplotlib.patches import Circle, Patch, Polygon
 from scipy.spatial import ConvexHull
 
 from hitchopt.errors import InfeasibleError
-from hitchopt.exports.directory import STATICS, STATICS_PICTURE
+from hitchopt.exports.directory import STATICS, STATICS_PICTURES
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip
@@ -22,7 +22,7 @@ from hitchopt.lab.statics.calibrate import Calibration
 from hitchopt.lab.statics.fit import GRIP, REST, Fit
 from hitchopt.lab.statics.settle import Settled
 from hitchopt.lab.statics.tolerance import Tolerance
-from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.view.style import (
     COLOURS,
     DASHES,
@@ -32,6 +32,7 @@ from hitchopt.view.style import (
     cable_colours,
     from_zero,
     legend_on_page,
+    marker,
     new_figure,
     page_figure,
     save_figure,
@@ -41,6 +42,7 @@ STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
 # Widths and heights [inch], and height of a legend on a page
 STATICS_SIZE, FIT_SIZE, PAGE_LEGEND = (12.5, 4.8), (12.0, 5.0), 1.0
+FIT_SHARE = 0.8  # Height of a polygon on a page over its width
 
 # Line style of the plan, and points of a unit circle
 PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
@@ -52,19 +54,23 @@ MAX_DRAWN_RATIO = 3.0  # Largest drawn tension of a range, over the largest at r
 
 
 def save_statics(
-    directory: Path, settled: Settled, ranges: Tolerance | None, width: float | None = None
+    directory: Path,
+    settled: Settled,
+    ranges: Tolerance | None,
+    format: str = "png",
+    width: float | None = None,
 ) -> Path:
     """Write a hitch at rest at times (S,), and its ranges if any, to a plan's directory.
 
-    With a ``width`` [inch] the picture is a figure for a paper. Only statics.json and its picture
-    are replaced; FileError if writing fails.
+    The picture is ``statics.png``, or ``svg`` or ``pdf``; with a ``width`` [inch] it is a figure
+    for a paper. Only statics.json and its pictures are replaced; FileError if writing fails.
     """
-    content = statics_content(settled, ranges)
-    writers = {
-        STATICS_PICTURE: lambda path: save_figure(draw_statics(settled, ranges, width), path),
+    content, figure = statics_content(settled, ranges), draw_statics(settled, ranges, width)
+    writers: dict[str, Writer] = {
+        f"statics.{format}": lambda path: save_figure(figure, path),
         STATICS: lambda path: write_strict_json(path, content),
     }
-    return replace_files(directory, writers, tuple(writers), seal=STATICS)
+    return replace_files(directory, writers, (STATICS, *STATICS_PICTURES), seal=STATICS)
 
 
 def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any]:
@@ -206,14 +212,23 @@ def _yaml(value: object) -> str:
     return json.dumps(value, default=plain)
 
 
-def save_fit(directory: Path, fit: Fit, mass: float | None = None, by: str = GRIP) -> None:
-    """Write ``fit.json`` and ``fit.png`` to a directory, which is created if missing.
+def save_fit(
+    directory: Path,
+    fit: Fit,
+    mass: float | None = None,
+    by: str = GRIP,
+    format: str = "png",
+    width: float | None = None,
+) -> None:
+    """Write ``fit.json`` and its picture to a directory, which is created if missing.
 
-    ``mass`` [kg] is to be held by ``grip`` or ``rest``.
+    ``mass`` [kg] is to be held by ``grip`` or ``rest``. The picture is ``fit.png``, or ``svg`` or
+    ``pdf``; with a ``width`` [inch] it is a figure for a paper.
     """
+    figure = draw_fit(fit, mass, by, width)
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
-    save_figure(draw_fit(fit, mass, by), directory / "fit.png")
+    save_figure(figure, directory / f"fit.{format}")
 
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
@@ -248,13 +263,15 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
     return content
 
 
-def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
+def draw_fit(
+    fit: Fit, mass: float | None = None, by: str = GRIP, width: float | None = None
+) -> Figure:
     """Return the picture: the object with the polygons that enclose it, grip it and support it.
 
     Drones of the enclosing and supporting polygons are drawn without a load; ``mass`` [kg] is to be
-    held.
+    held. With a ``width`` [inch] it is a figure for a paper, with the polygons below each other.
     """
-    figure, holding, section = new_figure(FIT_SIZE), fit.holding, fit.section
+    holding, section = fit.holding, fit.section
     outline = (section.core[:, None] + section.rounding * CIRCLE).reshape(-1, 2)
     titles = [f"enclose: {holding.robots} cables of {holding.cable_length:.2f} m"]
     for each in (GRIP, REST):
@@ -267,12 +284,18 @@ def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
     requirements, kind = holding.task.requirements, holding.task.kind
     length, tension = holding.cable_length, holding.task.tension
     team = Team(holding.robots, length, tension=tension, quadrotor=kind)
-    panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    if width is None:
+        figure = new_figure(FIT_SIZE)
+        panels = figure.subplots(1, 3, sharex=True, sharey=True)
+    else:
+        figure = page_figure(width, 3.0 * FIT_SHARE * width + PAGE_LEGEND)
+        panels = figure.subplots(3, 1, sharex=True, sharey=True)
     for axes, polygon, title in zip(panels, polygons, titles, strict=True):
         axes.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
         axes.set_aspect("equal")
         axes.set_title(title, fontsize="medium")
-        axes.set(xlabel="x [m]")
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        axes.label_outer()
         if isinstance(polygon, InfeasibleError):
             continue
         vertices = polygon.vertices[:, :2]
@@ -299,8 +322,17 @@ def draw_fit(fit: Fit, mass: float | None = None, by: str = GRIP) -> Figure:
             axes.add_patch(
                 Circle((x, y), requirements.separation.radius, fill=False, ec=COLOURS[0])
             )
-    panels[0].set_ylabel("y [m]")
     panels[0].locator_params(nbins=5)
-    legend = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
-    figure.suptitle(legend, fontsize="medium")
+    if width is None:
+        legend = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
+        figure.suptitle(legend, fontsize="medium")
+        return figure
+    handles = (
+        Patch(fc="0.88", ec="0.55", label="object"),
+        Line2D([], [], color=COLOURS[0], label="cables"),
+        marker("o", LIMIT_COLOUR, LIMIT_COLOUR, "clasps", 3.0),
+        marker("o", COLOURS[0], COLOURS[0], "drones", 4.0),
+        marker("o", "none", COLOURS[0], "their ellipsoids", 8.0),
+    )
+    legend_on_page(figure, handles)
     return figure
