@@ -60,7 +60,6 @@ from hitchopt.checks.spans import (
     derivative,
     derivative_margin,
     edge_vectors,
-    inner_ends,
     leg_vectors,
     pair_of,
     phase_parts,
@@ -262,8 +261,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     for span in motion.spans(TAUT_STATES):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
         if span.has_bent_cables:
-            ends = inner_ends(span).reshape(len(span.drones.durations), *span.drones.shape, -1)
-            parts.append((span.anchors.replaced(ends), legs))
+            parts.append((span.anchors.reshaped(-1, 3), legs))
     return jump_of(motion, parts)
 
 

@@ -25,7 +25,6 @@ from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
     cached,
-    inner_ends,
     joined_arrays,
     leg_vectors,
     magnitude,
@@ -172,13 +171,8 @@ def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
 @cached
 def bends(motion: Motion) -> Array:
     """Return start, both contacts and end of edges (pieces, n, 4, 3, …) [m]."""
-    layout, vertices = motion.team.layout, motion.vertices.coefficients
-    if motion.has_bent_cables:
-        ends = inner_ends(motion)
-        parts = [ends[:, :, :1], motion.contacts.coefficients, ends[:, :, 1:]]
-        return joined_arrays(parts, axis=2)
-    start, end = (vertices[:, points, None] for points in (layout.starts, layout.ends))
-    return joined_arrays([start, motion.contacts.coefficients, end], axis=2)
+    ends = motion.anchors.coefficients
+    return joined_arrays([ends[:, :, :1], motion.contacts.coefficients, ends[:, :, 1:]], axis=2)
 
 
 class Gripped(Held):

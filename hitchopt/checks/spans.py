@@ -189,22 +189,8 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 @cached
 def leg_vectors(motion: Motion) -> Array:
     """Return vectors (pieces, 2n, 3, N+1) [m] of legs, to each drone q0, r0, q1, …."""
-    if motion.has_bent_cables:
-        drones, anchors = same_degree(motion.drones.coefficients, inner_ends(motion))
-        return drones - anchors.reshape(drones.shape)
-    drones, vertices = positions(motion)
-    return drones - vertices[:, motion.team.layout.anchors]
-
-
-def inner_ends(motion: Motion) -> Array:
-    """Return the inner ends of legs (pieces, n, 2, 3, N+1) [m]: anchors of bent cables, or clasps.
-
-    Anchors that are stored in other states have no meaning.
-    """
-    vertices, anchors = same_degree(motion.vertices.coefficients, motion.anchors.coefficients)
-    at_clasps = vertices[:, motion.team.layout.anchors].reshape(anchors.shape)
-    bent = motion.in_states(frozenset({CableState.BENT}))
-    return np.where(bent[:, None, None, None, None], anchors, at_clasps)
+    drones, ends = same_degree(motion.drones.coefficients, motion.anchors.coefficients)
+    return drones - ends.reshape(drones.shape)
 
 
 @cached
@@ -235,13 +221,8 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
     if not motion.has_wraps:
         edges = edge_vectors(motion)
         return edges, edges
-    layout = motion.team.layout
-    if motion.has_bent_cables:
-        ends, contacts = same_degree(inner_ends(motion), motion.contacts.coefficients)
-        return contacts[:, :, 0] - ends[:, :, 0], ends[:, :, 1] - contacts[:, :, 1]
-    vertices, contacts = same_degree(motion.vertices.coefficients, motion.contacts.coefficients)
-    leaving = contacts[:, :, 0] - vertices[:, layout.starts]
-    return leaving, vertices[:, layout.ends] - contacts[:, :, 1]
+    ends, contacts = same_degree(motion.anchors.coefficients, motion.contacts.coefficients)
+    return contacts[:, :, 0] - ends[:, :, 0], ends[:, :, 1] - contacts[:, :, 1]
 
 
 @cached
@@ -250,27 +231,20 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
 
     An edge that is wrapped around an object has three: two straight parts and the arc's chord.
     """
-    layout, nodes = motion.team.layout, [motion.vertices.coefficients, motion.drones.coefficients]
+    layout = motion.team.layout
     if not motion.has_wraps:
+        nodes = motion.vertices.coefficients, motion.drones.coefficients
         return joined_arrays(nodes, axis=1)[:, layout.part_nodes], layout.parts
-    # Hitches that grip an object are closed: contacts are nodes of their edges.
-    if motion.has_bent_cables:
-        ends, contacts = inner_ends(motion), motion.contacts.coefficients
-        drones = motion.drones.coefficients
-        drones, ends, contacts = same_degree(drones, ends, contacts)
-        pairs = drones.reshape(ends.shape)
-        corners = [pairs[:, :, 0], ends[:, :, 0], contacts[:, :, 0]]
-        route = np.stack([*corners, contacts[:, :, 1], ends[:, :, 1], pairs[:, :, 1]], axis=2)
-        parts = np.stack([route[:, :, :-1], route[:, :, 1:]], axis=3)
-        part = (3 * np.arange(layout.robots)[:, None] + np.array([0, 1, 1, 1, 2])).ravel()
-        return parts.reshape(len(parts), -1, *parts.shape[3:]), part
-    contacts = motion.contacts.coefficients
-    first = layout.points + 2 * layout.robots + 2 * np.arange(layout.robots)[:, None]
-    routes = np.hstack([layout.routes[:, :2], first, first + 1, layout.routes[:, 2:]])
-    nodes.append(contacts.reshape(len(contacts), -1, *contacts.shape[3:]))
-    ends = np.stack([routes[:, :-1], routes[:, 1:]], axis=-1).reshape(-1, 2)
+    # Hitches that grip an object are closed: all cables have two legs.
+    drones, ends, contacts = same_degree(
+        motion.drones.coefficients, motion.anchors.coefficients, motion.contacts.coefficients
+    )
+    pairs = drones.reshape(ends.shape)
+    corners = [pairs[:, :, 0], ends[:, :, 0], contacts[:, :, 0]]
+    route = np.stack([*corners, contacts[:, :, 1], ends[:, :, 1], pairs[:, :, 1]], axis=2)
+    parts = np.stack([route[:, :, :-1], route[:, :, 1:]], axis=3)
     part = (3 * np.arange(layout.robots)[:, None] + np.array([0, 1, 1, 1, 2])).ravel()
-    return joined_arrays(nodes, axis=1)[:, ends], part
+    return parts.reshape(len(parts), -1, *parts.shape[3:]), part
 
 
 def clasped_pairs(layout: Layout) -> Indices:
