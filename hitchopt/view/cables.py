@@ -1,4 +1,4 @@
-"""Curves of the cables over time: hanging freely, or hooked into each other at the clasps.
+"""Curves of the cables over time: hanging freely, bent around an object, or hooked at the clasps.
 
 A free cable is a catenary. A hooked cable consists of leg, bend, edge, bend and leg; its slack is
 split among the spans in proportion to their cubed lengths, as under equal tension. At a clasp both
@@ -92,6 +92,9 @@ def _part_curves(
     """
     times, shares = _hooked_shares(motion, t)
     points, radius = _free_cables(motion, drones, np.linspace(0.0, 1.0, POINTS)), max_radius
+    pieces = np.searchsorted(motion.drones.breaks[1:-1], t, side="right")
+    bent = np.flatnonzero(motion.in_states(frozenset({CableState.BENT}))[pieces])
+    points[bent] = _bent_cables(motion, drones[bent], t[bent])
     samples = np.flatnonzero(shares > 0.0)
     if len(samples):
         times = times[samples]
@@ -222,21 +225,39 @@ def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord
     return np.asarray(points)
 
 
+def _bent_cables(motion: Motion, drones: Array, t: Array) -> Array:
+    """Return cables (times, n, POINTS, 3) [m] that bend around an object each on its own."""
+    anchors, contacts = motion.anchors.at(t), motion.contacts.at(t)  # (times, n, 2, 3)
+    pairs = drones.reshape(contacts.shape)
+    total, edges = wrapped_edges(anchors[..., 0, :], anchors[..., 1, :], contacts)
+    arcs, chords = edges[..., 1:-1, :], length(pairs - contacts)
+    slack = motion.team.cable_length - total + np.sum(length(anchors - contacts) - chords, axis=-1)
+    lengths = _with_slack(motion, chords, slack)
+    shares = np.linspace(0.0, 1.0, (POINTS - arcs.shape[-2]) // 2)
+    halves = _sagging(contacts, pairs, lengths, shares, of_chord=True)
+    return np.concatenate([halves[:, :, 0, ::-1], arcs, halves[:, :, 1]], axis=2)
+
+
+def _with_slack(motion: Motion, chords: Array, slack: Array) -> Array:
+    """Return lengths of cable (…, n, spans) [m] along chords, with shares of slack (…, n) [m]."""
+    team = motion.team
+    tolerance = SLACK_TOLERANCE * team.cable_length if team.cable_density == 0.0 else 0.0
+    slack = np.where(slack <= tolerance, 0.0, slack)[..., None]
+    cubes = chords**3
+    return np.asarray(chords + slack * cubes / np.sum(cubes, axis=-1, keepdims=True))
+
+
 def _hooked_cables(
     motion: Motion, drones: Array, vertices: Array, bending: _Bending, contacts: Array | None
 ) -> Array:
     """Return hooked cables (times, n, POINTS, 3) [m]; edges are wrapped between their contacts."""
-    team, layout, radius = motion.team, motion.team.layout, bending.radius
+    layout, radius = motion.team.layout, bending.radius
     a, b = vertices[:, layout.starts], vertices[:, layout.ends]
     corners = np.stack([drones[:, 0::2], a, b, drones[:, 1::2]], axis=2)
     chords = length(np.diff(corners, axis=2))
     if contacts is not None:
         chords[..., 1] = wrapped_edges(a, b, contacts)[0]
-    slack = team.cable_length - np.sum(chords, axis=-1)
-    tolerance = SLACK_TOLERANCE * team.cable_length if team.cable_density == 0.0 else 0.0
-    slack = np.where(slack <= tolerance, 0.0, slack)
-    cubes = chords**3
-    lengths = chords + slack[..., None] * cubes / np.sum(cubes, axis=-1, keepdims=True)
+    lengths = _with_slack(motion, chords, motion.team.cable_length - np.sum(chords, axis=-1))
     trim, zero = STRAIGHT_AT * radius / np.maximum(chords, MIN_LENGTH), np.zeros(a.shape[:2])
     before, after = np.moveaxis(np.where(layout.has_leg, trim[..., 1:2], 0.0), -1, 0)
     cuts = ((zero, trim[..., 0]), (before, after), (trim[..., 2], zero))
