@@ -92,7 +92,9 @@ EXPORTED_LIMIT = -1e-4
 FRACTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])[:, None, None]
 """Points along a span: the polygon through them with the full sag is below the cable."""
 
-BISECTIONS = 25  # of a segment for its nearest point, to 3e-8 of its length
+# Rounds in which a segment is divided, and parts per round, to find its nearest point to 3e-8 of
+# its length: few segments are divided into many parts at once
+MANY_SEGMENTS, FEW_ROUNDS, MANY_ROUNDS = 256, (5, 32), (25, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,14 +130,15 @@ class Solid(Shape):
             # The distance to a convex body is convex along a segment: most are nearest at an end.
             rising = [dot(self.slab.clearance(end).normals, along) > 0.0 for end in (first, last)]
             inner = ~rising[0] & rising[1]
-            begin, slope = first[inner], along[inner]
-            lower, upper = np.zeros(len(begin)), np.ones(len(begin))
-            for _ in range(BISECTIONS if len(begin) else 0):
-                middle = 0.5 * (lower + upper)
-                normals = self.slab.clearance(begin + middle[:, None] * slope).normals
-                passed = dot(normals, slope) > 0.0
-                lower, upper = np.where(passed, lower, middle), np.where(passed, middle, upper)
-            fraction[~rising[1]], fraction[inner] = 1.0, upper
+            begin, slope, width = first[inner], along[inner], 1.0
+            rounds, parts = FEW_ROUNDS if len(begin) < MANY_SEGMENTS else MANY_ROUNDS
+            lower = np.zeros(len(begin))
+            for _ in range(rounds if len(begin) else 0):
+                width /= parts
+                inside = lower + width * np.arange(1, parts)[:, None]
+                normals = self.slab.clearance(begin + inside[..., None] * slope).normals
+                lower += width * np.count_nonzero(dot(normals, slope) <= 0.0, axis=0)
+            fraction[~rising[1]], fraction[inner] = 1.0, lower + width
         return self.slab.clearance(first + fraction[..., None] * along).normals
 
     def _slab_normals(self, corners: Array, rounding: float) -> Array:
@@ -217,10 +220,15 @@ def moving_object_pairs(motion: Motion) -> Iterator[Moving]:
         touches = vertical & np.any(np.abs(height[:, [0, -1]]) <= CONTACT_GAP, axis=1)
         base = [slab.section for slab in body.slabs if slab.lower == body.lower]
         top = [slab.section for slab in other.slabs if slab.upper == other.upper] if other else []
-        for piece in np.flatnonzero(touches) if top else ():
-            ends = pose.c[piece, :, 0], other_pose.c[piece, :, 0]
-            gaps = [section_gap(a, ends[0], b, ends[1]) for a, b in product(base, top)]
-            touches[piece] = min(gaps) < 0.0
+        if top and np.any(touches):
+            both = np.stack([pose.c[touches, :, 0], other_pose.c[touches, :, 0]], axis=1)
+            both[:, :, 2] = 0.0  # heights do not matter
+            cases, index = np.unique(both, axis=0, return_inverse=True)
+            gaps = [
+                min(section_gap(a, one, b, two) for a, b in product(base, top))
+                for one, two in cases
+            ]
+            touches[touches] = np.array(gaps)[index.ravel()] < 0.0
         support = surface_below(objects, places, name, floor)[1] or GROUND
         runs = np.cumsum(~vertical)
         touching = np.isin(runs, runs[touches]) | ((runs == 0) & (label == support))

@@ -287,10 +287,11 @@ def steepness_of(offset: Enclosed, length: Array) -> Interval:
     """Return the steepness of hanging cables of lengths (spans,) [m] with offsets of their ends."""
     widths, heights = offset.xy.norm_range, offset[2].norm_range
     tiny = 1e-6 * length
-    return Interval(
-        steepness(level_length(heights.high, length) / np.maximum(widths.high, tiny)),
-        steepness(level_length(heights.low, length) / np.maximum(widths.low, tiny)),
-    )
+    ratios = [
+        level_length(height, length) / np.maximum(width, tiny)
+        for height, width in ((heights.high, widths.high), (heights.low, widths.low))
+    ]
+    return Interval(*steepness(ratios))
 
 
 def _inverse_square(size: Interval) -> Interval:

@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InputError
 from hitchopt.values import MAX_COORDINATE, Array, as_array, integer, positive
 
-NEWTON_ITERATIONS = 12
+NEWTON_ITERATIONS = 8
 """Number of Newton iterations; 6 reach the last digit for all ratios up to 1e9."""
 
 MIN_RELATIVE_SPAN = 1e-6

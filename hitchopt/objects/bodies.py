@@ -105,22 +105,21 @@ class Section(ByValue):
         """
         if self.outline is None:
             return length(positions) - self.rounding, unit(positions, [1.0, 0.0])
-        # Separate coordinates (m, …): products of many short vectors take several times as long.
+        # Separate coordinates (m, points): products of many short vectors take far longer.
         columns, normals = self._columns
-        columns = columns.reshape(*columns.shape, *(1,) * (positions.ndim - 1))
         x, y, along_x, along_y, squared, out_x, out_y = columns
-        x, y = positions[..., 0] - x, positions[..., 1] - y
+        (east, north), each = positions.reshape(-1, 2).T, np.arange(positions.size // 2)
+        x, y = east - x, north - y
         depths = x * out_x + y * out_y  # signed distances from the lines of all sides
-        fraction = np.clip((x * along_x + y * along_y) / squared, 0.0, 1.0)
+        fraction = np.minimum(np.maximum((x * along_x + y * along_y) / squared, 0.0), 1.0)
         x, y = x - fraction * along_x, y - fraction * along_y
-        nearest = np.argmin(x * x + y * y, axis=0)[None]
-        chosen = [np.take_along_axis(each, nearest, axis=0)[0] for each in (x, y)]
-        offset = np.stack(chosen, axis=-1)
-        depth, gap = np.max(depths, axis=0), length(offset)
+        nearest, face = (x * x + y * y).argmin(axis=0), depths.argmax(axis=0)
+        offset = np.array([x[nearest, each], y[nearest, each]]).T
+        depth, gap = depths[face, each], length(offset)
         inside = (depth <= 0.0) | (gap == 0.0)
-        face_normals = normals[np.argmax(depths, axis=0)]
-        normals = np.where(inside[..., None], face_normals, unit(offset))
-        return np.where(depth <= 0.0, depth, gap), normals
+        normals = np.where(inside[:, None], normals[face], unit(offset))
+        distance = np.where(depth <= 0.0, depth, gap)
+        return distance.reshape(positions.shape[:-1]), normals.reshape(positions.shape)
 
     def reach(self, positions: Array, directions: Array) -> Array:
         """Return distances (…) [m] from inner points (…, 2) to the boundary along unit vectors."""
@@ -136,12 +135,13 @@ class Section(ByValue):
 
     @cached_property
     def _columns(self) -> tuple[Array, Array]:
-        """Columns (7, m) that describe a polygon's sides, and their outward normals (m, 2).
+        """Columns (7, m, 1) that describe a polygon's sides, and their outward normals (m, 2).
 
         The columns are first corners, vectors, squared lengths, and normals.
         """
         along, normals = self.sides[:, 1] - self.sides[:, 0], self._normals
-        return np.column_stack([self.core, along, dot(along, along), normals]).T, normals
+        columns = np.column_stack([self.core, along, dot(along, along), normals]).T
+        return columns[..., None], normals
 
     def segment_distance(self, first: Array, last: Array) -> Array:
         """Return distances (…) [m] of segments between points (…, 2), zero if they intersect."""
