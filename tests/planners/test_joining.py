@@ -53,6 +53,7 @@ def solved(
     return ho.solve(problem)
 
 
+@pytest.mark.slow
 def test_a_pentagon_becomes_a_hexagon_and_a_pentagon_again() -> None:
     """Short legs would slope too much on sagging cut edges: pairs would not count as open."""
     steps = {"join": {"robot": 5, "vertex": 0, "cut": 0.8}}, {"withdraw": {"robot": 5}}

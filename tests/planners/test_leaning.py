@@ -223,7 +223,7 @@ MOVES = (
 def test_moves_of_cables_with_friction_end_with_settling(move: Any) -> None:
     """The settled end is the planned one, and the motion before it that of ``settle: false``."""
     worked, left = slid(move), slid(replace(move, settle=False))
-    smooth, plain = (slid(replace(move, settle=s), friction=0.0) for s in ("auto", False))
+    smooth = slid(move, friction=0.0)
     assert [phase.name for phase in worked.phases] == [move.name, "settle"]
     assert worked.duration == pytest.approx(left.duration + SWINGS * SWING, abs=1.0)
     np.testing.assert_allclose(
@@ -234,10 +234,7 @@ def test_moves_of_cables_with_friction_end_with_settling(move: Any) -> None:
     t = np.linspace(left.duration, worked.duration, 300)
     vertices = worked.at(t).vertices
     np.testing.assert_allclose(vertices, vertices[[0]].repeat(300, axis=0), atol=1e-9)
-    assert {phase.name for phase in (*left.phases, *smooth.phases, *plain.phases)} == {move.name}
-    np.testing.assert_array_equal(
-        smooth.motion.drones.coefficients, plain.motion.drones.coefficients
-    )
+    assert {phase.name for phase in (*left.phases, *smooth.phases)} == {move.name}
 
 
 def test_settling_follows_where_cables_slid_and_stop() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -295,10 +296,12 @@ def test_aborts_keep_what_the_plan_keeps() -> None:
         assert found.certificate.certified
 
 
-def refusal(**kind: Any) -> tuple[ho.Problem, InfeasibleError]:
+@cache
+def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
     problem = ho.read_problem(PROBLEMS / "retuned_triangle.yaml")
     assert isinstance(problem, ho.Problem)
-    other = replace(problem, team=replace(problem.team, quadrotor=(ho.Quadrotor(**kind),) * 3))
+    kinds = (ho.Quadrotor(controller=controller),) * 3
+    other = replace(problem, team=replace(problem.team, quadrotor=kinds))
     with pytest.raises(InfeasibleError) as caught:
         ho.solve(other)
     return other, caught.value
@@ -314,14 +317,14 @@ def refusal(**kind: Any) -> tuple[ho.Problem, InfeasibleError]:
 def test_infeasible_tracking_is_refused_by_name(
     controller: str, constraint: str, words: str
 ) -> None:
-    _, error = refusal(controller=controller)
+    _, error = refusal(controller)
     (told,) = [each for each in error.violations if each.constraint == constraint]
     assert words in str(told)
 
 
 @pytest.mark.parametrize("controller", ["pid", pytest.param("lee", marks=pytest.mark.slow)])
 def test_stiffer_gains_are_suggested(controller: str) -> None:
-    problem, error = refusal(controller=controller)
+    problem, error = refusal(controller)
     first = find_suggestions(problem, error, 600.0)[0]
     assert first.change.key == "team.quadrotor.controller"
     assert all(

@@ -123,7 +123,7 @@ def test_filters_interpret_horizontal_pulls_as_the_firmware_does(
     assert np.all(np.linalg.eigvalsh(known.variances) > 0.0)
 
 
-@pytest.mark.parametrize("name", ["mellinger", "lee"])
+@pytest.mark.parametrize("name", ["mellinger", pytest.param("lee", marks=pytest.mark.slow)])
 def test_pull_gains_compensate_the_bias_of_the_filter(name: str) -> None:
     """Without the gain, retuned drones would be 2 cm off; PX4 has another filter."""
     gains = {"kp": 36.0 * MASS, "kd": 10.0 * MASS, "ki": 0.0} if name == "mellinger" else None
@@ -140,7 +140,9 @@ def test_pull_gains_compensate_the_bias_of_the_filter(name: str) -> None:
     ("name", "mass", "level", "upright", "wound", "after"),
     [
         ("mellinger", MASS, 0.40, 1.25, (0.10, 0.02), 9.0),
-        ("mellinger", 0.0393, 0.40, 1.25, (0.10, 0.02), 25.0),
+        pytest.param(
+            *("mellinger", 0.0393, 0.40, 1.25, (0.10, 0.02), 25.0), marks=pytest.mark.slow
+        ),
         ("lee", MASS, 0.92, 0.92, (0.0, 0.0), 4.0),
         ("lee", 0.0393, 0.28, 0.28, (0.0, 0.0), 4.0),
         ("pid", MASS, 1.3, None, (0.0, 0.0), 4.0),
@@ -211,12 +213,13 @@ def test_gains_scaled_for_a_delay_are_as_steady_as_the_stiffest_at_20_ms(
     name: str, latency: float
 ) -> None:
     """The stiffest themselves swing by 15° and more at 30 ms."""
-    swings = []
-    for gains, delay in ((None, 0.02), (latency, latency), (None, latency)):
-        loop = FlightController.of(name, MASS, stiffest_gains(MASS, gains, name))
-        pulls, fed = [[PULL, 0.0, 0.0]], [[loop.pull_gain[0]]]
-        _, tilts, *_ = flown([loop], pulls, 6.0, known=HELD, fed=fed, latency=delay)
-        swings.append(float(np.ptp(tilts[-1000:])))
+    swings = list[float]()
+    for delays, delay in (([None], 0.02), ([latency, None], latency)):
+        gains = [stiffest_gains(MASS, each, name) for each in delays]
+        loops = [FlightController.of(name, MASS, each) for each in gains]
+        pulls, fed = [[PULL, 0.0, 0.0]] * len(loops), [[x.pull_gain[0]] for x in loops]
+        _, tilts, *_ = flown(loops, pulls, 6.0, known=HELD, fed=fed, latency=delay)
+        swings += np.ptp(tilts[-1000:], axis=0).tolist()
     usual, scaled, stiffest = swings
     assert scaled < 1.3 * usual + 0.2
     assert stiffest > 3.0 * usual

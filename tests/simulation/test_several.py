@@ -16,7 +16,6 @@ from scipy.spatial.distance import pdist
 from scripted import world_of
 
 import hitchopt as ho
-from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
 from hitchopt.lab.simulation.contacts import touching
@@ -29,7 +28,6 @@ from hitchopt.live.lost import Reactions
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group, Motion
-from hitchopt.plan import Plan
 from hitchopt.view.scene import ghost_scene
 
 BRIEF = Settings(pull_test=False, friction=0.1)
@@ -132,8 +130,8 @@ def test_objects_are_held_by_their_own_group() -> None:
 
 def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
     motion = planned("two_teams").motion
-    plan = Plan(motion, certify(motion), "")
-    folder = plan.save(tmp_path / "plan", picture=False)
+    plan = planned("two_teams")
+    folder = plan.save(tmp_path / "plan", rate=10.0, picture=False)
     recording = tmp_path / "flight.csv"
     rows = "".join(f"{0.01 * i:.2f},q0,0,0,1\n" for i in range(100))
     recording.write_text(f"t,name,x,y,z\n{rows}", encoding="utf-8")

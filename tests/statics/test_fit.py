@@ -62,6 +62,13 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
         enclosing_polygon(narrow, 7, 0.035)
 
 
+@pytest.fixture
+def _one_number_of_robots(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fit for the robots that are asked for alone, without a table of others."""
+    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
+
+
+@pytest.mark.usefixtures("_one_number_of_robots")
 def test_cables_are_long_enough_for_the_enclosing_polygon() -> None:
     holding = ho.fit(ho.Section(radius=0.2), 3, tension=1.0).holding
     drum = ho.SolidObject(ho.Section(radius=0.2), 0.0, 0.3, 0.03, at=[2.0, 1.0, 0.0])
@@ -127,11 +134,9 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
             assert weakest == 0.0
 
 
-def test_resting_loads_are_limited_by_clasps_thrust_and_support(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.mark.usefixtures("_one_number_of_robots")
+def test_resting_loads_are_limited_by_clasps_thrust_and_support() -> None:
     """At 1 m/s² the line of force through half of the height leans by 1/g."""
-    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
 
     def holding_with(max_thrust: float = 5.0, height: float = 0.3) -> Holding:
         kind = ho.Quadrotor(max_thrust=max_thrust)
@@ -185,7 +190,7 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
         ({"outline": "part.step"}, "a drawing"),
         ({"tension": 1.3}, r"tilt: 1.3 N .*raise limits.tilt_deg"),
         ({"cable_length": 1.0}, r"edge \d.*use cables of 1\.11 m"),
-        ({"outline": 0.01, "robots": 12, "tension": 1.0}, "no cable length"),
+        ({"outline": 0.01, "robots": 8, "tension": 1.0}, "no cable length"),
     ],
 )
 def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: str) -> None:
@@ -193,10 +198,10 @@ def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: 
         ho.fit(**({"outline": 0.2, "robots": 3} | options))
 
 
+@pytest.mark.usefixtures("_one_number_of_robots")
 def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
     arguments = ["fit", "circle:0.2", "--robots", "3", "-o", str(tmp_path / "out"), "--mass"]
     result = CliRunner().invoke(main, [*arguments, "0.05"])
     assert result.exit_code == 0, result.output
