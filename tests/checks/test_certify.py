@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -141,12 +142,19 @@ LOOSE = {"cable_clearance", "tracking_radius"}
 """Checks that are within millimetres while cables hang."""
 
 
+@cache
+def certified(kind: str) -> tuple[Motion, Certificate]:
+    """Return a motion and its certificate."""
+    motion = MOTIONS[kind]()
+    return motion, certify(motion)
+
+
 @pytest.mark.parametrize("name", SYMMETRIES)
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_certificates_are_invariant_to_place_time_and_numbering(name: str, kind: str) -> None:
-    symmetry, motion = SYMMETRIES[name], MOTIONS[kind]()
+    symmetry, (motion, first) = SYMMETRIES[name], certified(kind)
     n, loose = motion.team.robots, LOOSE if kind == "free" else set()
-    first, second = certify(motion), certify(symmetry.change(motion))
+    second = certify(symmetry.change(motion))
     for a, b in zip(first.checks, second.checks, strict=True):
         factor = symmetry.factors.get(a.name, 1.0)
         if a.name == "continuity" or math.isnan(factor):  # it measures the fit's own noise

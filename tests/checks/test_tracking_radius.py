@@ -10,6 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from by_hand import cable_points, ratios, sampled, tracking_radius
+from groups import part
 from motions import (
     ARENA,
     free_motion,
@@ -46,8 +47,8 @@ def crossing(seed: int) -> Motion:
 
 
 MOTIONS: dict[str, Callable[[], Motion]] = {
-    **{f"hitch {n}": partial(random_motion, n, n, arena=ARENA) for n in (3, 5, 8)},
-    **{f"crossing {seed}": partial(crossing, seed) for seed in range(4)},
+    **{f"hitch {n}": partial(random_motion, n, n, arena=ARENA) for n in (3, 4)},
+    **{f"crossing {seed}": partial(crossing, seed) for seed in range(2)},
     "triangle": lambda: planned("triangle").motion,
     "open pair": lambda: planned("open_pair").motion,
     "stack": lambda: planned("swarms/stack").motion,
@@ -89,7 +90,7 @@ def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float, rat
         way *= by / np.linalg.norm(way / [1.0, 1.0, ratio], axis=-1, keepdims=True)
         return PiecewisePolynomial(part.breaks, c + way[..., None])
 
-    for i in range(12):
+    for i in range(8):
         moved = replace(
             motion,
             drones=off(motion.drones, radius, i % 2 == 0),
@@ -107,7 +108,7 @@ LAW_MOTIONS: dict[str, Callable[[], Motion]] = {
     "hitch": lambda: random_motion(4, 3, arena=ARENA),
     "crossing": lambda: crossing(2),
     "free": lambda: free_motion(*random_flight(5, n=3, pieces=1)),
-    "formed": lambda: planned("form_triangle").motion,
+    "formed": lambda: part(planned("form_triangle").motion, "swap 1", "tension"),
 }
 
 
@@ -121,7 +122,7 @@ def test_tubes_of_equal_axes_are_numbers_and_higher_ones_never_help(name: str) -
     assert balls == [number, number]
     radii = [
         radius_of(with_tracking(motion, ho.Tube(0.02, 0.02 * ratio))).bound
-        for ratio in (1.0, 1.2, 2.0, 5.0)
+        for ratio in (1.0, 1.2, 5.0)
     ]
     assert radii == sorted(radii, reverse=True)
 
