@@ -1,4 +1,4 @@
-"""Problem files of this repository, and their plans, each solved once for all tests of a package.
+"""Problem files of this repository, and plans, each solved once for all tests of a package.
 
 Workers share them as files in the folder that ``conftest`` names: below ``.pytest_cache`` by the
 contents of package and problems, so that tests of an unchanged package plan nothing twice; a
@@ -8,12 +8,15 @@ temporary one in CI.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import pickle
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 
 import hitchopt as ho
+from hitchopt.mission.loading import any_problem_from_dict
 
 ROOT = Path(__file__).parents[1]
 PROBLEMS = ROOT / "problems"
@@ -26,12 +29,24 @@ FOLDER = "HITCHOPT_TESTED_PLANS"
 @cache
 def planned(name: str) -> ho.Plan:
     """Return the plan of ``problems/NAME.yaml``."""
-    path = Path(os.environ[FOLDER]) / f"{name.replace('/', '.')}.pickle"
+    return _stored(name.replace("/", "."), lambda: ho.solve(PROBLEMS / f"{name}.yaml"))
+
+
+def planned_of(problem: Mapping[str, object]) -> ho.Plan:
+    """Return the plan of a problem's mapping."""
+    text = json.dumps(problem, sort_keys=True)
+    key = hashlib.sha256(text.encode()).hexdigest()[:16]
+    return _stored(key, lambda: ho.solve(any_problem_from_dict(problem)))
+
+
+def _stored(key: str, plan_now: Callable[[], ho.Plan]) -> ho.Plan:
+    """Return the plan that is stored, or a new one, which is stored then."""
+    path = Path(os.environ[FOLDER]) / f"{key}.pickle"
     if path.exists():
         found = pickle.loads(path.read_bytes())
         assert isinstance(found, ho.Plan)
         return found
-    plan = ho.solve(PROBLEMS / f"{name}.yaml")
+    plan = plan_now()
     path.parent.mkdir(parents=True, exist_ok=True)
     own = path.with_suffix(f".{os.getpid()}")
     own.write_bytes(pickle.dumps(plan))

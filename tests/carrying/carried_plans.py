@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from plans import planned_of
 
 import hitchopt as ho
 from hitchopt.checks import Check
@@ -62,7 +63,7 @@ def stone() -> dict[str, Any]:
 def plan(name: str) -> ho.Plan:
     """Return the certified plan of one of them, which all tests share."""
     problem = {"tray": tray, "drum": drum, "stone": stone}[name]()
-    found = ho.solve(ho.problem_from_dict(problem))
+    found = planned_of(problem)
     assert found.certificate.certified
     return found
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from plans import planned_of
 
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.exporting import EXPORT_RULES, Export, export_motion
@@ -17,8 +18,6 @@ from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -45,9 +44,7 @@ PROBLEM = {
 
 @lru_cache
 def hitch_plan() -> Motion:
-    motion = solve_problem(problem_from_dict(PROBLEM)).motion
-    assert isinstance(motion, Motion)
-    return motion
+    return planned_of(PROBLEM).motion
 
 
 def flown_checks(motion: Motion) -> dict[str, Check]:

@@ -436,7 +436,7 @@ def from_the_floor() -> Motion:
 
 
 EXPORT_RULES: dict[str, tuple[Callable[[], Motion], list[str]]] = {
-    "in the air": (hitch_plan, ["takeoff", "goTo"]),
+    "in the air": (swarm_plan, ["takeoff", "goTo"]),
     "on the floor": (from_the_floor, []),
 }
 """Plans by where their first drone begins, and what is done before its upload."""
