@@ -22,7 +22,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Table, most_common, parser
 from hitchopt.lab.simulation.commands import flown_team
-from hitchopt.lab.simulation.judgement import Simulation
+from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.settings import ESTIMATORS, Settings
 
 LIMITATIONS = (

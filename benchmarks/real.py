@@ -251,11 +251,10 @@ class Trims:
                     result.rest_after.extend((own - trim).tolist())
                 hover = HoverSeries(flight, drone)
                 part = hover.moving_part(HITCH)
-                if part is not None and hover.commands is not None:
+                if part is not None:
                     measured = hover.x[part, :2]
-                    commanded = hover.commands.at(hover.t[part])[0][:, :2]
                     for places, values in (
-                        (commanded, result.motion_before),
+                        (hover.commanded[part, :2], result.motion_before),
                         (hover.predicted(part, trim, HITCH), result.motion_after),
                     ):
                         off = np.sum((measured - places) ** 2, axis=1)

@@ -21,7 +21,7 @@ import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.lab.simulation.control import Disturbances
 from hitchopt.lab.simulation.flight import CONTROL_PERIOD, SETTLE_TIME, Flight
-from hitchopt.lab.simulation.judgement import Simulation
+from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.ropes import bend_lengths
 from hitchopt.lab.simulation.settings import ACCURATE
 from problems.random_morph import random_convex_polygon

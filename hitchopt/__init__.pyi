@@ -28,8 +28,7 @@ from hitchopt.hitch.holding import Capacity as Capacity
 from hitchopt.hitch.holding import Grip as Grip
 from hitchopt.lab.feedback import Feedback as Feedback
 from hitchopt.lab.flights.alignment import Alignment as Alignment
-from hitchopt.lab.flights.evaluate import evaluate as evaluate
-from hitchopt.lab.flights.evaluation import Evaluation as Evaluation
+from hitchopt.lab.flights.evaluation import Evaluation as Evaluation, evaluate as evaluate
 from hitchopt.lab.flights.hover import DroneHover as DroneHover
 from hitchopt.lab.flights.hover import HoverCalibration as HoverCalibration
 from hitchopt.lab.flights.hover import calibrate_hover as calibrate_hover
@@ -38,7 +37,7 @@ from hitchopt.lab.flights.recordings import RecordedFlight as RecordedFlight, Re
 from hitchopt.lab.flights.replay import ReplayedFilter as ReplayedFilter
 from hitchopt.lab.flights.replay import replay_filters as replay_filters
 from hitchopt.lab.flights.recordings import Signal as Signal, Track as Track
-from hitchopt.lab.simulation.simulate import simulate as simulate
+from hitchopt.lab.simulation.report import simulate as simulate
 from hitchopt.lab.statics.calibrate import Calibration as Calibration, Estimate as Estimate
 from hitchopt.lab.statics.calibrate import calibrate as calibrate
 from hitchopt.lab.statics.fit import Fit as Fit, Holding as Holding, fit as fit
@@ -46,8 +45,8 @@ from hitchopt.lab.statics.settle import Settled as Settled, settle as settle
 from hitchopt.lab.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
 from hitchopt.lab.sweeps.study import Study as Study
+from hitchopt.lab.sweeps.sweep import SweepError as SweepError
 from hitchopt.lab.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
-from hitchopt.lab.sweeps.work import SweepError as SweepError
 from hitchopt.live.player import Player as Player, Setpoints as Setpoints
 from hitchopt.live.replanner import Replanner as Replanner, Retarget as Retarget
 from hitchopt.mission.loading import load_problem as load_problem, load_swarm as load_swarm

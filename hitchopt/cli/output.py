@@ -239,6 +239,12 @@ def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
     return low if low == high else f"{low} to {high}"
 
 
+def known_text(*numbers: float, digits: str = ".1f") -> str:
+    """Return numbers as text, or a dash if there is none or one is nan."""
+    known = numbers and not any(map(math.isnan, numbers))
+    return ", ".join(f"{x + 0.0:{digits}}" for x in numbers) if known else "–"
+
+
 def progress_in(message: str) -> tuple[float | None, float | None]:
     """Return the progress and total in a message; None for both if there is no count."""
     match = COUNT.search(message)

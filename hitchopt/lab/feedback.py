@@ -193,7 +193,8 @@ class Feedback(OneLine):
             return
         time = min(max(time, 0.0), self._end)
         planned, speed, *_ = self._vertices.values(time)
-        later = self._vertices.values(min(time + LEAD, self._tied_until(time)))[0]
+        ends = (end for start, end in self._spans if start <= time <= end)
+        later = self._vertices.values(min(time + LEAD, next(ends, time)))[0]
         self._lead = shorter(LEAD * speed, later - planned)
         error = planned - vertices
         valid = (error * error) @ ONES <= MAX_VERTEX_ERROR**2  # false for nan
@@ -233,10 +234,6 @@ class Feedback(OneLine):
             self._integral += min(seconds / UNWINDING, 1.0) * missing
         self._velocities = (offsets - self._offsets) / seconds
         self._offsets, self._last_cell = offsets, cell
-
-    def _tied_until(self, time: float) -> float:
-        """Return the end of the hitch's span [s], or ``time`` without a hitch."""
-        return next((end for start, end in self._spans if start <= time <= end), time)
 
     def _authority(self, time: float) -> float:
         """Return the weight of the corrections, from 0 without a hitch to 1."""

@@ -198,7 +198,7 @@ def write_strict_json(path: Path, content: dict[str, Any]) -> None:
 
 def strict_json(content: dict[str, Any]) -> str:
     """Return indented JSON, with null for numbers that are not finite."""
-    return json.dumps(_strict(content), indent=2, allow_nan=False, ensure_ascii=False)
+    return json.dumps(with_nulls(content), indent=2, allow_nan=False, ensure_ascii=False)
 
 
 def parsed_json(text: str | bytes) -> Any:
@@ -209,11 +209,12 @@ def parsed_json(text: str | bytes) -> Any:
         raise ValueError("it is nested too deeply") from error
 
 
-def _strict(value: Any) -> Any:
+def with_nulls(value: Any) -> Any:
+    """Return plain data with None for numbers that are not finite, and lists for tuples."""
     if isinstance(value, dict):
-        return {key: _strict(entry) for key, entry in value.items()}
+        return {key: with_nulls(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_strict(entry) for entry in value]
+        return [with_nulls(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

@@ -1,7 +1,6 @@
 """The paper's experiment 2: one vertex moves; table in LaTeX and figure of a simulated flight."""
 
 import hitchopt as ho
-from hitchopt.lab.simulation.report import save_simulation
 
 team = ho.Team(robots=3, cable_length=2.4, cable_density=0.01, quadrotor="paper_132g")
 start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
@@ -12,7 +11,7 @@ plan.save("experiment_2")
 plan.view("experiment_2/plan.pdf", width=3.5)  # [inch]
 
 flight = ho.simulate(plan, perturbed=True, seed=1, preset="fast")
-save_simulation("experiment_2/simulation", flight, plan.motion)
+flight.save("experiment_2/simulation")
 flown = ho.evaluate("experiment_2/simulation", "experiment_2")
 flown.save("experiment_2/evaluation", format="pdf", width=3.5)
 print(flown.sag)

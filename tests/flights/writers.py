@@ -16,7 +16,7 @@ from rosbags import rosbag1, rosbag2, typesys
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
-from hitchopt.lab.flights.messages import CRAZYFLIES, MESSAGES, POSE
+from hitchopt.lab.flights.bags import CRAZYFLIES, MESSAGES, POSE
 from hitchopt.values import Array, Indices
 
 EPOCH = 1_762_186_375  # start of bags [s]

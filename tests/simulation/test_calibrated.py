@@ -12,8 +12,8 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
-from hitchopt.lab.simulation.calibrated import ROTOR_DRAG, FlownDrones, flown_kinds, read_calibrated
-from hitchopt.lab.simulation.judgement import simulate
+from hitchopt.lab.simulation.control import ROTOR_DRAG, FlownDrones, flown_kinds, read_calibrated
+from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import RigidBodies
@@ -64,8 +64,10 @@ def test_plans_add_the_trims_that_they_know() -> None:
     np.testing.assert_allclose(found.turns, drones().turns)
     assert not np.any(drones().trims)  # known to nobody
     nominal = FlownDrones.of(plain, Settings(), stiffness)
-    assert vars(nominal).keys() == vars(FlownDrones.nominal(6)).keys()
-    assert all(np.array_equal(x, vars(nominal)[k]) for k, x in vars(FlownDrones.nominal(6)).items())
+    np.testing.assert_array_equal(nominal.trims, np.zeros((6, 3)))
+    np.testing.assert_array_equal(nominal.turns, np.tile(np.eye(3), (6, 1, 1)))
+    np.testing.assert_array_equal(nominal.thrust_factors, np.ones(6))
+    assert nominal.drag == 0.0
 
 
 def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> None:
@@ -89,7 +91,7 @@ def test_drones_hover_beside_their_places_by_their_trims_unless_the_plan_knows_t
         (plain, replace(settings, as_calibrated=OFF), 1.0),
         (known, settings, 0.0),
     ):
-        record = simulate(each, setup).flight.record
+        record = Simulation.of(each, setup).flight.record
         off = (record.drones - record.commanded)[100, :, :2]  # still hovering
         np.testing.assert_allclose(off[0], [-0.1 * left, 0.0], atol=0.03)
         np.testing.assert_allclose(off[3], [0.03 * left, -0.08 * left], atol=0.03)

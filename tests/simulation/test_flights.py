@@ -14,8 +14,8 @@ import hitchopt as ho
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.control import Disturbances
 from hitchopt.lab.simulation.flight import ground_of
-from hitchopt.lab.simulation.judgement import judge, simulate
-from hitchopt.lab.simulation.report import summary
+from hitchopt.lab.simulation.judgement import judge
+from hitchopt.lab.simulation.report import Simulation, summary
 from hitchopt.lab.simulation.settings import ACCURATE, CALM, FAST, INDOOR, Preset, Settings
 from hitchopt.lab.simulation.task import RATE, Cargo, Task, read_task
 from hitchopt.objects import Rim, Section, SolidObject
@@ -26,7 +26,7 @@ BRIEF = Settings(pull_test=False)
 
 def test_a_hitch_holds_at_its_planned_position() -> None:
     """With level legs vertices would sag by 9 cm."""
-    result = simulate(resting_task(regular_hitch(3), 0.6), Settings())
+    result = Simulation.of(resting_task(regular_hitch(3), 0.6), Settings())
     team, record, errors = result.flight.task.team, result.flight.record, result.errors
     assert result.outcome.hitched
     assert (result.outcome.failures, result.flight.touches) == ((), {})
@@ -57,7 +57,7 @@ def test_a_hitch_holds_at_its_planned_position() -> None:
 def test_a_chain_holds_at_its_clasps() -> None:
     team = ho.Team(3, 2.4, topology="open", tension=0.5, cable_density=0.01)
     points = [[1.0, 0.0], [1.8, 1.2], [3.2, 1.3], [4.0, 0.0]]
-    result = simulate(resting_task(ho.Hitch.balanced(team, points, altitude=1.6), 0.1), BRIEF)
+    result = Simulation.of(resting_task(ho.Hitch.balanced(team, points, altitude=1.6), 0.1), BRIEF)
     assert result.outcome.failures == ()
     assert [clasp.name for clasp in result.outcome.clasps] == ["p1", "p2"]
 
@@ -67,7 +67,7 @@ def test_drones_that_touch_are_reported() -> None:
     positions = np.repeat(hitch.drones[None], 6, axis=0)
     positions[:, 0] = positions[:, 5] + [0.05, 0.0, 0.0]  # q0 next to r2
     weight = -np.multiply.outer(np.ones((6, 1)) * hitch.team.cable_weight, [0.0, 0.0, 1.0])
-    result = simulate(hanging_task(hitch.team, positions, weight), BRIEF)
+    result = Simulation.of(hanging_task(hitch.team, positions, weight), BRIEF)
     assert result.flight.touches["q0", "r2"] == 0.0
     assert {failure.kind for failure in result.outcome.failures} >= {"touch"}
 
@@ -77,7 +77,9 @@ def test_drones_carry_loads_and_vertices_keep_their_heights() -> None:
     loads, loads_held, heights = np.array([0.01, 0.0, 0.02]), list[float](), list[Array]()
     task = resting_task(regular_hitch(3, load=loads, tension=0.8), 0.5)
     for share in (1.0, 0.5):  # share of the load at the vertices
-        result = simulate(replace(task, taut=np.full(task.states.tensions.shape, share)), BRIEF)
+        result = Simulation.of(
+            replace(task, taut=np.full(task.states.tensions.shape, share)), BRIEF
+        )
         assert result.outcome.failures == ()
         record, gains = result.flight.record, result.flight.gains
         rows = (record.t > 0.5) & (record.t < result.flight.rested)
@@ -221,7 +223,7 @@ def lifting_task(mass: float = MASS, height: float = 0.2) -> Task:
 
 @pytest.mark.slow
 def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
-    result = simulate(lifting_task(), Settings())
+    result = Simulation.of(lifting_task(), Settings())
     flight, (tray,) = result.flight, result.outcome.objects
     assert result.outcome.failures == ()
     assert tray.well_placed
@@ -264,7 +266,7 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
 
 @pytest.mark.slow
 def test_a_tray_that_is_too_heavy_is_dropped() -> None:
-    result = simulate(lifting_task(mass=0.6), Settings(pull_test=False))
+    result = Simulation.of(lifting_task(mass=0.6), Settings(pull_test=False))
     failures = {failure.kind: failure for failure in result.outcome.failures}
     assert failures["dropped"].where == ("tray",)
     assert set(failures["touch"].where) == {"post", "tray"}  # the tray should have left the post

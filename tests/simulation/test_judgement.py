@@ -22,8 +22,8 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
 from hitchopt.lab.simulation.contacts import MIN_BEARING_RATIO, ClaspContacts, least_bearing
 from hitchopt.lab.simulation.flight import fly
-from hitchopt.lab.simulation.judgement import Failure, Outcome, Simulation, judge, simulate
-from hitchopt.lab.simulation.report import drawn_flight, flight_scene, summary
+from hitchopt.lab.simulation.judgement import Failure, Outcome, judge
+from hitchopt.lab.simulation.report import Simulation, drawn_flight, flight_scene, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
 from hitchopt.lab.simulation.task import Cargo, Task
@@ -302,7 +302,7 @@ def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
     vertices[4:, :, 0] += [[0.01], [0.02]]  # the plan moves it at the end
     task, messages = replace(task, states=replace(task.states, vertices=vertices)), list[str]()
     campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
-    alone = simulate(task, BRIEF)
+    alone = Simulation.of(task, BRIEF)
     for name, value in alone.figures.items():
         np.testing.assert_equal(campaign.runs[0].figures[name], value)
     assert campaign.runs[0].figures["tracking_mean"] != campaign.runs[1].figures["tracking_mean"]

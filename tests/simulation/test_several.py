@@ -19,8 +19,8 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
 from hitchopt.lab.simulation.contacts import touching
-from hitchopt.lab.simulation.judgement import closest, simulate
-from hitchopt.lab.simulation.report import ending, save_simulation, summary
+from hitchopt.lab.simulation.judgement import closest
+from hitchopt.lab.simulation.report import Simulation, ending, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import CALM, Loss, Settings
 from hitchopt.lab.simulation.task import Task
@@ -45,11 +45,11 @@ def test_groups_do_not_influence_each_other() -> None:
     """The other group is 30 m away, with other cables."""
     ring, square = hovering_motion(3, 1.3), hovering_motion(4, 1.1, cable_density=0.02, tension=0.6)
     far = moved(square, 30.0, 0.0, 0.0)
-    both = simulate(Task.of(combined([Group("a", ring), Group("b", far)])), BRIEF)
+    both = Simulation.of(Task.of(combined([Group("a", ring), Group("b", far)])), BRIEF)
     record, drones = both.flight.record, slice(0, 0)
     clasps = cables = slice(0, 0)
     for name, motion in (("a", ring), ("b", far)):
-        alone = simulate(Task.of(motion), BRIEF)
+        alone = Simulation.of(Task.of(motion), BRIEF)
         n, own = motion.team.robots, alone.flight.record
         drones = slice(drones.stop, drones.stop + 2 * n)
         clasps = cables = slice(cables.stop, cables.stop + n)
@@ -145,8 +145,8 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
         lambda: ho.tolerance(plan, cable_error=0.01),
         lambda: ho.evaluate(recording, folder),
         lambda: ho.calibrate(recording, folder),
-        lambda: simulate(task, replace(BRIEF, feedback=True)),
-        lambda: simulate(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
+        lambda: Simulation.of(task, replace(BRIEF, feedback=True)),
+        lambda: Simulation.of(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
     ):
         with pytest.raises(UnsupportedError, match="supports a single team, not a, b"):
             call()
@@ -168,13 +168,13 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
 @pytest.mark.parametrize("options", [{}, {"controller": "mellinger"}])
 def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) -> None:
     motion = planned("two_teams").motion
-    result = simulate(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **options))  # type: ignore[arg-type]
+    result = Simulation.of(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **options))  # type: ignore[arg-type]
     assert result.outcome.hitched
     assert result.outcome.failures == ()
     assert {clasp.name[0] for clasp in result.outcome.clasps} == {"a", "b"}
     assert all(0.0 < clasp.moved < 0.1 for clasp in result.outcome.clasps)
     assert closest(result.flight).distance > 0.25
-    assert save_simulation(tmp_path, result, motion) == tmp_path
+    assert result.save(tmp_path) == tmp_path
     lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
     assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)
     scene = ghost_scene(tmp_path, motion)

@@ -24,7 +24,7 @@ from hitchopt.lab.simulation.control import (
     Drift,
     PositionGains,
 )
-from hitchopt.lab.simulation.judgement import simulate
+from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.ropes import Ropes, clasped, hanging
 from hitchopt.lab.simulation.settings import ACCURATE, CALM, INDOOR, Perturbations, Preset, Settings
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
@@ -151,7 +151,7 @@ def mean_offsets(settings: Settings) -> Array:
     place = PLACES * [0.8, 1.0, 1.0] - [0.0, 0.0, 1.0]
     still = np.repeat(place[None], 51, axis=0)
     settings = replace(settings, preset=COARSE, density=DENSITY, pull_test=False)
-    record = simulate(hanging_task(team, still, 0.0 * still), settings).flight.record
+    record = Simulation.of(hanging_task(team, still, 0.0 * still), settings).flight.record
     return np.asarray(np.mean(record.drones[record.t > 0.5], axis=0) - place)
 
 

@@ -21,7 +21,6 @@ from hitchopt.lab.flights.readers import HEADER
 from hitchopt.lab.flights.recordings import Recording, windows_of
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
-from hitchopt.lab.statics.files import team_text
 from hitchopt.lab.statics.settle import conditions_of, energy_of
 from hitchopt.motion.states import States
 from hitchopt.storage.yaml_file import parse_yaml
@@ -521,7 +520,7 @@ def test_a_team_of_different_kinds_lists_them(plan_folder: Path) -> None:
     recording = Recording(task.states.t, task.states.positions, task.states.vertices)
     plain = ho.calibrate(recording, task, density=0.01)
     stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))
-    text = team_text(replace(plain, stiffness=stiffness, friction=Estimate(0.123, 0.02)))
+    text = replace(plain, stiffness=stiffness, friction=Estimate(0.123, 0.02)).text
     content: Any = parse_yaml(text)
     assert [kind["stiffness"] for kind in content["team"]["quadrotor"]] == [4, 4, None]
     assert content["team"]["cable_friction"] == 0.123

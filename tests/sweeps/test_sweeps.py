@@ -23,13 +23,14 @@ from hitchopt.lab.sweeps.study import Case, ParameterKeys, points, study_from_di
 from hitchopt.lab.sweeps.sweep import (
     PICTURE,
     ROWS,
+    SETTINGS,
+    compute_row,
     draw_sweep,
     load_sweep,
     outcomes,
     summary,
     write_row,
 )
-from hitchopt.lab.sweeps.work import SETTINGS, compute_row
 from hitchopt.values.fields import mapping_of
 
 if TYPE_CHECKING:

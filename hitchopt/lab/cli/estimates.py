@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import PATH, command, option, picture_options, plan_path
-from hitchopt.cli.output import ProgressBar, record, say, span_text, table
+from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text, table
 from hitchopt.errors import InputError
 
 # Default bounds of errors with --tolerance [m], for cables cut to a centimetre and motion capture
@@ -71,8 +71,13 @@ def statics(
     if tolerance and not sizes:
         sizes = {f"{kind}_error": size for kind, size in DEFAULT_ERRORS.items()}
     errors = {key: ErrorSize.of(key, text) for key, text in sizes.items()}
-    if "cable_length" in conditions:
-        conditions["cable_length"] = _lengths(conditions["cable_length"])
+    if (lengths := conditions.get("cable_length")) is not None:
+        try:
+            parsed = [float(part) for part in lengths.split(",")]
+        except ValueError:
+            bound, remedy = "numbers with commas", "2.4,2.41,2.39"
+            raise InputError("cable_length", lengths, bound, remedy) from None
+        conditions["cable_length"] = parsed if parsed[1:] else parsed[0]
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
     motion, contents, loose = read_plan(path), dict[str, Any](), list[str]()
@@ -102,15 +107,6 @@ def statics(
     if loose:
         say(f"slack, or without hold: {', '.join(loose)}", err=True)
         exit_infeasible()
-
-
-def _lengths(text: str) -> float | list[float]:
-    """Parse one length, or several separated by commas."""
-    try:
-        lengths = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise InputError("cable_length", text, "numbers with commas", "2.4,2.41,2.39") from None
-    return lengths[0] if len(lengths) == 1 else lengths
 
 
 def _statics_tables(content: dict[str, Any]) -> str:
@@ -171,7 +167,6 @@ def calibrate(
     Without a plan, recordings are hovers: for each drone the trim, its tilt at rest, thrust factor
     (with --mass), lag of moving commands, and tracking error, as `team.quadrotor` takes them.
     """
-    from hitchopt.lab.statics.files import save_team
     from hitchopt.storage.archive import PLAN
 
     first = recordings[0]
@@ -198,7 +193,7 @@ def calibrate(
         notes=list(calibration.recording.notes),
     )
     if output is not None:
-        save_team(output, calibration)
+        calibration.save(output)
         say(f"the team is in {output}")
 
 
@@ -208,21 +203,21 @@ def _calibrate_hover(
     """Report the calibration of single drones from hovers, and write it."""
     with ProgressBar("reading"):
         calibration = ho.calibrate_hover(recordings, **options)
-    rows: list[dict[str, object]] = []
-    for name, drone in calibration.drones.items():
-        cells: dict[str, object] = {
+    rows = [
+        {
             "drone": name,
-            "trim [cm]": _cells(100.0 * x for x in drone.trim),
+            "trim [cm]": known_text(*(100.0 * x for x in drone.trim)),
+            "±": known_text(100.0 * drone.trim_error),
+            "tilt [°]": known_text(drone.tilt_deg),
+            "by tilt [cm]": known_text(*(100.0 * x for x in drone.expected_trim)),
+            "settled [s]": known_text(drone.settled),
+            "spread [cm]": known_text(100.0 * drone.spread),
+            "thrust factor": known_text(drone.thrust_factor, digits=".3f"),
+            "lag [s]": known_text(drone.lag, digits=".2f"),
+            "tracking [cm]": known_text(*(100.0 * x for x in drone.tracking.values())),
         }
-        cells["±"] = _cells([100.0 * drone.trim_error])
-        cells["tilt [°]"] = _cells([drone.tilt_deg])
-        cells["by tilt [cm]"] = _cells(100.0 * x for x in drone.expected_trim)
-        cells["settled [s]"] = _cells([drone.settled])
-        cells["spread [cm]"] = _cells([100.0 * drone.spread])
-        cells["thrust factor"] = _cells([drone.thrust_factor], ".3f")
-        cells["lag [s]"] = _cells([drone.lag], ".2f")
-        cells["tracking [cm]"] = _cells(100.0 * x for x in drone.tracking.values())
-        rows.append(cells)
+        for name, drone in calibration.drones.items()
+    ]
     drones = calibration.drones.values()
     sentences = [f"{drone.sentence}." for drone in drones]
     known = dict.fromkeys(drone.set_point for drone in drones if drone.set_point)
@@ -240,13 +235,6 @@ def _calibrate_hover(
     if output is not None:
         calibration.save(output)
         say(f"quadrotors by drone are in {output}")
-
-
-def _cells(values: Iterable[float], digits: str = ".1f") -> str:
-    """Return numbers as text, or a dash if they are not known."""
-    numbers = list(values)
-    known = numbers and not any(map(math.isnan, numbers))
-    return ", ".join(f"{x + 0.0:{digits}}" for x in numbers) if known else "–"
 
 
 def _calibration_tables(calibration: ho.Calibration) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.options import PATH, command, option, picture_options, plan_path
-from hitchopt.cli.output import ProgressBar, say, table
+from hitchopt.cli.output import ProgressBar, known_text, say, table
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
@@ -87,14 +87,14 @@ def evaluate(
         else:
             _say_contents(flight)
         return
-    from hitchopt.lab.flights.evaluation import LATEX, save_evaluation, summary
+    from hitchopt.lab.flights.evaluation import LATEX, summary
 
     with ProgressBar("reading and evaluating"):
         result = ho.evaluate(recording, task, **options)
     beside = recording if recording.name else recording.absolute()  # but for `.`
     folder = beside.parent / RESULTS if output is None else output
     with ProgressBar("writing the results"):
-        save_evaluation(folder, result, format, width)
+        result.save(folder, format, width)
     say(_tables(result), directory=str(folder), evaluation=summary(result))
     for remark in result.remarks:
         say(f"note: {remark}")
@@ -112,7 +112,8 @@ def _tables(evaluation: ho.Evaluation) -> str:
             cells["phase"] = f"{row.phase}, {row.start:.1f} to {row.end:.1f} s"
         errors = {"mean": row.mean, "std": row.std, "max": row.max}
         errors["standard error"] = row.standard_error
-        rows.append({**cells, **_millimetres(errors), "found": f"{row.found:.0%}"})
+        millimetres = {name: known_text(1e3 * x) for name, x in errors.items()}
+        rows.append({**cells, **millimetres, "found": f"{row.found:.0%}"})
     fit = evaluation.alignment
     parts = [
         table(f"Distances from the plan [mm], {kind} of cables and drones", rows),
@@ -173,22 +174,14 @@ def _say_filters(flight: ho.RecordedFlight) -> None:
     for each in replays:
         errors = {"to the logged": each.logged_rms_deg, "to the captured": each.captured_rms_deg}
         cells = {f"{name} attitude, rms [°]": x for name, x in errors.items()}
-        texts = {name: "–" if math.isnan(x) else f"{x:.2f}" for name, x in cells.items()}
+        texts = {name: known_text(x, digits=".2f") for name, x in cells.items()}
         share = f"{100.0 * each.pull_seen:.0f}"
         rows.append({"drone": each.drone, "filter": each.filter, **texts, "pull seen [%]": share})
     remarks = dict.fromkeys(each.remark for each in replays if each.remark)
     if not flight.loads:
         remarks["no load is recorded: the pull is a steady one"] = None
-    content = [
-        {name: None if x != x else x for name, x in vars(each).items()}  # noqa: PLR0124, nan
-        for each in replays
-    ]
-    say("\n".join([table("Replayed filters", rows), "", *remarks]).rstrip(), filters=content)
-
-
-def _millimetres(lengths: dict[str, float]) -> dict[str, str]:
-    """Return lengths [m] as text in millimetres, with a dash for nan."""
-    return {k: f"{1e3 * x:.1f}" if not math.isnan(x) else "–" for k, x in lengths.items()}
+    text = "\n".join([table("Replayed filters", rows), "", *remarks]).rstrip()
+    say(text, filters=list(map(vars, replays)))
 
 
 def _say_markers(task: Task) -> None:
@@ -202,16 +195,14 @@ def _say_markers(task: Task) -> None:
         positions = ", ".join(f"{position:.2f}" for position in markers.places[k])
         rows.append({"cable": k, "stays on its edge [m]": stretch, "markers at [m]": positions})
     errors: list[dict[str, object]] = [
-        {"vertex": team.point_names[p], **_millimetres({"median": median, "largest": largest})}
-        for p, (median, largest) in enumerate(markers.standard_errors.tolist())
-        if not math.isnan(median)
+        {"vertex": team.point_names[p], "median": known_text(x), "largest": known_text(y)}
+        for p, (x, y) in enumerate((1e3 * markers.standard_errors).tolist())
+        if not math.isnan(x)
     ]
     parts = [table("Markers from q's end of every cable", rows)]
     parts.append(table("Standard errors [mm]", errors))
     parts.append(f"of vertices, if markers scatter by {1e3 * ROPE_SCATTER:g} mm about their lines")
-    content = {name: _plain(value) for name, value in vars(markers).items()}
+    content = vars(markers) | {"places": [each.tolist() for each in markers.places]}
+    for name in ("stretches", "standard_errors"):
+        content[name] = content[name].tolist()
     say("\n\n".join(parts), markers=content)
-
-
-def _plain(value: Any) -> Any:
-    return [each.tolist() for each in value] if isinstance(value, tuple) else value.tolist()

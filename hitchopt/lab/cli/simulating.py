@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import PATH, command, option, picture_options, plan_path, width_option
-from hitchopt.cli.output import ProgressBar, quantities, say, span_text, table
+from hitchopt.cli.output import ProgressBar, known_text, quantities, say, span_text, table
 from hitchopt.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from hitchopt.lab.simulation.judgement import Simulation, Spread
+    from hitchopt.lab.simulation.judgement import Spread
+    from hitchopt.lab.simulation.report import Simulation
     from hitchopt.lab.simulation.settings import Settings
     from hitchopt.lab.simulation.task import Task
     from hitchopt.lab.sweeps.campaign import Campaign
@@ -144,7 +145,7 @@ def simulate(
     touches anything or there is no reaction. A campaign (--runs) ends with 0 and reports the
     success rate.
     """
-    from hitchopt.lab.simulation.calibrated import read_calibrated
+    from hitchopt.lab.simulation.control import read_calibrated
     from hitchopt.lab.simulation.judgement import warnings
     from hitchopt.lab.simulation.settings import settings_of
     from hitchopt.lab.simulation.task import read_task
@@ -200,15 +201,14 @@ def _simulate_one(
 ) -> None:
     """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
     from hitchopt.lab.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
-    from hitchopt.lab.simulation.judgement import simulate as simulate_task
-    from hitchopt.lab.simulation.report import ending, save_simulation, summary
+    from hitchopt.lab.simulation.report import Simulation, ending, summary
     from hitchopt.motion.plan_file import read_saved_plan
 
     with ProgressBar("building ropes") as progress:
-        simulation = simulate_task(task, settings, progress)
+        simulation = Simulation.of(task, settings, progress)
     saved = read_saved_plan(plan_path(directory))
     with ProgressBar("writing the results"):
-        save_simulation(folder, simulation, saved.motion, saved.title, format, width)
+        simulation.save(folder, saved.title, saved.motion, format, width)
     message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
     say(message, directory=str(folder), simulation=summary(simulation))
     if simulation.errors.t.size and not task.groups:
@@ -223,10 +223,14 @@ def _simulate_one(
 
 def flight_tables(simulation: Simulation) -> str:
     """Return the tables of one flight's vertices, objects and figures."""
+    import numpy as np
+
     from hitchopt.lab.simulation.report import summary
 
     content, figures, flight = summary(simulation), simulation.figures, simulation.flight
     spreads, nearest, separation = simulation.spreads, content["nearest"], content["separation"]
+    densities = {key: np.atleast_1d(x) for key, x in content["density"].items()}
+    grams = {key: span_text(1e3 * x, ".4g") for key, x in densities.items()}
     rows: dict[str, object] = {
         "least separation of drones [ellipsoids]": _of_pair(separation, ".2f"),
         "nearest drones [m]": _of_pair(nearest, ".3f"),
@@ -237,15 +241,22 @@ def flight_tables(simulation: Simulation) -> str:
         "largest tilt [°]": figures["peak_tilt"],
         "flown by": _flown_by(simulation.settings),
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
-        "ropes weigh [g/m]": _grams(content["density"]["simulated"]),
-        "  as the plan knows": _grams(content["density"]["planned"]),
+        "ropes weigh [g/m]": grams["simulated"],
+        "  as the plan knows": grams["planned"],
         "extra rope for bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
     }
     parts = []
     if content["clasps"]:
         parts.append(table("Vertices after the flight [N, m]", map(dict, content["clasps"])))
     if simulation.errors.t.size:
-        parts.append(_vertex_table(content["vertex_error"], simulation))
+        errors, team = content["vertex_error"], flight.task.team
+        each = {name: errors[name] for name in (team.point_names[p] for p in team.layout.clasps)}
+        each |= {label: vars(simulation.spreads[name]) for name, label in ERRORS.items()}
+        vertices = [
+            {"vertex": name, **{key: known_text(100.0 * x) for key, x in values.items()}}
+            for name, values in each.items()
+        ]
+        parts.append(table("Vertices to the plan, sag included [cm]", vertices))
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
@@ -254,21 +265,6 @@ def flight_tables(simulation: Simulation) -> str:
         parts.append(table("Objects, to the plan's, and while carried [m, °]", objects))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", rows))
     return "\n\n".join([*parts, *_inexact(simulation.settings)])
-
-
-def _vertex_table(errors: Mapping[str, Mapping[str, float]], simulation: Simulation) -> str:
-    """Return the table of errors of every vertex and of all."""
-    team = simulation.flight.task.team
-    names = [team.point_names[point] for point in team.layout.clasps]
-    each = {name: errors[name] for name in names}
-    each |= {label: vars(simulation.spreads[name]) for name, label in ERRORS.items()}
-    rows = [{"vertex": name} | _centimetres(values) for name, values in each.items()]
-    return table("Vertices to the plan, sag included [cm]", rows)
-
-
-def _centimetres(lengths: Mapping[str, float]) -> dict[str, str]:
-    """Return lengths [m] in centimetres as text, with a dash for nan."""
-    return {k: "–" if math.isnan(x) else f"{100.0 * x:.1f}" for k, x in lengths.items()}
 
 
 def _inexact(settings: Settings) -> list[str]:
@@ -298,13 +294,6 @@ def _flown_by(settings: Settings) -> str:
 def _of_pair(closest: Mapping[str, Any], digits: str) -> str:
     """Return the distance and the names of the two closest drones."""
     return f"{closest['distance']:{digits}}, {' and '.join(closest['drones'])}"
-
-
-def _grams(densities: float | list[float]) -> float | str:
-    """Return a density, or the range of several [kg/m], in grams per metre."""
-    if isinstance(densities, float):
-        return 1e3 * densities
-    return span_text((1e3 * x for x in densities), ".4g")
 
 
 def spread_text(spread: Spread, unit: float = 0.01, digits: str = ".1f") -> str:

@@ -110,11 +110,8 @@ def align(
 ) -> Alignment:
     """Return clock, frame and names of a recorded flight of a plan; see ``evaluate``.
 
-    Raises
-    ------
-    FileError: fewer bodies than drones, no motion, too short a recording, another plan, or an
-        ambiguous assignment.
-    InputError: unknown names or an unknown frame.
+    Raises FileError for fewer bodies than drones, no motion, too short a recording, another plan,
+    or an ambiguous assignment, and InputError for unknown names or an unknown frame.
     """
     for name, value in (("start", start), ("frame", frame if frame == "fit" else None)):
         if value is not None and not flight.one_clock:

@@ -2,41 +2,41 @@
 
 Topics are sorted by what they hold; see ``topics``. Logs of a drone may be stamped by a clock that
 starts at its boot: it is set by the positions in the log, else by the smallest delay of arrival.
+
+Messages of one type with equal texts and counts have each number at the same bytes. So messages are
+grouped by these, and each field of a group is read at once, by the type's definition.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
-from hitchopt.lab.flights.clocks import fitted_shift
-from hitchopt.lab.flights.messages import (
-    CLOUD,
-    MESSAGE_TYPES,
-    MESSAGES,
-    decoded,
-    points_of,
-)
 from hitchopt.lab.flights.recordings import (
     MARKER,
     QUANTITIES,
+    Logged,
     RecordedFlight,
+    fitted_shift,
     flight_of,
     library,
+    positions_of,
 )
 from hitchopt.lab.flights.topics import (
     LOAD,
+    LOGGED,
     Topic,
     bag_topics,
-    distinct_names,
+    body_names,
     is_load,
-    logged_quantity,
     quantity_name,
     taken_topics,
 )
@@ -48,6 +48,89 @@ MAX_FIXED = 0.05  # Largest motion of a frame that does not move [m]
 MAX_DELAY = 10.0  # Largest delay between stamp and arrival on one clock [s]
 ARRIVALS = (-8.0, 1.0)  # Shifts that are tried about the smallest delay of arrival [s]
 MIN_TURN = 1e-6  # Smallest change of an attitude that is measured
+
+NUMBERS = {
+    "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1",
+    **{f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)},
+    **{f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)},
+    "float32": "<f4", "float64": "<f8",
+}  # fmt: skip
+BASE, NAME, ARRAY = 1, 2, 3  # Nodes of definitions in rosbags; others are sequences
+
+# Packages of crazyswarm, of ROS 1, and of crazyswarm2, and definitions that bags may lack
+CRAZYFLIES = ("crazyswarm", "crazyflie_driver", "crazyflie_interfaces")
+POSE = "motion_capture_tracking_interfaces/msg/NamedPose"
+MESSAGES = {
+    POSE: "string name\ngeometry_msgs/Pose pose\n",
+    f"{POSE}Array": f"std_msgs/Header header\n{POSE.replace('msg/', '')}[] poses\n",
+    "crazyflie_interfaces/msg/Position": "std_msgs/Header header\n"
+    "float32 x\nfloat32 y\nfloat32 z\nfloat32 yaw\n",
+    "crazyflie_interfaces/msg/FullState": "std_msgs/Header header\ngeometry_msgs/Pose pose\n"
+    "geometry_msgs/Twist twist\ngeometry_msgs/Vector3 acc\n",
+    "crazyflie_interfaces/msg/LogDataGeneric": "std_msgs/Header header\nuint32 timestamp\n"
+    "float32[] values\n",
+}
+
+Samples = list[tuple[str, Any, dict[str, Array]]]
+"""Frame, header and quantities (messages, k) of each body in messages."""
+
+
+def _xyz(v: Any) -> Array:
+    return np.stack([v.x, v.y, v.z], axis=1)
+
+
+def _pose(pose: Any) -> dict[str, Array]:
+    q = pose.orientation
+    return {"position": _xyz(pose.position), "attitude": np.column_stack([_xyz(q), q.w])}
+
+
+def _transform(transform: Any) -> dict[str, Array]:
+    q = transform.rotation
+    return {"position": _xyz(transform.translation), "attitude": np.column_stack([_xyz(q), q.w])}
+
+
+def _full_state(m: Any) -> Samples:
+    values = {"velocity": _xyz(m.twist.linear), "acceleration": _xyz(m.acc)}
+    return [("", m.header, {**_pose(m.pose), **values})]
+
+
+def _position(m: Any) -> Samples:
+    return [("", m.header, {"position": _xyz(m), "yaw": m.yaw[:, None]})]
+
+
+def _imu(m: Any) -> Samples:
+    values = {"rates": _xyz(m.angular_velocity), "specific_force": _xyz(m.linear_acceleration)}
+    return [("", m.header, values)]
+
+
+# Message types that are read, those with positions by preference: whether messages name the
+# bodies, and functions that return the samples of decoded messages
+MESSAGE_TYPES: dict[str, tuple[bool, Callable[[Any], Samples]]] = {
+    f"{POSE}Array": (True, lambda m: [(x.name, m.header, _pose(x.pose)) for x in m.poses]),
+    "geometry_msgs/msg/TransformStamped": (
+        False, lambda m: [(m.child_frame_id, m.header, _transform(m.transform))],
+    ),
+    "tf2_msgs/msg/TFMessage": (
+        True, lambda m: [(x.child_frame_id, x.header, _transform(x.transform))
+                         for x in m.transforms],
+    ),
+    "geometry_msgs/msg/PoseStamped": (False, lambda m: [("", m.header, _pose(m.pose))]),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (
+        False, lambda m: [("", m.header, _pose(m.pose.pose))],
+    ),
+    "nav_msgs/msg/Odometry": (
+        False, lambda m: [(m.child_frame_id, m.header, _pose(m.pose.pose))],
+    ),
+    **{f"{x}/msg/FullState": (False, _full_state) for x in CRAZYFLIES},
+    **{f"{x}/msg/Position": (False, _position) for x in CRAZYFLIES},
+    **{
+        f"{x}/msg/{name}": (False, lambda m: [("", m.header, {"values": m.values})])
+        for x in CRAZYFLIES
+        for name in ("GenericLogData", "LogDataGeneric")
+    },
+    "sensor_msgs/msg/Imu": (False, _imu),
+}  # fmt: skip
+CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
 @dataclass
@@ -105,7 +188,7 @@ def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> Reco
             groups = decoded(bag.typestore.fielddefs, kinds[name], data, ros1=not bag.is2)
             received = 1e-9 * np.array(arrivals[name])
             if kinds[name] == CLOUD:
-                markers = [_cloud(message, received[rows]) for rows, message in groups]
+                markers = [_points(message, received[rows]) for rows, message in groups]
             else:
                 streams[name] = _streams(name, kinds[name], groups, received)
         source = f"ROS {'2' if bag.is2 else '1'} bag"
@@ -126,21 +209,17 @@ def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> Reco
     loads = {name: own for name, own in bodies.items() if is_load(name) and topic is None}
     if len(loads) == len(bodies):
         loads = {}
-    tracks = {name: own for name, own in bodies.items() if name not in loads}
-    contents = _Contents(tracks, loads)
+    contents = _Contents({name: x for name, x in bodies.items() if name not in loads}, loads)
     for each in sorted(topics.values(), key=lambda x: x.preference):
-        contents.add(each, streams.get(each.name, {}), is_taken=each in taken)
-    rows = {name: stream.rows("position") for name, (_, stream) in tracks.items()}
-    cloud = {MARKER: np.concatenate(markers)} if markers else {}
+        if each not in taken:
+            contents.add(each, streams.get(each.name, {}))
+    cloud = positions_of({MARKER: np.concatenate(markers)} if markers else {})
     return flight_of(
         source,
-        rows | cloud,
+        {**contents.bodies, **cloud},
         unit or "m",
-        notes=[*notes, *contents.notes],
-        setpoints=contents.setpoints,
-        signals=contents.signals,
         loads=contents.loads,
-        sources=contents.sources,
+        notes=[*notes, *contents.notes],
         clock_shifts=contents.shifts,
         as_sent=True,
     )
@@ -152,13 +231,6 @@ def _times(header: Any, received: Array) -> Array:
     return t if np.any(t) else received
 
 
-def _cloud(message: Any, received: Array) -> Array:
-    """Return rows (m, 4) of the points of a group of clouds."""
-    points = points_of(message)
-    t = np.broadcast_to(_times(message.header, received)[:, None, None], (*points.shape[:2], 1))
-    return np.concatenate([t, points], axis=2).reshape(-1, 4)
-
-
 def _streams(
     topic: str, kind: str, groups: Sequence[tuple[Indices, Any]], received: Array
 ) -> dict[str, _Stream]:
@@ -168,8 +240,10 @@ def _streams(
         for frame, header, fields in MESSAGE_TYPES[kind][1](message):
             parts = fields
             if "values" in fields:
-                quantity, scale = logged_quantity(topic, fields["values"].shape[1])
-                parts = {quantity: scale * fields["values"]} if quantity else {}
+                last = topic.rpartition("/")[2].casefold()
+                quantity, count, scale = LOGGED.get(last, ("", 0, 1.0))
+                is_known = quantity and fields["values"].shape[1] == count
+                parts = {quantity: scale * fields["values"]} if is_known else {}
             t = _times(header, received[rows])
             if "timestamp" in vars(message):  # Of crazyswarm2's logs [ms], from the drone's boot
                 t = 1e-3 * message.timestamp
@@ -200,8 +274,12 @@ def _bodies_of_frames(
     bodies, omitted = dict[str, tuple[Topic, _Stream]](), list[str]()
     for topic in topics:
         frames = streams[topic.name]
-        names = dict.fromkeys(frames, topic.body) if len(frames) == 1 and topic.body else {}
-        for frame, name in (names or distinct_names(list(frames))).items():
+        names = {frame: name or frame for frame, (name, _) in body_names(list(frames)).items()}
+        counts = Counter(names.values())
+        names = {frame: name if counts[name] == 1 else frame for frame, name in names.items()}
+        if len(frames) == 1 and topic.body:
+            names = dict.fromkeys(frames, topic.body)
+        for frame, name in names.items():
             parent = frames.get(frames[frame].parent)
             if parent is not None and np.max(np.ptp(parent.parts["position"], axis=0)) > MAX_FIXED:
                 omitted.append(frame)
@@ -216,7 +294,7 @@ def _bodies_of_frames(
 
 
 class _Contents:
-    """Quantities of bodies whose positions are known, from all topics of a bag."""
+    """Quantities of bodies and loads whose positions are known, from all topics of a bag."""
 
     def __init__(
         self,
@@ -224,15 +302,13 @@ class _Contents:
         loads: Mapping[str, tuple[Topic, _Stream]],
     ) -> None:
         self._tracks = tracks
-        self.signals, self.setpoints = dict[str, dict[str, Array]](), dict[str, Array]()
-        self.loads, self.sources = dict[str, Array](), dict[str, dict[str, str]]()
+        self.bodies, self.loads = dict[str, dict[str, Logged]](), dict[str, dict[str, Logged]]()
         self.shifts, self._unfitted = dict[str, float](), list[str]()
         self._residuals = list[float]()
-        for name, (topic, stream) in {**tracks, **loads}.items():
-            self.sources[name] = {"position": topic.family}
-            self._add_parts(name, topic, stream, 0.0)
-        for name, (_, stream) in loads.items():
-            self.loads[name] = stream.rows("position")
+        for content, each in ((self.bodies, tracks), (self.loads, loads)):
+            for name, (topic, stream) in each.items():
+                content[name] = {"position": Logged(stream.rows("position"), topic.family)}
+                self._add_parts(content[name], topic, stream, 0.0)
 
     @property
     def notes(self) -> list[str]:
@@ -247,26 +323,21 @@ class _Contents:
             notes.append(f"{', '.join(self._unfitted)}: {words}, which may be seconds")
         return notes
 
-    def add(self, topic: Topic, frames: Mapping[str, _Stream], *, is_taken: bool) -> None:
-        """Add the quantities of a topic, except positions of the topics that are taken."""
-        if is_taken:
-            return
+    def add(self, topic: Topic, frames: Mapping[str, _Stream]) -> None:
+        """Add the quantities of a topic whose positions are not those of the bodies."""
         for frame, stream in frames.items():
             if topic.kind == LOAD and "position" in stream.parts:
                 name = topic.body if topic.body and is_load(topic.body) else LOAD
                 if name not in self.loads and name not in self._tracks:
-                    self.loads[name] = stream.rows("position")
-                    self.sources[name] = {"position": topic.family}
-                    self._add_parts(name, topic, stream, 0.0)
+                    position = Logged(stream.rows("position"), topic.family)
+                    self.loads[name] = {"position": position}
+                    self._add_parts(self.loads[name], topic, stream, 0.0)
                 continue
-            body = self._body(topic, frame)
+            # A part of the names of topic and frame may be a body's
+            parts = [topic.body, *topic.name.split("/"), *frame.split("/")]
+            body = next((part for part in parts if part in self._tracks), None)
             if body is not None:
-                self._add_parts(body, topic, stream, self._shift(body, stream))
-
-    def _body(self, topic: Topic, frame: str) -> str | None:
-        """Return the body of a frame of a topic; None if it is no known body."""
-        parts = [topic.body, *topic.name.split("/"), *frame.split("/")]
-        return next((part for part in parts if part in self._tracks), None)
+                self._add_parts(self.bodies[body], topic, stream, self._shift(body, stream))
 
     def _shift(self, body: str, stream: _Stream) -> float:
         """Return the time of the recording minus that of a stream's clock [s]."""
@@ -289,17 +360,111 @@ class _Contents:
             self.shifts[body] = guess
         return self.shifts[body]
 
-    def _add_parts(self, body: str, topic: Topic, stream: _Stream, shift: float) -> None:
-        sources = self.sources.setdefault(body, {})
+    def _add_parts(
+        self, own: dict[str, Logged], topic: Topic, stream: _Stream, shift: float
+    ) -> None:
+        """Add the quantities of a stream that a body does not have yet."""
         for part, values in stream.parts.items():
             quantity = quantity_name(topic.kind, part)
-            if quantity in sources or quantity not in QUANTITIES:
+            if quantity in own or quantity not in QUANTITIES:
                 continue
             if part == "attitude" and np.nanmax(np.ptp(values, axis=0), initial=0.0) < MIN_TURN:
                 continue  # Of one marker
-            rows = stream.rows(part, shift)
-            if quantity == "commanded_position":
-                self.setpoints[body] = rows
-            else:
-                self.signals.setdefault(body, {})[quantity] = rows
-            sources[quantity] = topic.family
+            own[quantity] = Logged(stream.rows(part, shift), topic.family)
+
+
+class _MixedError(Exception):
+    """Messages of a group differ in a text or a count; ``labels`` (messages,) tell them apart."""
+
+    def __init__(self, labels: NDArray[np.integer[Any]]) -> None:
+        super().__init__("messages of different layouts")
+        self.labels = labels
+
+
+def decoded(
+    definitions: Mapping[str, Any], kind: str, messages: Sequence[bytes], *, ros1: bool
+) -> list[tuple[Indices, Any]]:
+    """Return groups of messages of a type: their indices, and their fields.
+
+    Fields are named as in ``definitions``, those of rosbags' type stores; numbers are arrays
+    (messages,) or (messages, count), texts are the same in all messages of a group. Raises
+    ValueError for a message that is shorter than its type.
+    """
+    lengths = np.array([len(message) for message in messages])
+    pending, groups = list[tuple[Indices, NDArray[np.uint8]]](), list[tuple[Indices, Any]]()
+    for size in np.unique(lengths).tolist():
+        rows = np.flatnonzero(lengths == size)
+        data = np.frombuffer(b"".join(messages[i] for i in rows.tolist()), np.uint8)
+        pending.append((rows, data.reshape(len(rows), size)))
+    while pending:
+        rows, data = pending.pop()
+        try:
+            groups.append((rows, _Reader(definitions, data, ros1).message(kind)))
+        except _MixedError as mixed:
+            chosen = [mixed.labels == label for label in range(int(mixed.labels.max()) + 1)]
+            pending += [(rows[each], data[each]) for each in chosen]
+    return sorted(groups, key=lambda group: int(group[0][0]))
+
+
+class _Reader:
+    """Reads fields of messages of one layout (messages, bytes) in their order."""
+
+    def __init__(self, definitions: Mapping[str, Any], data: NDArray[np.uint8], ros1: bool) -> None:
+        self._definitions, self._data, self._ros1 = definitions, data, ros1
+        self._start = self._at = 0 if ros1 else 4
+
+    def message(self, kind: str) -> Any:
+        fields = self._definitions[kind][1]
+        return SimpleNamespace(**{name: self._value(int(node), of) for name, (node, of) in fields})
+
+    def _value(self, node: int, of: Any) -> Any:
+        if node == NAME:
+            return self.message(of)
+        if node == BASE:
+            return self._text() if of[0].endswith("string") else self._numbers(of[0], 1)[:, 0]
+        (item, item_of), count = of[0], of[1] if node == ARRAY else self._count()
+        if int(item) == BASE and item_of[0] in NUMBERS:
+            return self._numbers(item_of[0], count)
+        return [self._value(int(item), item_of) for _ in range(count)]
+
+    def _numbers(self, kind: str, count: int) -> Array:
+        dtype = np.dtype(NUMBERS[kind])
+        return self._block(dtype.itemsize, count).view(dtype)
+
+    def _count(self) -> int:
+        count = int.from_bytes(self._common(self._block(4, 1)), "little")
+        if count > self._data.shape[1]:
+            raise ValueError(f"a message of {self._data.shape[1]} bytes has {count} items")
+        return count
+
+    def _text(self) -> str:
+        return self._common(self._block(1, self._count())).rstrip(b"\0").decode()
+
+    def _block(self, size: int, count: int) -> NDArray[np.uint8]:
+        """Return the next bytes (messages, size * count); ROS 2 aligns numbers to their size."""
+        if count and not self._ros1:
+            self._at += (self._start - self._at) % size
+        block = self._data[:, self._at : self._at + size * count]
+        if block.shape[1] < size * count:
+            raise ValueError(f"a message of {self._data.shape[1]} bytes is shorter than its type")
+        self._at += size * count
+        return np.ascontiguousarray(block)
+
+    def _common(self, block: NDArray[np.uint8]) -> bytes:
+        """Return bytes that all messages share."""
+        if np.any(block != block[0]):
+            _, labels = np.unique(block, axis=0, return_inverse=True)
+            raise _MixedError(labels.reshape(-1))
+        return bytes(block[0].tobytes())
+
+
+def _points(message: Any, received: Array) -> Array:
+    """Return rows (m, 4) of time [s] and position of the points of clouds of float32."""
+    float32 = 7
+    offsets = {x.name: int(x.offset[0]) for x in message.fields if x.datatype[0] == float32}
+    step, count = int(message.point_step[0]), int(message.width[0]) * int(message.height[0])
+    data = message.data.reshape(len(message.data), count, step)
+    axes = [np.ascontiguousarray(data[..., offsets[x] : offsets[x] + 4]) for x in "xyz"]
+    t = np.broadcast_to(_times(message.header, received)[:, None], data.shape[:2])
+    columns = [t, *(each.view("<f4")[..., 0] for each in axes)]
+    return np.stack(columns, axis=-1).astype(np.float64).reshape(-1, 4)

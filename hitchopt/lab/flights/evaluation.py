@@ -1,8 +1,8 @@
-"""The evaluation of a recorded flight: its record and table, its files and its picture."""
+"""Compare a recorded flight with its plan: vertices and drones over time, files and a picture."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -12,14 +12,30 @@ import numpy as np
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.flights.alignment import Alignment
-from hitchopt.lab.flights.recordings import RecordedFlight, Recording, Track
-from hitchopt.lab.flights.vertices import through_gaps
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.flights.alignment import Alignment, align
+from hitchopt.lab.flights.readers import read_flight
+from hitchopt.lab.flights.recordings import (
+    RecordedFlight,
+    Recording,
+    Track,
+    drones_by_name,
+    plan_at,
+    taut_at,
+)
+from hitchopt.lab.flights.vertices import (
+    RATE,
+    WINDOW,
+    Measured,
+    clasps_of,
+    measured_vertices,
+    through_gaps,
+)
+from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.motion.motion import Motion
+from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
-from hitchopt.values import Array, check_choice, path, text
+from hitchopt.values import Array, check_choice, finite, nonnegative, path, positive, text
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, POINTS
 from hitchopt.view.scene import scene_at
@@ -28,6 +44,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+MAX_WINDOW = 1.0  # Largest time window of line fits [s]
+MIN_SHARE = 0.5  # Smallest share of the time of a vertex that is measured without a remark
+ROUNDING = 1e-6  # Tolerance of a number of time steps
 
 FORMAT = "hitchopt-evaluation/1"
 SUMMARY, VERTICES = "evaluation.json", "vertices.csv"
@@ -171,33 +191,174 @@ class Evaluation(OneLine):
         """Write table, vertices, picture and shapes to a directory; return it.
 
         The picture is ``evaluation.png``, or ``svg`` or ``pdf``; with a ``width`` [inch] it is a
-        figure for a paper with text of 8 pt. Raises FileError if the directory
-        cannot be written to, or holds a plan or a simulation.
+        figure for a paper with text of 8 pt. All files are written, or none.
+
+        Raises
+        ------
+        FileError: the directory cannot be written to, or holds a plan or a simulation.
+        InputError: an unknown format.
         """
-        return save_evaluation(path("directory", directory), self, text("format", format), width)
+        directory, kind = path("directory", directory), text("format", format)
+        check_choice("format", kind, PICTURES)
+        for name in FOREIGN:
+            if (directory / name).exists():
+                problem = f"holds {name}; name a directory of its own for results"
+                raise FileError(f"{directory}: {problem}")
+        picture = drawn_evaluation(self, width)
+        writers: dict[str, Writer] = {
+            VERTICES: partial(_write_vertices, self),
+            LATEX: lambda path: path.write_text(latex_table(self), "utf-8", newline="\n"),
+            RECORDING: lambda path: np.savez_compressed(path, **shapes(self)),  # type: ignore[arg-type]
+            PICTURE + kind: lambda path: style.save_figure(picture, path),
+            SUMMARY: lambda path: write_strict_json(path, summary(self)),
+        }
+        return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
 
-def save_evaluation(
-    directory: Path, evaluation: Evaluation, format: str = "png", width: float | None = None
-) -> Path:
-    """Write all files of an evaluation, or none; return the directory.
+def evaluate(
+    recording: RecordedFlight | Path | str,
+    plan: Task | Plan | Path | str,
+    *,
+    names: Mapping[str, str] | str | None = None,
+    frame: str | Path | None = None,
+    start: float | None = None,
+    unit: str | None = None,
+    topic: str | None = None,
+    density: float | None = None,
+    diameter: float | None = None,
+    window: float = WINDOW,
+) -> Evaluation:
+    """Align a recorded flight with its plan, and compare vertices and drones.
 
-    Raises FileError if the directory cannot be written to, or holds a plan or a simulation, and
-    InputError for an unknown format.
+    Parameters
+    ----------
+    recording: a file or directory in a format of ``read_flight``, or a ``RecordedFlight``.
+    plan: the plan of the flight, or its directory.
+    names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: assigned by positions.
+    frame: ``plan``, ``y-up``, ``fit``, or a JSON file with rotation and shift, such as another
+        evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.
+    start: time of the recording at which the plan begins [s]; None: fitted, or 0 for a simulation.
+    unit: of the recording's lengths, if the file does not state it.
+    topic: topic of a bag or a log with the drones' positions; see ``read_flight``.
+    density: of the cables [kg/m]; None: the plan's, or fitted if the plan models no weight.
+    diameter: of the cables [m]; if given, errors are those of clasps instead of crossings.
+    window: time window of the line fits [s].
+
+    Raises
+    ------
+    FileError: a recording that cannot be read, or is of another plan.
+    InputError: an argument outside its bounds.
     """
-    check_choice("format", format, PICTURES)
-    for name in FOREIGN:
-        if (directory / name).exists():
-            raise FileError(f"{directory}: holds {name}; name a directory of its own for results")
-    picture = drawn_evaluation(evaluation, width)
-    writers: dict[str, Writer] = {
-        VERTICES: partial(_write_vertices, evaluation),
-        LATEX: lambda path: path.write_text(latex_table(evaluation), "utf-8", newline="\n"),
-        RECORDING: lambda path: np.savez_compressed(path, **shapes(evaluation)),  # type: ignore[arg-type]
-        PICTURE + format: lambda path: style.save_figure(picture, path),
-        SUMMARY: lambda path: write_strict_json(path, summary(evaluation)),
-    }
-    return replace_files(directory, writers, OWNED, seal=SUMMARY)
+    if density is not None:
+        density = nonnegative("density", density)
+    if diameter is not None:
+        diameter = positive("diameter", diameter)
+    if start is not None:
+        start = finite("start", start)
+    if positive("window", window) > MAX_WINDOW:
+        raise InputError("window", window, f"at most {MAX_WINDOW:g} s", "0.1 is usual")
+    flight, frame_name = recording, None if frame is None else str(frame)
+    if not isinstance(flight, RecordedFlight):
+        flight = read_flight(path("recording", flight), unit, topic)
+    elif unit is not None or topic is not None:
+        raise InputError("unit, topic", (unit, topic), "left out", "the recording is read already")
+    if isinstance(plan, Plan):
+        task = Task.of(plan.motion)
+    else:
+        task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
+    task.require_one_team("evaluate")
+    if flight.simulated and start is None:
+        start = 0.0  # The clock of a simulation is the plan's
+    try:
+        alignment = align(flight, task, names=drones_by_name(names), frame=frame_name, start=start)
+    except FileError as error:
+        source = flight.source if flight is recording else f"{recording}: {flight.source}"
+        raise FileError(f"{source}: {error}") from None
+    return _evaluated(flight, task, alignment, density, diameter, window)
+
+
+def _evaluated(
+    flight: RecordedFlight,
+    task: Task,
+    alignment: Alignment,
+    density: Any,
+    diameter: Any,
+    window: float,
+) -> Evaluation:
+    """Return the evaluation of an aligned flight."""
+    team, layout, rate = task.team, task.team.layout, alignment.rate
+    tracks = [flight.tracks[name] for name in alignment.names]
+    clocks = list(zip(tracks, alignment.offsets.tolist(), strict=True))
+    ends = [rate * track.t[[0, -1]] + offset for track, offset in clocks]
+    first = np.ceil(RATE * max(0.0, np.min(ends)) - ROUNDING)
+    last = np.floor(RATE * min(task.duration, np.max(ends)) + ROUNDING)
+    t = np.arange(first, last + 1.0) / RATE + 0.0  # No negative zero
+
+    def at(times: Array, track: Track, offset: float, *, interpolated: bool = False) -> Array:
+        """Return positions of a body at plan times (times, 3) [m]; nan where it is not visible."""
+        positions, visible = track.at((times - offset) / rate)
+        return alignment.placed(np.where(visible[:, None] | interpolated, positions, np.nan))
+
+    hitched = taut_at(task, t)
+    vertices = np.full((len(t), layout.points, 3), np.nan)
+    errors = np.full(vertices.shape[:2], np.nan)
+    densities = np.full(team.robots, team.cable_density if density is None else density)
+    remarks = [*flight.notes, *_remarks(alignment, flight)]
+    times = rate * flight.markers.t + alignment.offset
+    taut = (times >= 0.0) & (times <= task.duration) & taut_at(task, times)
+    cloud = Track(times[taut], alignment.placed(flight.markers.positions[taut]))
+    recorded_points = [name for name in team.point_names if name in flight.tracks]
+    for name in recorded_points:
+        point = at(t, flight.tracks[name], alignment.offset)
+        vertices[hitched, team.point_names.index(name)] = point[hitched]
+    if not recorded_points and len(cloud.t) and np.any(hitched):
+        frames = np.unique(cloud.t)
+        drones = np.stack([at(frames, *each, interpolated=True) for each in clocks], axis=1)
+        measured = measured_vertices(task, t[hitched], cloud, drones, density, window)
+        vertices[hitched] = measured.crossings
+        errors[hitched] = np.hypot(measured.standard_errors, alignment.frame_error)
+        remarks += _missing(measured, task)
+        if not np.allclose(measured.density, densities):
+            fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
+            remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for density=")
+        densities = measured.density
+    elif not recorded_points:
+        remarks.append("no markers on the cables: only drones are compared with the plan")
+    expected = plan_at(task, t, task.states.vertices)
+    expected[~hitched] = np.nan
+    contacts = None if diameter is None else clasps_of(vertices, layout, diameter)
+    positions = np.stack([at(t, *each) for each in clocks], axis=1)
+    drone_positions = positions, plan_at(task, t, task.states.positions)
+    rest: Any = (errors, *drone_positions, densities, cloud, tuple(dict.fromkeys(remarks)))
+    return Evaluation(task, flight, alignment, t, vertices, contacts, expected, *rest)
+
+
+def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
+    """Yield remarks on clock and frame."""
+    shared = "common to all drones is absorbed"
+    if "clock" in alignment.fitted and (flight.as_sent or not flight.setpoints):
+        yield f"the clock is fitted ± {1e3 * alignment.offset_error:.0f} ms; a lag {shared}"
+    if "rate" in alignment.fitted:
+        yield f"the plan advances by {alignment.rate:.5f} s per second of the recording"
+    if alignment.frame == "y-up":
+        yield "the recording's frame is y-up"
+    if "frame" in alignment.fitted:
+        lift = 1e3 * alignment.shift[2]
+        heights = f"shifted by {lift:+.0f} mm" if lift else "as recorded"
+        yield f"the frame is fitted: a displacement {shared}; heights are {heights}"
+
+
+def _missing(measured: Measured, task: Task) -> Iterator[str]:
+    """Yield reasons for missing vertices."""
+    layout, markers = task.team.layout, measured.markers
+    for a, point, b in zip(layout.behind, layout.clasps, layout.ahead, strict=True):
+        share = float(np.mean(np.isfinite(measured.crossings[:, point, 0])))
+        if share < MIN_SHARE:
+            visible = f"{markers[a]:.1f} markers on edge {a} and {markers[b]:.1f} on edge {b}"
+            yield (
+                f"{task.team.point_names[point]} is measured {share:.0%} of the time: on average "
+                f"{visible} are visible; two are needed, some decimetres from each other"
+            )
 
 
 def summary(evaluation: Evaluation) -> dict[str, Any]:

@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -25,7 +27,8 @@ from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.flights.readers import read_flight
-from hitchopt.lab.flights.recordings import RecordedFlight, Signal
+from hitchopt.lab.flights.recordings import RecordedFlight, Signal, drones_by_name
+from hitchopt.storage.files import with_nulls
 from hitchopt.storage.yaml_file import flow
 from hitchopt.values import Array, positive
 from hitchopt.values import path as checked_path
@@ -109,8 +112,8 @@ class DroneHover(OneLine):
 
     def to_dict(self) -> dict[str, Any]:
         """Return all findings as plain data, with None for what is not determined."""
-        values = {each.name: _plain(getattr(self, each.name)) for each in fields(self)}
-        return {**values, "agrees": self.agrees, "sentence": self.sentence}
+        content = {**asdict(self), "agrees": self.agrees, "sentence": self.sentence}
+        return {name: with_nulls(value) for name, value in content.items()}
 
     @property
     def sentence(self) -> str:
@@ -185,14 +188,6 @@ class HoverCalibration(OneLine):
         checked_path("path", path).write_text(self.text, encoding="utf-8")
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    return None if isinstance(value, float) and math.isnan(value) else value
-
-
 def direction_of(x: float, y: float) -> str:
     """Return the nearest of eight level directions in words."""
     return DIRECTIONS[round(4.0 * math.atan2(y, x) / math.pi) % 8]
@@ -235,18 +230,16 @@ def calibrate_hover(
         each if isinstance(each, RecordedFlight) else read_flight(checked_path("recordings", each))
         for each in sources
     ]
-    if isinstance(names, str):
-        pairs = names.replace(" ", "").split(",")
-        names = {name: drone for name, _, drone in (pair.partition("=") for pair in pairs)}
+    names = drones_by_name(names)
     labels = [each.source if isinstance(each, RecordedFlight) else str(each) for each in sources]
     drones = dict[str, DroneHover]()
     for name in dict.fromkeys(name for flight in flights for name in flight.tracks):
-        hovers = [
-            (label, HoverSeries(flight, name))
+        series = [
+            HoverSeries(flight, name, label)
             for label, flight in zip(labels, flights, strict=True)
             if name in flight.tracks
         ]
-        drones[name] = _drone(name, hovers, known)
+        drones[name] = _drone(name, series, known)
     if all(math.isnan(drone.trim[0]) and math.isnan(drone.lag) for drone in drones.values()):
         reasons = "; ".join(dict.fromkeys(x for drone in drones.values() for x in drone.remarks))
         problem = f"no drone of {', '.join(drones)} is at rest in flight: {reasons}"
@@ -269,7 +262,7 @@ def calibrate_hover(
 class _Rest:
     """A settled part: its times, trims in the world and the body's frame, and their error."""
 
-    label: str
+    hover: HoverSeries
     source: str
     mask: NDArray[np.bool_]
     world: Array  # (2,) [m]
@@ -285,14 +278,15 @@ class HoverSeries:
     ----------
     t: (times,) [s].
     x, velocity: (times, 3) [m], [m/s].
-    commands: set points, if there are any.
+    commanded, commanded_velocity: of set points (times, 3) [m], [m/s]; nan if none are recorded.
+    began, ended: times of the first and the last set point [s]; infinite if none are recorded.
     """
 
-    def __init__(self, flight: RecordedFlight, name: str) -> None:
+    def __init__(self, flight: RecordedFlight, name: str, label: str = "") -> None:
+        self.label = label  # Name of the recording in messages
         track, own = flight.tracks[name], flight.signals.get(name, {})
         self.t = np.arange(track.t[0], track.t[-1], 1.0 / RATE)
         self.x, self.visible = track.at(self.t)
-        self.remarks = list[str]()
         self.thrust = own.get("thrust")
         parts = ("velocity", "acceleration")
         self.moving = {x: own[f"commanded_{x}"] for x in parts if f"commanded_{x}" in own}
@@ -300,10 +294,26 @@ class HoverSeries:
         self.estimated = "attitude" not in own
         self.axis, self.yaw = self._attitude(attitude)
         self.ground = self._ground()
-        self.commands = flight.setpoints.get(name)
         self.velocity = _velocity(self.t, self.x)
-        self.set_point, self.source, self.still = self._set_points()
-        self.flying = self._flying()
+        lowest = self.ground[2] if self.ground is not None else np.min(self.x[:, 2])
+        z, top = self.x[:, 2], float(np.max(self.x[:, 2]))
+        self.flying = z > lowest + max(MIN_RISE, 0.5 * (top - lowest))
+        if self.ground is None and top - lowest < MIN_RISE:  # Recorded in flight
+            self.flying[:] = True
+        self.commanded, sent = np.full_like(self.x, np.nan), np.zeros(len(z), np.bool_)
+        self.began, self.ended = math.inf, -math.inf
+        if (commands := flight.setpoints.get(name)) is not None:
+            self.commanded, sent = commands.at(self.t)
+            self.began, self.ended = commands.t[[0, -1]].tolist()
+        self.commanded_velocity = _velocity(self.t, self.commanded)
+        before = self.t < self.began
+        self.set_point = np.where(sent[:, None], self.commanded, np.nan)
+        self.source = np.where(sent, COMMANDED, "").astype(object)  # Of set points
+        if self.ground is not None:
+            self.set_point[before] = [*self.ground[:2], np.nan]
+            self.source[before] = ABOVE_START
+        moving = np.flatnonzero(sent & (length(self.commanded_velocity) > MAX_COMMAND_SPEED))
+        self.still = (_since(self.t, self.t[moving]) > TRANSIENT) & (before | sent)
 
     def _attitude(self, attitude: Signal | None) -> tuple[Array, Array]:
         """Return the body's z axis (times, 3) and yaw (times,) [rad]; nan and 0 if unknown."""
@@ -324,36 +334,7 @@ class HoverSeries:
             return None
         return np.asarray(np.median(self.x[:end], axis=0))
 
-    def _flying(self) -> NDArray[np.bool_]:
-        """Return whether the drone flies (times,)."""
-        lowest = self.ground[2] if self.ground is not None else np.min(self.x[:, 2])
-        z, top = self.x[:, 2], float(np.max(self.x[:, 2]))
-        if self.ground is None and top - lowest < MIN_RISE:
-            return np.ones(len(z), np.bool_)  # Recorded in flight
-        return z > lowest + max(MIN_RISE, 0.5 * (top - lowest))
-
-    def _set_points(self) -> tuple[Array, NDArray[Any], NDArray[np.bool_]]:
-        """Return set points (times, 3), where they are known from, and whether they are at rest."""
-        t, unknown = self.t, np.full((len(self.t), 3), np.nan)
-        source = np.full(len(t), "", dtype=object)
-        still = np.ones(len(t), np.bool_)
-        points = unknown
-        before = np.ones(len(t), np.bool_)
-        if self.commands is not None:
-            at, sent = self.commands.at(t)
-            points = np.where(sent[:, None], at, np.nan)
-            source[sent] = COMMANDED
-            speeds = length(_velocity(t, at))
-            moving = np.flatnonzero(sent & (speeds > MAX_COMMAND_SPEED))
-            still[:] = _since(t, t[moving]) > TRANSIENT
-            before = t < self.commands.t[0]
-            still &= before | sent
-        if self.ground is not None:
-            points = np.where(before[:, None], [*self.ground[:2], np.nan], points)
-            source[before] = ABOVE_START
-        return points, source, still
-
-    def rests(self, label: str) -> Iterator[_Rest]:
+    def rests(self) -> Iterator[_Rest]:
         """Yield the settled parts with a known set point."""
         level, climb = length(self.velocity[:, :2]), np.abs(self.velocity[:, 2])
         slow = (level < MAX_LEVEL_SPEED) & (climb < MAX_CLIMB) & self.flying & self.visible
@@ -366,26 +347,20 @@ class HoverSeries:
                 if np.sum(mask) < 0.5 * MIN_SETTLED * RATE:
                     continue
                 off = (self.set_point - self.x)[mask, :2]
-                c, s = np.cos(self.yaw[mask]), np.sin(self.yaw[mask])
-                body = np.stack([c * off[:, 0] + s * off[:, 1], c * off[:, 1] - s * off[:, 0]], 1)
-                yield _Rest(
-                    label,
-                    kind,
-                    mask,
-                    np.mean(off, axis=0),
-                    np.mean(body, axis=0),
-                    float(np.angle(np.mean(np.exp(1j * self.yaw[mask])))),
-                    mean_error(off, np.sum(mask) / RATE),
-                )
+                world, body = np.mean([off, _turned(off, -self.yaw[mask])], axis=1)
+                error = mean_error(off, np.sum(mask) / RATE)
+                yield _Rest(self, kind, mask, world, body, self._mean_yaw(mask), error)
+
+    def _mean_yaw(self, mask: NDArray[np.bool_]) -> float:
+        return float(np.angle(np.mean(np.exp(1j * self.yaw[mask]))))
 
     def moving_part(self, gains: Mapping[str, float]) -> slice | None:
         """Return the samples of the longest flight under moving commands; None without gains."""
-        if self.commands is None or not {"mass", "kp", "kd"} <= set(gains):
+        if not {"mass", "kp", "kd"} <= set(gains):
             return None
-        ends = self.commands.t[[0, -1]]
-        mask = (self.t >= ends[0]) & (self.t <= ends[1]) & self.flying & self.visible
+        mask = (self.t >= self.began) & (self.t <= self.ended) & self.flying & self.visible
         start, end = max(_runs(mask), key=lambda run: run[1] - run[0], default=(0, 0))
-        speed = length(_velocity(self.t, self.commands.at(self.t)[0])[start:end, :2])
+        speed = length(self.commanded_velocity[start:end, :2])
         is_moving = np.sum(speed > MAX_COMMAND_SPEED) >= MIN_MOVING * RATE
         return slice(start, end) if is_moving else None
 
@@ -395,18 +370,15 @@ class HoverSeries:
         They follow from ``kp (command - trim - place) + kd (commanded velocity - velocity)``, plus
         the mass times commanded accelerations.
         """
-        if self.commands is None:
-            raise ValueError("a loop follows commands")
         mass, kp, kd = gains["mass"], gains["kp"], gains["kd"]
-        t = self.t[part]
-        force = kp * (self.commands.at(t)[0][:, :2] - self.in_world(trim)[part])
+        force = kp * (self.commanded[part, :2] - _turned(trim, self.yaw[part]))
         for quantity, gain in (("velocity", kd), ("acceleration", mass)):
             if quantity in self.moving:
-                force = force + gain * self.moving[quantity].at(t)[:, :2]
+                force = force + gain * self.moving[quantity].at(self.t[part])[:, :2]
         first = np.concatenate([self.x[part.start, :2], self.velocity[part.start, :2]])
         return loop_response(force, first, mass, kp, kd)
 
-    def response(self, label: str, gains: Mapping[str, float]) -> Iterator[_Rest]:
+    def response(self, gains: Mapping[str, float]) -> Iterator[_Rest]:
         """Yield the trim that fits the response of the position loop to moving commands."""
         part = self.moving_part(gains)
         if part is None:
@@ -418,11 +390,9 @@ class HoverSeries:
         residual = x - self.predicted(part, body, gains)
         mask = np.zeros(len(self.t), np.bool_)
         mask[part] = True
-        yaw = float(np.angle(np.mean(np.exp(1j * self.yaw[mask]))))
-        world = np.array([math.cos(yaw) * body[0] - math.sin(yaw) * body[1],
-                          math.sin(yaw) * body[0] + math.cos(yaw) * body[1]])  # fmt: skip
         error = math.hypot(mean_error(residual, len(residual) / RATE), MOTION_ERROR)
-        yield _Rest(label, IN_MOTION, mask, world, body, yaw, error)
+        yaw = self._mean_yaw(mask)
+        yield _Rest(self, IN_MOTION, mask, _turned(body, yaw), body, yaw, error)
 
     def tilt(self, rest: _Rest) -> Array:
         """Return the mean tilt (2,) in the body's frame at yaw 0; nan if it is not known.
@@ -433,17 +403,11 @@ class HoverSeries:
         if rest.source == IN_MOTION:
             slow = length(self.velocity[:, :2]) < MAX_LEVEL_SPEED
             mask = slow & self.flying & self.visible & (self.source != COMMANDED)
-        x, y, z = self.axis[mask].T
-        c, s = np.cos(self.yaw[mask]), np.sin(self.yaw[mask])
-        tilts = np.stack([c * x + s * y, c * y - s * x], axis=1) / np.abs(z)[:, None]
+        axis = self.axis[mask]
+        tilts = _turned(axis[:, :2], -self.yaw[mask]) / np.abs(axis[:, 2:])
         tilts = tilts[np.isfinite(tilts).all(axis=1)]
         unknown: Array = np.full(2, np.nan)
         return np.mean(tilts, axis=0) if len(tilts) else unknown
-
-    def in_world(self, trim: Array) -> Array:
-        """Return a trim of the body in the world's frame (times, 2) [m]."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        return np.stack([c * trim[0] - s * trim[1], s * trim[0] + c * trim[1]], axis=1)
 
     def lag(self, trim: Array | None) -> tuple[float, float]:
         """Return the lag of the drone behind moving commands, and its standard error [s].
@@ -451,20 +415,21 @@ class HoverSeries:
         It is the time constant of a first-order lag, kd/kp of a slow loop. An unknown trim is
         fitted.
         """
-        if self.commands is None:
-            return math.nan, math.nan
-        ends = self.commands.t[[0, -1]]
-        moving = (self.t > ends[0] + TRANSIENT) & (self.t <= ends[1]) & self.flying & self.visible
-        speed = length(_velocity(self.t, self.commands.at(self.t)[0])[:, :2])
-        moving &= speed > MAX_COMMAND_SPEED
+        speed = length(self.commanded_velocity[:, :2])
+        moving = (self.t > self.began + TRANSIENT) & (self.t <= self.ended)
+        moving &= self.flying & self.visible & (speed > MAX_COMMAND_SPEED)
         path = float(np.sum(speed[moving])) / RATE
         if np.sum(moving) < MIN_MOVING * RATE or path < MIN_PATH:
             return math.nan, math.nan
         start, end = max(_runs(moving), key=lambda run: run[1] - run[0])
-        place, command = self.x[start:end, :2], self.commands.at(self.t[start:end])[0][:, :2]
-        place = place if trim is None else place + self.in_world(trim)[start:end]
+        place, command = self.x[start:end, :2], self.commanded[start:end, :2]
+        place = place if trim is None else place + _turned(trim, self.yaw[start:end])
         lags = np.arange(LAG_STEP, MAX_LAG, LAG_STEP)
-        off = np.stack([place - _trailing(command, place[0], lag) for lag in lags.tolist()])
+        off = np.empty((len(lags), *place.shape))
+        for i, lag in enumerate(lags.tolist()):  # Of first order
+            decay = math.exp(-1.0 / (RATE * lag))
+            initial, numbers = decay * place[:1], ([1.0 - decay], [1.0, -decay])
+            off[i] = place - lfilter(*numbers, command, axis=0, zi=initial)[0]
         if trim is None:
             off -= np.mean(off, axis=1, keepdims=True)
         squares = np.mean(np.sum(off**2, axis=2), axis=1)
@@ -480,11 +445,10 @@ class HoverSeries:
     def tracking(self, trim: Array, rests: Sequence[_Rest]) -> dict[str, float]:
         """Return the largest distances from set points plus trim while these are known [m]."""
         used: NDArray[np.bool_] = np.any([rest.mask for rest in rests], axis=0)
-        if self.commands is not None:
-            sent = (self.source == COMMANDED) & self.flying & self.visible
-            used |= sent & (self.t > self.commands.t[0] + TRANSIENT)
+        sent = (self.source == COMMANDED) & self.flying & self.visible
+        used |= sent & (self.t > self.began + TRANSIENT)
         off = self.set_point - self.x
-        off[:, :2] -= self.in_world(trim)
+        off[:, :2] -= _turned(trim, self.yaw)
         heights = off[used, 2]
         if not np.isfinite(heights).any():  # Above the place before take-off, at unknown height
             heights = self.x[used, 2] - np.median(self.x[used, 2])
@@ -492,113 +456,94 @@ class HoverSeries:
         return {"level": float(np.nanmax(level)), "height": float(np.nanmax(np.abs(heights)))}
 
 
-def _drone(
-    name: str, hovers: Sequence[tuple[str, HoverSeries]], known: Mapping[str, float]
-) -> DroneHover:
+def _drone(name: str, hovers: Sequence[HoverSeries], known: Mapping[str, float]) -> DroneHover:
     """Return what hovers tell of a drone, without the trims that all drones' tilts lead to expect.
 
     Raises InputError for trims that differ by more than their errors.
     """
-    rests = [
-        (hover, [*hover.rests(label), *hover.response(label, known)]) for label, hover in hovers
-    ]
-    parts = [rest for _, own in rests for rest in own]
+    parts = [rest for hover in hovers for rest in (*hover.rests(), *hover.response(known))]
     if not parts:
-        known_points = any(np.isfinite(hover.set_point[:, 0]).any() for _, hover in hovers)
-        flies = any(hover.flying.any() for _, hover in hovers)
+        known_points = any(np.isfinite(hover.set_point[:, 0]).any() for hover in hovers)
         reason = "it is never at rest in flight" if known_points else "its set point is unknown"
         remedy = "hover for ten seconds" if known_points else "record commands, or from the ground"
-        reason = f"{reason if flies else 'it does not fly'}; {remedy}"
-        lags = [hover.lag(None) for _, hover in hovers]
+        if not any(hover.flying.any() for hover in hovers):
+            reason = "it does not fly"
+        lags = [hover.lag(None) for hover in hovers]
         lag, error = next((each for each in lags if not math.isnan(each[0])), lags[0])
-        return DroneHover(name, lag=lag, lag_error=error, remarks=(reason,))
-    body, world = (_combined(parts, frame) for frame in ("body", "world"))
-    yaws = np.degrees(np.unwrap([rest.yaw for rest in parts]))
-    is_turned, fixed_to = np.ptp(yaws) > TURNED, ""
-    if is_turned:
-        fixed_to = "body" if body[2] <= world[2] else "world"
-    _refuse_changed(name, parts, "world" if fixed_to == "world" else "body")
-    trim, error = (world if fixed_to == "world" else body)[:2]
-    settled = sum(float(np.sum(x.mask)) / RATE for x in parts if x.source != IN_MOTION)
-    weights = [(hover, rest) for hover, own in rests for rest in own]
-    at_rest = [(hover, rest) for hover, rest in weights if rest.source != IN_MOTION]
-    spread = max(
-        (float(np.sqrt(np.sum(np.var(h.x[r.mask, :2], axis=0)))) for h, r in at_rest),
-        default=math.nan,
-    )
-    tilt = _mean_tilt(at_rest or weights)
-    longest = max((rest for _, rest in at_rest or weights), key=lambda rest: int(np.sum(rest.mask)))
+        return DroneHover(name, lag=lag, lag_error=error, remarks=(f"{reason}; {remedy}",))
+    worst = {
+        frame: max(((_ratio(a, b, frame), a, b) for a in parts for b in parts), key=itemgetter(0))
+        for frame in ("body", "world")
+    }
+    yaws, fixed_to = np.degrees(np.unwrap([rest.yaw for rest in parts])), ""
+    if np.ptp(yaws) > TURNED:
+        fixed_to = min(worst, key=lambda frame: worst[frame][0])
+    frame = fixed_to or "body"
+    _refuse_changed(name, frame, *worst[frame])
+    trim, error = _combined(parts, frame)
+    at_rest = [rest for rest in parts if rest.source != IN_MOTION]
+    places = [rest.hover.x[rest.mask, :2] for rest in at_rest]
+    spreads = [float(np.sqrt(np.sum(np.var(x, axis=0)))) for x in places]
+    tilts = np.stack([rest.hover.tilt(rest) for rest in at_rest or parts])
+    times = np.array([float(np.sum(rest.mask)) for rest in at_rest or parts])
+    times[np.isnan(tilts[:, 0])] = 0.0
+    tilt = times @ np.nan_to_num(tilts) / np.sum(times) if np.any(times) else np.full(2, np.nan)
+    longest = max(at_rest or parts, key=lambda rest: int(np.sum(rest.mask)))
+    hovers = [hover for hover in hovers if any(rest.hover is hover for rest in parts)]
     remarks = list[str]()
-    if any(hover.estimated for hover, _ in weights) and not np.isnan(tilt[0]):
+    if any(hover.estimated for hover in hovers) and not np.isnan(tilt[0]):
         remarks.append("the tilt is the one that the drone estimates")
-    if all(np.isnan(hover.axis).all() for hover, _ in weights):
+    if all(np.isnan(hover.axis).all() for hover in hovers):
         remarks.append("no attitude is recorded: yaw is taken as 0")
     thrust_factor, thrust_error = _thrust_factor(at_rest, known.get("mass"))
-    if math.isnan(thrust_factor) and any(hover.thrust is not None for hover, _ in weights):
+    if math.isnan(thrust_factor) and any(hover.thrust is not None for hover in hovers):
         remarks.append("thrust factors need mass=")
-    lags = [each for hover, _ in weights if not math.isnan((each := hover.lag(trim))[0])]
+    lags = [lag for lag in (hover.lag(trim) for hover in hovers) if not math.isnan(lag[0])]
     lag, lag_error = min(lags, key=lambda each: each[1], default=(math.nan, math.nan))
-    positions_only = not any(hover.moving for hover, _ in weights)
     expected_lag = math.nan
     if {"kp", "kd"} <= set(known):
-        expected_lag = known["kd"] / known["kp"] if positions_only else 0.0
-    tubes = [hover.tracking(trim, own) for hover, own in rests if own]
-    tracking = {axis: max(tube[axis] for tube in tubes) for axis in ("level", "height")}
-    x, y = trim.tolist()
+        expected_lag = 0.0 if any(hover.moving for hover in hovers) else known["kd"] / known["kp"]
+    tubes = [hover.tracking(trim, [x for x in parts if x.hover is hover]) for hover in hovers]
     return DroneHover(
         name,
-        (x, y),
+        (float(trim[0]), float(trim[1])),
         error,
         longest.source,
-        settled,
+        sum(float(np.sum(rest.mask)) / RATE for rest in at_rest),
         (float(tilt[0]), float(tilt[1])),
         math.degrees(math.atan(math.hypot(*tilt))),
         fixed_to=fixed_to,
-        spread=spread,
+        spread=max(spreads, default=math.nan),
         yaw_deg=math.degrees(longest.yaw),
         thrust_factor=thrust_factor,
         thrust_factor_error=thrust_error,
         lag=lag,
         lag_error=lag_error,
         expected_lag=expected_lag,
-        tracking=tracking,
+        tracking={axis: max(tube[axis] for tube in tubes) for axis in ("level", "height")},
         remarks=tuple(remarks),
     )
 
 
-def _mean_tilt(weights: Sequence[tuple[HoverSeries, _Rest]]) -> Array:
-    """Return the mean tilt (2,) over settled parts, by their times; nan if none is known."""
-    tilts = np.stack([hover.tilt(rest) for hover, rest in weights])
-    sizes = np.array([float(np.sum(rest.mask)) for _, rest in weights])
-    sizes[np.isnan(tilts[:, 0])] = 0.0
-    unknown: Array = np.full(2, np.nan)
-    return np.asarray(sizes @ np.nan_to_num(tilts) / np.sum(sizes)) if np.any(sizes) else unknown
-
-
-def _refuse_changed(name: str, parts: Sequence[_Rest], frame: str) -> None:
-    """Raise InputError for trims in a frame that differ by more than their errors."""
-    pairs = [(a, b) for a in parts for b in parts]
-    first, second = max(pairs, key=lambda pair: _ratio(pair[0], pair[1], frame))
-    if _ratio(first, second, frame) <= MAX_RATIO:
+def _refuse_changed(name: str, frame: str, ratio: float, *rests: _Rest) -> None:
+    """Raise InputError for two trims in a frame that differ by more than their errors."""
+    if ratio <= MAX_RATIO:
         return
-    trims = [(100.0 * getattr(rest, frame)).tolist() for rest in (first, second)]
-    places = [
-        f"[{x:.1f}, {y:.1f}] cm in {rest.label}"
-        for (x, y), rest in zip(trims, (first, second), strict=True)
-    ]
-    errors = " and ".join(f"{100.0 * rest.error:.1f}" for rest in (first, second))
+    trims = [(100.0 * getattr(rest, frame)).tolist() for rest in rests]
+    pairs = zip(trims, rests, strict=True)
+    places = [f"[{x:.1f}, {y:.1f}] cm in {rest.hover.label}" for (x, y), rest in pairs]
+    errors = " and ".join(f"{100.0 * rest.error:.1f}" for rest in rests)
     bound = f"equal within {MAX_RATIO:g} standard errors, of {errors} cm"
     remedy = "its rigid body was redefined, or it was bent, in between: calibrate the last hover"
     raise InputError(f"trim of {name}", f"{places[0]}, but {places[1]}", bound, remedy)
 
 
-def _combined(parts: Sequence[_Rest], frame: str) -> tuple[Array, float, float]:
-    """Return the mean trim (2,) in a frame, its standard error, and the largest ratio of two."""
+def _combined(parts: Sequence[_Rest], frame: str) -> tuple[Array, float]:
+    """Return the mean trim (2,) in a frame, and its standard error [m]."""
     trims = np.stack([getattr(rest, frame) for rest in parts])
     weights = np.array([1.0 / rest.error**2 for rest in parts])
     mean = weights @ trims / np.sum(weights)
-    error = math.hypot(1.0 / math.sqrt(float(np.sum(weights))), REPEATABILITY)
-    return mean, error, max(_ratio(a, b, frame) for a in parts for b in parts)
+    return mean, math.hypot(1.0 / math.sqrt(float(np.sum(weights))), REPEATABILITY)
 
 
 def _ratio(a: _Rest, b: _Rest, frame: str) -> float:
@@ -607,16 +552,14 @@ def _ratio(a: _Rest, b: _Rest, frame: str) -> float:
     return float(math.dist(getattr(a, frame), getattr(b, frame))) / error
 
 
-def _thrust_factor(
-    weights: Sequence[tuple[HoverSeries, _Rest]], mass: float | None
-) -> tuple[float, float]:
+def _thrust_factor(parts: Sequence[_Rest], mass: float | None) -> tuple[float, float]:
     """Return the commanded thrust at rest over the weight, and its standard error."""
     thrusts, times = list[Array](), 0.0
-    for hover, rest in weights:
-        if hover.thrust is not None:
-            t = hover.t[rest.mask]
-            inside = (t >= hover.thrust.t[0]) & (t <= hover.thrust.t[-1])
-            thrusts.append(hover.thrust.at(t[inside]))
+    for rest in parts:
+        if (thrust := rest.hover.thrust) is not None:
+            t = rest.hover.t[rest.mask]
+            inside = (t >= thrust.t[0]) & (t <= thrust.t[-1])
+            thrusts.append(thrust.at(t[inside]))
             times += float(np.sum(inside)) / RATE
     samples = np.concatenate(thrusts) if thrusts else np.zeros((0, 1))
     if mass is None or not len(samples):
@@ -647,13 +590,6 @@ def _with_expected_trims(
             one = replace(one, fixed_to="body")
         result[name] = one
     return result
-
-
-def _trailing(commands: Array, first: Array, lag: float) -> Array:
-    """Return places (times, 2) that follow commands with a first-order lag [s], from the first."""
-    decay = math.exp(-1.0 / (RATE * lag))
-    places, _ = lfilter([1.0 - decay], [1.0, -decay], commands, axis=0, zi=decay * first[None])
-    return np.asarray(places)
 
 
 def loop_response(force: Array, first: Array, mass: float, kp: float, kd: float) -> Array:
@@ -694,6 +630,12 @@ def _velocity(t: Array, x: Array) -> Array:
     return np.stack(steps, axis=1) / np.maximum(ahead - behind, 1e-9)[:, None]
 
 
+def _turned(vectors: Array, yaw: Array | float) -> Array:
+    """Return level vectors (…, 2) that are turned by angles (…) [rad]."""
+    c, s, x, y = np.cos(yaw), np.sin(yaw), vectors[..., 0], vectors[..., 1]
+    return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
 def _since(t: Array, events: Array) -> Array:
     """Return the time (times,) [s] since the last event; infinite before the first one."""
     i = np.searchsorted(events, t, side="right") - 1
@@ -703,8 +645,7 @@ def _since(t: Array, events: Array) -> Array:
 
 def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the first and the last index, exclusive, of each run of true values."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    return [(run.start, run.stop) for (run,) in ndimage.find_objects(ndimage.label(mask)[0])]
 
 
 def _bridged(mask: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:

@@ -11,25 +11,31 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.flights.clocks import fitted_shift
-from hitchopt.lab.flights.recordings import QUANTITIES, RecordedFlight, flight_of, library
+from hitchopt.lab.flights.recordings import (
+    QUANTITIES,
+    Logged,
+    RecordedFlight,
+    fitted_shift,
+    flight_of,
+    library,
+)
 from hitchopt.lab.flights.topics import (
+    COMMANDED,
     FLIPPED,
     LOAD,
     LOG_TOPICS,
     ULOG_QUANTITIES,
     USD_QUANTITIES,
-    log_topics,
+    Topic,
     quantity_name,
     taken_topics,
 )
@@ -49,14 +55,12 @@ WORLD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 BODY = np.diag([1.0, -1.0, -1.0])
 
 
-@dataclass
-class Log:
-    """Content of one drone's log: rows of positions by topic, of quantities, and sources."""
+class Log(NamedTuple):
+    """Content of one drone's log: rows of positions by topic, other quantities, and notes."""
 
     positions: dict[str, Array]
-    quantities: dict[str, Array] = field(default_factory=dict)
-    sources: dict[str, str] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    quantities: dict[str, Logged]
+    notes: list[str]
 
 
 def read_logs(
@@ -69,103 +73,84 @@ def read_logs(
     """Return the flight in drones' logs, whose file names are the drones' names."""
     if unit is not None:
         raise FileError("is of a format with fixed units; leave unit= out")
-    drones, by_note = dict[str, _Drone](), defaultdict[str, list[str]](list)
+    drones, carried = dict[str, dict[str, Logged]](), dict[str, dict[str, Logged]]()
+    by_note = defaultdict[str, list[str]](list)
     for path in paths:
         with reading(path, source, Exception):
-            drones[path.stem] = drone = _Drone.of(read(path), topic)
-        for note in drone.notes:
+            drones[path.stem], load, notes = _contents(read(path), topic)
+        if load:
+            carried[path.stem] = load
+        for note in notes:
             by_note[note].append(path.stem)
     notes = [f"{', '.join(names)}: {note}" for note, names in by_note.items()]
-    loads = {name: drone.load for name, drone in drones.items() if drone.load is not None}
-    shifts, tie_notes = _tied({name: drone.track for name, drone in drones.items()}, loads)
-    sources = {name: drone.sources for name, drone in drones.items()}
+    loads = {name: own["position"].rows for name, own in carried.items()}
+    shifts, tie_notes = _tied(list(drones), loads)
+    for name, shift in shifts.items():
+        for quantity, (rows, kind) in drones[name].items():
+            drones[name][quantity] = Logged(rows + np.eye(1, rows.shape[1]) * shift, kind)
     carriers = list(loads) if len(loads) > 1 and not shifts else list(loads)[:1]
-    load_names = {name: f"{LOAD} of {name}" if carriers[1:] else LOAD for name in carriers}
-    sources |= {load: drones[name].load_sources for name, load in load_names.items()}
-
-    def shifted(samples: Array, name: str) -> Array:
-        return samples + np.eye(1, samples.shape[1]) * shifts.get(name, 0.0)
-
-    signals = {
-        name: {quantity: shifted(samples, name) for quantity, samples in drone.signals.items()}
-        for name, drone in drones.items()
-    }
-    signals |= {load: drones[name].targets for name, load in load_names.items()}
-    commands = {name: x.command for name, x in drones.items() if x.command is not None}
     return flight_of(
         source,
-        {name: shifted(drone.track, name) for name, drone in drones.items()},
+        drones,
+        loads={f"{LOAD} of {x}" if carriers[1:] else LOAD: carried[x] for x in carriers},
         notes=[*notes, *tie_notes],
-        setpoints={name: shifted(samples, name) for name, samples in commands.items()},
-        signals=signals,
-        loads={load: loads[name] for name, load in load_names.items()},
-        sources=sources,
         clock_shifts=shifts,
         one_clock=len(paths) == 1 or bool(shifts),
     )
 
 
-@dataclass
-class _Drone:
-    """Rows of one drone, by its own clock: its track, commands, and those of its load."""
+def _contents(
+    log: Log, request: str | None
+) -> tuple[dict[str, Logged], dict[str, Logged], list[str]]:
+    """Return the quantities of a log's drone and of its load, and notes.
 
-    track: Array
-    command: Array | None
-    load: Array | None
-    signals: dict[str, Array]
-    targets: dict[str, Array]  # Commands that are of the load
-    sources: dict[str, str]
-    load_sources: dict[str, str]
-    notes: list[str]
+    The drone's positions are of the requested topic, if any. Commands are those of the body that
+    the commanded positions are nearest to, at the median.
+    """
+    order = list(LOG_TOPICS)
+    topics = [Topic(x, x, "", LOG_TOPICS[x], order.index(x)) for x in log.positions]
+    topics.sort(key=lambda topic: topic.preference)
+    taken, notes = taken_topics(topics, request)
+    if len(taken) > 1:
+        both = " and ".join(each.name for each in taken)
+        raise FileError(f"has positions in {both}: choose one with topic=")
+    own, positions = taken[0], {name: Logged(x, name) for name, x in log.positions.items()}
+    drone, of_kind = {"position": positions[own.name], **log.quantities}, dict[str, str]()
+    for each in topics[::-1]:
+        of_kind[each.kind] = each.name  # Of each kind the first topic
+    for kind, name in of_kind.items():
+        quantity = quantity_name(kind, "position")
+        # Measured positions are no quantity, if others are requested
+        if quantity in QUANTITIES and (kind != own.kind or kind == COMMANDED):
+            drone[quantity] = positions[name]
+    command, load = of_kind.get(COMMANDED), of_kind.get(LOAD)
+    carried = {"position": positions[load]} if load and own.kind != LOAD else {}
+    if command and load:
 
-    @classmethod
-    def of(cls, log: Log, request: str | None) -> _Drone:
-        """Return what a log holds, with the drone's positions from the requested topic, if any."""
-        topics = sorted(log_topics(list(log.positions)), key=lambda x: x.preference)
-        taken, notes = taken_topics(topics, request)
-        if len(taken) > 1:
-            both = " and ".join(each.name for each in taken)
-            raise FileError(f"has positions in {both}: choose one with topic=")
-        kind, track = taken[0].kind, log.positions[taken[0].name]
-        signals, sources = dict(log.quantities), {"position": taken[0].name, **log.sources}
-        others = {x.kind: x for x in topics[::-1] if x.kind != kind}
-        load = others.pop(LOAD, None)
-        for each in others.values():
-            quantity = quantity_name(each.kind, "position")
-            if quantity in QUANTITIES:  # Measured positions are not, if others are requested
-                signals[quantity], sources[quantity] = log.positions[each.name], each.name
-        command, command_notes = _setpoints(log.positions, taken[0].name)
-        targets, load_sources = dict[str, Array](), dict[str, str]()
-        if load is not None:
-            load_sources["position"] = load.name
-        if command_notes:
-            names = [quantity for quantity in signals if quantity.startswith("commanded_")]
-            targets = {quantity: signals.pop(quantity) for quantity in names}
-            load_sources |= {quantity: sources.pop(quantity) for quantity in names}
-        signals.pop("commanded_position", None)  # Is among the set points
-        return cls(
-            track,
-            command,
-            None if load is None else log.positions[load.name],
-            signals,
-            targets,
-            sources,
-            load_sources,
-            [*log.notes, *notes, *command_notes],
-        )
+        def distance(topic: str) -> float:
+            t, *at = log.positions[topic].T
+            times, *commands = log.positions[command].T
+            offsets = [np.interp(times, t, x) for x in at] - np.stack(commands)
+            return float(np.nanmedian(np.linalg.norm(offsets, axis=0)))
+
+        here, there = distance(own.name), distance(load)
+        if here > there:
+            words = f"{there:.2f} m from {load} at the median, and {here:.2f} m from {own.name}"
+            notes = [*notes, f"{command} is the target of the load, not of the drone: {words}"]
+            commands = [quantity for quantity in drone if quantity.startswith("commanded_")]
+            carried |= {quantity: drone.pop(quantity) for quantity in commands}
+    return drone, carried, [*log.notes, *notes]
 
 
-def _tied(
-    rows: Mapping[str, Array], loads: Mapping[str, Array]
-) -> tuple[dict[str, float], list[str]]:
+def _tied(names: Sequence[str], loads: Mapping[str, Array]) -> tuple[dict[str, float], list[str]]:
     """Return the shifts of all drones' clocks to the first one's [s], and a note.
 
     The load that all drones log ties them; no shift is returned if it is not one load, or moves too
     little.
     """
-    if len(rows) < 2 or set(rows) != set(loads):
+    if len(names) < 2 or set(names) != set(loads):
         return {}, []
-    first, *others = rows
+    first, *others = names
     shifts, worst = {first: 0.0}, 0.0
     for name in others:
         start = float(loads[first][0, 0] - loads[name][0, 0])
@@ -174,35 +159,13 @@ def _tied(
             return {}, []
         shifts[name], worst = fitted[0], max(worst, fitted[1])
     words = "the load, logged by all, ties their clocks, and then agrees to"
-    return shifts, [f"{', '.join(rows)}: {words} {1e3 * worst:.1f} mm"]
-
-
-def _setpoints(logged: Mapping[str, Array], taken: str) -> tuple[Array | None, list[str]]:
-    """Return a drone's set points among topics of its log, and a note if they are of its load.
-
-    Commands are the set points of the body that they are nearest to, at the median.
-    """
-    of_kind = {kind: name for name, kind in reversed(LOG_TOPICS.items()) if name in logged}
-    command, load = of_kind.get("commanded"), of_kind.get("load")
-    if command is None or load is None:
-        return logged.get(command or ""), []
-
-    def distance(topic: str) -> float:
-        t, *at = logged[topic].T
-        position = np.stack([np.interp(logged[command][:, 0], t, x) for x in at], axis=1)
-        return float(np.nanmedian(np.linalg.norm(logged[command][:, 1:] - position, axis=1)))
-
-    own, carried = distance(taken), distance(load)
-    if own <= carried:
-        return logged[command], []
-    words = f"{carried:.2f} m from {load} at the median, and {own:.2f} m from {taken}"
-    return None, [f"{command} is the target of the load, not of the drone: {words}"]
+    return shifts, [f"{', '.join(names)}: {words} {1e3 * worst:.1f} mm"]
 
 
 def read_usd(path: Path) -> Log:
     """Return the content of a log of a Crazyflie's uSD card."""
     events, notes = usd_events(path.read_bytes())
-    rows, quantities, sources = dict[str, Array](), dict[str, Array](), dict[str, str]()
+    rows, quantities = dict[str, Array](), dict[str, Logged]()
     for topic, event in product(LOG_TOPICS, events):
         prefix = topic if topic.endswith(".p") else f"{topic}."
         axes = [f"{prefix}{axis}" for axis in "xyz"]
@@ -224,10 +187,9 @@ def read_usd(path: Path) -> Log:
             if quantity not in quantities and set(names) <= set(event):
                 signs = [-scale if name == FLIPPED else scale for name in names]
                 values = np.stack([event[name] for name in names], axis=1) * signs
-                values = _usd_values(quantity, values)
-                quantities[quantity] = np.column_stack([event["t"], values])
-                sources[quantity] = f"{group}.{parts.split()[0]}"
-    return Log(rows, quantities, sources, notes)
+                samples = np.column_stack([event["t"], _usd_values(quantity, values)])
+                quantities[quantity] = Logged(samples, f"{group}.{parts.split()[0]}")
+    return Log(rows, quantities, notes)
 
 
 def _usd_values(quantity: str, values: Array) -> Array:
@@ -307,8 +269,7 @@ def read_ulog(path: Path) -> Log:
     with path.open("rb") as file:
         log = library("pyulog").ULog(file, names)
     topics = {topic.name: topic.data for topic in log.data_list[::-1]}
-    rows = dict[str, Array]()
-    quantities, sources = dict[str, Array](), dict[str, str]()
+    rows, quantities = dict[str, Array](), dict[str, Logged]()
     for name in [name for name in topics if name in ULOG_POSITIONS]:
         axes = list("xyz") if "x" in topics[name] else [f"position[{i}]" for i in range(3)]
         rows[name] = _ulog_rows(topics[name], axes, "world")
@@ -316,14 +277,12 @@ def read_ulog(path: Path) -> Log:
         raise FileError(f"logs none of {', '.join(ULOG_POSITIONS)}")
     for quantity, (name, variables, frame) in ULOG_QUANTITIES.items():
         if set(variables.split()) <= set(topics.get(name, ())):
-            quantities[quantity] = _ulog_rows(topics[name], variables.split(), frame)
-            sources[quantity] = name
-    commands = quantities.pop("commanded_position", None)
-    if commands is not None:
-        rows["trajectory_setpoint"] = commands
-        sources.pop("commanded_position")
+            samples = _ulog_rows(topics[name], variables.split(), frame)
+            quantities[quantity] = Logged(samples, name)
+    if "commanded_position" in quantities:
+        rows["trajectory_setpoint"] = quantities.pop("commanded_position").rows
     lost = sum(gap.duration for gap in log.dropouts)
-    return Log(rows, quantities, sources, [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost))
+    return Log(rows, quantities, [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost))
 
 
 def _ulog_rows(topic: Mapping[str, Any], variables: Sequence[str], frame: str) -> Array:

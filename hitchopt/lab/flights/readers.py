@@ -29,6 +29,7 @@ from hitchopt.lab.flights.recordings import (
     RecordedFlight,
     flight_of,
     library,
+    positions_of,
     scale_of,
 )
 from hitchopt.storage.archive import reading
@@ -57,10 +58,6 @@ MAX_HEADER_LINES = 50  # Lines in which the titles of a Motive table are searche
 TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
 BODY_RADIUS = 0.3  # Largest distance of markers from the middle of their body [m]
 BLANK = ' ",;\t'  # Characters of a line without content
-
-
-Reader = Callable[[Sequence[Path], str | None, str | None], RecordedFlight]
-"""Reader of all files of a format, in a unit, with a topic if requested."""
 
 
 def read_flight(
@@ -134,10 +131,13 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
     for file in files:
         with file.open("rb") as stream:
             heads[file] = stream.read(64).replace(b"\0", b"")  # Zero bytes of UTF-16
-    for pattern, (_, read) in FORMATS.items():
+    for pattern, (_, read) in {**TABLE_FORMATS, **TOPIC_FORMATS}.items():
         if matching := [file for file in files if re.match(pattern, heads[file])]:
-            return read(matching, unit, topic)
-    known = ", ".join(name for name, _ in FORMATS.values())
+            if pattern in TOPIC_FORMATS:
+                return read(matching, unit, topic)
+            _refuse_topic(topic)
+            return read(single_file(matching), unit)
+    known = ", ".join(name for name, _ in (*TABLE_FORMATS.values(), *TOPIC_FORMATS.values()))
     known += f", the directory of a simulated flight, or a table with the columns {HEADER}"
     if path.is_dir():
         listed = ", ".join(each.name for each in files[:5]) or "no file"
@@ -148,22 +148,12 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
         raise FileError(f"{error}; give {known}") from None
     _refuse_topic(topic)
     rows, names = table.numbers(["t", "x", "y", "z"], blanks=True), table.words("name")
-    return flight_of("table", _by_name(names, rows), unit or "m")
+    return flight_of("table", positions_of(_by_name(names, rows)), unit or "m")
 
 
 def _refuse_topic(topic: str | None) -> None:
     if topic is not None:
         raise FileError("is of a format without topics; leave topic= out")
-
-
-def table_reader(read: Callable[[Path, str | None], RecordedFlight]) -> Reader:
-    """Return a reader of a format with one file per flight, and without topics."""
-
-    def read_one(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
-        _refuse_topic(topic)
-        return read(single_file(paths), unit)
-
-    return read_one
 
 
 def _by_name(names: Sequence[str], rows: Array) -> dict[str, Array]:
@@ -190,7 +180,7 @@ def read_simulated(path: Path) -> RecordedFlight:
         problem = f"not a summary of this flight; simulate again ({error})"
         raise FileError(f"{path / SUMMARY}: {problem}") from error
     simulated = {"density": density, "feed_forward": enabled[0], "integral": enabled[1]}
-    return flight_of("simulated flight", rows, simulated=simulated)
+    return flight_of("simulated flight", positions_of(rows), simulated=simulated)
 
 
 def table_of(
@@ -286,8 +276,8 @@ def read_motive(path: Path, unit: str | None) -> RecordedFlight:
     length_unit = unit or metadata.get("Length Units", "")
     labels = [names[j] for j in columns]
     samples, row_notes = rows_of(t, points, labels, length_unit, bodies)
-    notes += row_notes
-    return flight_of(f"Motive CSV {metadata[MOTIVE]}", samples, length_unit, notes=notes)
+    source, notes = f"Motive CSV {metadata[MOTIVE]}", notes + row_notes
+    return flight_of(source, positions_of(samples), length_unit, notes=notes)
 
 
 def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
@@ -316,7 +306,7 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
         length_unit = units[columns[0]] if columns else length_unit
         rows, row_notes = rows_of(head[:, 0] / hertz, points, labels, unit or length_unit, bodies)
         samples, notes = samples | rows, notes + row_notes
-    return flight_of("Vicon CSV", samples, unit or length_unit, notes=notes)
+    return flight_of("Vicon CSV", positions_of(samples), unit or length_unit, notes=notes)
 
 
 def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
@@ -338,15 +328,21 @@ def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
         t = np.arange(frames) / float(point["RATE"][0])
         length_unit = unit or point["UNITS"][0]
         rows, row_notes = rows_of(t, dict(enumerate(samples)), labels, length_unit)
-        return flight_of("C3D", rows, length_unit, notes=[*notes, *row_notes])
+        return flight_of("C3D", positions_of(rows), length_unit, notes=[*notes, *row_notes])
 
 
-# Formats by their first bytes: names, and readers of all files of a format in a unit
 TEXT = rb'^(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?[\s"]*'
-FORMATS: dict[bytes, tuple[str, Reader]] = {
-    TEXT + MOTIVE.encode(): ("a table of Motive with its header", table_reader(read_motive)),
-    TEXT + rb"(Segments|Objects|Trajectories)[\",;\s]": ("of Vicon", table_reader(read_vicon)),
-    rb"^[\x01-\x1f]P": ("C3D", table_reader(read_c3d)),
+Formats = dict[bytes, tuple[str, Callable[..., RecordedFlight]]]
+"""Names and readers of formats by their first bytes."""
+
+# Formats with one file per flight, read in a unit
+TABLE_FORMATS: Formats = {
+    TEXT + MOTIVE.encode(): ("a table of Motive with its header", read_motive),
+    TEXT + rb"(Segments|Objects|Trajectories)[\",;\s]": ("of Vicon", read_vicon),
+    rb"^[\x01-\x1f]P": ("C3D", read_c3d),
+}
+# Formats with topics, of which all files of a directory are read
+TOPIC_FORMATS: Formats = {
     rb"^(SQLite format 3|\x89MCAP0\r\n|#ROSBAG V2\.0)": ("a ROS bag", read_bag),
     rb"^\xbc": ("Crazyflie uSD logs", partial(read_logs, "Crazyflie uSD log", read_usd)),
     rb"^ULog\x01\x12\x35": ("PX4 ulogs", partial(read_logs, "PX4 ulog", read_ulog)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -44,6 +44,12 @@ QUANTITIES: dict[str, tuple[str, bool]] = {
 
 library = partial(optional_module, purpose="reading it needs", extra="logs")
 """Return an optional module; UnsupportedError names the extra to install."""
+
+SHIFT_STEP = 0.02  # Between the shifts of clocks that are tried [s]
+MAX_SAMPLES = 600  # Samples that are compared
+MAX_RESIDUAL = 0.05  # Largest root mean square distance of two records of one motion [m]
+MIN_GAIN, GAIN_TIME = 1.2, 0.1  # Smallest growth of the distance at a shift [s] from the best one
+MIN_OVERLAP = 0.5  # Smallest share of samples at times of both records
 
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
 TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that is evaluated
@@ -131,7 +137,7 @@ class RecordedFlight(OneLine):
     tracks: bodies by their names in the file: drones, and vertices if the file has them.
     markers: unlabeled points, on the clock of ``tracks``.
     setpoints: commanded positions by name, on the clock of the track of that name.
-    signals: other quantities by body, then by name, see QUANTITIES, on the same clock.
+    signals: other quantities by body or load, then by name, see QUANTITIES, on the same clock.
     loads: bodies that are no drones, on the clock of ``tracks``.
     sources: topics by body, then by quantity, ``position`` being that of tracks and loads.
     clock_shifts: time of this flight minus that of the body's own clock [s], of bodies whose
@@ -188,6 +194,14 @@ class RecordedFlight(OneLine):
         }
 
 
+def drones_by_name(names: Mapping[str, str] | str | None) -> Mapping[str, str] | None:
+    """Return drones by recorded names, which may be a text such as ``cf231=q0,cf7=r0``."""
+    if not isinstance(names, str):
+        return names
+    pairs = (pair.partition("=") for pair in names.replace(" ", "").split(","))
+    return {name: drone for name, _, drone in pairs}
+
+
 def scale_of(unit: str) -> float:
     """Return a unit of length [m]; FileError if it is unknown."""
     word = unit.strip().casefold()
@@ -197,26 +211,79 @@ def scale_of(unit: str) -> float:
     return scale
 
 
+def fitted_shift(
+    own: Array, reference: Array, span: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Return the shift of a record's clock [s], and the remaining distance [m].
+
+    ``own`` and ``reference`` are rows (m, 4) of time [s] and position [m] of one body; own times
+    plus the shift, within ``span``, are reference times. None if the records differ, or the body
+    moves too little to tell.
+    """
+    own, reference = (x[np.isfinite(x).all(axis=1)] for x in (own, reference))
+    reference = reference[np.argsort(reference[:, 0], kind="stable")]
+    if len(own) < 2 or len(reference) < 2:
+        return None
+    own = own[:: max(len(own) // MAX_SAMPLES, 1)]
+
+    def distance(shift: float) -> float:
+        t = own[:, 0] + shift
+        inside = (t >= reference[0, 0]) & (t <= reference[-1, 0])
+        if np.mean(inside) < MIN_OVERLAP:
+            return np.inf
+        at = [np.interp(t[inside], reference[:, 0], x) for x in reference.T[1:]]
+        squares = np.sum((own[inside, 1:] - np.stack(at, axis=1)) ** 2, axis=1)
+        return float(np.sqrt(np.mean(np.minimum(squares, np.quantile(squares, 0.95)))))
+
+    shifts = np.arange(span[0], span[1] + SHIFT_STEP, SHIFT_STEP)
+    distances = np.array([distance(shift) for shift in shifts.tolist()])
+    best, step = float(shifts[np.argmin(distances)]), SHIFT_STEP
+    while step > 1e-4:
+        step *= 0.5
+        best = min((best - step, best, best + step), key=distance)
+    residual = distance(best)
+    nearby = min(distance(best - GAIN_TIME), distance(best + GAIN_TIME))
+    if not residual < MAX_RESIDUAL or not nearby > MIN_GAIN * residual + 1e-6:
+        return None
+    return best, residual
+
+
+class Logged(NamedTuple):
+    """Rows (m, 1 + k) of time [s] and a quantity, in any order, and their topic."""
+
+    rows: Array
+    topic: str = ""
+
+
+Content = Mapping[str, Mapping[str, Logged]]
+"""Quantities by body, then by name: ``position``, or one of QUANTITIES."""
+
+
+def positions_of(rows: Mapping[str, Array]) -> Content:
+    """Return bodies of which only positions are known, from rows (m, 4) by name."""
+    return {name: {"position": Logged(samples)} for name, samples in rows.items()}
+
+
 def flight_of(
     source: str,
-    rows: Mapping[str, Array],
+    bodies: Content,
     unit: str = "m",
     *,
+    loads: Content | None = None,
     notes: Sequence[str] = (),
-    setpoints: Mapping[str, Array] | None = None,
-    signals: Mapping[str, Mapping[str, Array]] | None = None,
-    loads: Mapping[str, Array] | None = None,
     **fields: Any,
 ) -> RecordedFlight:
-    """Return a flight from rows (time [s], x, y, z [unit]) (m, 4) of every body, and of MARKER.
+    """Return a flight of bodies, of points named MARKER, and of loads, with lengths in a unit.
 
-    ``setpoints``, ``signals`` and ``loads`` are rows too, in any order; ``fields`` are others of
-    ``RecordedFlight``. Rows without a value and rows that repeat a time are omitted. Raises
-    FileError for an unknown unit or descending times.
+    Positions of bodies are in order of time. ``fields`` are others of ``RecordedFlight``. Rows
+    without a value and rows that repeat a time are omitted. Raises FileError for an unknown unit or
+    descending times.
     """
-    scale, epoch = scale_of(unit), 0.0
-    bodies = {name: samples for name, samples in rows.items() if name != MARKER and len(samples)}
-    start = min((float(samples[0, 0]) for samples in bodies.values()), default=0.0)
+    scale, epoch, loads = scale_of(unit), 0.0, loads or {}
+    cloud = bodies.get(MARKER, {"position": Logged(np.zeros((0, 4)))})["position"].rows
+    bodies = {name: own for name, own in bodies.items() if name != MARKER}
+    rows = {name: x for name, own in bodies.items() if len(x := own["position"].rows)}
+    start = min((float(samples[0, 0]) for samples in rows.values()), default=0.0)
     if fields.get("one_clock", True) and abs(start) >= MIN_EPOCH:
         epoch, clock = start, f"at {start:.3f} s of the recording's clock"
         notes = [*notes, f"times count from the first position, {clock}"]
@@ -233,42 +300,48 @@ def flight_of(
             raise FileError(f"{problem}; give one flight, in the order in which it was recorded")
         return Track(samples[steps > 0.0, 0] - epoch, scale * samples[steps > 0.0, 1:])
 
-    tracks = {name: track(samples) for name, samples in bodies.items()}
-    count = sum(map(len, bodies.values()))
-    if omitted := count - sum(len(one.t) for one in tracks.values()):
-        notes = [*notes, f"{omitted} of {count} rows omitted: no position, or a repeated time"]
-    cloud = rows.get(MARKER, np.zeros((0, 4)))
-    cloud = cloud[np.isfinite(cloud).all(axis=1)]
-    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
-
-    def sorted_rows(samples: Array) -> Array:
+    def ordered(samples: Array) -> Array:
         samples = samples[np.isfinite(samples).all(axis=1)]
         samples = samples[np.argsort(samples[:, 0], kind="stable")]
         return samples[np.diff(samples[:, 0], prepend=-np.inf) > 0.0]
+
+    def tracks_of(content: Content, quantity: str) -> dict[str, Track]:
+        known = {name: own[quantity].rows for name, own in content.items() if quantity in own}
+        return {name: track(x) for name, each in known.items() if len(x := ordered(each))}
 
     def signal(quantity: str, samples: Array) -> Signal:
         factor = scale if QUANTITIES[quantity][1] else 1.0
         return Signal(samples[:, 0] - epoch, factor * samples[:, 1:])
 
-    sampled = {
-        name: {x: y for x, each in own.items() if len((y := signal(x, sorted_rows(each))).t)}
-        for name, own in (signals or {}).items()
+    def signals_of(content: Content, *apart: str) -> dict[str, dict[str, Signal]]:
+        signals = {
+            name: {
+                quantity: signal(quantity, x)
+                for quantity, each in own.items()
+                if quantity not in apart and len(x := ordered(each.rows))
+            }
+            for name, own in content.items()
+        }
+        return {name: own for name, own in signals.items() if own}
+
+    tracks = {name: track(samples) for name, samples in rows.items()}
+    count = sum(map(len, rows.values()))
+    if omitted := count - sum(len(one.t) for one in tracks.values()):
+        notes = [*notes, f"{omitted} of {count} rows omitted: no position, or a repeated time"]
+    cloud = cloud[np.isfinite(cloud).all(axis=1)]
+    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
+    topics = {
+        name: {quantity: x.topic for quantity, x in own.items() if x.topic}
+        for name, own in {**bodies, **loads}.items()
     }
     return RecordedFlight(
         source,
         {name: one for name, one in tracks.items() if len(one.t)},
         Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
-        {
-            name: track(ordered)
-            for name, samples in (setpoints or {}).items()
-            if len(ordered := sorted_rows(samples))
-        },
-        {name: own for name, own in sampled.items() if own},
-        {
-            name: track(ordered)
-            for name, samples in (loads or {}).items()
-            if len(ordered := sorted_rows(samples))
-        },
+        tracks_of(bodies, "commanded_position"),
+        signals_of(bodies, "position", "commanded_position") | signals_of(loads, "position"),
+        tracks_of(loads, "position"),
+        {name: own for name, own in topics.items() if own},
         epoch=epoch,
         notes=tuple(notes),
         **fields,

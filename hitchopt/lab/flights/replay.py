@@ -102,26 +102,17 @@ def replay_filters(
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """A drone's record at the times of its positions.
+    """A drone's record at the times of its positions."""
 
-    Attributes
-    ----------
-    t: (m,) [s].
-    positions, velocities: (m, 3) [m], [m/s].
-    rates: (m, 3) [rad/s], shifted to the times of the logged attitude.
-    force: (m,) [m/s²], specific force along the body's z axis.
-    logged, captured: attitudes (m, 3, 3); None if not recorded.
-    pull: (m, 3) [m/s²], acceleration by the load's cable up to a factor; None without a load.
-    """
-
-    t: Array
-    positions: Array
-    velocities: Array
-    rates: Array
-    force: Array
-    logged: Array | None
-    captured: Array | None
-    pull: Array | None
+    t: Array  # (m,) [s]
+    positions: Array  # (m, 3) [m]
+    velocities: Array  # (m, 3) [m/s]
+    rates: Array  # (m, 3) [rad/s], shifted to the times of the logged attitude
+    force: Array  # (m,) [m/s²], specific force along the body's z axis
+    known: Array  # captured attitudes, else logged ones (m, 3, 3)
+    logged: Array | None  # attitudes (m, 3, 3); None if not recorded
+    captured: Array | None  # the same
+    pull: Array | None  # (m, 3) [m/s²], by the load's cable up to a factor; None without a load
 
     @classmethod
     def of(cls, flight: RecordedFlight, name: str) -> Series | None:
@@ -140,9 +131,7 @@ class Series:
             attitudes_at(own[x].t, own[x].values, t) if x in own else None
             for x in ("estimated_attitude", "attitude")
         )
-        attitudes = logged if logged is not None else captured
-        if attitudes is None:
-            return None
+        attitudes: Any = captured if logged is None else logged
         delay = gyro_delay(t, attitudes, own["rates"].at)
         velocities = derivative(t, positions, 0.5 * SMOOTHING)
         if "estimated_velocity" in own:
@@ -154,18 +143,10 @@ class Series:
             force = np.einsum("ia,ia->i", acceleration, attitudes[..., 2])
         pull = None
         if len(flight.loads) == 1 and flight.one_clock:
-            pulls = cable_pulls(flight, t)
-            pull = pulls[list(flight.tracks).index(name)]
+            pull = cable_pulls(flight, t)[list(flight.tracks).index(name)]
         rates = own["rates"].at(t - delay)
-        return cls(t, positions, velocities, rates, force, logged, captured, pull)
-
-    @property
-    def known(self) -> Array:
-        """Captured attitudes, else logged ones (m, 3, 3)."""
-        attitudes = self.captured if self.captured is not None else self.logged
-        if attitudes is None:
-            raise ValueError("a series has an attitude")
-        return attitudes
+        exact: Any = logged if captured is None else captured
+        return cls(t, positions, velocities, rates, force, exact, logged, captured, pull)
 
     @property
     def used(self) -> NDArray[np.bool_]:
@@ -177,7 +158,9 @@ class Series:
         leaning, rates = self._leaning()
         true = np.stack([self.known, leaning])
         believed = self._run(parameters, np.stack([self.rates, rates]), true)[:, self.used]
-        share = _share(*(x[1] - x[0] for x in (believed[..., 2], true[:, self.used][..., 2])))
+        axes = believed[..., :2, 2], true[:, self.used][..., :2, 2]
+        seen, lean = (each[1] - each[0] for each in axes)  # Level changes of the thrust axis
+        share = float(np.sum(seen * lean)) / max(float(np.sum(lean**2)), 1e-12)
         if parameters.attitude_error and self.captured is None:
             remark = "no captured attitude is recorded: its error is unknown"
             return ReplayedFilter(drone, label, pull_seen=share, remark=remark)
@@ -220,12 +203,6 @@ class Series:
         turn = -LEAN / max(_rms(length(level)), 1e-9) * level
         turning = np.einsum("iba,ib->ia", self.known, derivative(self.t, turn, 0.5 * SMOOTHING))
         return rotation(turn) @ self.known, self.rates + turning
-
-
-def _share(believed: Array, true: Array) -> float:
-    """Return the share of level changes (m, 3) of the thrust axis that is believed."""
-    size = float(np.sum(true[:, :2] ** 2))
-    return float(np.sum(believed[:, :2] * true[:, :2])) / max(size, 1e-12)
 
 
 def attitudes_at(t: Array, quaternions: Array, times: Array) -> Array:

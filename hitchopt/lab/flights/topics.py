@@ -22,8 +22,8 @@ from hitchopt.lab.flights.recordings import QUANTITIES
 
 DEGREE, PWM = math.pi / 180.0, 1.0 / 65535.0  # Units of logs: of angles [rad], of full power
 
-LOAD = "load"
-KINDS = ("measured", "estimated", "commanded", LOAD)  # By preference
+LOAD, COMMANDED = "load", "commanded"
+KINDS = ("measured", "estimated", COMMANDED, LOAD)  # By preference
 
 # Words of topics, else of message types, by kind; the first kind that matches counts. A topic
 # without such a word is measured
@@ -58,7 +58,7 @@ LOG_TOPICS = {
 }
 
 # Quantities of logs whose topics name them, by the topic's last part: quantity, number of values,
-# and their unit
+# and their unit; others are not read
 LOGGED: dict[str, tuple[str, int, float]] = {
     "pos": ("position", 3, 1.0),
     "position": ("position", 3, 1.0),
@@ -158,12 +158,6 @@ def bag_topics(types: Mapping[str, str], preferences: Mapping[str, bool]) -> lis
     return topics
 
 
-def log_topics(names: Sequence[str]) -> list[Topic]:
-    """Return the topics of a drone's log."""
-    order = list(LOG_TOPICS)
-    return [Topic(name, name, "", LOG_TOPICS[name], order.index(name)) for name in names]
-
-
 def quantity_name(kind: str, part: str) -> str:
     """Return the name in QUANTITIES of a part of a topic's samples; empty if it has none.
 
@@ -173,15 +167,6 @@ def quantity_name(kind: str, part: str) -> str:
         return part
     name = part if kind in {KINDS[0], LOAD} else f"{kind}_{part}"
     return name if name in QUANTITIES or name == "position" else ""
-
-
-def logged_quantity(topic: str, count: int) -> tuple[str, float]:
-    """Return the quantity of a log's values, and their unit, by the topic's last part.
-
-    The quantity is empty if the part is none of LOGGED, or has another number of values.
-    """
-    quantity, expected, scale = LOGGED.get(topic.rpartition("/")[2].casefold(), ("", 0, 1.0))
-    return (quantity, scale) if count == expected else ("", 1.0)
 
 
 def is_load(body: str) -> bool:
@@ -220,7 +205,7 @@ def _listed(topics: Sequence[Topic]) -> str:
     return ", ".join(families[:MAX_LISTED] + more)
 
 
-def body_names(labels: Sequence[str], separator: str = "/") -> dict[str, tuple[str, str]]:
+def body_names(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
     """Return the body's name and the family of every label, such as the name of a topic.
 
     The name is the part that differs: ``/uav0/local_position/pose`` and
@@ -228,14 +213,19 @@ def body_names(labels: Sequence[str], separator: str = "/") -> dict[str, tuple[s
     Parts that say what a topic holds, such as ``cmd_position``, are no names; without a name the
     family is the label.
     """
-    parts = {label: label.split(separator) for label in labels}
+    parts = {label: label.split("/") for label in labels}
+
+    def is_structure(part: str) -> bool:  # Says what a topic holds, not whose it is
+        words = _words(part) <= set(STRUCTURE.split()) and not re.search(r"\d", part)
+        return words or _kind_of(part) is not None
+
     candidates = {
-        label: [part for part in dict.fromkeys(own) if part and not _is_structure(part)]
+        label: [part for part in dict.fromkeys(own) if part and not is_structure(part)]
         for label, own in parts.items()
     }
 
     def family(label: str, name: str) -> str:
-        return separator.join("*" if part == name else part for part in parts[label])
+        return "/".join("*" if part == name else part for part in parts[label])
 
     sizes = Counter(family(label, name) for label, own in candidates.items() for name in own)
     names = dict[str, tuple[str, str]]()
@@ -246,22 +236,9 @@ def body_names(labels: Sequence[str], separator: str = "/") -> dict[str, tuple[s
     return names
 
 
-def distinct_names(labels: Sequence[str], separator: str = "/") -> dict[str, str]:
-    """Return names of the bodies of labels; the labels themselves where names coincide."""
-    names = {label: name or label for label, (name, _) in body_names(labels, separator).items()}
-    sizes = Counter(names.values())
-    return {label: name if sizes[name] == 1 else label for label, name in names.items()}
-
-
 def _kind_of(text: str) -> str | None:
     return next((kind for kind, own in WORDS.items() if _words(text) & own), None)
 
 
 def _words(text: str) -> set[str]:
     return {word.casefold() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+", text)}
-
-
-def _is_structure(part: str) -> bool:
-    """Return whether a part of a topic says what it holds, not whose it is."""
-    structure = _words(part) <= set(STRUCTURE.split()) and not re.search(r"\d", part)
-    return structure or _kind_of(part) is not None

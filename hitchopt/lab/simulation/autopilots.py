@@ -47,19 +47,12 @@ MOMENT_SIGNS = np.array([[-1, -1, -1], [-1, 1, 1], [1, 1, -1], [1, -1, 1]], dtyp
 
 @dataclass(frozen=True)
 class AttitudeGains:
-    """Gains of an attitude loop over the moments of inertia; pairs are tilt and yaw.
+    """Gains of an attitude loop over the moments of inertia; pairs are tilt and yaw."""
 
-    Parameters
-    ----------
-    stiffness, damping: of an angle [1/s²], of a rate [1/s].
-    lead: of an angular acceleration.
-    integral: of the integral of an angle [1/s³].
-    """
-
-    stiffness: tuple[float, float]
-    damping: tuple[float, float]
-    lead: float = 0.0
-    integral: tuple[float, float] = (0.0, 0.0)
+    stiffness: tuple[float, float]  # of an angle [1/s²]
+    damping: tuple[float, float]  # of a rate [1/s]
+    lead: float = 0.0  # of an angular acceleration
+    integral: tuple[float, float] = (0.0, 0.0)  # of the integral of an angle [1/s³]
 
 
 # Gains of the firmware over a Crazyflie's moments of inertia, 1.66e-5 and 2.93e-5 kg m²; a motor

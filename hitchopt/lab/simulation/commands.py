@@ -53,13 +53,18 @@ def resolved(task: Task, settings: Settings) -> Settings:
     """
     estimator, upload = settings.estimator, settings.upload
     if settings.controller is None:
-        name = _planned_controller(task)
+        names = named_controllers(task)
+        name = (names.pop() if len(names) == 1 else None) or IDEAL
         settings = replace(settings, controller=name)
         if name != IDEAL:
             if estimator is None and STOCK[name].filtered:
                 estimator = HELD
             if upload is None:
-                upload = _offsets_hold_tension(task, settings)
+                # Exported files would hold the tension by offsets
+                can_upload = task.motion is not None and not task.motion.has_ring_changes
+                teams = (flown_team(part.team, settings) for part in task.parts)
+                upload = can_upload and not settings.feedback
+                upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
     estimator = None if estimator == IDEAL else estimator
     if settings.latency is not None and estimator is None:
         bound, remedy = "left out without an estimator", "add estimator='crazyflie'"
@@ -70,19 +75,6 @@ def resolved(task: Task, settings: Settings) -> Settings:
 def named_controllers(task: Task) -> set[str | None]:
     """Return the names of the controllers of a task's drones, with None for drones without one."""
     return {kind.controller for part in task.parts for kind in part.team.quadrotor}
-
-
-def _planned_controller(task: Task) -> str:
-    names = named_controllers(task)
-    return (names.pop() if len(names) == 1 else None) or IDEAL
-
-
-def _offsets_hold_tension(task: Task, settings: Settings) -> bool:
-    """Return whether exported files of a task would hold the tension by offsets."""
-    if task.motion is None or task.motion.has_ring_changes or settings.feedback:
-        return False
-    teams = (flown_team(part.team, settings) for part in task.parts)
-    return not any(np.any(team.integral_gain > 0.0) for team in teams)
 
 
 def flown_team(team: Team, settings: Settings) -> Team:
@@ -106,10 +98,7 @@ def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
 def received(task: Task, team: Team, settings: Settings) -> Commands:
     """Return the setpoints of a task that a team's controllers receive, at RATE.
 
-    Raises
-    ------
-    InputError: an upload without a plan.
-    InfeasibleError: a plan too large for an upload.
+    Raises InputError for an upload without a plan, InfeasibleError for a plan too large for it.
     """
     if not settings.upload:
         return streamed(task, team, follows=settings.controller in PACKET_RATES)
@@ -168,7 +157,7 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
 
 def _read(kind: CrazyflieFormat, part: Export, names: Sequence[str]) -> list[PiecewisePolynomial]:
     """Return the curves (3,) of all drones from exported files."""
-    files = [kind.file.format(name=name, frame=kind.frames[0]) for name in names]
+    files = (kind.file.format(name=name, frame=kind.frames[0]) for name in names)
     return [kind.upload(part.folder / file).curve for file in files]
 
 

@@ -10,17 +10,14 @@ a cable moves, and is corrected by the captured position and, of a rigid body, a
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import EstimatorParameters
+from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
-
-if TYPE_CHECKING:
-    from hitchopt.lab.simulation.world import RigidBodies
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
 LATENCY = 0.01  # Delay of motion capture [s]

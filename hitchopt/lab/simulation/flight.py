@@ -15,7 +15,6 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.estimator import EstimatorParameters
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.lab.simulation.calibrated import FlownDrones
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator
 from hitchopt.lab.simulation.settings import IDEAL, Settings
@@ -121,13 +120,10 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Fli
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
     It begins with a hitch if the plan has one at the first setpoint, else with hanging cables.
-    Controllers receive only setpoints, including planned cable forces.
-
-    Raises
-    ------
-    InputError: a density too small for the team's tension, or an unstable position loop.
-    ShapeError: cables too short for the first setpoints.
-    UnsupportedError: mujoco is not installed, or several groups with feedback or a lost drone.
+    Controllers receive only setpoints, including planned cable forces. Raises InputError for a
+    density too small for the team's tension or an unstable position loop, ShapeError for cables too
+    short for the first setpoints, and UnsupportedError without mujoco, or for several groups with
+    feedback or a lost drone.
     """
     run = _FlightInProgress(task, settings, progress)
     try:
@@ -174,9 +170,8 @@ class _FlightInProgress:
                 )
             ]
         )
-        self._drone_models = FlownDrones.nominal(team.drones)
         self._pilots = self._controllers()
-        self._drone_models = FlownDrones.of(task, settings, self._pilots.gains.stiffness)
+        self._drone_models = control.FlownDrones.of(task, settings, self._pilots.gains.stiffness)
         self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
         self._contacts = contacts.ClaspContacts(world, team)
         self._objects = contacts.ObjectContacts(world, task.cargo)
@@ -219,8 +214,9 @@ class _FlightInProgress:
             stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
             latency = max(stated) or LATENCY if settings.latency is None else settings.latency
             self._command_delay = 0.0 if settings.upload else latency
+            bodies = replace(world.bodies, positions=self._drones(0))
             measuring, age = self._disturbances.sensor_random, round(latency / PERIOD)
-            estimator = Estimator(settings.estimator, self._bodies(0), measuring, age)
+            estimator = Estimator(settings.estimator, bodies, measuring, age)
         loops = [kind.loop for team in teams for kind in team.kinds]
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)

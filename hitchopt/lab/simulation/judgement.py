@@ -10,14 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import OneLine, Progress
+from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
-from hitchopt.lab.simulation.flight import Flight, fly, ground_of
+from hitchopt.lab.simulation.flight import Flight, ground_of
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task, group_of
@@ -477,68 +477,6 @@ class CampaignRun(OneLine):
         return self.verdict == SUCCEEDED
 
 
-@dataclass(frozen=True, eq=False)
-class Simulation(OneLine):
-    """A flight, its outcome, and the errors of its vertices."""
-
-    flight: Flight
-    outcome: Outcome
-    errors: VertexErrors
-
-    @property
-    def settings(self) -> Settings:
-        """Settings of the flight."""
-        return self.flight.settings
-
-    @property
-    def loss(self) -> LossOutcome | None:
-        """Outcome for the other drones after a loss; None without a loss."""
-        return loss_outcome(self.flight)
-
-    @property
-    def spreads(self) -> dict[str, Spread]:
-        """Spreads of errors of vertices, sag included, and of drones from their setpoints [m].
-
-        ``tension_ratio`` is that of tensions over the planned ones while the hitch is taut.
-        """
-        errors = self.errors
-        return {
-            "vertex_error": Spread.of(errors.errors),
-            "resting": Spread.of(errors.errors[~errors.moving]),
-            "moving": Spread.of(errors.errors[errors.moving]),
-            "without_sag": Spread.of(errors.without_sag),
-            "tracking": Spread.of(tracking_errors(self.flight)),
-            "tension_ratio": Spread.of(tension_ratios(self.flight, self.errors.rows)),
-        }
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """Figures by name, such as ``tracking_mean``; nan for missing ones.
-
-        These are the spreads, the least ``separation`` of drones, ``peak_tension`` and
-        ``peak_thrust`` [N], ``peak_tilt`` [°], and the largest ``placed`` [m], ``tilted`` [°] and
-        ``slipped`` [m] of objects.
-        """
-        record = self.flight.record
-        spreads = self.spreads.items()
-        values = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
-        values["separation"] = closest(self.flight, separation_of(self.flight).scale).distance
-        values["peak_tension"] = float(np.max(record.peak_tensions))
-        values["peak_thrust"] = float(np.max(record.thrusts))
-        values["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
-        for name in ("placed", "tilted", "slipped"):
-            column = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
-            values[name] = float(np.fmax.reduce(column))
-        return values
-
-    @property
-    def run(self) -> CampaignRun:
-        """Row of a campaign for this flight."""
-        return CampaignRun(
-            self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures
-        )
-
-
 class Closest(NamedTuple):
     """The two closest drones by name, their distance, and its time [s]."""
 
@@ -591,9 +529,3 @@ def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
         names = dict.fromkeys(map(group_of, task.passing.names))
         messages.append(f"{', '.join(names)}: {NOT_FLOWN}")
     return tuple(messages)
-
-
-def simulate(task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
-    """Return a simulated flight of a task; parameters and errors are those of ``fly``."""
-    flight = fly(task, settings, progress)
-    return Simulation(flight, judge(flight), vertex_errors(flight))

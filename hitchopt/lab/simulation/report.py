@@ -1,35 +1,45 @@
-"""Files of a simulated flight: a summary, tables over time, the recording and a picture."""
+"""Simulate a plan in MuJoCo: figures of the flight, tables over time, a recording and a picture."""
 
 from __future__ import annotations
 
 import csv
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.ndimage import uniform_filter1d
 
+from hitchopt.errors import InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.simulation.flight import Flight
+from hitchopt.lab.simulation.flight import Flight, fly
 from hitchopt.lab.simulation.judgement import (
-    Simulation,
+    CampaignRun,
+    LossOutcome,
+    Outcome,
     Spread,
+    VertexErrors,
     closest,
+    judge,
+    loss_outcome,
     separation_of,
     tension_ratios,
     tracking_errors,
+    vertex_errors,
     warnings,
 )
+from hitchopt.lab.simulation.settings import CALM, PRESETS, Settings, settings_of
+from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.motion.motion import Motion
+from hitchopt.plan import Plan
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
-from hitchopt.values import Array
+from hitchopt.values import Array, check_instance, closest_word, flag, text
 from hitchopt.view import style
 from hitchopt.view.painter import MAX_PANELS, Shot, draw_storyboard, shots_in_motion
 from hitchopt.view.pictures import PAGE_LEGEND, PAGE_PLAN, PAGE_SHARE, draw_phases
@@ -57,53 +67,186 @@ SHOT_TOLERANCE = 0.1  # Largest time between a shot and its frame [s]
 OTHER_FAILURES = ("touch", "dropped", "misplaced", "caught")
 
 
-def save_simulation(
-    directory: Path | str,
-    simulation: Simulation,
-    motion: Motion,
-    title: str = "",
-    format: str = "png",
-    width: float | None = None,
-) -> Path:
-    """Write summary, tables, recording and picture, all of them or none; return the directory.
+@dataclass(frozen=True, eq=False)
+class Simulation(OneLine):
+    """A flight, its outcome, and the errors of its vertices."""
 
-    The picture shows the plan ``motion`` under a title, as ``simulation.png``, ``svg`` or ``pdf``;
-    with a ``width`` [inch] it is a figure for a paper. Raises FileError if writing fails.
+    flight: Flight
+    outcome: Outcome
+    errors: VertexErrors
+
+    @classmethod
+    def of(cls, task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
+        """Return a simulated flight of a task; parameters and errors are those of ``fly``."""
+        flight = fly(task, settings, progress)
+        return cls(flight, judge(flight), vertex_errors(flight))
+
+    @property
+    def settings(self) -> Settings:
+        """Settings of the flight."""
+        return self.flight.settings
+
+    @property
+    def loss(self) -> LossOutcome | None:
+        """Outcome for the other drones after a loss; None without a loss."""
+        return loss_outcome(self.flight)
+
+    @property
+    def spreads(self) -> dict[str, Spread]:
+        """Spreads of errors of vertices, sag included, and of drones from their setpoints [m].
+
+        ``tension_ratio`` is that of tensions over the planned ones while the hitch is taut.
+        """
+        errors = self.errors
+        return {
+            "vertex_error": Spread.of(errors.errors),
+            "resting": Spread.of(errors.errors[~errors.moving]),
+            "moving": Spread.of(errors.errors[errors.moving]),
+            "without_sag": Spread.of(errors.without_sag),
+            "tracking": Spread.of(tracking_errors(self.flight)),
+            "tension_ratio": Spread.of(tension_ratios(self.flight, self.errors.rows)),
+        }
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Figures by name, such as ``tracking_mean``; nan for missing ones.
+
+        These are the spreads, the least ``separation`` of drones, ``peak_tension`` and
+        ``peak_thrust`` [N], ``peak_tilt`` [°], and the largest ``placed`` [m], ``tilted`` [°] and
+        ``slipped`` [m] of objects.
+        """
+        record = self.flight.record
+        spreads = self.spreads.items()
+        values = {f"{name}_{key}": v for name, spread in spreads for key, v in vars(spread).items()}
+        values["separation"] = closest(self.flight, separation_of(self.flight).scale).distance
+        values["peak_tension"] = float(np.max(record.peak_tensions))
+        values["peak_thrust"] = float(np.max(record.thrusts))
+        values["peak_tilt"] = float(np.degrees(np.max(record.tilts)))
+        for name in ("placed", "tilted", "slipped"):
+            column = [np.nan, *(getattr(each, name) for each in self.outcome.objects)]
+            values[name] = float(np.fmax.reduce(column))
+        return values
+
+    @property
+    def run(self) -> CampaignRun:
+        """Row of a campaign for this flight."""
+        return CampaignRun(
+            self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures
+        )
+
+    def save(
+        self,
+        directory: Path | str,
+        title: str = "",
+        motion: Motion | None = None,
+        format: str = "png",
+        width: float | None = None,
+    ) -> Path:
+        """Write summary, tables, recording and picture, all or none; return the directory.
+
+        The picture shows the plan that was flown, or another ``motion``, under a title, as
+        ``simulation.png``, ``svg`` or ``pdf``; with a ``width`` [inch] it is a figure for a paper.
+
+        Raises
+        ------
+        FileError: writing fails.
+        InputError: setpoints without a plan were flown, and no motion is given.
+        """
+        shown = self.flight.task.motion if motion is None else motion
+        if shown is None:
+            raise InputError("motion", None, "the plan of the setpoints", "pass its motion")
+        picture = drawn_flight(self, shown, title, width)
+        flight, errors = self.flight, self.errors
+        record, team, cargo = flight.record, flight.task.team, flight.task.cargo
+        rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
+        vertices: Iterable[object] = team.layout.clasps
+        if flight.task.groups:
+            vertices = [team.point_names[point] for point in team.layout.clasps]
+        # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
+        tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
+            VERTICES: ("vertex", vertices, errors.t, {
+                "x,y,z": record.vertices[rows],
+                "planned_x,planned_y,planned_z": errors.planned,
+                "height_error": errors.offsets[..., 2],
+                "error": errors.errors,
+                "error_without_sag": errors.without_sag,
+                "bearing": record.bearing[rows],
+            }),
+            CABLES: ("cable", _cables(flight), t, {
+                "tension": record.tensions, "peak": record.peak_tensions,
+            }),
+            DRONES: ("drone", team.drone_names, t, {
+                "x,y,z": record.drones, "error": off, "thrust": record.thrusts,
+                "tilt": record.tilts,
+            }),
+            OBJECTS: ("object", cargo.names, t, {
+                "x,y,z,qw,qx,qy,qz": record.poses, "touched": record.touched,
+            }),
+        }  # fmt: skip
+        if not cargo.objects:
+            del tables[OBJECTS]
+        writers: dict[str, Writer] = {name: partial(write_table, *v) for name, v in tables.items()}
+        writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
+        writers[f"simulation.{format}"] = lambda path: style.save_figure(picture, path)
+        writers[SUMMARY] = lambda path: write_strict_json(path, summary(self))
+        return replace_files(directory, writers, OWNED, seal=SUMMARY)
+
+
+def simulate(
+    plan: Plan | Path | str,
+    *,
+    preset: Literal["fast", "accurate"] = "fast",
+    perturbed: bool = False,
+    perturbations: dict[str, float | bool] | None = None,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Simulation:
+    """Fly a plan with simulated ropes in MuJoCo; return the flight with its results.
+
+    The flight has what the plan states: cables, drones, and their controller with the filter and
+    files that are exported for it, unless settings replace them.
+
+    Parameters
+    ----------
+    plan: a plan with cables, or the directory of a saved one. The hitches of several teams fly in
+        one world; single drones and drones of other plans follow their setpoints exactly.
+    preset: ``fast``: links of 30 mm, which show whether the hitch holds; ``accurate``: of 10 mm,
+        five times slower, with correct friction, to measure vertices.
+    perturbed: whether to add the usual disturbances of an indoor flight.
+    perturbations: fields of ``Perturbations`` with other values, such as ``wind`` [N].
+    progress: status callback.
+    settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
+        ``pull_test``, ``feedback``; ``controller`` by name or ``ideal``, ``gains``, ``upload`` and
+        an ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
+
+    Raises
+    ------
+    InputError: an argument is invalid.
+    CertificateError: the plan's certificate does not hold.
+    UnsupportedError: mujoco is not installed, the plan has only single drones, or several teams and
+        feedback.
     """
-    picture = drawn_flight(simulation, motion, title, width)
-    flight, errors = simulation.flight, simulation.errors
-    record, team, cargo = flight.record, flight.task.team, flight.task.cargo
-    rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
-    vertices: Iterable[object] = team.layout.clasps
-    if flight.task.groups:
-        vertices = [team.point_names[point] for point in team.layout.clasps]
-    # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
-    tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
-        VERTICES: ("vertex", vertices, errors.t, {
-            "x,y,z": record.vertices[rows],
-            "planned_x,planned_y,planned_z": errors.planned,
-            "height_error": errors.offsets[..., 2],
-            "error": errors.errors,
-            "error_without_sag": errors.without_sag,
-            "bearing": record.bearing[rows],
-        }),
-        CABLES: ("cable", _cables(flight), t, {
-            "tension": record.tensions, "peak": record.peak_tensions,
-        }),
-        DRONES: ("drone", team.drone_names, t, {
-            "x,y,z": record.drones, "error": off, "thrust": record.thrusts, "tilt": record.tilts,
-        }),
-        OBJECTS: ("object", cargo.names, t, {
-            "x,y,z,qw,qx,qy,qz": record.poses, "touched": record.touched,
-        }),
-    }  # fmt: skip
-    if not cargo.objects:
-        del tables[OBJECTS]
-    writers: dict[str, Writer] = {name: partial(write_table, *v) for name, v in tables.items()}
-    writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
-    writers[f"simulation.{format}"] = lambda path: style.save_figure(picture, path)
-    writers[SUMMARY] = lambda path: write_strict_json(path, summary(simulation))
-    return replace_files(directory, writers, OWNED, seal=SUMMARY)
+    if text("preset", preset) not in PRESETS:
+        raise InputError("preset", preset, " or ".join(PRESETS), "write fast")
+    changes = {} if perturbations is None else perturbations
+    _check_names("perturbations", changes, vars(CALM))
+    _check_names("settings", settings, vars(Settings()))
+    is_perturbed = flag("perturbed", perturbed)
+    options = settings_of(preset, perturbed=is_perturbed, **settings, **changes)
+    if isinstance(plan, str | Path):
+        return Simulation.of(read_task(Path(plan)), options, progress)
+    check_instance("plan", plan, Plan)
+    plan.certificate.raise_if_violated()
+    return Simulation.of(Task.of(plan.motion), options, progress)
+
+
+def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> None:
+    """Raise InputError unless the options are a dict of known names."""
+    if not isinstance(options, dict):
+        raise InputError(key, options, "a dict", f"use the keys {', '.join(names)}")
+    for name in options.keys() - names.keys():
+        remedy = closest_word(str(name), [*names])
+        raise InputError(f"{key}.{name}", options[name], "left out", remedy)
 
 
 def _cables(flight: Flight) -> Sequence[object]:

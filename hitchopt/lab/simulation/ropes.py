@@ -56,20 +56,12 @@ class ShapeError(HitchoptError):
 
 @dataclass(frozen=True, eq=False)
 class Ropes:
-    """n cables, each divided into segments of equal length.
+    """n cables, each divided into segments of equal length."""
 
-    Parameters
-    ----------
-    lengths: cable lengths (n,) [m].
-    density: mass per length [kg/m], common or of each cable (n,).
-    friction: coefficient between cables and with the ground, common or of each cable (n,).
-    preset: resolution.
-    """
-
-    lengths: Array
-    density: Array | float
-    friction: Array | float
-    preset: Preset
+    lengths: Array  # (n,) [m]
+    density: Array | float  # mass per length [kg/m], common or of each cable (n,)
+    friction: Array | float  # between cables and with the ground, common or of each cable (n,)
+    preset: Preset  # resolution
 
     @classmethod
     def of(cls, team: Team, settings: Settings, lengths: Array, tension: float = 0.0) -> Ropes:

@@ -29,20 +29,12 @@ def _check(record: object, checked: Callable[[str, object], float], *names: str)
 
 @dataclass(frozen=True)
 class Preset:
-    """Resolution of the ropes in space and time.
+    """Resolution of the ropes in space and time."""
 
-    Parameters
-    ----------
-    name: one of PRESETS.
-    segment: largest length of a rope's segments [m].
-    diameter: rope diameter [m]; larger than that of real cables, as contacts require.
-    time_step: integration step [s].
-    """
-
-    name: str
-    segment: float
-    diameter: float
-    time_step: float
+    name: str  # one of PRESETS
+    segment: float  # largest length of a rope's segments [m]
+    diameter: float  # of ropes [m], larger than that of real cables, as contacts require
+    time_step: float  # integration step [s]
 
     @property
     def exact(self) -> bool:
@@ -60,38 +52,27 @@ PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 class Perturbations(OneLine):
     """Disturbances that the plan does not model, all drawn from one seed.
 
-    Parameters
-    ----------
-    noise: standard deviation per axis of the error of the measured drone positions [m].
-    velocity_noise: standard deviation per axis of the error of the measured velocities [m/s].
-    wind: root mean square of the gust force on a drone [N].
-    steady_wind: constant level force on every drone, in one random direction [N].
-    lag: time constant of the motors' thrust [s]; None: MOTOR_LAG of a flight controller, else
-        SHORT_LAG, to which the attitude loop adds another 60 ms.
-    cable_error: standard deviation of the cable lengths, relative.
-    start_error: standard deviation per axis of the drones' start positions [m].
-    downwash: whether drones push down drones below them.
-    vertex_noise: standard deviation per axis of measured vertices, independent at every
-        measurement [m]; vertices are only measured for ``feedback``.
-    vertex_delay: age of the measured vertices when they arrive [s].
-    rotor_drag: drag of drones over their speed [N s/m]; None: 0.012 of calibrated drones, else 0.
-    object_mass, object_friction: largest deviations of objects' masses and friction, relative.
-    object_place: largest distance of movable objects from their planned positions [m].
+    Errors are standard deviations, of vectors per axis; those of objects are the largest.
     """
 
-    noise: float = 0.0
-    velocity_noise: float = 0.0
-    wind: float = 0.0
-    steady_wind: float = 0.0
+    noise: float = 0.0  # error of measured drone positions [m]
+    velocity_noise: float = 0.0  # error of measured velocities [m/s]
+    wind: float = 0.0  # root mean square of the gust force on a drone [N]
+    steady_wind: float = 0.0  # constant level force on every drone, in one random direction [N]
+    # time constant of the motors' thrust [s]; None: MOTOR_LAG of a flight controller, else
+    # SHORT_LAG, to which the attitude loop adds another 60 ms
     lag: float | None = None
-    cable_error: float = 0.0
-    start_error: float = 0.0
-    downwash: bool = False
+    cable_error: float = 0.0  # error of the cable lengths, relative
+    start_error: float = 0.0  # error of the drones' start positions [m]
+    downwash: bool = False  # whether drones push down drones below them
+    # error of measured vertices, independent at every measurement [m], and their age when they
+    # arrive [s]; vertices are only measured for feedback
     vertex_noise: float = 0.0
     vertex_delay: float = 0.0
-    object_mass: float = 0.0
-    object_friction: float = 0.0
-    object_place: float = 0.0
+    object_mass: float = 0.0  # error of objects' masses, relative
+    object_friction: float = 0.0  # error of objects' friction, relative
+    object_place: float = 0.0  # distance of movable objects from their planned positions [m]
+    # drag of drones over their speed [N s/m]; None: 0.012 of calibrated drones, else 0
     rotor_drag: float | None = None
 
     def __post_init__(self) -> None:
@@ -140,52 +121,41 @@ class Loss(OneLine):
 
 @dataclass(frozen=True)
 class Settings(OneLine):
-    """Settings of one simulated flight; None is what the plan states.
+    """Settings of one simulated flight; None is what the plan states."""
 
-    Parameters
-    ----------
-    preset: resolution of the ropes.
-    perturbations: disturbances.
-    seed: seed of all random numbers.
-    friction: coefficient at the clasps; None: the team's.
-    density: cable density [kg/m]; None: the team's, or for cables without weight that of the
-        lightest ropes that the preset holds. It is unknown to the drones.
-    stiffness: of the drones' position loops [N/m]; None: the team's, or 36/s² times their masses
-        for rigid drones.
-    pull_test: whether the flight ends with a pull test of the hitch, if no drone is lost.
-    lost: loss of a drone; None: no loss.
-    feedback: whether setpoints are corrected by measured vertices, as ``Feedback`` does.
-    controller: ``mellinger``, ``lee``, ``pid`` or ``px4``, or ``ideal``: a simplified one. None:
-        that of the team's drones, with the filter and the setpoints of exports to it; ``ideal`` if
-        they name none, or several.
-    gains: of its position loops, a ``Gains`` or a mapping; None: those of the team's drones with
-        this controller, for others the stiffest stable ones.
-    estimator: state estimator from motion capture and IMU, in place of ``noise`` and
-        ``velocity_noise``; ``ideal``: exact states with these errors. None: ``ideal`` if a
-        controller is given or has another filter, else the Crazyflie's as exports set it.
-    latency: delay of motion capture, and of streamed setpoints, with an estimator [s]; None: that
-        of the team's drones, or 0.01.
-    upload: whether drones fly exported files, which hold the tension by offsets, or streamed
-        setpoints. None: streamed if a controller is given, cannot hold the tension, or has no
-        memory for the plan.
-    as_calibrated: what was measured on drones that fly, a mapping of their names as in
-        ``team.quadrotor``, whatever the plan knows of them; None: what the plan states.
-    """
-
-    preset: Preset = FAST
-    perturbations: Perturbations = CALM
-    seed: int = 0
-    friction: float | None = None
+    preset: Preset = FAST  # resolution of the ropes
+    perturbations: Perturbations = CALM  # disturbances
+    seed: int = 0  # of all random numbers
+    friction: float | None = None  # coefficient at the clasps
+    # cable density [kg/m]; None: the team's, or for cables without weight that of the lightest
+    # ropes that the preset holds. It is unknown to the drones
     density: float | None = None
+    # of the drones' position loops [N/m]; None: the team's, or 36/s² times their masses for rigid
+    # drones
     stiffness: float | None = None
-    pull_test: bool = True
-    lost: Loss | None = None
-    feedback: bool = False
+    pull_test: bool = True  # whether the flight ends with a pull test, if no drone is lost
+    lost: Loss | None = None  # loss of a drone; None: no loss
+    feedback: bool = False  # whether measured vertices correct setpoints, as ``Feedback`` does
+    # ``mellinger``, ``lee``, ``pid`` or ``px4``, or ``ideal``: a simplified one. None: that of the
+    # team's drones, with the filter and the setpoints of exports to it; ``ideal`` if they name
+    # none, or several
     controller: str | None = None
+    # of its position loops; None: those of the team's drones with this controller, for others the
+    # stiffest stable ones
     gains: Gains | Mapping[str, Any] | None = None
+    # state estimator from motion capture and IMU, in place of ``noise`` and ``velocity_noise``;
+    # ``ideal``: exact states with these errors. None: ``ideal`` if a controller is given or has
+    # another filter, else the Crazyflie's as exports set it
     estimator: EstimatorParameters | str | None = None
+    # whether drones fly exported files, which hold the tension by offsets, or streamed setpoints.
+    # None: streamed if a controller is given, cannot hold the tension, or has no memory for the
+    # plan
     upload: bool | None = None
+    # delay of motion capture, and of streamed setpoints, with an estimator [s]; None: that of the
+    # team's drones, or 0.01
     latency: float | None = None
+    # what was measured on drones that fly, a mapping of their names as in ``team.quadrotor``,
+    # whatever the plan knows of them
     as_calibrated: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:

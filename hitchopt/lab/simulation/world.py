@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,25 +86,8 @@ class RigidBodies:
 class World:
     """A compiled model with its state, and indices into MuJoCo's arrays.
 
-    Ropes are straight initially: place the nodes before the first step.
-
-    Parameters
-    ----------
-    ropes: n of them.
-    masses: (2n,) [kg], of the drones q0, r0, q1, r1, ….
-    ground: height of the ground [m].
-    objects: by name, at their positions.
-
-    Attributes
-    ----------
-    model, data: MuJoCo's.
-    inertia: (2n, 3) [kg m²], about the drones' own axes.
-    node_dofs: addresses (nodes, 3) of the inner nodes of all cables in qvel.
-    drone_bodies, object_bodies: (2n,), (objects,)
-    drone_dofs: addresses (2n, 3) of the drones' velocities in qvel; those of their rates follow.
-    cable_vertices: (n + 1,), nodes of cable k including drones are flex vertices
-        ``cable_vertices[k]:cable_vertices[k + 1]``.
-    edge_cables: cable of each edge (edges,).
+    It has n ropes, drones q0, r0, q1, … of some masses (2n,) [kg], the ground at a height [m], and
+    objects by name. Ropes are straight initially: place the nodes before the first step.
     """
 
     def __init__(
@@ -116,9 +98,12 @@ class World:
         objects: dict[str, SolidObject],
         names: Sequence[str] = (),
     ) -> None:
-        mujoco = self._mujoco = _imported_mujoco()
+        mujoco = self._mujoco = optional_module("mujoco", "simulating needs", "simulate")
+        if mujoco.get_mju_user_warning() is None:  # Without its log file of warnings
+            mujoco.set_mju_user_warning(lambda _text: None)
         self.ropes, self.ground, self.objects = ropes, ground, objects
         self.masses = np.array(masses, dtype=np.float64)
+        # (2n, 3) [kg m²], about the drones' own axes
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
         count = len(ropes.lengths)
         self.drone_names = list(names) or [f"{end}{k}" for k in range(count) for end in "qr"]
@@ -136,13 +121,17 @@ class World:
         def places(addresses: Index, bodies: Index) -> Index:
             return np.asarray(addresses[model.body_jntadr[bodies]][:, None] + np.arange(3))
 
+        # Addresses (2n, 3) of the drones' velocities in qvel, which those of their rates follow,
+        # and of the inner nodes of all cables (nodes, 3)
         self.drone_dofs = places(model.jnt_dofadr, self.drone_bodies)
         self.node_dofs = places(model.jnt_dofadr, nodes)
         self._vertex_dofs = places(model.jnt_dofadr, model.flex_vertbodyid)
         self._drone_qpos = places(model.jnt_qposadr, self.drone_bodies)
         self._node_qpos = places(model.jnt_qposadr, nodes)
         self._node_origins = model.body_pos[nodes]  # positions at which qpos is zero
+        # Nodes of cable k with its drones are flex vertices from entry k of (n + 1,) to the next
         self.cable_vertices: Index = np.concatenate([[0], np.cumsum(ropes.segments + 1)])
+        # Cable of each edge (edges,)
         self.edge_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments)
         self._last_edges: Index = self.cable_vertices[1:-1] - 1  # between cables
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
@@ -222,14 +211,6 @@ class World:
 def cable_names(drones: Sequence[str]) -> list[str]:
     """Return the names (n,) of the cables between drones q0, r0, …: cable 0, …, or a.cable 0, …."""
     return ["cable ".join(name.rsplit("q", 1)) for name in drones[::2]]
-
-
-def _imported_mujoco() -> Any:
-    """Return the module mujoco, without its log file of warnings."""
-    mujoco = optional_module("mujoco", "simulating needs", "simulate")
-    if mujoco.get_mju_user_warning() is None:
-        mujoco.set_mju_user_warning(lambda _text: None)
-    return mujoco
 
 
 class InvalidRunError(HitchoptError):

@@ -22,9 +22,10 @@ coplanar ends turn by more than the angle in the plane, and touch where they cro
 
 from __future__ import annotations
 
+import json
 import math
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,8 @@ from scipy.sparse.linalg import splu
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.lab.flights.evaluate import evaluate
+from hitchopt.hitch import Team
+from hitchopt.lab.flights.evaluation import evaluate
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import (
     RecordedFlight,
@@ -50,7 +52,8 @@ from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.energy import HitchEnergy, bends_of
 from hitchopt.lab.statics.settle import conditions_of, energy_of
 from hitchopt.storage.archive import PLAN, reading
-from hitchopt.values import Array, Indices, nonnegative, path
+from hitchopt.values import Array, Indices, nonnegative
+from hitchopt.values import path as checked_path
 
 # Windows in which stiffness, friction and sliding rates are estimated [s]. In windows of 0.5 s
 # tensions correlate with the drones' noise, and the stiffness is biased by up to 24 %
@@ -148,6 +151,45 @@ class Calibration(OneLine):
     friction: Estimate
     vertex_errors: Array
     drone_errors: Array
+
+    @property
+    def text(self) -> str:
+        """The block ``team:`` in YAML, with standard errors as comments.
+
+        Values that are not determined are the plan's.
+        """
+        team, missing = self.task.team, "of the plan: not determined"
+        lengths = [round(one.value, 4) for one in self.lengths]
+        errors = ", ".join(f"{one.error:.1g}" for one in self.lengths)
+        names = [each.name for each in fields(Team) if each.name != "quadrotor"]
+        values = {name: _yaml(getattr(team, name)) for name in names}
+        values["cable_length"] = f"{_yaml(lengths)}  # ± {errors} m"
+        values["cable_density"] = f"{_yaml(self.density)}  # as assumed"
+        values["cable_friction"] += f"  # {missing}"
+        if self.friction.known:
+            values["cable_friction"] = f"{self.friction.value:.3f}  # ± {self.friction.error:.1g}"
+        lines = ["team:", *(f"  {name}: {text}" for name, text in values.items()), "  quadrotor:"]
+        for kind, stiffness in zip(team.quadrotor, self.stiffness, strict=True):
+            entries, note = {name: _yaml(value) for name, value in vars(kind).items()}, missing
+            if stiffness.known:
+                entries["stiffness"] = f"{stiffness.value:.3g}"
+                note = f"± {stiffness.error:.1g} N/m"
+            flow = ", ".join(f"{name}: {text}" for name, text in entries.items())
+            lines.append(f"    - {{{flow}}}  # stiffness {note}")
+        return "\n".join(lines) + "\n"
+
+    def save(self, path: Path | str) -> None:
+        """Write ``text`` to a file."""
+        checked_path("path", path).write_text(self.text, encoding="utf-8")
+
+
+def _yaml(value: object) -> str:
+    """Return a value in YAML."""
+
+    def plain(value: Any) -> Any:
+        return vars(value) if is_dataclass(value) else np.round(value, 9).tolist()
+
+    return json.dumps(value, default=plain)
 
 
 def calibrate(
@@ -249,14 +291,14 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
     with the plan, and their vertices measured from markers.
     """
     if not isinstance(recording, Recording | RecordedFlight):
-        recording = path("recording", recording)
+        recording = checked_path("recording", recording)
         if (recording / PLAN).is_file():
             remedy = "name the file that was recorded, or DIR/simulation"
             raise InputError("recording", str(recording), "a flight, not its plan", remedy)
         plan = Path(os.path.abspath(recording)).parent if plan is None else plan
     if plan is None:
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
-    task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
+    task = plan if isinstance(plan, Task) else read_task(checked_path("plan", plan))
     task.require_one_team("calibrate")
     if isinstance(recording, Path):
         with reading(recording, "recording"):

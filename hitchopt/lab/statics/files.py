@@ -1,9 +1,7 @@
-"""Files and pictures of hitches at rest, of calibrated teams, and of fits."""
+"""Files and pictures of hitches at rest, and of fits."""
 
 from __future__ import annotations
 
-import json
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +16,11 @@ from hitchopt.exports.directory import STATICS, STATICS_PICTURES
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip
-from hitchopt.lab.statics.calibrate import Calibration
 from hitchopt.lab.statics.fit import GRIP, REST, Fit
 from hitchopt.lab.statics.settle import Settled
 from hitchopt.lab.statics.tolerance import Tolerance
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
-from hitchopt.view.style import (
-    COLOURS,
-    DASHES,
-    INK,
-    LIMIT_COLOUR,
-    PAGE_SHARE,
-    cable_colours,
-    from_zero,
-    legend_on_page,
-    marker,
-    new_figure,
-    page_figure,
-    save_figure,
-)
+from hitchopt.view import style
 
 STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
 
@@ -45,7 +29,7 @@ STATICS_SIZE, FIT_SIZE, PAGE_LEGEND = (12.5, 4.8), (12.0, 5.0), 1.0
 FIT_SHARE = 0.8  # Height of a polygon on a page over its width
 
 # Line style of the plan, and points of a unit circle
-PLANNED: dict[str, Any] = {"color": INK, "linestyle": DASHES, "linewidth": 0.8}
+PLANNED: dict[str, Any] = {"color": style.INK, "linestyle": style.DASHES, "linewidth": 0.8}
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 
 # Colours of the times at which vertices are drawn, and most cables in a legend
@@ -67,7 +51,7 @@ def save_statics(
     """
     content, figure = statics_content(settled, ranges), draw_statics(settled, ranges, width)
     writers: dict[str, Writer] = {
-        f"statics.{format}": lambda path: save_figure(figure, path),
+        f"statics.{format}": lambda path: style.save_figure(figure, path),
         STATICS: lambda path: write_strict_json(path, content),
     }
     return replace_files(directory, writers, (STATICS, *STATICS_PICTURES), seal=STATICS)
@@ -120,10 +104,10 @@ def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None
     With a ``width`` [inch] it is a figure for a paper.
     """
     if width is None:
-        figure = new_figure(STATICS_SIZE)
+        figure = style.new_figure(STATICS_SIZE)
         left, right = figure.subplots(1, 2)
     else:
-        figure = page_figure(width, 2.0 * PAGE_SHARE * width + PAGE_LEGEND)
+        figure = style.page_figure(width, 2.0 * style.PAGE_SHARE * width + PAGE_LEGEND)
         left, right = figure.subplots(2, 1)
     t, layout, cables = settled.t, settled.team.layout, settled.team.robots
     if ranges is not None:
@@ -132,18 +116,18 @@ def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None
         beyond = f", up to {np.max(high):.3g} N" if np.any(drawn < high) else ""
         words = f"range{beyond}"
         left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
-    style: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
-    for k, colour in enumerate(cable_colours(cables)):  # the first ones wider, visible below others
+    look: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
+    for k, colour in enumerate(style.cable_colours(cables)):  # first ones are visible below others
         label = f"cable {k} at rest" if cables <= MAX_NAMED else ""
         wide = 1.2 + 2.4 * (1.0 - (k + 1) / cables)
-        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **style)
+        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **look)
     left.plot(t, settled.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
     left.set(xlabel="t [s]", ylabel="tension [N]")
-    from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
+    style.from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
     ring = np.append(np.arange(layout.points), [0] * layout.closed)
     times = np.unique(np.linspace(0, len(t) - 1, len(TIME_COLOURS)).round().astype(np.intp))
     lines, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
-    areas["drone"] = Line2D([], [], color=INK, marker="x", ls="none", ms=4)
+    areas["drone"] = Line2D([], [], color=style.INK, marker="x", ls="none", ms=4)
     for colour, i in zip(TIME_COLOURS[-len(times) :], times, strict=True):
         path = right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
         lines[f"vertices, t = {t[i]:.2f} s"] = path[0]
@@ -165,51 +149,11 @@ def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None
         entries = dict(zip([*labels, *lines], [*curves, *lines.values()], strict=True))
         for label, handle in entries.items():
             handle.set_label(label)
-        legend_on_page(figure, list(entries.values()))
+        style.legend_on_page(figure, list(entries.values()))
         return figure
     left.legend(loc="upper right", frameon=False, fontsize="small", ncols=2)
     figure.legend(lines.values(), lines, loc="outside right upper", frameon=False, fontsize="small")
     return figure
-
-
-def save_team(path: Path, calibration: Calibration) -> None:
-    """Write the block ``team:`` with the estimates; comments state their standard errors.
-
-    Values that are not determined are the plan's.
-    """
-    path.write_text(team_text(calibration), encoding="utf-8")
-
-
-def team_text(calibration: Calibration) -> str:
-    """Return the block ``team:`` in YAML."""
-    team, friction, lengths = calibration.task.team, calibration.friction, calibration.lengths
-    names = [field.name for field in fields(Team) if field.name != "quadrotor"]
-    values = {name: _yaml(getattr(team, name)) for name in names}
-    errors = ", ".join(f"{one.error:.1g}" for one in lengths)
-    values["cable_length"] = f"{_yaml([round(one.value, 4) for one in lengths])}  # ± {errors} m"
-    values["cable_density"] = f"{_yaml(calibration.density)}  # as assumed"
-    values["cable_friction"] += "  # of the plan: not determined"
-    if friction.known:
-        values["cable_friction"] = f"{friction.value:.3f}  # ± {friction.error:.1g}"
-    lines = ["team:", *(f"  {name}: {text}" for name, text in values.items()), "  quadrotor:"]
-    for kind, stiffness in zip(team.quadrotor, calibration.stiffness, strict=True):
-        entries = {name: _yaml(value) for name, value in vars(kind).items()}
-        known = "of the plan: not determined"
-        if stiffness.known:
-            entries["stiffness"] = f"{stiffness.value:.3g}"
-            known = f"± {stiffness.error:.1g} N/m"
-        flow = ", ".join(f"{name}: {text}" for name, text in entries.items())
-        lines.append(f"    - {{{flow}}}  # stiffness {known}")
-    return "\n".join(lines) + "\n"
-
-
-def _yaml(value: object) -> str:
-    """Return a value in YAML."""
-
-    def plain(value: Any) -> Any:
-        return vars(value) if is_dataclass(value) else np.round(value, 9).tolist()
-
-    return json.dumps(value, default=plain)
 
 
 def save_fit(
@@ -228,7 +172,7 @@ def save_fit(
     figure = draw_fit(fit, mass, by, width)
     directory.mkdir(parents=True, exist_ok=True)
     write_strict_json(directory / "fit.json", fit_as_json(fit))
-    save_figure(figure, directory / f"fit.{format}")
+    style.save_figure(figure, directory / f"fit.{format}")
 
 
 def fit_as_json(fit: Fit) -> dict[str, Any]:
@@ -281,14 +225,15 @@ def draw_fit(
         if mass is not None and each == by:
             titles[-1] += f", {1e3 * mass:.0f} g {'' if mass <= capacity.mass else 'NOT '}held"
     polygons = holding.enclosing, holding.grip, holding.rest
-    requirements, kind = holding.task.requirements, holding.task.kind
-    length, tension = holding.cable_length, holding.task.tension
-    team = Team(holding.robots, length, tension=tension, quadrotor=kind)
+    requirements, blue, red = holding.task.requirements, style.COLOURS[0], style.LIMIT_COLOUR
+    limits, separation = requirements.limits, requirements.separation
+    drawn: dict[str, Any] = {"tension": holding.task.tension, "quadrotor": holding.task.kind}
+    team = Team(holding.robots, holding.cable_length, **drawn)
     if width is None:
-        figure = new_figure(FIT_SIZE)
+        figure = style.new_figure(FIT_SIZE)
         panels = figure.subplots(1, 3, sharex=True, sharey=True)
     else:
-        figure = page_figure(width, 3.0 * FIT_SHARE * width + PAGE_LEGEND)
+        figure = style.page_figure(width, 3.0 * FIT_SHARE * width + PAGE_LEGEND)
         panels = figure.subplots(3, 1, sharex=True, sharey=True)
     for axes, polygon, title in zip(panels, polygons, titles, strict=True):
         axes.add_patch(Polygon(outline[ConvexHull(outline).vertices], fc="0.88", ec="0.55", lw=0.8))
@@ -300,28 +245,23 @@ def draw_fit(
             continue
         vertices = polygon.vertices[:, :2]
         # Cables are taut around a section within the polygon
-        inside = polygon is not holding.rest
-        corners = np.vstack([vertices, outline]) if inside else vertices
-        axes.add_patch(Polygon(corners[ConvexHull(corners).vertices], fill=False, ec=COLOURS[0]))
-        axes.plot(*vertices.T, "o", color=LIMIT_COLOUR, markersize=3, zorder=3)
+        corners = vertices if polygon is holding.rest else np.vstack([vertices, outline])
+        axes.add_patch(Polygon(corners[ConvexHull(corners).vertices], fill=False, ec=blue))
+        axes.plot(*vertices.T, "o", color=red, markersize=3, zorder=3)
         if isinstance(polygon, Grip):
             drones = polygon.drones[..., :2]
         else:
             try:
-                hitch = Hitch.spread(
-                    team, polygon, limits=requirements.limits, separation=requirements.separation
-                )
+                hitch = Hitch.spread(team, polygon, limits=limits, separation=separation)
             except InfeasibleError:
                 continue
             drones = hitch.drones.reshape(-1, 2, 3)[..., :2]
         ends = np.stack([vertices, np.roll(vertices, -1, axis=0)], axis=1)
         legs = np.stack([ends, drones], axis=-2).reshape(-1, 2, 2)
-        axes.plot(*legs.T, color=COLOURS[0], lw=1.2)
-        axes.plot(*drones.reshape(-1, 2).T, "o", color=COLOURS[0], markersize=4)
+        axes.plot(*legs.T, color=blue, lw=1.2)
+        axes.plot(*drones.reshape(-1, 2).T, "o", color=blue, markersize=4)
         for x, y in drones.reshape(-1, 2):
-            axes.add_patch(
-                Circle((x, y), requirements.separation.radius, fill=False, ec=COLOURS[0])
-            )
+            axes.add_patch(Circle((x, y), separation.radius, fill=False, ec=blue))
     panels[0].locator_params(nbins=5)
     if width is None:
         legend = "object grey, cables and drones blue, as wide as their ellipsoids, clasps red"
@@ -329,10 +269,10 @@ def draw_fit(
         return figure
     handles = (
         Patch(fc="0.88", ec="0.55", label="object"),
-        Line2D([], [], color=COLOURS[0], label="cables"),
-        marker("o", LIMIT_COLOUR, LIMIT_COLOUR, "clasps", 3.0),
-        marker("o", COLOURS[0], COLOURS[0], "drones", 4.0),
-        marker("o", "none", COLOURS[0], "their ellipsoids", 8.0),
+        Line2D([], [], color=blue, label="cables"),
+        style.marker("o", red, red, "clasps", 3.0),
+        style.marker("o", blue, blue, "drones", 4.0),
+        style.marker("o", "none", blue, "their ellipsoids", 8.0),
     )
-    legend_on_page(figure, handles)
+    style.legend_on_page(figure, handles)
     return figure

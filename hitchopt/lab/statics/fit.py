@@ -233,31 +233,20 @@ def _holding(task: FitTask, robots: int) -> Holding:
             return grip_and_cable(request, task.clearance)
         return best_grip(request), cable
 
-    gripping = _attempt(grip)
-    if isinstance(gripping, InfeasibleError):
-        return _with_capacities(task, enclosing, cable, gripping)
-    return _with_capacities(task, enclosing, gripping[1], gripping[0])
-
-
-def _with_capacities(
-    task: FitTask, enclosing: ConvexPolygon, cable: float, grip: Grip | InfeasibleError
-) -> Holding:
-    """Return the polygons for a cable length [m] with the largest masses that they hold."""
-    n, section, requirements = len(enclosing), task.section, task.requirements
-
     def resting() -> ConvexPolygon:
-        body = SolidObject(section, 0.0, task.height, rim=Rim(section, 0.0))
-        return ConvexPolygon(rest_polygons("outline", body, n, task.clearance).clasps)
+        body = SolidObject(task.section, 0.0, task.height, rim=Rim(task.section, 0.0))
+        return ConvexPolygon(rest_polygons("outline", body, robots, task.clearance).clasps)
 
-    rest = _attempt(resting)
-    capacities = [grip, rest]
-    if isinstance(grip, Grip):
-        capacities[0] = grip_capacity(grip, task.kind, task.friction, SAFETY)
+    gripping, rest = _attempt(grip), _attempt(resting)
+    gripped, rested = gripping, rest
+    if not isinstance(gripping, InfeasibleError):
+        gripping, cable = gripping
+        gripped = grip_capacity(gripping, task.kind, task.friction, SAFETY)
     if isinstance(rest, ConvexPolygon):
         load = task.tension, task.kind, requirements, 0.5 * task.height
-        capacities[1] = _attempt(lambda: rest_capacity(rest, cable, *load))
-    gripped, rested = (x if isinstance(x, Capacity) else _zero_capacity(x) for x in capacities)
-    return Holding(task, enclosing, cable, grip, rest, gripped, rested)
+        rested = _attempt(lambda: rest_capacity(rest, cable, *load))
+    capacities = (x if isinstance(x, Capacity) else _zero_capacity(x) for x in (gripped, rested))
+    return Holding(task, enclosing, cable, gripping, rest, *capacities)
 
 
 def _zero_capacity(error: InfeasibleError) -> Capacity:

@@ -25,7 +25,7 @@ from hitchopt.lab.statics.energy import HitchEnergy
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.values import Array, Indices, check_instance
+from hitchopt.values import Array, check_instance
 
 # Smallest positive and largest finite number
 POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
@@ -53,11 +53,8 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
     """Return all conditions of ``settle`` as arrays; the team's by default, numbers broadcast.
 
     The stiffness (2n, 3) is infinite for drones that are rigid at their setpoints; ``integral`` is
-    the largest force of integrals (2n, 3) [N].
-
-    Raises
-    ------
-    InputError: an unknown name, another shape, or a number that is not finite or out of its range.
+    the largest force of integrals (2n, 3) [N]. Raises InputError for an unknown name, another
+    shape, or a number that is not finite or out of its range.
     """
     drones, conditions = (team.drones,), {}
     defaults = {"offsets": 0.0, "forces": 0.0, "axial_stiffness": AXIAL_STIFFNESS}
@@ -157,18 +154,14 @@ class Settled(OneLine):
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of cables that are slack in any sample: c0, c1, …."""
-        return named("c", self.slack, np.arange(self.team.robots))
+        slack = self.slack.reshape(-1, self.team.robots).any(axis=0)
+        return tuple(f"c{k}" for k in np.flatnonzero(slack))
 
     @property
     def loose_clasps(self) -> tuple[str, ...]:
         """Names of points whose cables do not press on each other in some sample."""
-        return named("p", ~self.bears, self.team.layout.clasps)
-
-
-def named(letter: str, flags: NDArray[np.bool_], numbers: Indices) -> tuple[str, ...]:
-    """Return the names of the columns of flags (…, n) in which any is set."""
-    any_ = flags.reshape(-1, flags.shape[-1]).any(axis=0)
-    return tuple(f"{letter}{k}" for k in numbers[any_])
+        clasps = self.team.layout.clasps
+        return tuple(f"p{k}" for k in clasps[~self.bears.reshape(-1, len(clasps)).all(axis=0)])
 
 
 def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:

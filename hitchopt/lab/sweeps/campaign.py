@@ -13,12 +13,11 @@ from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
 from hitchopt.lab.simulation.commands import resolved
-from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun, Failure, simulate
-from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, number
+from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun, Failure
+from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, Simulation, number
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
-from hitchopt.lab.sweeps.sweep import Share
-from hitchopt.lab.sweeps.work import run_tasks
+from hitchopt.lab.sweeps.sweep import Share, run_tasks
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import integer
 
@@ -78,11 +77,7 @@ def run_campaign(
     """Simulate ``runs`` flights of a plan with consecutive seeds from that of the settings.
 
     They run in parallel ``processes``, by default one per processor; a single one is this process.
-
-    Raises
-    ------
-    InputError: the number of runs or the settings are invalid.
-    UnsupportedError: mujoco is not installed.
+    Raises InputError for an invalid number of runs or invalid settings.
     """
     integer("runs", runs, 1)
     if processes is not None:
@@ -108,7 +103,7 @@ def run_campaign(
 def run_flight(settings: Settings, task: Task) -> CampaignRun:
     """Return the result of one flight; a flight that cannot start is a failure, not an error."""
     try:
-        return simulate(task, settings).run
+        return Simulation.of(task, settings).run
     except (InputError, UnsupportedError):  # these would affect every flight
         raise
     except HitchoptError as error:

@@ -246,10 +246,8 @@ class Study(OneLine):
 def study_from_dict(data: object, directory: str | Path = ".") -> Study:
     """Return the study of a mapping, with file names relative to ``directory``.
 
-    Raises
-    ------
-    FileError: a problem file cannot be read.
-    InputError: a key, type or value of the study or of a problem is invalid.
+    Raises FileError for a problem file that cannot be read, and InputError for an invalid key, type
+    or value of the study or of a problem.
     """
     values = plain(data)
     if not isinstance(values, dict):
