@@ -109,7 +109,10 @@ class Reactions:
     def _certified_motion(self, time: float) -> Motion:
         """Return the certified motion after a loss at a time [s]."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
-            raise _no_reaction(time, "the team carries objects, or stands among them")
+            reason = "the team carries objects, or stands among them"
+            if self.motion.team.robots == 2 and self.motion.team.layout.closed:
+                reason += "; two cables hold nothing without all four drones: what they carry falls"
+            raise _no_reaction(time, reason)
         reasons = list[str]()
         for delay in STOP_DELAYS:
             motion, violated = _with_descent(self.motion, time + DELAY + delay)
