@@ -12,7 +12,6 @@ from commands import run
 
 import hitchopt as ho
 from hitchopt.exports import exporting
-from hitchopt.exports.options import HOMES
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.plan_file import write_plan
 
@@ -25,9 +24,7 @@ PROBLEM = {
     "mission": [{"transport": {"to": [0.5, 0.5, 1.0]}}],
 }
 
-# The stiffness of position loops with which uploads hold the tension, as refusals suggest
-STIFFNESS = {"crazyswarm2": 4.75, "compressed": 4.75, "skybrush": 4.75, "mavsdk_drone_show": 0.825}
-ONE_FILE = {"csv": "csv", "parquet": "parquet", "skybrush": "skyc"}
+ONE_FILE = {"csv": "csv", "skybrush": "skyc"}
 
 
 @pytest.fixture(scope="module")
@@ -39,21 +36,21 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("name", list(HOMES))
-def test_every_format_there_and_back(name: str, plan: Path) -> None:
-    stiffness = STIFFNESS.get(name)
+@pytest.mark.parametrize("name", ["csv", "ros2bag", "skybrush"])
+def test_kinds_of_formats_there_and_back(name: str, plan: Path) -> None:
+    """A table, a folder, and an upload that is refused without a stiffness."""
     export: list[str | Path] = ["export", plan, "--format", name]
-    if stiffness is not None:
+    if name == "skybrush":
         done = run(*export, "-o", "files", code=3)
         assert "Cables will go slack" in done.stderr
-        assert f"--stiffness {stiffness}" in done.stderr
+        assert "--stiffness 4.75" in done.stderr
         assert "add --allow-slack" in done.stderr
         assert done.stdout == ""
         said = run(*export, "-o", "slack", "--allow-slack", code=0).stdout
         assert "certified as exported" not in said
         assert said.count("Cables will go slack") == 1
         assert "0 errors, 1 warnings" in run("lint", "slack", code=0).stdout
-        export += ["--stiffness", str(stiffness)]
+        export += ["--stiffness", "4.75"]
     said = run(*export, "-o", "files", code=0).stdout
     for words in ("certified as exported", "from the plan, over all time", "discontinuous"):
         assert words in said
