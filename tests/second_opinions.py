@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, combinations
 from pathlib import Path
 from typing import Any
@@ -10,12 +10,20 @@ from typing import Any
 import numpy as np
 
 from hitchopt import verify as second
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.plan_file import write_plan
 
 Rows = Callable[..., Iterator[second.Row]]
 OF_WHOLE: set[Rows] = {second.jumps, second.interlacing}
 OF_TAUT: set[Rows] = {second.taut_cables, second.crossing_leg_heights}
 OF_BODIES: set[Rows] = {second.resting, second.gripped, second.hinged, second.clear_objects}
 OF_PAIRS: set[Rows] = {second.between_plans, second.object_distances}
+
+
+def opinion_of(motion: Motion, folder: Path, *functions: Rows) -> Iterator[second.Row]:
+    """Write a plan of a motion, and yield the rows of functions, or all."""
+    write_plan(folder / "plan.npz", motion)
+    return opinion(folder / "plan.npz", *functions) if functions else second.verify(folder)
 
 
 def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
@@ -47,6 +55,6 @@ def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[second.Pair]:
         yield second.Pair(q, p, wide, off)
 
 
-def violated(path: Path, *functions: Rows) -> set[str]:
-    """Return the limits that functions find violated."""
-    return {row.name for row in opinion(path, *functions) if row.verdict == "violated"}
+def violated(rows: Iterable[second.Row]) -> set[str]:
+    """Return the limits of rows that are violated."""
+    return {row.name for row in rows if row.verdict == "violated"}

@@ -33,7 +33,7 @@ def assert_sound(
     checks = [row(motion, name) for name in sorted(only)] or certify(motion).checks
     breaks = motion.drones.breaks  # where it may jump
     times = np.concatenate([np.linspace(breaks[0], breaks[-1], count), breaks, breaks[1:] - 1e-12])
-    result = sampled(motion, times)
+    result = sampled(motion, times, only)
     counted = [check for check in checks if check.limit is not None]
     assert {check.name for check in counted} <= set(result) | UNSAMPLED
     for check in (each for each in counted if each.name in result):
@@ -102,23 +102,33 @@ def thrusts(motion: Motion, times: Array) -> Array:
     return own - Samples(motion, times).forces() if motion.team.has_cables else own
 
 
-def sampled(motion: Motion, times: Array) -> dict[str, float]:
-    """Return the worst value of every quantity over ``times``; thrust as a share of the largest."""
+def sampled(motion: Motion, times: Array, only: Set[str] = frozenset()) -> dict[str, float]:
+    """Return the worst value of every quantity over ``times``; thrust as a share of the largest.
+
+    If some are named, those that take long are left out where they are not.
+    """
+
+    def named(*names: str) -> bool:
+        return not only or not only.isdisjoint(names)
+
     x, spec = motion.drones.at(times), motion.requirements
-    result = {"separation": float(np.min(ratios(x, spec.separation)))} if x.shape[1] > 1 else {}
+    result = dict[str, float]()
+    if x.shape[1] > 1 and named("separation"):
+        result["separation"] = float(np.min(ratios(x, spec.separation)))
     for order, name in enumerate(("speed", "acceleration", "jerk"), start=1):
         result[name] = float(np.max(np.linalg.norm(motion.drones.at(times, order), axis=-1)))
-    if spec.arena is not None:
+    if spec.arena is not None and named("arena"):
         tied = motion.team.has_cables and bool(motion.formed.all())
         there = np.concatenate([x, sagging(Samples(motion, times))], axis=1) if tied else x
         inside = np.minimum(there - spec.arena.lower, spec.arena.upper - there)
         result["arena"] = float(np.min(inside))
     if spec.keep_out:
         result["keep_out"] = min(float(np.min(off_prism(x, prism))) for prism in spec.keep_out)
-    f = thrusts(motion, times)
-    result["thrust"] = float(np.max(np.linalg.norm(f, axis=-1) / motion.team.max_thrust))
-    result["tilt"] = float(np.max(np.degrees(np.arctan2(_level(f), f[..., 2]))))
-    if spec.limits.body_rate is not None:
+    if named("thrust", "tilt"):
+        f = thrusts(motion, times)
+        result["thrust"] = float(np.max(np.linalg.norm(f, axis=-1) / motion.team.max_thrust))
+        result["tilt"] = float(np.max(np.degrees(np.arctan2(_level(f), f[..., 2]))))
+    if spec.limits.body_rate is not None and named("body_rate"):
         h = 1e-5  # [s] between samples and those that thrusts are differentiated by
         apart = np.min(np.abs(times[:, None] - motion.drones.breaks), axis=1)
         before, after = (thrusts(motion, times[apart > 2.0 * h] + step) for step in (-h, h))
@@ -132,7 +142,8 @@ def sampled(motion: Motion, times: Array) -> dict[str, float]:
         speeds = np.linalg.norm(motion.vertices.at(times, 1), axis=-1)
         result["vertex_speed"] = float(np.max(speeds))
         with np.errstate(invalid="ignore"):  # at the very end of a ramp nothing pulls
-            return result | _taut_distances(s) | _shape(s) | {"equilibrium": _unbalanced(s)}
+            distances = _taut_distances(s) if named("cable_clearance", "crossing") else {}
+            return result | distances | _shape(s) | {"equilibrium": _unbalanced(s)}
     return result | _free_distances(s, motion.phases[0].state)
 
 

@@ -11,7 +11,7 @@ import pytest
 from by_hand import Samples, cable_points, clasped_outlines, hull_gaps, point_to_segment
 from motions import row, through
 from plans import planned
-from second_opinions import violated
+from second_opinions import opinion_of, violated
 
 import hitchopt as ho
 from hitchopt import verify
@@ -21,7 +21,6 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import hull_offset
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Group, Motion, Phase
-from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import on_breaks_of, shifted, slice_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -133,8 +132,8 @@ def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> N
     assert check.where == ("cable 0", "q2")
     assert phase.start <= check.time <= phase.end
     assert not row(caught, "crossing").holds  # the cable passes the region, not the chord
-    write_plan(tmp_path / "plan.npz", caught)
-    assert {"cable_clearance", "crossing"} <= violated(tmp_path / "plan.npz", verify.free_cables)
+    rows = opinion_of(caught, tmp_path, verify.free_cables)
+    assert {"cable_clearance", "crossing"} <= violated(rows)
 
 
 def tied(state: CableState) -> tuple[Motion, float, Array]:
@@ -167,8 +166,7 @@ def test_ones_own_objects_keep_off_a_cable_that_is_tied(state: CableState, tmp_p
         finer = on_breaks_of(whole, breaks)
         visited = finer.replaced(requirements=needs, poses=on_breaks(poses, breaks))
         assert row(visited, "object_clearance").holds is kept
-        write_plan(tmp_path / "plan.npz", visited)
-        broken = violated(tmp_path / "plan.npz", verify.clear_objects)
+        broken = violated(opinion_of(visited, tmp_path, verify.clear_objects))
         assert ("object_clearance" not in broken) is kept
 
 
@@ -187,8 +185,7 @@ def test_objects_of_other_teams_keep_off_a_cable_that_is_tied(
         check = check_across(RULE_OF["object_clearance"], motion)
         assert check is not None
         assert check.holds is kept
-        write_plan(tmp_path / "plan.npz", motion)
-        broken = violated(tmp_path / "plan.npz", verify.object_distances)
+        broken = violated(opinion_of(motion, tmp_path, verify.object_distances))
         assert ("object_clearance" not in broken) is kept
 
 
@@ -254,5 +251,4 @@ def test_stated_vertices_beside_the_edges_do_not_free_these(tmp_path: Path) -> N
     assert check is not None
     assert check.bound < 0.01
     assert abs(check.time - t) < 0.1
-    write_plan(tmp_path / "plan.npz", motion)
-    assert "cable_clearance" in violated(tmp_path / "plan.npz", verify.between_plans)
+    assert "cable_clearance" in violated(opinion_of(motion, tmp_path, verify.between_plans))

@@ -135,7 +135,7 @@ def free() -> Motion:
     return free_motion(replace(team, cable_density=0.0), drones.stretched(20.0))
 
 
-MOTIONS = {"4": lambda: random_motion(4, 9), "7": lambda: random_motion(7, 8), "free": free}
+MOTIONS = {"taut": lambda: random_motion(5, 8), "free": free}
 
 
 LOOSE = {"cable_clearance", "tracking_radius"}

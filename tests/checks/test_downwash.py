@@ -103,12 +103,12 @@ def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:
 
 
 def test_ones_own_objects_and_cables_are_excepted() -> None:
-    names = {check.name for check in planned("carry_box").certificate.checks}
+    names = {check.name for check in planned("carry_tray").certificate.checks}
     assert "downwash" not in names
 
 
 def test_what_another_team_carries_counts_also_while_it_rests() -> None:
-    whole = planned("carry_box").motion
+    whole = planned("carry_tray").motion
     heavy = {
         name: ho.SolidObject(
             **{key: getattr(body, key) for key in vars(body) if key != "mass"}, mass=50.0

@@ -89,15 +89,23 @@ def freed(motion: Motion, name: str, factor: float) -> Motion:
     )
 
 
+@cache
+def clocks(sense: float) -> list[tuple[ClockPhases, dict[str, float]]]:
+    """Return stops, or starts, of several durations, and what is flown on them."""
+    motion, rng = motion_of(), np.random.default_rng(8)
+    starts = (rng.uniform(0.1, 0.9, 4) * motion.duration).tolist()
+    spans = zip(starts, (0.9, 0.2, 2.0, 0.45), strict=True)
+    each = [stop(start, duration, sense) for start, duration in spans]
+    return [(clock, flown(motion, clock, 4000)) for clock in each]
+
+
 @pytest.mark.parametrize("sense", [1.0, -1.0])
 @pytest.mark.parametrize("name", ["acceleration", "jerk", "thrust", "tilt", "turning"])
 def test_a_limit_just_below_its_largest_sample_is_refused(name: str, sense: float) -> None:
     """Each quantity by itself, the others being free; one a twentieth higher is kept."""
-    motion, rng = motion_of(), np.random.default_rng(8)
-    starts = rng.uniform(0.1, 0.9, 4) * motion.duration
-    for start, duration in zip(starts.tolist(), (0.9, 0.2, 2.0, 0.45), strict=True):
-        clock = stop(start, duration, sense)
-        share = flown(motion, clock, 4000)[name]
+    motion = motion_of()
+    for clock, shares in clocks(sense):
+        share = shares[name]
         for factor, requirements in ((share * (1.0 - 1e-8), False), (share * 1.05, True)):
             result = ClockLimits(freed(motion, name, factor)).keep(clock, 1)
             assert bool(result[0]) == requirements

@@ -107,7 +107,7 @@ def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float, rat
 LAW_MOTIONS: dict[str, Callable[[], Motion]] = {
     "hitch": lambda: random_motion(4, 3, arena=ARENA),
     "crossing": lambda: crossing(2),
-    "free": lambda: free_motion(*random_flight(5, n=3, pieces=1)),
+    "free": lambda: free_motion(*random_flight(5, n=2, pieces=1)),
     "formed": lambda: part(planned("form_triangle").motion, "swap 1", "tension"),
 }
 

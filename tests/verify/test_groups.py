@@ -17,7 +17,7 @@ import pytest
 from click.testing import CliRunner
 from groups import beside_saved, moved, with_swarm
 from plans import planned
-from second_opinions import violated
+from second_opinions import opinion, violated
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -322,7 +322,7 @@ def test_broken_limits_of_one_team_are_found(limit: str, tmp_path: Path) -> None
     assert check is not None
     assert not check.holds
     rows = second.drones if limit == "speed" else second.between_plans
-    assert limit in violated(path, rows)
+    assert limit in violated(opinion(path, rows))
 
 
 def test_paths_that_collide_are_found(tmp_path: Path) -> None:

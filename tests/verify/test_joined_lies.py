@@ -533,8 +533,8 @@ def test_the_truth_is_told_by_the_same_rows(name: str, tmp_path: Path) -> None:
     write_plan(path, TRUTHS[name]())
     motion = read_plan(path)
     assert not interlacing(chapters(motion)).worst
-    limits = ["interlacing", "continuity", "consistency", "laid"]
-    limits += ["crossing"] * (name == "it leaves")
+    limits = ["interlacing", "continuity", "consistency"]
+    limits += ["laid"] * (name in {"it joins", "it leaves"}) + ["crossing"] * (name == "it leaves")
     rows = [row for row in second_opinion(path, limits) if row.samples]
     assert {row.verdict for row in rows} == {"proven"}
     assert {*limits} <= {row.name for row in rows}
