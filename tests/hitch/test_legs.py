@@ -51,7 +51,7 @@ def test_spread_is_the_nearest_to_balanced_of_all_on_a_grid(length: float) -> No
     hitch = Hitch.spread(Team(3, length), TRIANGLE)
     p, slack, u = hitch.vertices, hitch.slack, hitch.polygon.edge_directions
     u = np.pad(u, ((0, 0), (0, 1)))
-    axes = [np.linspace(0.151, s - 0.151, 46) for s in slack]
+    axes = [np.linspace(0.151, s - 0.151, 31) for s in slack]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     q = p + grid[..., None] * np.roll(u, 1, axis=0)
     r = np.roll(p, -1, axis=0) - (slack - grid)[..., None] * np.roll(u, -1, axis=0)

@@ -108,7 +108,7 @@ def test_a_robot_on_its_way_avoids_those_that_wait() -> None:
     np.testing.assert_allclose(last.vertices.coefficients[-1, :, :2, -1], SQUARE, atol=1e-9)
 
 
-@pytest.mark.parametrize("roll", [0.0, 20.0])
+@pytest.mark.parametrize("roll", [pytest.param(0.0, marks=pytest.mark.slow), 20.0])
 def test_a_laid_hitch_is_released_with_legs_with_which_it_cannot_unroll(roll: float) -> None:
     laid = ho.load_problem(PROBLEMS / "lay_triangle.yaml")
     rolled = ho.Adjust(legs=RolledLegs("balanced", np.full(3, np.radians(roll))))

@@ -303,7 +303,7 @@ def mutated(changes: list[tuple[tuple[str | int, ...], str, Any]]) -> dict[str, 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 @given(st.lists(mutation, min_size=1, max_size=3))
-@settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
 def test_a_changed_problem_is_valid_by_the_schema_or_a_told_error(changes: Any) -> None:
     data = mutated(changes)
     try:

@@ -17,18 +17,18 @@ from hitchopt.mission.solving import contents
 from hitchopt.steps import Step
 from hitchopt.values import MAX_COORDINATE
 
-HEXAGON = ho.regular_polygon(6, 1.3, angle=0.2).translated([1.0, 2.0])
+SQUARE = ho.regular_polygon(4, 1.3, angle=0.2).translated([1.0, 2.0])
 MOVES: tuple[Step, ...] = (
     ho.MoveVertex(0, by=np.array([-0.15, 0.03])),
     ho.MoveEdge(2, by=np.array([0.02, 0.1])),
-    ho.Morph(HEXAGON, np.full(6, 0.33)),
+    ho.Morph(SQUARE, np.full(4, 0.33)),
     ho.Adjust("balanced"),
 )
 
 
 def mission(*steps: Step, **options: Any) -> ho.Problem:
-    team = ho.Team(6, [2.0, 2.02, 2.04, 2.0, 2.01, 2.03])
-    return ho.Problem(team, ho.HitchStart(HEXAGON, 1.2, "balanced"), steps, **options)
+    team = ho.Team(4, [2.0, 2.02, 2.04, 2.0])
+    return ho.Problem(team, ho.HitchStart(SQUARE, 1.2, "balanced"), steps, **options)
 
 
 def blended(steps: tuple[Step, ...]) -> tuple[Step, ...]:
@@ -42,7 +42,7 @@ def fastest(plan: ho.Plan, t: float) -> float:
 
 
 def test_steps_of_all_kinds_are_one_plan_at_rest_in_between() -> None:
-    x, y = HEXAGON.vertices[1]
+    x, y = SQUARE.vertices[1]
     steps: tuple[Step, ...] = (
         *MOVES,
         ho.FollowVertex(1, np.array([[1.5, x + 0.05, y], [3.0, x, y]])),
@@ -94,7 +94,7 @@ NO_MOTION = ho.Adjust("balanced", blend=True)
     ("steps", "words"),
     [
         ([VERTEX, ho.Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
-        ([VERTEX, ho.Morph(HEXAGON, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
+        ([VERTEX, ho.Morph(SQUARE, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
         ([NO_MOTION, NO_MOTION, MOVES[0]], r"mission\[0\]\.adjust.*moves something"),
     ],
 )
@@ -104,7 +104,7 @@ def test_what_cannot_be_blended_is_refused(steps: list[Step], words: str) -> Non
 
 
 def test_errors_name_the_step_that_they_are_of() -> None:
-    arena = ho.Arena([-3, -3, 0], [4.2, 5, 2])
+    arena = ho.Arena([-3, -3, 0], [3.9, 5, 2])
     transport = ho.Transport(np.array([3.0, 2.0, 1.2]))
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* at the end of step 1 \(transport\)"):
         ho.solve(mission(MOVES[0], transport, arena=arena))
@@ -167,15 +167,15 @@ def test_requests_of_other_contents_are_told_apart() -> None:
     assert len({repr(contents(value)) for value in [*alike, *alike]}) == len(alike)
 
 
-@pytest.mark.parametrize("offset", [[30.0, -7.0], [195.0, -195.0]])
-def test_a_translated_problem_has_the_translated_plan(offset: list[float], tmp_path: Path) -> None:
+def test_a_translated_problem_has_the_translated_plan(tmp_path: Path) -> None:
     """Its certificate has the same margins, and its file is proven by the other method too."""
+    offset = [195.0, -195.0]
 
     def planned(offset: list[float]) -> ho.Plan:
-        hexagon, to = HEXAGON.translated(offset), np.array([0.5, 2.2, 1.5]) + [*offset, 0.0]
-        start = ho.HitchStart(hexagon, 1.2, "balanced")
-        steps = (MOVES[0], ho.Morph(hexagon.rotated(0.0), "balanced"), ho.Transport(to, yaw=0.4))
-        return ho.solve(ho.Problem(ho.Team(6, 2.0), start, steps))
+        square, to = SQUARE.translated(offset), np.array([0.5, 2.2, 1.5]) + [*offset, 0.0]
+        start = ho.HitchStart(square, 1.2, "balanced")
+        steps = (MOVES[0], ho.Morph(square.rotated(0.0), "balanced"), ho.Transport(to, yaw=0.4))
+        return ho.solve(ho.Problem(ho.Team(4, 2.0), start, steps))
 
     plan, moved = planned([0.0, 0.0]), planned(offset)
     assert moved.duration == pytest.approx(plan.duration, rel=1e-6)
@@ -193,9 +193,9 @@ def test_a_translated_problem_has_the_translated_plan(offset: list[float], tmp_p
 def test_problems_far_from_the_origin_are_refused_with_a_remedy() -> None:
     for corner in ([10_000.0, 0.0], [0.0, 1.01 * MAX_COORDINATE]):
         with pytest.raises(ho.InputError, match="subtract an offset from all coordinates"):
-            ho.HitchStart(ho.ConvexPolygon(HEXAGON.vertices + corner), 1.2, "balanced")
+            ho.HitchStart(ho.ConvexPolygon(SQUARE.vertices + corner), 1.2, "balanced")
     with pytest.raises(ho.InputError, match="altitude = 1100"):
-        ho.HitchStart(HEXAGON, 1100.0, "balanced")
-    path = [[900.0, *HEXAGON.vertices[0]]]  # times may be larger
+        ho.HitchStart(SQUARE, 1100.0, "balanced")
+    path = [[900.0, *SQUARE.vertices[0]]]  # times may be larger
     assert ho.FollowVertex(0, np.array(path)).path.tolist() == path
     ho.Arena([-1e3, -1e3, 0.0], [1e3, 1e3, 50.0])

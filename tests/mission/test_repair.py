@@ -86,13 +86,8 @@ def assert_as_suggested(data: Any, suggestion: ho.Suggestion) -> ho.Plan:
 BEGINNERS: Any = read_yaml(Path(__file__).with_name("beginners.yaml"))
 """Problems by name, with the kinds of their faults."""
 
-QUICK = {
-    "cables_of_lead",
-    "pull_too_strong_for_a_small_drone",
-    "robots_start_too_close",
-    "transport_into_the_ceiling",
-}
-"""Those that take about a second."""
+QUICK = {"cables_of_lead", "transport_into_the_ceiling"}
+"""Those that take less than a second."""
 
 
 @pytest.mark.parametrize(
@@ -242,6 +237,7 @@ def test_suggestions_are_just_beyond_what_statics_need(stem: str, key: str, need
     assert change.new == pytest.approx(needed, rel=0.015)
 
 
+@pytest.mark.slow
 def test_experiment_1_tells_metres_and_the_cable_that_would_do() -> None:
     with pytest.raises(ho.InfeasibleError) as raised:
         ho.solve(CASES["paper_experiment_1"])

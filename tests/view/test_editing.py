@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import PROBLEMS, planned
+from plans import PROBLEMS, planned, planned_of
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -50,7 +50,8 @@ mission:
 def editing(tmp_path: Path) -> Iterator[Editing]:
     path = tmp_path / "problem.yaml"
     path.write_text(TEXT)
-    plan = ho.solve(path)
+    problem: Any = parse_yaml(TEXT, "problem")
+    plan = planned_of(problem)
     editing = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
     yield editing
     editing.close()
