@@ -243,7 +243,7 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
     originals = {path: path.read_bytes() for path in sorted(folder.iterdir())}
     chance = random.Random(7)
     refused: list[str] = []
-    for _ in range(14 if name == "ros2bag" else 40):
+    for _ in range(14 if name == "ros2bag" else 25):
         path = chance.choice(list(originals))
         damage(path, chance)
         try:

@@ -298,7 +298,7 @@ def write_ulog(
     return folder
 
 
-def sample(seed: int = 0, drones: int = 4, frames: int = 150, visible_share: float = 0.9) -> Any:
+def sample(seed: int = 0, drones: int = 4, frames: int = 60, visible_share: float = 0.9) -> Any:
     """Return a flight at 100 Hz on a millimetre grid, with gaps in bodies, and with markers."""
     rng, t = np.random.default_rng(seed), np.arange(frames) / 100.0
     tracks, waves = {}, 0.3 * np.sin(np.outer(t, [1.0, 2.0, 3.0]))

@@ -105,9 +105,9 @@ def uneven_hitch(n: int, roll: float) -> ho.Hitch:
 CHAIN = ho.Team(3, 2.4, topology="open", cable_density=0.01)
 ARC = [[0.0, 0.0], [0.8, 1.2], [2.2, 1.3], [3.0, 0.0]]
 HITCHES: dict[str, Callable[[], ho.Hitch]] = {
-    **{f"regular {n}": partial(regular_hitch, n) for n in (3, 6, 12)},
+    **{f"regular {n}": partial(regular_hitch, n) for n in (3, 6)},
     "chain": partial(ho.Hitch.balanced, CHAIN, ARC, altitude=1.0),
-    **{f"{n} by {x}": partial(uneven_hitch, n, x) for n in (3, 12) for x in (20.0, -30.0)},
+    **{f"{n} by {x}": partial(uneven_hitch, n, x) for n, x in ((3, -30.0), (12, 20.0))},
 }
 
 
