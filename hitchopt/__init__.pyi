@@ -63,14 +63,16 @@ from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
-from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
-from hitchopt.steps import Enclose as Enclose, Join as Join, OpenVertex as OpenVertex
-from hitchopt.steps import FollowVertex as FollowVertex, Form as Form, Grasp as Grasp, Hold as Hold
-from hitchopt.steps import Land as Land, Leave as Leave, Lift as Lift, Loosen as Loosen
-from hitchopt.steps import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as MoveVertex
-from hitchopt.steps import Release as Release, SetDown as SetDown, Settle as Settle
-from hitchopt.steps import Replace as Replace, Tie as Tie, Transport as Transport
-from hitchopt.steps import TransportObject as TransportObject, Untie as Untie, Withdraw as Withdraw
+from hitchopt.steps.carrying import Carry as Carry, Enclose as Enclose, Grasp as Grasp
+from hitchopt.steps.carrying import Leave as Leave, Lift as Lift, Loosen as Loosen
+from hitchopt.steps.carrying import SetDown as SetDown, TransportObject as TransportObject
+from hitchopt.steps.moving import Adjust as Adjust, FollowVertex as FollowVertex, Hold as Hold
+from hitchopt.steps.moving import Morph as Morph, MoveEdge as MoveEdge, MoveVertex as MoveVertex
+from hitchopt.steps.moving import Settle as Settle, Transport as Transport
+from hitchopt.steps.ring_change import Join as Join, Replace as Replace, Withdraw as Withdraw
+from hitchopt.steps.straddling import Tie as Tie, Untie as Untie
+from hitchopt.steps.tying import CloseVertex as CloseVertex, Form as Form, Land as Land
+from hitchopt.steps.tying import OpenVertex as OpenVertex, Release as Release
 from hitchopt.steps.flying import Fly as Fly
 from hitchopt.trajectory import PiecewisePolynomial as PiecewisePolynomial
 

@@ -25,8 +25,11 @@ from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggesti
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
-from hitchopt.steps import STEPS, Join, Replace, Settle, Step, Tie, Withdraw
-from hitchopt.steps.step import Stage
+from hitchopt.steps import STEPS
+from hitchopt.steps.moving import Settle
+from hitchopt.steps.ring_change import Join, Replace, Withdraw
+from hitchopt.steps.step import Stage, Step
+from hitchopt.steps.straddling import Tie
 from hitchopt.storage.yaml_file import read_text
 from hitchopt.values import check_instance, path, positive, text
 from hitchopt.values.fields import EMPTY, check_keywords, keys_of, parameter_docs

@@ -43,10 +43,9 @@ from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import REST_DRIFT, in_world
 from hitchopt.planners.forming.ring_change import landing_motion
 from hitchopt.planners.forming.stages import stage, straight_lines
-from hitchopt.steps import Release
 from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.step import RestState, StepTask
-from hitchopt.steps.tying import vertical_motion
+from hitchopt.steps.tying import Release, vertical_motion
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.values import Array, check_choice, nonnegative, positive
 

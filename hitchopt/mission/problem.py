@@ -30,13 +30,22 @@ from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.planners.carrying.planner import OPENING_TENSIONS, tying_tension
-from hitchopt.steps import STEP_KINDS, STEPS, FollowVertex, Form, Step, Transport
+from hitchopt.steps import STEP_KINDS, STEPS
 from hitchopt.steps.carrying import TensionStep, TransportObject, goal_of
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
-from hitchopt.steps.moving import MoveStep
-from hitchopt.steps.step import LEGS, LEGS_TEXT, TRIANGLE, Polygon, SlackSplit, Stage, slack_split
+from hitchopt.steps.moving import FollowVertex, MoveStep, Transport
+from hitchopt.steps.step import (
+    LEGS,
+    LEGS_TEXT,
+    TRIANGLE,
+    Polygon,
+    SlackSplit,
+    Stage,
+    Step,
+    slack_split,
+)
 from hitchopt.steps.straddling import Tie
-from hitchopt.steps.tying import check_rollable
+from hitchopt.steps.tying import Form, check_rollable
 from hitchopt.values import Array, check_instance, closest_word, sequence, text
 from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (

@@ -23,7 +23,6 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import schedule_teams
 from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.steps import FollowVertex, Form, Step, Tie
 from hitchopt.steps.carrying import OBSTACLE_CHECKS, TransportObject
 from hitchopt.steps.certified_motions import (
     CertifiedMotion,
@@ -35,7 +34,10 @@ from hitchopt.steps.certified_motions import (
     split_hitch,
     with_settling,
 )
-from hitchopt.steps.step import RestState, StepPlan, StepTask
+from hitchopt.steps.moving import FollowVertex
+from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
+from hitchopt.steps.straddling import Tie
+from hitchopt.steps.tying import Form
 from hitchopt.values import Array
 
 AT_START, UNPLANNED = "at the start (t = 0)", "not looked at yet: steps "

@@ -37,6 +37,7 @@ from hitchopt.planners.carrying.polygons import (
     grip_polygons,
     rest_polygons,
 )
+from hitchopt.steps.certified_motions import end_of_morph, first_feasible, require_certified
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
     Knob,
@@ -122,8 +123,6 @@ def step_motion(
 
 def check_hold(task: StepTask, planner: MovePlanner) -> None:
     """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
-    from hitchopt.steps.certified_motions import require_certified
-
     hold, name = planner.hold, f"objects.{planner.state.object}"
     lifted, when = planner.from_state(carried=True), f"with {name} off its support"
     try:
@@ -294,6 +293,10 @@ class TensionStep(Step):
         """Return the method of holding an object."""
         return self.by or ("rest" if body.rim else "grip")
 
+    def tension_for(self, team: Team) -> Array:
+        """Return the tensions (n,) [N] while the object is held."""
+        return team.tension if self.tension is None else np.full(team.robots, self.tension)
+
     def knobs(self) -> Iterator[Knob]:
         """Yield the tension, and the knobs of all steps."""
         yield from super().knobs()
@@ -316,10 +319,8 @@ class Grasp(TensionStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to clasps below the object's rim, or to edges that grip the object."""
-        from hitchopt.steps.certified_motions import end_of_morph, first_feasible
-
         body, team = object_of(task, self.object), task.before.team
-        tension = team.tension if self.tension is None else np.full(team.robots, self.tension)
+        tension = self.tension_for(team)
         if self.by == "grip":
             return self._grip(task, body, tension)
         if body.rim is None:
@@ -334,8 +335,7 @@ class Grasp(TensionStep):
         closings = (Morph(below, RolledLegs(goal.q_legs, x * goal.roll)) for x in ROLL_FACTORS)
         closing_task = task.within(requirements, task.before)
         closing = first_feasible(partial(each.plan, closing_task) for each in closings)
-        hitch = closing.after.hitch
-        assert hitch is not None
+        hitch = closing.after.tied
         hold = RestHold(team, body, clasps, body.rim.height, hitch.fractions, hitch.roll)
         planner = planner_of(task).from_state(tension=tension, hold=hold)
         check_hold(task, planner)
@@ -503,10 +503,6 @@ class TransportObject(TensionStep):
         """Yield the height of the flight, the tension, and the knobs of all steps."""
         yield from super().knobs()
         yield Knob("lift", self.lift, "m", covers=OBSTACLE_CHECKS)
-
-    def tension_for(self, team: Team) -> Array:
-        """Return the tensions (n,) [N] while the object is held."""
-        return team.tension if self.tension is None else np.full(team.robots, self.tension)
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
         """Return the goal, turned by ``yaw``."""

@@ -20,22 +20,12 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import SETTLE, CableState, Motion, Phase, concatenated
-from hitchopt.planners.morph.legs import SLIDING_TOLERANCE, legs_clear
-from hitchopt.planners.morph.morph import POSITION_TOLERANCE, BlendedMorph
-from hitchopt.planners.morph.path import ShapePath
-from hitchopt.planners.timing.flight import check_duration, fly, in_duration, needed_stretch
-from hitchopt.steps.step import (
-    IDLE,
-    RestState,
-    RolledLegs,
-    SlackSplit,
-    StepPlan,
-    StepTask,
-)
+from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
+    from hitchopt.planners.morph.path import ShapePath
 
 LEVEL_TOLERANCE = 1e-3
 """Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
@@ -180,6 +170,8 @@ def end_of_morph(
 
 def end_of_action(action: Action, legs: SlackSplit | None, requirements: Requirements) -> End:
     """Return the hitch after an action; by default its legs are nearest to the action's own."""
+    from hitchopt.planners.morph.legs import SLIDING_TOLERANCE
+
     start, polygon = action.start, action.polygon
     if legs is not None:
         return end_of_morph(start, polygon, legs, requirements)
@@ -233,8 +225,9 @@ def optimised_plan(
     straight: the step's own path, which is a candidate if it is feasible; None if it is not.
     allow_slides: also try legs that lead and lag.
     """
-    from hitchopt.planners.morph.legs import with_slides
+    from hitchopt.planners.morph.legs import legs_clear, with_slides
     from hitchopt.planners.optimise.search import OptimisedMorph
+    from hitchopt.planners.timing.flight import check_duration, fly, in_duration
 
     start, requirements = task.hitch, task.requirements
     certified: dict[Motion, tuple[ShapePath, StepPlan]] = {}
@@ -337,6 +330,8 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     One path leads through the end hitches of all steps and is timed as a whole; each phase ends as
     the path passes its step's hitch. Raises InputError for a step without motion.
     """
+    from hitchopt.planners.morph.morph import POSITION_TOLERANCE, BlendedMorph
+
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(steps, task.index):
         start = hitches[-1]
@@ -389,6 +384,7 @@ def settling_plan(
     limits need that. Raises InfeasibleError if limits bind and the swing is ``required``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling_swings
+    from hitchopt.planners.timing.flight import needed_stretch
 
     hitch, requirements, plan = task.hitch, task.requirements, None
     rest_duration = SWINGS * SWING if duration is None else duration

@@ -17,6 +17,20 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.steps.certified_motions import (
+    End,
+    attempt,
+    check_at_rest,
+    combined_failure,
+    end_of_action,
+    end_of_morph,
+    hover_motion,
+    optimised_plan,
+    require_certified,
+    rest_motion,
+    settling_plan,
+    with_friction_feedforward,
+)
 from hitchopt.steps.step import (
     AUTO,
     AUTO_SECONDS,
@@ -54,7 +68,6 @@ from hitchopt.values.units import DURATION, SPEED, TENSION
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, ActionFlight
-    from hitchopt.steps.certified_motions import End
 
 
 class HitchStep(Step):
@@ -62,8 +75,6 @@ class HitchStep(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step with friction feed-forward."""
-        from hitchopt.steps.certified_motions import with_friction_feedforward
-
         return with_friction_feedforward(self.fly(task), timed=self.prescribed_duration is not None)
 
     @abstractmethod
@@ -72,16 +83,12 @@ class HitchStep(Step):
 
     def check_end(self, end: Hitch, task: StepTask) -> None:
         """Raise InfeasibleError if the hitch after the step breaks a limit at rest."""
-        from hitchopt.steps.certified_motions import check_at_rest
-
         check_at_rest(end, task.requirements, f"at the end of step {task.index} ({self.name})")
 
     def in_phase(
         self, task: StepTask, motion: Motion | None, end: Hitch, remark: str = ""
     ) -> Motion:
         """Return a planner's motion as the step's phase; for None the hitch at rest."""
-        from hitchopt.steps.certified_motions import rest_motion
-
         if motion is None:
             phase = Phase(self.name, task.index, 0.0, 0.0, remark)
             return rest_motion(end, task.requirements, self.prescribed_duration or IDLE, phase)
@@ -106,12 +113,6 @@ class ShapeStep(HitchStep):
     def fly(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
         from hitchopt.planners.morph.morph import POSITION_TOLERANCE, StraightMorph
-        from hitchopt.steps.certified_motions import (
-            attempt,
-            combined_failure,
-            optimised_plan,
-            require_certified,
-        )
 
         start, end, duration = task.hitch, self.end(task), self.prescribed_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
@@ -158,14 +159,11 @@ class ActionStep(ShapeStep):
 
         start, values = task.hitch, [getattr(self, name) for name in self.action_fields]
         polygon = self.polygon_after(start.team, start.polygon)
-        assert polygon is not None
         action: Action = getattr(actions, self.name)(start, polygon, *values)
         return action
 
     def end(self, task: StepTask) -> End:
         """Return the hitch after the action."""
-        from hitchopt.steps.certified_motions import end_of_action
-
         return end_of_action(self.action(task), self.legs, task.requirements)
 
     def direct_motion(self, task: StepTask, end: End) -> Motion:
@@ -205,8 +203,6 @@ class Hold(HitchStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch, or of drones on free cables, at rest."""
-        from hitchopt.steps.certified_motions import hover_motion
-
         if task.before.grasp is not None and task.before.grasp.hold is not None:
             return moves_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
         if task.before.open_roll is not None:
@@ -245,8 +241,6 @@ class Settle(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of drones that swing about their places."""
-        from hitchopt.steps.certified_motions import settling_plan
-
         return settling_plan(task, self.prescribed_duration, Phase(self.name, task.index, 0.0, 0.0))
 
 
@@ -299,8 +293,6 @@ class Morph(ShapeStep):
 
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
-        from hitchopt.steps.certified_motions import end_of_morph
-
         return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
     def direct_motion(self, task: StepTask, end: End) -> Motion:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
@@ -15,7 +15,8 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.motion.motion import concatenated
+from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.steps.certified_motions import check_at_rest, first_feasible, infeasible_error
 from hitchopt.steps.moving import Adjust, Morph
 from hitchopt.steps.step import (
     INDEX,
@@ -90,7 +91,6 @@ class Join(Step):
 def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     """Return the plan of a robot that joins from above (``side`` 1) or from below (-1)."""
     from hitchopt.planners.forming.ring_change import RingChangeMotions, find_joining
-    from hitchopt.steps.certified_motions import check_at_rest
 
     before, hitch, requirements = task.before, task.hitch, task.requirements
     ring = before.team.labels
@@ -103,23 +103,25 @@ def join_plan(step: Join, task: StepTask, side: float) -> StepPlan:
     start = waiting.pop(step.robot)
     joins = RingChangeMotions(joined, before.whole_team, waiting, requirements, task.index)
     parts = [joins.opening(start), *joins.arrival_motions(start), *joins.tying_motions()]
-    after = _state_after(before, joined.after, joined.senses_after, waiting)
-    adjusting = adjusting_motions(task, joined.before.q_legs)
-    slides = [before.with_waiting(each, requirements) for each in adjusting]
-    motion = concatenated([*slides, *parts])
-    return _require_certified(StepPlan(motion, after))
+    after = replace(before, hitch=joined.after, senses=joined.senses_after, waiting=waiting)
+    return _certified_plan(task, joined.before.q_legs, parts, after)
 
 
 SAG_REMEDY = "raise team.tension, cut off less, or use lighter cables: these sag too much"
 
 
-def _require_certified(plan: StepPlan) -> StepPlan:
-    """Return a plan that satisfies all limits but interlacing, else raise InfeasibleError.
+def _certified_plan(
+    task: StepTask, q_legs: Array, parts: Sequence[Motion], after: RestState
+) -> StepPlan:
+    """Return the plan in which cables slide to q-legs (n,) [m], and parts follow.
 
-    Interlacing depends on the whole mission, whose certificate covers it.
+    Team and drones ``after`` it are those of the hitch then. Raises InfeasibleError for violated
+    limits except interlacing, which depends on the whole mission, whose certificate covers it.
     """
-    from hitchopt.steps.certified_motions import infeasible_error
-
+    adjusting, hitch = adjusting_motions(task, q_legs), after.tied
+    slides = [task.before.with_waiting(each, task.requirements) for each in adjusting]
+    after = replace(after, team=hitch.team, drones=hitch.drones, levels=None)
+    plan = StepPlan(concatenated([*slides, *parts]), after)
     violated = [check for check in plan.certificate.violated if check.name != INTERLACING.name]
     if violated:
         certificate = replace(plan.certificate, limited=tuple(violated))
@@ -130,21 +132,6 @@ def _require_certified(plan: StepPlan) -> StepPlan:
             for each in error.violations
         )
     return plan
-
-
-def _state_after(
-    before: RestState, hitch: Hitch, senses: Array, waiting: Mapping[int, Array]
-) -> RestState:
-    """Return the state after a robot has joined the ring or left it."""
-    return replace(
-        before,
-        team=hitch.team,
-        hitch=hitch,
-        drones=hitch.drones,
-        senses=senses,
-        levels=None,
-        waiting=waiting,
-    )
 
 
 @dataclass(frozen=True)
@@ -173,14 +160,24 @@ class Withdraw(Step):
         return corner_restored(outline, index, self.robot)[0]
 
     def leaving(self, task: StepTask, hitch: Hitch, *, slides: bool = True) -> RingChange:
-        """Return the withdrawal from a hitch, to whose legs cables slide first if ``slides``."""
+        """Return the withdrawal from a hitch, to whose legs cables slide first if ``slides``.
+
+        Raises InfeasibleError unless the cable is on top of both neighbours', or below both.
+        """
         from hitchopt.planners.forming.ring_change import corner_restored, find_leaving
 
         before, requirements = task.before, task.requirements
         ring = before.team.labels
         index = _ring_index("robot", self.robot, ring)
         senses = before.assumed_senses
-        _check_removable(self.robot, index, senses, task.index)
+        if (senses[index] > 0.0) != (senses[(index + 1) % len(senses)] < 0.0):
+            remedy = (
+                "its cable is over one of them and under the other: it can neither be lifted nor "
+                "let down; release and lay in another order, or replace it"
+            )
+            names, when = (f"cable {self.robot}",), f"of step {task.index} (withdraw)"
+            values = "cables under it", 1.0, 2.0, "min", "", names, when, remedy
+            raise InfeasibleError([Violation(*values)])
         outline, extensions = corner_restored(hitch.polygon, index, self.robot)
         rings = hitch, before.part(self.ring_after(ring, before.team)), index, outline
         return find_leaving(*rings, extensions, senses, requirements, slides=slides)
@@ -189,7 +186,6 @@ class Withdraw(Step):
         """Return the plan of the withdrawal: a join in reverse."""
         from hitchopt.planners.forming.ring_change import RingChangeMotions
         from hitchopt.planners.forming.stages import reversed_stages
-        from hitchopt.steps.certified_motions import check_at_rest
 
         before, requirements = task.before, task.requirements
         joined = self.leaving(task, task.hitch)
@@ -200,24 +196,8 @@ class Withdraw(Step):
         aside = joins.waiting_position()
         parts = [joins.opening(aside), *joins.return_motions(aside), *joins.tying_motions()]
         waiting = {**before.waiting, self.robot: aside}
-        after = _state_after(before, joined.before, joined.senses, waiting)
-        adjusting = adjusting_motions(task, joined.after.q_legs)
-        slides = [before.with_waiting(each, requirements) for each in adjusting]
-        motion = concatenated([*slides, *reversed_stages(parts)])
-        return _require_certified(StepPlan(motion, after))
-
-
-def _check_removable(robot: int, ring_index: int, senses: Array, step: int) -> None:
-    """Raise InfeasibleError unless a robot's cable is on top of both neighbours', or below both."""
-    over = senses[ring_index] > 0.0, senses[(ring_index + 1) % len(senses)] < 0.0
-    if over[0] != over[1]:
-        remedy = (
-            "its cable is over one of them and under the other: it can neither be lifted nor let "
-            "down; release and lay in another order, or replace it"
-        )
-        names, when = (f"cable {robot}",), f"of step {step} (withdraw)"
-        violation = Violation("cables under it", 1.0, 2.0, "min", "", names, when, remedy)
-        raise InfeasibleError([violation])
+        after = replace(before, hitch=joined.before, senses=joined.senses, waiting=waiting)
+        return _certified_plan(task, joined.after.q_legs, reversed_stages(parts), after)
 
 
 @dataclass(frozen=True)
@@ -238,8 +218,6 @@ class Replace(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a join, a withdrawal and a morph, with the first feasible cut."""
-        from hitchopt.steps.certified_motions import first_feasible
-
         before, hitch = task.before, task.hitch
         index, senses = _ring_index("robot", self.robot, before.team.labels), before.assumed_senses
         cuts = [

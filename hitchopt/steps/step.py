@@ -261,6 +261,13 @@ class RestState:
     objects: Mapping[str, SolidObject] | None = None
 
     @property
+    def tied(self) -> Hitch:
+        """The hitch; raises InputError on free cables, which problems do not have here."""
+        if self.hitch is None:
+            raise InputError("start", "free cables", "a hitch", "form one before")
+        return self.hitch
+
+    @property
     def whole_team(self) -> Team:
         """All robots."""
         return self.team if self.whole is None else self.whole
@@ -337,15 +344,15 @@ class StepTask:
 
     @property
     def hitch(self) -> Hitch:
-        """The hitch at the start; the problem's check guarantees one."""
-        assert self.before.hitch is not None
-        return self.before.hitch
+        """The hitch at the start; raises InputError on free cables."""
+        return self.before.tied
 
     @property
     def grasp(self) -> GraspState:
-        """The enclosed or held object; the problem's check guarantees one."""
-        assert self.before.grasp is not None
-        return self.before.grasp
+        """The enclosed or held object; raises InputError without one."""
+        if (grasp := self.before.grasp) is None:
+            raise InputError("start", "no object", "an enclosed object", "enclose one before")
+        return grasp
 
     def within(self, requirements: Requirements, state: RestState) -> StepTask:
         """Return the task with other requirements and another start."""

@@ -14,6 +14,14 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, OPEN
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.forming import SwapSettings
+from hitchopt.steps.certified_motions import (
+    attempt,
+    check_at_rest,
+    combined_failure,
+    require_certified,
+    rest_plan,
+    split_hitch,
+)
 from hitchopt.steps.step import (
     AUTO,
     INDEX,
@@ -120,7 +128,6 @@ class Form(Step):
         and lower it to its altitude.
         """
         from hitchopt.planners.forming.laying import find_laying
-        from hitchopt.steps.certified_motions import check_at_rest, require_certified
 
         before, requirements, i = task.before, task.requirements, task.index
         team, levels = before.team, self._levels(before.team)
@@ -158,7 +165,6 @@ class Form(Step):
         with the largest feasible cable margin.
         """
         from hitchopt.planners.forming.laying import senses_of, split_for_rolling
-        from hitchopt.steps.certified_motions import rest_plan, split_hitch
 
         if self.legs is not None:
             return split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
@@ -185,7 +191,6 @@ class Form(Step):
         Where both legs of a cable cross, the drones of long legs would collide on their way out.
         """
         from hitchopt.planners.forming.prehitch import find_prehitch
-        from hitchopt.steps.certified_motions import rest_plan
 
         prehitch = find_prehitch(goal, requirements, self.swap).clear_of_ground(requirements)
         if not prehitch.doubtful or self.legs is not None:
@@ -216,7 +221,6 @@ class Form(Step):
 def approach_motion(task: StepTask, goal: Array) -> Motion:
     """Return the motion of free cables along the first feasible route, or raise one error."""
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
-    from hitchopt.steps.certified_motions import attempt, combined_failure, require_certified
 
     before = task.before
     arguments = before.team, before.drones, goal, task.requirements, task.index
