@@ -18,11 +18,11 @@ import hitchopt as ho
 from hitchopt.api import Mission
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import PartTeam
-from hitchopt.motion.records import decoded, encoded
+from hitchopt.motion.request import decoded, encoded
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import RolledLegs, Step
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import ByValue
 from hitchopt.values.fields import EMPTY, keys_of
 
 TRIANGLE = [[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]]

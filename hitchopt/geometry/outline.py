@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import EXCHANGED, InputError
-from hitchopt.values import Array, finite, integer, points, positive
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import Array, ByValue, finite, integer, points, positive
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: a clasp at a flatter vertex would hold nothing."""

@@ -26,8 +26,7 @@ from hitchopt.hitch.slack_split import (
     LegTask,
 )
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array, as_array, check_instance
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import Array, ByValue, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import ALTITUDE
 

@@ -15,8 +15,7 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.flight_controller import TRACKING, Tube
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.values import Array, check_instance, sequence, units
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import Array, ByValue, check_instance, sequence, units
 from hitchopt.values.fields import (
     InDegrees,
     Key,

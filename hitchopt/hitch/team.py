@@ -26,6 +26,7 @@ from hitchopt.values import (
     LIST,
     MAPPING,
     Array,
+    ByValue,
     Indices,
     bounded_points,
     check_instance,
@@ -36,7 +37,6 @@ from hitchopt.values import (
     sequence,
     units,
 )
-from hitchopt.values.by_value import ByValue
 from hitchopt.values.fields import (
     FLAGS,
     Key,

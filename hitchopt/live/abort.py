@@ -31,6 +31,7 @@ from hitchopt.live.player import Player
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.request import objects_at
 from hitchopt.motion.retiming import (
     append_motion,
     on_clock,
@@ -130,24 +131,23 @@ class Aborts:
         time = stop.rest
         if how == "hold":
             return time
-        if how == "back":
-            return self._all_free_before(time)
-        pairs = zip(self.motion.groups, stop.motion.groups, strict=True)
-        origins = {_landing_time(plan.motion, time, part.motion) for plan, part in pairs}
+        if how == "back":  # to the last time with free cables in all groups, or to the start
+            groups = [each for each in self.motion.groups if each.motion.has_cables]
+            if not groups:
+                return 0.0
+            while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
+                time = free
+            return time
+        origins = set[float | None]()
+        for plan, part in zip(self.motion.groups, stop.motion.groups, strict=True):
+            if part.motion.phases[-1].state not in TRANSIENT_STATES:
+                origins.add(_clear_of_objects(plan.motion, time))
+            else:
+                later = (phase for phase in plan.motion.phases if phase.end > time + JOINT)
+                starts = (phase.start for phase in later if phase.state not in TRANSIENT_STATES)
+                origins.add(next(starts, plan.motion.duration))
         # Groups share one clock: several groups must land from the same rest
         return origins.pop() if len(self.motion.groups) == 1 or origins == {time} else None
-
-    def _all_free_before(self, time: float) -> float:
-        """Return the last plan time [s], not after ``time``, with free cables in all groups.
-
-        Without cables, that is the start.
-        """
-        groups = [each for each in self.motion.groups if each.motion.has_cables]
-        if not groups:
-            return 0.0
-        while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
-            time = free
-        return time
 
     def _continuation(self, stop: StoppedPlan, how: str, origin: float) -> Motion:
         """Return the stopped plan continued from a plan time [s], not yet certified."""
@@ -169,18 +169,6 @@ class Aborts:
                 raise error.of_group(group.name) from None
 
         return whole.each_group(continued)
-
-
-def _landing_time(plan: Motion, time: float, part: Motion) -> float | None:
-    """Return the plan time [s] from which a group lands; None if a later stop is needed.
-
-    ``part`` is the group's motion up to its rest at a plan time.
-    """
-    if part.phases[-1].state not in TRANSIENT_STATES:
-        return _clear_of_objects(plan, time)
-    later = (phase for phase in plan.phases if phase.end > time + JOINT)
-    starts = (phase.start for phase in later if phase.state not in TRANSIENT_STATES)
-    return next(starts, plan.duration)
 
 
 def _clear_of_objects(motion: Motion, time: float) -> float | None:
@@ -264,11 +252,12 @@ def _with_landing(whole: Motion, *, untie: bool) -> Motion:
         return _extended(whole, straight_down(whole))
     hitch = _hitch_at_end(whole)
     state = RestState(whole.team, hitch.drones, hitch, _turning_senses(whole))
-    task = StepTask(state, whole.phases[-1].step + 1, _requirements_after(whole).with_reserve)
+    need = replace(whole.requirements, objects=objects_at(whole, -1)).with_reserve
+    task = StepTask(state, whole.phases[-1].step + 1, need)
     if untie:
         released = _extended(whole, Release().plan(task).motion)
         return _extended(released, straight_down(released))
-    return _extended(whole, _descent(hitch, task.requirements, task.index))
+    return _extended(whole, _descent(hitch, need, task.index))
 
 
 def _landing_of_chapter(whole: Motion, *, untie: bool) -> Motion:
@@ -315,23 +304,12 @@ def _extended(whole: Motion, motion: Motion) -> Motion:
 
 def straight_down(whole: Motion) -> Motion:
     """Return the vertical landing of drones without a hitch, from the end of a motion."""
-    team, need = whole.team, _requirements_after(whole)
+    team, need = whole.team, replace(whole.requirements, objects=objects_at(whole, -1))
     drones, index = whole.drones.coefficients[-1, ..., -1], whole.phases[-1].step + 1
     ground = drones * [1.0, 1.0, 0.0] + [0.0, 0.0, need.floor]
     flight = straight_lines(team, need.limits.with_reserve, drones, ground)
     state = CableState.GROUND if team.has_cables else CableState.NONE
     return stage("land", flight, team, need, index, state)
-
-
-def _requirements_after(whole: Motion) -> Requirements:
-    """Return a plan's requirements with the objects at their final poses."""
-    need = whole.requirements
-    poses = whole.poses.coefficients[-1, ..., -1]
-    objects = {
-        name: replace(body, at=pose[:3], yaw=float(np.arctan2(pose[4], pose[3])))
-        for pose, (name, body) in zip(poses, need.objects.items(), strict=True)
-    }
-    return replace(need, objects=objects)
 
 
 def _turning_senses(whole: Motion) -> Array | None:

@@ -191,7 +191,11 @@ class StreamedFlight:
             self._queue_command(command, now)
         self._handle_lost_links(now)
         self._run_command()
-        self._fill_buffer()
+        # A running command may change the setpoints that are computed ahead
+        while len(self._buffer) < max(1, round(LEAD * self._rate)):
+            if self._job is not None or self._plan.landed:
+                break
+            self._buffer.append(self._plan.step(1.0 / self._rate))
         self._send(now)
         return not (self.landed or self._quit)
 
@@ -271,13 +275,6 @@ class StreamedFlight:
         if self._job is None and self._queue:
             command = self._queue.popleft()
             self._job = self._submit(lambda: self._plan.obey(command))
-
-    def _fill_buffer(self) -> None:
-        """Compute setpoints ahead, unless a running command may change them."""
-        while len(self._buffer) < max(1, round(LEAD * self._rate)):
-            if self._job is not None or self._plan.landed:
-                return
-            self._buffer.append(self._plan.step(1.0 / self._rate))
 
     def _send(self, now: float) -> None:
         """Send the setpoint that is due, or repeat the last one if the buffer is empty."""

@@ -262,11 +262,6 @@ class MavlinkOutlet(DatagramOutlet):
                 yield self._names[index], np.array([message.x, message.y, message.z])
 
 
-def _parameter(robot: Any, group: str, key: str) -> object:
-    """Return the value of a parameter that the server has read from a robot."""
-    return robot.getParam(f"{group}.{key}")
-
-
 class CrazyflieOutlet:
     """A fleet of Crazyflies connected by crazyflie_py, the Python client of Crazyswarm2.
 
@@ -320,7 +315,11 @@ class CrazyflieOutlet:
         """
         errors = []
         for name, robot, expected in zip(names, self._robots, parameters, strict=True):
-            if differences := describe_differences(expected, partial(_parameter, robot)):
+
+            def value_of(group: str, key: str, robot: Any = robot) -> object:
+                return robot.getParam(f"{group}.{key}")  # as the server has read it
+
+            if differences := describe_differences(expected, value_of):
                 errors.append(f"{name}: {differences}")
         if errors:
             errors.append(

@@ -27,7 +27,6 @@ DURATIONS = tuple(np.geomspace(MIN_STOP, MAX_STOP, 27).tolist())
 """Candidate durations of a change of the rate by 1 [s]."""
 DELAYS = (0.1, 0.2, 0.4, 0.8, 1.6)  # candidate delays of a change that cannot start at once [s]
 BATCH = 24  # number of candidates that are verified together
-
 CLOCK_TOLERANCE = 1e-9  # for differences of rates, and of plan times [s]
 MIN_PHASE = 1e-9  # shorter phases, and shorter remainders of phases, are dropped [s]
 TENSION_TOLERANCE = 1e-9  # difference of tensions up to which legs are symmetric [N]

@@ -40,8 +40,7 @@ from hitchopt.storage.yaml_file import split_key, with_value
 from hitchopt.values import Array
 from hitchopt.values.fields import keys_of
 
-DIGITS = 3
-"""Number of significant digits of a suggested value."""
+DIGITS = 3  # Number of significant digits of a suggested value
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,8 +227,7 @@ MAX_FRICTION, MAX_TILT_DEG, LOAD_SHARE = 1.0, 80.0, 0.95
 """Maximum coefficient of friction and maximum tilt [deg] of suggestions; first mass to try, as a
 share of the maximum mass at rest, since carrying adds forces."""
 
-CHECK_OF_LIMIT = {"leg": "legs"}
-"""Names of checks that differ from their limits."""
+CHECK_OF_LIMIT = {"leg": "legs"}  # Names of checks that differ from their limits
 
 
 def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:

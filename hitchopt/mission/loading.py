@@ -49,8 +49,7 @@ FOREIGN = {
 """Remedies for keys of the other kind of problem; True for problems of single drones."""
 
 
-MAX_PRISMS = 1000
-"""Maximum number of prisms in a file."""
+MAX_PRISMS = 1000  # Maximum number of prisms in a file
 
 
 HITCH_FORM = keys_of(Problem)
@@ -142,10 +141,8 @@ def problem_schema() -> Schema:
 def read_problem(path: str | Path) -> Problem:
     """Return the problem in the YAML file at ``path``; ``-`` is standard input.
 
-    Raises
-    ------
-    FileError: the file cannot be read as YAML.
-    InputError: wrong keys, types, counts, ranges or shapes; JointInputError for several errors.
+    Raises FileError if the file cannot be read as YAML; InputError for wrong keys, types, counts,
+    ranges or shapes; JointInputError for several errors.
     """
     text, name = read_text(path)
     return parse_problem(text, name, Path(path).parent)

@@ -15,13 +15,11 @@ from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Group
 from hitchopt.motion.plan_file import saved_others
 from hitchopt.storage.archive import PLAN
-from hitchopt.values import path
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import ByValue, path
 from hitchopt.values.fields import Key, dict_of, documented, mapping_of, store, strings
 from hitchopt.values.units import START_TIME
 
-MAX_GROUPS = 20
-"""Maximum number of teams, and of other plans, in a file."""
+MAX_GROUPS = 20  # Maximum number of teams, and of other plans, in a file
 
 NAME = strings(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a letter first")
 """Names of teams and of other plans."""

@@ -46,8 +46,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.straddling import Tie
 from hitchopt.steps.tying import Form, check_rollable
-from hitchopt.values import Array, check_instance, closest_word, sequence, text
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import Array, ByValue, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
     Missing,
@@ -226,8 +225,7 @@ Start = HitchStart | Hitch | DronesStart
 """Start with the description of a hitch, with a hitch, or with drones on free cables."""
 
 
-MAX_TITLE, MAX_STEPS = 200, 1000
-"""Maximum numbers of characters of a title, and of steps in a file."""
+MAX_TITLE, MAX_STEPS = 200, 1000  # Maximum numbers of characters of a title, and of steps in a file
 
 
 def _printable(key: str, value: object) -> str:

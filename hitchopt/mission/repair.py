@@ -11,7 +11,7 @@ import math
 import re
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -27,6 +27,7 @@ from hitchopt.errors import (
     UnitWarning,
     time_left,
 )
+from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.mission.changes import (
     SPACE_CHECKS,
     Change,
@@ -39,17 +40,21 @@ from hitchopt.mission.changes import (
     size_of,
     spread_changes,
 )
-from hitchopt.mission.fitted import fitted_sizes
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED, solve_problem
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, rest_polygons
+from hitchopt.planners.fitting import (
+    enclosing_polygon,
+    grip_and_cable,
+    separating_cables,
+    shortest_cable,
+)
 from hitchopt.steps.carrying import OBSTACLE_CHECKS
 from hitchopt.steps.step import Knob
+from hitchopt.steps.tying import Form
 
-BUDGET = 30.0
-"""Default time after which no further plan is started [s]."""
-
-NO_CHANGE = "no change was found that makes it feasible"
-"""Message without any suggestion."""
+BUDGET = 30.0  # Default time after which no further plan is started [s]
+NO_CHANGE = "no change was found that makes it feasible"  # Message without any suggestion
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 """Relative sizes of changes; each is tried for all knobs before the next one."""
@@ -57,11 +62,8 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 LOWERING_SIZES = tuple(size / (1.0 + size) for size in (*SIZES, 9.0))
 """Relative sizes of changes that lower a quantity towards zero, by the same factors."""
 
-SIZE_DECIMALS = 6
-"""Decimals within which sizes tie."""
-
-RESOLUTION = 0.005
-"""Tolerance of the bisection, relative to the new value."""
+SIZE_DECIMALS = 6  # Decimals within which sizes tie
+RESOLUTION = 0.005  # Tolerance of the bisection, relative to the new value
 
 MAX_SIZE_RATIO, MAX_SUGGESTIONS, MAX_CHANGES = 4.0, 3, 3
 """Maximum ratio of a suggestion's size to the smallest one; maximum numbers of suggestions, and of
@@ -69,6 +71,11 @@ changes in one suggestion."""
 
 MAX_ROUNDS = 2 * MAX_CHANGES
 """Maximum number of changes in one suggestion if several changes of one quantity count each."""
+
+PULL_SHARE = 0.9  # Largest tension of suggestions over the largest level pull, as motion needs more
+
+BETWEEN = (0.25, 0.5, 0.75)
+"""Shares of the straight path between two polygons at which legs are separated as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,12 +299,11 @@ def _smallest_changes(
     Minimum sizes are tried first; then each size is tried for all knobs before the next one.
     """
     suggestions, closed, failed = list[Suggestion](), set[int](), [x.min_size for x in knobs]
-    sizes = [(i, size) for i, knob in enumerate(knobs) for size in _sizes(knob)]
-    trials = [
-        (0.0 if size == knobs[i].min_size else _factor(knobs[i], size), i, size)
-        for i, size in sizes
-    ]
-    last = 0.0
+    trials, last = list[tuple[float, int, float]](), 0.0
+    for i, knob in enumerate(knobs):
+        for size in _sizes(knob):
+            rank = size_of(knob.sign * size, is_factor=knob.extent is None)
+            trials.append((0.0 if size == knob.min_size else rank, i, size))
     for rank, i, size in sorted(trials):
         smallest = min((s.change.size for s in suggestions), default=math.inf)
         if rank > last and (len(suggestions) >= count or last >= MAX_SIZE_RATIO * smallest):
@@ -316,11 +322,6 @@ def _smallest_changes(
             closed.add(i)
         failed[i] = size
     return suggestions
-
-
-def _factor(knob: Knob, size: float) -> float:
-    """Return the size of a knob's change as changes are compared."""
-    return size_of(knob.sign * size, is_factor=knob.extent is None)
 
 
 def _sizes(knob: Knob) -> list[float]:
@@ -347,3 +348,73 @@ def _bisect(
         else:
             failed = middle
     return best
+
+
+# Cable lengths and tensions that statics suggest, as ``hitchopt fit`` does.
+
+
+def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob, float]]:
+    """Yield knobs of all cables and tensions with relative sizes that statics suggest.
+
+    Smaller changes come first, in both directions.
+    """
+    team, fitted = problem.team, list[tuple[str, float]]()
+    if any(knob.key == "team.tension" for knob in knobs):
+        pull = min(kind.level_pull(problem.limits.tilt)[0] for kind in team.quadrotor)
+        tensions = min(kind.tension for kind in team.quadrotor), PULL_SHARE * pull
+        fitted += [("team.tension", value / float(np.max(team.tension))) for value in tensions]
+    if any(knob.key == "team.cable_length" for knob in knobs):
+        longest = float(np.max(team.cable_length))
+        fitted += [("team.cable_length", value / longest) for value in fitting_cables(problem)]
+    for key, ratio in sorted(fitted, key=lambda each: size_of(each[1] - 1.0, is_factor=True)):
+        sign = 1 if ratio > 1.0 else -1
+        size = abs(ratio - 1.0)
+        yield from (
+            (x, size) for x in knobs if (x.key, x.sign) == (key, sign) and size >= x.min_size
+        )
+
+
+def fitting_cables(problem: Problem) -> list[float]:
+    """Return lengths of the longest cable [m] that fit the problem's polygons and held objects.
+
+    Legs are separated on all polygons of the file, those on the straight path between them and
+    those below rims. For objects to be gripped, only the lengths that grip them are returned.
+    """
+    mission, team = problem.teams[""], problem.team
+    requirements, outline = mission.requirements.with_reserve, mission.start_outline
+    if mission.changes or team.robots == 2:
+        return []
+    outlines, lengths = [] if outline is None else [outline], list[float]()
+    for step in mission.steps:
+        after = step.checked_polygon_after(team, outline)
+        if outline and after and not isinstance(step, Form) and vars(step).get("polygon"):
+            ends = outline.vertices, after.vertices
+            outlines += [type(after)((1.0 - s) * ends[0] + s * ends[1]) for s in BETWEEN]
+        outlines += [after] if after else []
+        outline = after
+    for name in dict.fromkeys(vars(step).get("object", "") for step in mission.steps):
+        if name:
+            found = _cables_around(problem, name)
+            outlines += found[0]
+            lengths += found[1]
+    if outlines and not lengths:
+        lengths += separating_cables(outlines, requirements, team)
+    return lengths
+
+
+def _cables_around(problem: Problem, name: str) -> tuple[list[Outline], list[float]]:
+    """Return outlines around an object that rests on cables, or lengths [m] that grip it."""
+    mission, team, body = problem.teams[""], problem.team, problem.objects[name]
+    requirements, n = mission.requirements.with_reserve, team.robots
+    gap = requirements.separation.object + EDGE_MARGIN
+    try:
+        if body.rim is not None:
+            polygons = rest_polygons(name, body, n, gap)
+            centred = (polygons.around, polygons.clasps)
+            return [ConvexPolygon(each) for each in centred], []
+        kind, section, tension = team.quadrotor[0], body.section, float(np.min(team.tension))
+        cable = shortest_cable([enclosing_polygon(section, n, gap)], requirements)
+        task = GripTask(section, n, cable, tension, team.cable_friction, requirements, kind)
+        return [], [grip_and_cable(task, gap)[1]]
+    except HitchoptError:  # nothing is known of the object's polygons
+        return [], []

@@ -6,9 +6,7 @@ import hashlib
 import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
-from functools import cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -49,22 +47,16 @@ WIDENED = frozenset(
 """Checks of distances that ``limits.tracking`` widens."""
 
 
-@contextmanager
-def _with_tracking_advice(requirements: Requirements) -> Iterator[None]:
-    """Add advice to errors whose distances ``limits.tracking`` widens."""
-    try:
-        yield
-    except TimeLimitError:
-        raise
-    except InfeasibleError as error:
-        if not (tube := requirements.limits.tube).level:
-            raise
-        advice = f"let drones be off by less: limits.tracking of {tube} widens this distance"
-        violations = [
-            replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
-            for each in error.violations
-        ]
-        raise InfeasibleError(violations, error.note) from None
+def _with_tracking_advice(error: InfeasibleError, requirements: Requirements) -> InfeasibleError:
+    """Return an error with advice on distances that ``limits.tracking`` widens."""
+    if not (tube := requirements.limits.tube).level:
+        return error
+    advice = f"let drones be off by less: limits.tracking of {tube} widens this distance"
+    violations = [
+        replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
+        for each in error.violations
+    ]
+    return InfeasibleError(violations, error.note)
 
 
 def check_controllers(team: Team) -> None:
@@ -122,12 +114,12 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     if mission.team.has_cables:
         check_controllers(mission.team)
     try:
-        with _with_tracking_advice(mission.requirements):
-            return _plan_steps(mission, report_team, optimiser=optimiser)
+        return _plan_steps(mission, report_team, optimiser=optimiser)
     except TimeLimitError:
         raise
     except InfeasibleError as error:
-        raise error.of_group(mission.name) from None
+        advised = _with_tracking_advice(error, mission.requirements)
+        raise advised.of_group(mission.name) from None
 
 
 def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
@@ -169,8 +161,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     return CertifiedMotion(motion, certificate)
 
 
-CACHE_SIZE = 32
-"""Capacity of the cache in steps; one of 1000 robots takes 76 MB."""
+CACHE_SIZE = 32  # Capacity of the cache in steps; one of 1000 robots takes 76 MB
 
 _CACHE: dict[bytes, StepPlan] = {}
 """Plans of steps by the digests of their requests, the least recently used first."""
@@ -188,7 +179,7 @@ def contents(value: Any) -> object:
         return value
     if kind is np.ndarray:
         return value.dtype.str, value.shape, value.strides, value.tobytes()
-    if names := _field_names(kind):
+    if names := getattr(kind, "__dataclass_fields__", None):
         return kind, [contents(getattr(value, name)) for name in names]
     if isinstance(value, Mapping):
         return [(key, contents(each)) for key, each in value.items()]
@@ -198,12 +189,6 @@ def contents(value: Any) -> object:
 
 
 _SIMPLE = {str, int, float, bool, type(None)}
-
-
-@cache
-def _field_names(kind: type[Any]) -> tuple[str, ...]:
-    """Return the names of the fields of a record."""
-    return tuple(each.name for each in fields(kind)) if is_dataclass(kind) else ()
 
 
 def _start_state(

@@ -23,14 +23,12 @@ from hitchopt.values import Array
 MARGINS = 0.0, 0.02, 0.05, 0.10
 """Margins of distances to try until the certificate holds [m], since times are sampled."""
 
-LAYER_HEIGHT = 2.2
-"""Vertical offset of a path if no delay helps, in ``separation.height``."""
+LAYER_HEIGHT = 2.2  # Vertical offset of a path if no delay helps, in ``separation.height``
 
 CLIMB = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of a unit climb; its first three derivatives vanish at both ends."""
 
-PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5
-"""Maxima of the first three derivatives of CLIMB."""
+PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5  # Maxima of the first three derivatives of CLIMB
 
 
 def schedule_teams(
@@ -58,7 +56,13 @@ def schedule_teams(
         flown, clock = {name: list[Motion]() for name in alone}, 0.0
         try:
             for item in items:
-                placed = [_sampled_group(group, clock) for group in others]
+                placed = list[Placed]()
+                for other in others:  # sampled from this time of the plan on
+                    first, last = other.motion.drones.breaks[[0, -1]].tolist()
+                    start = math.floor((first - clock) / STEP + 1e-9)
+                    path = padded(other.motion, min(clock + STEP * start, first), last)
+                    sampled = SampledPath(replace(other, motion=path), moved_objects(path))
+                    placed.append(Placed(sampled, start))
                 clock += item.fly(flown, placed, tracking_margin)
         except InfeasibleError:
             if margin == 0.0:
@@ -73,14 +77,6 @@ def schedule_teams(
     if not certificate.certified:
         raise infeasible_error(certificate, motion)
     return CertifiedMotion(motion, certificate)
-
-
-def _sampled_group(other: Group, clock: float) -> Placed:
-    """Return another plan's group, sampled from a time [s] of the plan on."""
-    first, last = other.motion.drones.breaks[[0, -1]].tolist()
-    start = math.floor((first - clock) / STEP + 1e-9)
-    motion = padded(other.motion, min(clock + STEP * start, first), last)
-    return Placed(SampledPath(replace(other, motion=motion), moved_objects(motion)), start)
 
 
 def _items(

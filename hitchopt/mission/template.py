@@ -33,8 +33,7 @@ SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
 }
 """Records by section, with the prefixes of their lines and the fields to exclude."""
 
-COLUMN, WIDTH = 26, 96
-"""Column of comments, and maximum length of a line."""
+COLUMN, WIDTH = 26, 96  # Column of comments, and maximum length of a line
 
 MIN_ROBOTS, MAX_ROBOTS = 3, 12
 """Numbers of robots for which problems are written; larger teams need rolled legs."""

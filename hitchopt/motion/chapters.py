@@ -7,7 +7,7 @@ robots in the order of its edges, and every waiting robot, as separate groups.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -20,7 +20,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.combined import side_by_side
-from hitchopt.motion.motion import JOINT, CableState, Group, Motion, Phase
+from hitchopt.motion.motion import JOINT, CableState, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, slice_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -37,24 +37,14 @@ _CHAPTERS: WeakKeyDictionary[Motion, tuple[Motion, ...]] = WeakKeyDictionary()
 def chapters(motion: Motion) -> tuple[Motion, ...]:
     """Return the chapters of a motion, at its times; the first group of each is the ring.
 
-    Raises
-    ------
-    InputError: invalid rings, robots twice or missing, or objects that move.
+    Raises InputError for invalid rings, robots twice or missing, or objects that move.
     """
     if motion not in _CHAPTERS:
         check_rings(motion)
-        index, breaks = motion.phase_of_piece, motion.drones.breaks
-        rings = [motion.phases[i].ring for i in index.tolist()]
+        rings = [motion.phases[i].ring for i in motion.phase_of_piece.tolist()]
         changes = [i for i, (a, b) in enumerate(pairwise(rings), 1) if a != b]
-        bounds = [0, *changes, len(rings)]
-        _CHAPTERS[motion] = tuple(
-            _chapter(
-                motion.slice_pieces(
-                    slice(first, last), motion.overlapping(breaks[first], breaks[last])
-                )
-            )
-            for first, last in pairwise(bounds)
-        )
+        spans = pairwise([0, *changes, len(rings)])
+        _CHAPTERS[motion] = tuple(_chapter(motion.on_pieces(*span)) for span in spans)
     return _CHAPTERS[motion]
 
 
@@ -121,47 +111,44 @@ def check_rings(motion: Motion) -> None:
 
 def _chapter(motion: Motion) -> Motion:
     """Return the ring and the waiting robots of one chapter as separate groups."""
-    first = motion.phases[0]
-    assert first.ring is not None
-    begin, end = motion.drones.breaks[[0, -1]].tolist()
-    groups = [Group("", _ring(motion, first.ring))]
-    groups += [Group("", _waiting_motion(motion, robot)) for robot, _ in first.waiting]
+    first, (begin, end) = motion.phases[0], motion.drones.breaks[[0, -1]].tolist()
+    groups = [Group("", _ring(motion, first.ring or ()))]
+    for robot, _ in first.waiting:
+        own = [
+            replace(phase, state=dict(phase.waiting)[robot], ring=None, waiting=(), tension=None)
+            for phase in motion.phases
+        ]
+        rows = motion.drones.replaced(motion.drones.coefficients[:, _rows("drones", [robot])])
+        team = PartTeam.of(motion.team, [robot])
+        groups.append(Group("", Motion.single(team, motion.requirements, rows, own)))
     others = [replace(each, motion=slice_time(each.motion, begin, end)) for each in motion.others]
     if len(groups) == 1:
         return groups[0].motion.replaced(others=tuple(others))
     return side_by_side(groups, others)
 
 
-def _take_rows(curve: PiecewisePolynomial, rows: list[int], width: int = 1) -> PiecewisePolynomial:
-    """Return the rows of some robots, ``width`` of each."""
-    index = (width * np.array(rows)[:, None] + np.arange(width)).ravel()
-    return curve.replaced(curve.coefficients[:, index])
+RING_CURVES = ("drones", "vertices", "legs", "tensions", "leg_tensions")
+"""Curves with rows for the robots of a ring."""
+
+
+def _rows(curve: str, robots: Sequence[int]) -> Indices:
+    """Return the indices of the rows of a ring's robots in a curve of all robots."""
+    if curve == "vertices":  # numbered along the ring
+        return np.arange(len(robots))
+    width = 2 if curve == "drones" else 1
+    return np.asarray(np.add.outer(width * np.array(robots), np.arange(width)).ravel())
 
 
 def _ring(motion: Motion, members: tuple[int, ...]) -> Motion:
     """Return the motion of the ring alone."""
-    rows = list(members)
-    return motion.replaced(
-        team=PartTeam.of(motion.team, rows),
-        drones=_take_rows(motion.drones, rows, 2),
-        vertices=_take_rows(motion.vertices, list(range(len(rows)))),
-        legs=_take_rows(motion.legs, rows),
-        tensions=_take_rows(motion.tensions, rows),
-        leg_tensions=_take_rows(motion.leg_tensions, rows),
-        phases=tuple(replace(phase, ring=None, waiting=()) for phase in motion.phases),
-        assignment=None,
-        others=(),
-    )
-
-
-def _waiting_motion(motion: Motion, robot: int) -> Motion:
-    """Return the motion of a waiting robot."""
-    phases = list[Phase]()
-    for phase in motion.phases:
-        own = replace(phase, state=dict(phase.waiting)[robot], ring=None, waiting=(), tension=None)
-        phases.append(own)
-    team, drones = PartTeam.of(motion.team, [robot]), _take_rows(motion.drones, [robot], 2)
-    return Motion.single(team, motion.requirements, drones, phases)
+    whole: dict[str, PiecewisePolynomial] = {name: getattr(motion, name) for name in RING_CURVES}
+    curves: dict[str, Any] = {
+        name: each.replaced(each.coefficients[:, _rows(name, members)])
+        for name, each in whole.items()
+    }
+    phases = tuple(replace(phase, ring=None, waiting=()) for phase in motion.phases)
+    team = PartTeam.of(motion.team, members)
+    return motion.replaced(team=team, phases=phases, assignment=None, others=(), **curves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,46 +166,26 @@ def with_waiting(
 
     Breaks are those of all of them.
     """
-    breaks = motion.drones.breaks
-    for each in waiting.values():
-        if isinstance(each.drones, PiecewisePolynomial):
-            breaks = merged_breaks([breaks, each.drones.breaks])
-    ring = on_breaks_of(motion, breaks)
-    rows, n = list(motion.team.labels), whole.robots
-    states = tuple((robot, each.state) for robot, each in sorted(waiting.items()))
-    curves: dict[str, Any] = {
-        "drones": _scatter(ring.drones, rows, n, 2),
-        "vertices": _scatter(ring.vertices, list(range(len(rows))), n),
-        "legs": _scatter(ring.legs, rows, n),
-        "tensions": _scatter(ring.tensions, rows, n),
-        "leg_tensions": _scatter(ring.leg_tensions, rows, n),
+    moving = (x.drones for x in waiting.values() if isinstance(x.drones, PiecewisePolynomial))
+    breaks = merged_breaks([motion.drones.breaks, *(each.breaks for each in moving)])
+    ring, labels, curves = on_breaks_of(motion, breaks), motion.team.labels, dict[str, Any]()
+    for name in RING_CURVES:
+        own: PiecewisePolynomial = getattr(ring, name)
+        c, count = own.coefficients, (2 if name == "drones" else 1) * whole.robots
+        rows = np.zeros((len(c), count, *c.shape[2:]))
+        rows[:, _rows(name, labels)] = c
+        curves[name] = own.replaced(rows)
+    paths = {
+        robot: on_breaks(x.drones, breaks)
+        if isinstance(x.drones, PiecewisePolynomial)
+        else PiecewisePolynomial.constant(breaks, x.drones)
+        for robot, x in waiting.items()
     }
-    waiting_curves = {
-        robot: on_breaks(
-            each.drones
-            if isinstance(each.drones, PiecewisePolynomial)
-            else PiecewisePolynomial.constant(breaks, each.drones),
-            breaks,
-        )
-        for robot, each in waiting.items()
-    }
-    degree = max(curve.degree for curve in (curves["drones"], *waiting_curves.values()))
+    degree = max(curve.degree for curve in (curves["drones"], *paths.values()))
     c = curves["drones"].elevated(degree).coefficients.copy()
-    for robot, curve in waiting_curves.items():
-        c[:, 2 * robot : 2 * robot + 2] = curve.elevated(degree).coefficients
+    for robot, path in paths.items():
+        c[:, 2 * robot : 2 * robot + 2] = path.elevated(degree).coefficients
     curves["drones"] = ring.drones.replaced(c)
-    phases = tuple(
-        replace(phase, ring=motion.team.labels, waiting=states) for phase in motion.phases
-    )
+    states = tuple((robot, each.state) for robot, each in sorted(waiting.items()))
+    phases = tuple(replace(phase, ring=labels, waiting=states) for phase in motion.phases)
     return Motion(whole, requirements, **curves, phases=phases)
-
-
-def _scatter(
-    curve: PiecewisePolynomial, rows: list[int], robots: int, width: int = 1
-) -> PiecewisePolynomial:
-    """Return a curve with rows for all robots; those of other robots are zero."""
-    c = curve.coefficients
-    index = (width * np.array(rows)[:, None] + np.arange(width)).ravel()
-    whole = np.zeros((len(c), width * robots, *c.shape[2:]))
-    whole[:, index] = c
-    return curve.replaced(whole)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -87,11 +86,8 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     Distances between groups are the larger ones of both groups' requirements. A single group is
     returned unchanged, except for ``others``.
 
-    Raises
-    ------
-    InputError: invalid or duplicate names.
-    UnsupportedError: several groups, one with a ring that changes, or with cables that are tied
-        around an object.
+    Raises InputError for invalid or duplicate names; UnsupportedError for several groups, one with
+    a ring that changes, or with cables that are tied around an object.
     """
     names = [each.name for each in (*groups, *others)]
     for index, name in enumerate(names):
@@ -138,7 +134,8 @@ def _shared(groups: Sequence[Group], motions: Sequence[Motion]) -> tuple[Require
     Groups may share obstacles at rest. Other objects with the same name are labelled by group.
     """
     requirements = [group.motion.requirements for group in groups]
-    separation = reduce(_larger, (own.separation for own in requirements))
+    distances = [vars(own.separation) for own in requirements]
+    separation = Separation(**{key: max(each[key] for each in distances) for key in distances[0]})
     tube = Tube.enclosing(own.limits.tube for own in requirements)
     tracking = tube.tracking if tube and tube.level else None
     limits: Limits = replace(requirements[0].limits, tracking=tracking)
@@ -180,11 +177,6 @@ def same_object(one: SolidObject, other: SolidObject) -> bool:
         and np.array_equal(a.section.core, b.section.core)
         for a, b in zip(one.slabs, other.slabs, strict=True)
     )
-
-
-def _larger(one: Separation, other: Separation) -> Separation:
-    """Return the larger one of each distance."""
-    return Separation(**{name: max(x, getattr(other, name)) for name, x in vars(one).items()})
 
 
 def _phases(groups: Sequence[Group], begin: float, end: float) -> list[Phase]:

@@ -16,7 +16,7 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.hitch import Quadrotor, Swarm, Team
 from hitchopt.hitch.requirements import Limits
-from hitchopt.motion.records import encoded
+from hitchopt.motion.request import encoded
 from hitchopt.storage.archive import read_arrays
 
 FORMATS = ("hitchopt-plan/1", "hitchopt-plan/2")

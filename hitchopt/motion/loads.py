@@ -59,8 +59,7 @@ def stated_tensions(motion: Motion) -> Array:
     return stated
 
 
-USUAL_DENSITY = 0.01
-"""Density of a cord of 4 mm [kg/m], of drones without a model."""
+USUAL_DENSITY = 0.01  # Density of a cord of 4 mm [kg/m], of drones without a model
 
 
 def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
@@ -180,7 +179,10 @@ def object_loads(motion: Motion) -> Array | None:
         inertial = -body.mass * supports.shares[..., None, None] * specific_forces
         acceleration = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
         horizontal = acceleration[:, :2] / motion.drones.durations[:, None, None] ** 2
-        local = _rotate_back(np.where(moving[..., 0], horizontal, 0.0), pose[:, 3:])
+        x, y = np.moveaxis(np.where(moving[..., 0], horizontal, 0.0), 1, 0)
+        c, s = np.moveaxis(reduce_constants(pose[:, 3:]), 1, 0)  # into the object's frame
+        along = bernstein.multiply(x, c) + bernstein.multiply(y, s)
+        local = np.stack([along, bernstein.multiply(y, c) - bernstein.multiply(x, s)], axis=1)
         height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
         shift = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, local)
         tilting = np.stack([0.0 * shift, 0.0 * shift, shift], axis=2)
@@ -306,10 +308,3 @@ def centre_path(pose: Array, body: SolidObject) -> Array:
     c, s = pose[:, 3], pose[:, 4]
     offset = np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
     return np.asarray(pose[:, :3] + offset)
-
-
-def _rotate_back(vectors: Array, heading: Array) -> Array:
-    """Return horizontal vectors (pieces, 2, …) in frames with headings (pieces, 2, …)."""
-    (x, y), (c, s) = np.moveaxis(vectors, 1, 0), np.moveaxis(reduce_constants(heading), 1, 0)
-    along = bernstein.multiply(x, c) + bernstein.multiply(y, s)
-    return np.stack([along, bernstein.multiply(y, c) - bernstein.multiply(x, s)], axis=1)

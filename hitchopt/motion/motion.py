@@ -23,8 +23,7 @@ from hitchopt.values import check_instance, lazy, sequence
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
 
-WAIT = "wait"
-"""Name of phases in which a group waits at rest while others fly."""
+WAIT = "wait"  # Name of phases in which a group waits at rest while others fly
 
 SETTLE = "settle"
 """Name of phases in which drones swing to remove friction hysteresis, at the end of a step."""
@@ -188,11 +187,8 @@ SOURCES: dict[str, frozenset[str]] = {
 """Curves that need not be passed, and the fields from which they follow without friction, wrapped
 edges and objects that move."""
 
-PLAIN: Any = None
-"""Stands for a curve that follows from its sources (``Motion``)."""
-
-PLAIN_TOLERANCE = 1e-9
-"""[m], [N] Largest difference from a plain curve that counts as none."""
+PLAIN: Any = None  # Stands for a curve that follows from its sources (``Motion``)
+PLAIN_TOLERANCE = 1e-9  # [m], [N] Largest difference from a plain curve that counts as none
 
 SHARE_TOLERANCE = 2.0**-40
 """Load shares this close to 0 or 1 are set to 0 or 1: elevating the degree rounds them."""
@@ -483,11 +479,7 @@ class Motion(OneLine):
         if np.all(selected):  # phases may be shorter than any piece
             return (self,)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], selected, [False]])))
-        breaks = self.drones.breaks
-        return tuple(
-            self.slice_pieces(slice(first, last), self.overlapping(breaks[first], breaks[last]))
-            for first, last in edges.reshape(-1, 2).tolist()
-        )
+        return tuple(self.on_pieces(*run) for run in edges.reshape(-1, 2).tolist())
 
     def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the phases that overlap the time from ``start`` to ``end`` [s]."""
@@ -497,6 +489,11 @@ class Motion(OneLine):
     def slice_pieces(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
         """Return the motion on a run of pieces, at the same times, with other phases."""
         return self.map_curves(lambda part: part.slice_pieces(pieces), phases)
+
+    def on_pieces(self, first: int, last: int) -> Motion:
+        """Return the motion between two breaks, at the same times, with the phases there."""
+        phases = self.overlapping(*self.drones.breaks[[first, last]].tolist())
+        return self.slice_pieces(slice(first, last), phases)
 
     def map_curves(
         self, change: Callable[[PiecewisePolynomial], PiecewisePolynomial], phases: Sequence[Phase]

@@ -26,8 +26,7 @@ from hitchopt.motion.chapters import check_rings
 from hitchopt.motion.combined import combined
 from hitchopt.motion.earlier_files import converted
 from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Group, Motion, Phase
-from hitchopt.motion.records import PLANNER_ONLY, REMEDY, check_same, decoded, encoded
-from hitchopt.motion.request import objects_at_first
+from hitchopt.motion.request import PLANNER_ONLY, REMEDY, check_same, decoded, encoded, objects_at
 from hitchopt.motion.retiming import shifted
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
@@ -43,11 +42,8 @@ GROUPS, OTHERS = "groups", "others"
 MAX_COEFFICIENT, MAX_DEGREE = 1e5, 60
 """[m], [N] Largest coefficient of a plan: sums of such numbers stay far from overflow."""
 
-MAX_STEPS = 2**31
-"""Upper bound of a step's index, exclusive."""
-
-TOLERANCE = 1e-9
-"""Largest difference of the curves of an external plan from those of its own file."""
+MAX_STEPS = 2**31  # Upper bound of a step's index, exclusive
+TOLERANCE = 1e-9  # Largest difference of the curves of an external plan from those of its own file
 
 
 class Records(NamedTuple):
@@ -76,9 +72,7 @@ def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -
     motion, title: the plan.
     problem: text of its problem file, if known.
 
-    Raises
-    ------
-    OSError: the file cannot be written.
+    Raises OSError if the file cannot be written.
     """
     settings = json.dumps(_settings(motion, title, problem), allow_nan=False)
     arrays = {"format": np.array(FORMAT), "settings": np.array(settings)}
@@ -101,7 +95,7 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
 def _head(group: Group) -> dict[str, Any]:
     """Return a team or an external plan without its arrays, as JSON values."""
     own = group.motion
-    requirements = replace(own.requirements, objects=objects_at_first(own))
+    requirements = replace(own.requirements, objects=objects_at(own))
     records = encoded(Records(own.team, requirements, own.phases, own.assignment))
     for name in PLANNER_ONLY:
         del records["requirements"][name]
@@ -110,14 +104,14 @@ def _head(group: Group) -> dict[str, Any]:
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
     """Return the arrays of one team's motion."""
-    names = _stored([*motion.cable_states])
+    _, *names = _stored([*motion.cable_states])
     curves = {name: getattr(motion, name).coefficients for name in names}
     return {"breaks": motion.drones.breaks, **curves}
 
 
 def _stored(states: Sequence[str]) -> list[str]:
-    """Return the names of the curves that are stored for cables in these states."""
-    return [name for name in CURVES if CableState.BENT in states or name != "anchors"]
+    """Return the names of breaks and curves that are stored for cables in these states."""
+    return ["breaks", *(x for x in CURVES if CableState.BENT in states or x != "anchors")]
 
 
 def read_plan(path: Path) -> Motion:
@@ -162,9 +156,7 @@ def is_of(other: Group, path: Path) -> bool:
 def read_saved_plan(path: Path) -> SavedPlan:
     """Return the contents of a plan file.
 
-    Raises
-    ------
-    FileError: it cannot be read, or is not a plan.
+    Raises FileError if it cannot be read, or is not a plan.
     """
     try:
         head = read_arrays(path, ("format", "settings"))
@@ -172,13 +164,11 @@ def read_saved_plan(path: Path) -> SavedPlan:
         if not isinstance(settings, dict):
             raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
         if version == FORMAT:
-            arrays = {
-                key: [
-                    _read_arrays(path, f"{key}/{i}/", head["records"])
-                    for i, head in enumerate(settings[key])
-                ]
-                for key in (GROUPS, OTHERS)
-            }
+            arrays = dict[str, Any]({GROUPS: [], OTHERS: []})
+            for key, i, each in ((k, *x) for k in arrays for x in enumerate(settings[k])):
+                names = _stored([phase["state"] for phase in each["records"]["phases"]])
+                stored = read_arrays(path, [f"{key}/{i}/{name}" for name in names])
+                arrays[key].append(dict(zip(names, stored.values(), strict=True)))
         else:
             settings, arrays = converted(version, settings, path)
         groups, others = (
@@ -202,13 +192,6 @@ def read_saved_plan(path: Path) -> SavedPlan:
             reason = f"cannot be read: {error.strerror}"
         reason = " ".join(reason.split())  # arrays are printed over several lines
         raise FileError(f"{path}: {reason}; solve the problem again") from error
-
-
-def _read_arrays(path: Path, folder: str, records: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-    """Return the arrays of one team or external plan by their names."""
-    names = ["breaks", *_stored([phase["state"] for phase in records["phases"]])]
-    stored = read_arrays(path, [folder + name for name in names])
-    return dict(zip(names, stored.values(), strict=True))
 
 
 def _group(key: str, head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Group:

@@ -15,8 +15,7 @@ from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, on_breaks
 from hitchopt.values import Array, Indices
 
-REST_RATE = 1e-6
-"""Largest speed [m/s] and acceleration [m/s²] at rest."""
+REST_RATE = 1e-6  # Largest speed [m/s] and acceleration [m/s²] at rest
 
 
 def rest_breaks(motion: Motion) -> NDArray[np.intp]:
@@ -69,13 +68,15 @@ def padded(motion: Motion, start: float, end: float) -> Motion:
     Phases at rest are named WAIT and belong to its first and last step.
     """
     first, last = motion.drones.breaks[[0, -1]].tolist()
+    if max(first - start, end - last) <= JOINT:
+        return motion
     parts = [shifted(motion, -first)]
     for duration, index in ((first - start, 0), (end - last, -1)):
         if duration > JOINT:
             wait = replace(motion.phases[index], name=WAIT, tension=None, remark="")
             rest = resting(motion, duration, wait, first=index == 0)
             parts = [*parts, rest] if index else [rest, *parts]
-    return motion if len(parts) == 1 else shifted(concatenated(parts), min(start, first))
+    return shifted(concatenated(parts), min(start, first))
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
@@ -91,8 +92,7 @@ MAX_PIECE, MIN_SPACING = 0.1, 4e-3
 """[s] Longest piece: degree 7 fits the retimed curve on it to little more than rounding. Smallest
 distance of the plan's breaks from the clock's: derivatives on short pieces suffer from rounding."""
 
-ORDERS = 4
-"""Number of derivatives, the zeroth included, interpolated at both ends of every piece."""
+ORDERS = 4  # Number of derivatives, the zeroth included, interpolated at both ends of every piece
 
 
 def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
@@ -100,11 +100,8 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
 
     The clock's phases are contiguous and within the motion's time.
     """
-    return motion.each_group(lambda own: _on_clock(own, clock))
-
-
-def _on_clock(motion: Motion, clock: ClockPhases) -> Motion:
-    """Return one group's motion on a clock."""
+    if len(motion.groups) > 1:
+        return motion.each_group(lambda own: on_clock(own, clock))
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
@@ -164,35 +161,23 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
 
 def truncated(motion: Motion, time: float) -> Motion:
     """Return the motion up to a time [s], exact up to rounding."""
-
-    def of_group(group: Motion) -> Motion:
-        breaks = group.drones.breaks
-        breaks = np.append(breaks[: np.searchsorted(breaks, time - 1e-9)], time)
-        phases = [
-            phase.retimed(phase.start, min(phase.end, time))
-            for phase in group.overlapping(breaks[0], time)
-        ]
-        return group.map_curves(lambda part: on_breaks(part, breaks), phases)
-
-    return motion.each_group(of_group)
+    return motion.each_group(lambda own: slice_time(own, float(own.drones.breaks[0]), time))
 
 
 def append_motion(first: Motion, second: Motion) -> Motion:
     """Return two motions in sequence, group by group; a continued phase stays one phase."""
     followers = iter(second.groups)
-    return first.each_group(lambda group: _appended(group, next(followers).motion))
 
+    def appended(own: Motion) -> Motion:
+        motion, count = concatenated([own, next(followers).motion]), len(own.phases)
+        last, following = motion.phases[count - 1 : count + 1]
+        merged = last.retimed(last.start, following.end)
+        if following.retimed(last.start, following.end) != merged:
+            return motion
+        phases = (*motion.phases[: count - 1], merged, *motion.phases[count + 1 :])
+        return motion.replaced(phases=phases)
 
-def _appended(first: Motion, second: Motion) -> Motion:
-    """Return two groups' motions in sequence."""
-    motion = concatenated([first, second])
-    count = len(first.phases)
-    last, following = motion.phases[count - 1 : count + 1]
-    merged = last.retimed(last.start, following.end)
-    if following.retimed(last.start, following.end) != merged:
-        return motion
-    phases = (*motion.phases[: count - 1], merged, *motion.phases[count + 1 :])
-    return motion.replaced(phases=phases)
+    return first.each_group(appended)
 
 
 def resting(

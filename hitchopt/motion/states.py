@@ -18,14 +18,12 @@ from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array, as_array, nonnegative, positive
 
-HOVER = np.array([0.0, 0.0, GRAVITY])
-"""[m/s²] Specific thrust that compensates gravity."""
+HOVER = np.array([0.0, 0.0, GRAVITY])  # [m/s²] Specific thrust that compensates gravity
 
 END_TOLERANCE = 1e-6
 """[s] Smallest distance of a plan's end from the last regular sample at which it is sampled."""
 
-MAX_SAMPLES = 50_000_000
-"""Maximum number of samples; more are refused before memory is allocated."""
+MAX_SAMPLES = 50_000_000  # Maximum number of samples; more are refused before memory is allocated
 
 TIME_TOLERANCE = 1e-9
 """[s] Largest distance of a time outside the plan: rounding of sums of durations."""
@@ -50,8 +48,7 @@ ITERATIONS = 30
 CONVERGED, ROLL_STEP, ROLL_ROUNDING = 1e-12, 1e-6, 1e-9
 """[m], [rad] Largest step at convergence, finite difference of roll, and roll that counts as 0."""
 
-MAX_DEVIATION = 1e-6
-"""[m] Largest distance of a drone from that of the recovered hitch."""
+MAX_DEVIATION = 1e-6  # [m] Largest distance of a drone from that of the recovered hitch
 
 BLOCK = 1 << 20
 """Number of coordinates of drones evaluated at a time: their coefficients take ten times the memory
@@ -178,9 +175,7 @@ def sample_times(duration: float, rate: float) -> Array:
 
     The end is left out within 1e-6 s of the last multiple.
 
-    Raises
-    ------
-    InputError: a number out of its range, or more than MAX_SAMPLES samples.
+    Raises InputError for a number out of its range, or more than MAX_SAMPLES samples.
     """
     duration = nonnegative("duration", duration)
     rate = positive("rate", rate)
@@ -197,9 +192,7 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 
     After its end, a plan stays at rest.
 
-    Raises
-    ------
-    InputError: no time, a time before the start, or one that is not finite.
+    Raises InputError for no time, a time before the start, or one that is not finite.
     """
     requested = as_array(t)
     if requested.size == 0 or not np.all((requested >= -TIME_TOLERANCE) & np.isfinite(requested)):
@@ -278,11 +271,8 @@ def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[St
 def final_hitch(motion: Motion) -> Hitch:
     """Return the hitch with the vertices and drones of the motion's end.
 
-    Raises
-    ------
-    InputError: there is no hitch at the end.
-    UnsupportedError: cables end with other tensions than the team's, there are several groups, or
-        the ring changes.
+    Raises InputError if there is no hitch at the end; UnsupportedError if cables end with other
+    tensions than the team's, there are several groups, or the ring changes.
     """
     if len(motion.groups) > 1:
         raise UnsupportedError("several teams: continue with one of plan.motion.groups")

@@ -14,6 +14,7 @@ from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.values import (
     Array,
+    ByValue,
     as_array,
     check_instance,
     coordinate,
@@ -23,7 +24,6 @@ from hitchopt.values import (
     points,
     positive,
 )
-from hitchopt.values.by_value import ByValue
 
 CONVEXITY_TOLERANCE = 1e-9
 """Largest depth of an outline's point inside the convex hull, relative to the outline's size."""

@@ -14,8 +14,7 @@ STEPS: tuple[type[Step], ...] = (
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""
 
-STEP_KINDS = {kind.name: kind for kind in STEPS}
-"""Kinds of steps by their keys in a problem file."""
+STEP_KINDS = {kind.name: kind for kind in STEPS}  # Kinds of steps by their keys in a problem file
 
 for _kind in STEPS:
     documented(_kind)

@@ -74,11 +74,8 @@ MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the
 position error of objects."""
 
-PLACE_TOLERANCE = 1e-6
-"""Places that differ by less are the same [m]."""
-
-MAX_VIA = 100
-"""Maximum number of waypoints of one object."""
+PLACE_TOLERANCE = 1e-6  # Places that differ by less are the same [m]
+MAX_VIA = 100  # Maximum number of waypoints of one object
 
 OBSTACLE_CHECKS = frozenset({"keep_out", "object_clearance"})
 """Checks of obstacles, over or around which an object is carried."""
@@ -268,8 +265,7 @@ def _renumbered(
     return HoldPolygons(*shifted), around.renumbered(shift)
 
 
-HoldMethod = Literal["rest", "grip"]
-"""Method of holding an object."""
+HoldMethod = Literal["rest", "grip"]  # Method of holding an object
 
 BY = words("rest", "grip")
 

@@ -292,8 +292,7 @@ FULL_SHARE, MAX_SLOWDOWN = 0.99, 1.5
 """Share of the friction that counts as all of it; maximum ratio of a step's duration with friction
 feed-forward to that without."""
 
-MIN_SLIDE = 1e-3
-"""Change of leg lengths below which a step ends without settling [m]."""
+MIN_SLIDE = 1e-3  # Change of leg lengths below which a step ends without settling [m]
 
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
@@ -431,25 +430,20 @@ def check_start(task: StepTask) -> None:
     try:
         require_certified(StepPlan(hover_motion(task, 1.0), task.before), "at the start (t = 0)")
     except InfeasibleError as error:
-        violations = [
-            _span_violation(each, task.before) if each.constraint == "span" else each
-            for each in error.violations
-        ]
+        violations = list(error.violations)
+        for i, each in enumerate(violations):
+            if each.constraint == "span":
+                k = int(each.where[0].removeprefix("cable "))
+                q, r = task.before.drones[2 * k : 2 * k + 2]
+                apart, length = float(np.linalg.norm(r - q)), task.before.team.cable_length[k]
+                remedy = (
+                    f"{apart:.6g} m apart on a cable of {length:.6g} m: move q{k} and r{k} of "
+                    "start.drones closer together, or use a longer cable"
+                )
+                where = (f"robot {k}", f"q{k}", f"r{k}")
+                violations[i] = replace(each, where=where, remedy=remedy)
         violations.sort(key=lambda v: v.constraint != "span")  # other violations follow from it
         raise InfeasibleError(violations, error.note) from None
-
-
-def _span_violation(violation: Violation, before: RestState) -> Violation:
-    """Return the violation with the drones' names and distance."""
-    k = int(violation.where[0].removeprefix("cable "))
-    distance = float(np.linalg.norm(before.drones[2 * k + 1] - before.drones[2 * k]))
-    length = float(before.team.cable_length[k])
-    return replace(
-        violation,
-        where=(f"robot {k}", f"q{k}", f"r{k}"),
-        remedy=f"{distance:.6g} m apart on a cable of {length:.6g} m: move q{k} and r{k} of "
-        "start.drones closer together, or use a longer cable",
-    )
 
 
 def check_above_ground(motion: Motion) -> None:

@@ -23,8 +23,7 @@ from hitchopt.values.units import DURATION
 
 SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 
-LIMIT_SHARE = 1.0 - 1e-6
-"""Usable share of the limits of thrust and tilt, as a margin for rounding."""
+LIMIT_SHARE = 1.0 - 1e-6  # Usable share of the limits of thrust and tilt, as a margin for rounding
 
 CIRCLE_CORNERS, MIN_PRISM_HEIGHT = 24, 1e-3
 """Number of corners of the polygon around a circle; height of the prism around a rim [m]."""

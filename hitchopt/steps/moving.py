@@ -416,11 +416,8 @@ class Adjust(ActionStep):
     settle: SettleAtEnd = AUTO
 
 
-MIN_GAP = 1e-3
-"""Minimum time between two points [s]; less is a typing error."""
-
-MAX_TIME = 1e5
-"""Maximum time of a point [s]."""
+MIN_GAP = 1e-3  # Minimum time between two points [s]; less is a typing error
+MAX_TIME = 1e5  # Maximum time of a point [s]
 
 MIN_STRETCH = 1e-3
 """Minimum distance of two points without times [m]; a smooth path cannot turn within less."""
@@ -504,20 +501,17 @@ class FollowVertex(ActionStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, from stop to stop."""
-        *first, last = self._stretches(task.hitch.polygon.vertices[self.vertex])
+        stretches = [self.path]
+        if not self.is_timed:
+            places = np.vstack([task.hitch.polygon.vertices[self.vertex], self.path])
+            along = np.diff(places, axis=0)
+            back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
+            stretches = np.split(self.path, np.flatnonzero(back) + 1)
+        *first, last = stretches
         steps = [*(replace(self, path=path, legs=None) for path in first), replace(self, path=last)]
         if not first:
             return super().plan(task)
         return plan_in_sequence([step.plan for step in steps], task)
-
-    def _stretches(self, start: Array) -> list[Array]:
-        """Return the points from one stop of a path without times to the next one."""
-        if self.is_timed:
-            return [self.path]
-        places = np.vstack([start, self.path])
-        along = np.diff(places, axis=0)
-        back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
-        return np.split(self.path, np.flatnonzero(back) + 1)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; the optimiser has no other route."""

@@ -220,24 +220,24 @@ class Replace(Step):
         """Return the plan of a join, a withdrawal and a morph, with the first feasible cut."""
         before, hitch = task.before, task.hitch
         index, senses = _ring_index("robot", self.robot, before.team.labels), before.assumed_senses
+        # From these sides, the edge's robot is then on top of both neighbours, or below both
+        sides = float(senses[(index + 1) % len(senses)]), -float(senses[index])
         cuts = [
-            (vertex, outline, side)
+            (*cut, side)
             for share in EDGE_SHARES
-            for (vertex, outline), side in zip(
-                cut_outlines(hitch.polygon, index, share), _sides(senses, index), strict=True
-            )
+            for cut, side in zip(cut_outlines(hitch.polygon, index, share), sides, strict=True)
         ]
         withdraw = Withdraw(self.robot)
-
-        def split_as_before(task: StepTask) -> StepPlan:
-            return Adjust(legs=hitch.fractions * task.hitch.slack).plan(task)
 
         def plan_cut(vertex: int, polygon: Outline, side: float, share: float) -> StepPlan:
             lengths = hitch.polygon.edge_lengths
             cut = share * float(min(lengths[vertex - 1], lengths[vertex % len(lengths)]))
             join = partial(join_plan, Join(self.by, vertex, cut), side=side)
             reshape = partial(_reshape_plan, polygon, withdraw)
-            return plan_in_sequence((join, reshape, withdraw.plan, split_as_before), task)
+            return plan_in_sequence((join, reshape, withdraw.plan, split), task)
+
+        def split(task: StepTask) -> StepPlan:
+            return Adjust(legs=hitch.fractions * task.hitch.slack).plan(task)  # as before
 
         return first_feasible(partial(plan_cut, *cut, x) for cut, x in product(cuts, CUT_SHARES))
 
@@ -260,14 +260,6 @@ def _reshape_plan(polygon: Outline, withdraw: Withdraw, task: StepTask) -> StepP
     return replace(plan, motion=plan.motion.replaced(requirements=requirements))
 
 
-def _sides(senses: Array, index: int) -> tuple[float, float]:
-    """Return the sides from which another robot joins behind an edge and ahead of it.
-
-    After that the edge's robot is on top of both neighbours, or below both.
-    """
-    return float(senses[(index + 1) % len(senses)]), -float(senses[index])
-
-
 def cut_outlines(polygon: Outline, edge: int, share: float) -> Iterator[tuple[int, Outline]]:
     """Yield vertices at which another robot may join next to an edge, and the outlines after it.
 
@@ -286,8 +278,5 @@ def cut_outlines(polygon: Outline, edge: int, share: float) -> Iterator[tuple[in
     yield edge + 1, ConvexPolygon(vertices)
 
 
-EDGE_SHARES = (0.5, 0.35)
-"""Shares of an edge that its robot still holds before the withdrawal."""
-
-CUT_SHARES = (0.4, 0.5, 0.6)
-"""Shares of the shorter edge that a replacing robot cuts off."""
+EDGE_SHARES = (0.5, 0.35)  # Shares of an edge that its robot still holds before the withdrawal
+CUT_SHARES = (0.4, 0.5, 0.6)  # Shares of the shorter edge that a replacing robot cuts off

@@ -27,8 +27,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.values import Array, Indices, finite, per_robot
-from hitchopt.values.by_value import ByValue
+from hitchopt.values import Array, ByValue, Indices, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -58,8 +57,7 @@ OUTLINE_TEXT = (
 SPLIT_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k"
 LEGS_TEXT = f"{SPLIT_TEXT}; or that as sharing, with a roll_deg"
 
-TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
-"""Example of an outline [m]."""
+TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]  # Example of an outline [m]
 
 AUTO: Final = "auto"
 """Automatic choice of a duration, or of a roll that is zero unless limits require one."""
@@ -118,8 +116,7 @@ def _checked_sharing(legs: Any, team: Team) -> Literal["balanced", "spread"] | A
     return q_legs
 
 
-MAX_TURNS = 5
-"""Maximum number of turns in one step: the number of polynomial pieces is bounded."""
+MAX_TURNS = 5  # Maximum number of turns in one step: the number of polynomial pieces is bounded
 
 
 def _turn_angle(key: str, value: object) -> float:
@@ -159,8 +156,7 @@ Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 
 # Records of planning and repair.
 
-IDLE = 0.01
-"""Default duration of a step without motion [s]."""
+IDLE = 0.01  # Default duration of a step without motion [s]
 
 DECIMALS, MIN_REMAINING_SHARE = 9, 0.1
 """Decimals of numbers in edits; minimum share of a quantity that lowering leaves."""
@@ -183,8 +179,7 @@ class Edit(OneLine):
     value: object  # number, word, list or mapping, in the file's units
 
 
-Edits = tuple[Edit, ...]
-"""Edits applied together."""
+Edits = tuple[Edit, ...]  # Edits applied together
 
 
 @dataclass(frozen=True, eq=False)
@@ -494,10 +489,8 @@ class Step(Record, ABC):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, from rest to rest.
 
-        Raises
-        ------
-        InfeasibleError: the end breaks a limit at rest, or no feasible route was found.
-        HitchoptError: a planner failed.
+        Raises InfeasibleError if the end breaks a limit at rest or no feasible route was found,
+        HitchoptError if a planner failed.
         """
 
     def with_duration(self, task: StepTask, motion: Motion) -> Motion:

@@ -127,10 +127,13 @@ class Form(Step):
         Drones fly to where cables hang clear of each other and of the ground, tie the hitch there,
         and lower it to its altitude.
         """
-        from hitchopt.planners.forming.laying import find_laying
+        from hitchopt.planners.forming.laying import find_laying, levels_of
 
         before, requirements, i = task.before, task.requirements, task.index
-        team, levels = before.team, self._levels(before.team)
+        team, levels = before.team, None
+        if self.by == "laying":
+            robots = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
+            levels = levels_of(team.layout, robots and [team.labels.index(k) for k in robots])
         goal = self._goal(team, levels, requirements)
         check_at_rest(goal, requirements, f"at the end of step {i} (form)")
         tying: Laying | PreHitch
@@ -148,15 +151,6 @@ class Form(Step):
         after = replace(before, hitch=goal, drones=goal.drones, senses=tying.senses)
         after = replace(after, swap=self.swap, levels=levels)
         return StepPlan(self.with_duration(task, concatenated(parts)), after)
-
-    def _levels(self, team: Team) -> Indices | None:
-        """Return the levels (n,) of cables that are laid on one another, 0 the lowest, or None."""
-        from hitchopt.planners.forming.laying import levels_of
-
-        if self.by != "laying":
-            return None
-        robots = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
-        return levels_of(team.layout, robots and [team.labels.index(k) for k in robots])
 
     def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
         """Return the hitch.

@@ -35,7 +35,6 @@ MAX_COMPRESSION = 100
 hitchopt's own plans are not compressed."""
 
 MAX_TOTAL_SIZE = 500_000_000  # Limit of the total size of the members that are read of a zip [B]
-
 MAX_HEADER = 10_000  # Size limit of an array's header [B]
 
 ARRAY_NAME = re.compile(r"(?:\w(?:[\w.-]*[\w-])?/)*\w+\.npy")
@@ -59,29 +58,19 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     no npz file.
     """
     with path.open("rb") as file, zipfile.ZipFile(file) as archive:
-        listed = archive.namelist()
-        _check_names([info.orig_filename for info in archive.infolist()])
+        listed, seen = archive.namelist(), dict[str, str]()
+        for name in (info.orig_filename for info in archive.infolist()):
+            if not ARRAY_NAME.fullmatch(name):
+                reason = "is no array's name, such as 'a/drones.npy'"
+                raise FileError(f"its member {name!r:.99} {reason}")
+            if (other := seen.setdefault(folded(name), name)) is not name:
+                raise FileError(f"readers may confuse its members {other!r:.99} and {name!r:.99}")
         for name in names:
             if (count := listed.count(f"{name}.npy")) != 1:
                 raise FileError(f"array {name!r} is in it {count} times, not once")
         members = {name: archive.getinfo(f"{name}.npy") for name in names}
         check_expansion(sum(info.file_size for info in members.values()), path.stat().st_size)
         return {name: _array(name, _read(archive, info)) for name, info in members.items()}
-
-
-def _check_names(names: Sequence[str]) -> None:
-    """Raise FileError for members that readers may ignore, rename, or take for one another.
-
-    Numpy drops the ending ``.npy``; other readers ignore case, or normalise Unicode and folders.
-    """
-    seen = dict[str, str]()
-    for name in names:
-        if not ARRAY_NAME.fullmatch(name):
-            raise FileError(f"its member {name!r:.99} is no array's name, such as 'a/drones.npy'")
-        key = folded(name)
-        if key in seen:
-            raise FileError(f"readers may confuse its members {seen[key]!r:.99} and {name!r:.99}")
-        seen[key] = name
 
 
 def folded(name: str) -> str:

@@ -72,20 +72,16 @@ def _rows(texts: Sequence[bytes]) -> Bytes:
     return np.frombuffer(b"".join(texts), np.uint8).reshape(len(texts), -1)
 
 
-def _is_fixed(exponent: int) -> bool:
-    """Return whether numbers are written without an exponent."""
-    return exponent >= -4
+FIXED = -4  # Smallest exponent of numbers that are written without one
 
-
-_QUADS = _rows([b"%04d" % i for i in range(10_000)]).view(np.uint32)[:, 0]
-"""Four digits."""
+_QUADS = _rows([b"%04d" % i for i in range(10_000)]).view(np.uint32)[:, 0]  # Four digits
 
 _HEADS = _rows(
     [f",{sign}{i}.".encode().ljust(8, b"\0") for sign in ("", "-") for i in range(1000)]
 ).view(np.uint64)[:, 0]
 """Comma, sign, and digits up to the point."""
 
-_FRACTION = [11 - k if _is_fixed(k) else 11 for k in EXPONENTS]
+_FRACTION = [11 - k if k >= FIXED else 11 for k in EXPONENTS]
 """Number of digits after the point, by exponents."""
 
 _SCALE = np.array([float(f"1e{11 - k}") for k in EXPONENTS])
@@ -96,7 +92,7 @@ sixteen digits after the point."""
 
 _MASKS = _rows([(b"\xff" * count).ljust(16, b"\0") for count in _FRACTION]).view(np.uint64).T.copy()
 _ENDS = (
-    _rows([b"\0" * 11 + (b"" if _is_fixed(k) else b"e%03d" % k).ljust(5, b"\0") for k in EXPONENTS])
+    _rows([b"\0" * 11 + (b"" if k >= FIXED else b"e%03d" % k).ljust(5, b"\0") for k in EXPONENTS])
     .view(np.uint64)
     .T.copy()
 )

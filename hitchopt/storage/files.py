@@ -31,7 +31,6 @@ BackupPolicy = Literal["leave", "keep", "remove"]
 """Backup of the last set in PREVIOUS: none, permanent, or until the new set is complete."""
 
 STAGE_PREFIX, STAGE_SUFFIX = ".hitchopt-", ".tmp"  # Prefix and suffix of staging folders
-
 Writer = Callable[[Path], object]  # Function that writes one file to a path
 
 

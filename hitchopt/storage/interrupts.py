@@ -14,8 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-EXIT_INTERRUPTED = 128 + signal.SIGINT
-"""Exit code of processes ended by SIGINT, as in shells."""
+EXIT_INTERRUPTED = 128 + signal.SIGINT  # Exit code of processes ended by SIGINT, as in shells
 
 _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] = {
     signal.SIGINT: signal.default_int_handler,

@@ -31,15 +31,9 @@ Plain = dict[str, "Plain"] | list["Plain"] | str | int | float | bool | None
 """Data of a problem file."""
 
 MAX_DEPTH = 20  # Maximum levels of nesting; a problem has six
-
-MAX_NODES = 250_000
-"""Maximum number of values. A polygon for MAX_ROBOTS robots has 30 000."""
-
+MAX_NODES = 250_000  # Maximum number of values. A polygon for MAX_ROBOTS robots has 30 000.
 MAX_TEXT = 10_000  # Maximum characters of a string; the longest meaningful one is the title
-
-_MAX_INTEGER = 10**300
-"""Larger integers are read as infinity, because they are costly to print."""
-
+_MAX_INTEGER = 10**300  # Larger integers are read as infinity, because they are costly to print
 MAX_BYTES = 4_000_000  # Size limit of a file [B]
 
 _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
@@ -338,7 +332,6 @@ def _path_in_problem(path: list[str | int]) -> str:
 
 
 DECIMALS = 9  # Decimals of written numbers: far below any tolerance, and short enough to read
-
 KeyPath = Sequence[str | int]  # Keys and indices from the root of a file to a value
 
 _WORD = re.compile(r"[A-Za-z][A-Za-z0-9_]*")

@@ -38,6 +38,7 @@ from hitchopt.values import (
     MAX_COORDINATE,
     SCALAR,
     WORD,
+    ByValue,
     bounded_points,
     closest_word,
     finite,
@@ -47,14 +48,12 @@ from hitchopt.values import (
     integer,
     text,
 )
-from hitchopt.values.by_value import ByValue
 
 T = TypeVar("T")
 P = ParamSpec("P")
 Schema = dict[str, Any]
 
-EMPTY = inspect.Parameter.empty
-"""Default of a field without one."""
+EMPTY = inspect.Parameter.empty  # Default of a field without one
 
 
 @dataclass(frozen=True, eq=False)
@@ -377,11 +376,8 @@ def integers(minimum: int, maximum: int) -> Kind:
     return Kind((SCALAR,), lambda key, value: integer(key, value, minimum, maximum), schema)
 
 
-FLAGS = Kind((FLAG,), flag, {"type": "boolean"})
-"""True or false."""
-
-ANYTHING = Kind((SCALAR, LIST, WORD, FLAG, MAPPING), lambda _, value: value, {})
-"""Any plain data."""
+FLAGS = Kind((FLAG,), flag, {"type": "boolean"})  # True or false
+ANYTHING = Kind((SCALAR, LIST, WORD, FLAG, MAPPING), lambda _, value: value, {})  # Any plain data
 
 
 def words(*plain: str | bool, **values: Any) -> Kind:

@@ -16,8 +16,7 @@ INTERNAL_PACKAGES = frozenset({"hitchopt", "contextlib", "dataclasses"})
 
 Range = tuple[float, float]
 
-TINY, HUGE = 1e-9, 1e9
-"""Default range of quantities in SI units; values outside are typing errors."""
+TINY, HUGE = 1e-9, 1e9  # Default range of quantities in SI units; values outside are typing errors
 
 
 def quantity(
@@ -77,11 +76,8 @@ def quantity(
     return Kind((SCALAR,), check, schema, unit, degrees)
 
 
-DEGREE = math.pi / 180.0
-"""One degree [rad]."""
-
-MAX_WALL = 1e5
-"""[m] Largest coordinate of an arena's walls, which may be far away."""
+DEGREE = math.pi / 180.0  # One degree [rad]
+MAX_WALL = 1e5  # [m] Largest coordinate of an arena's walls, which may be far away
 
 LENGTHS = (("millimetres", 1e-3), ("centimetres", 1e-2))
 GRAMS = (("grams", 1e-3),)

@@ -19,9 +19,8 @@ from problem_cases import hitch_start, triangle
 import hitchopt as ho
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.changes import change_of, knobs_of, scaled_outlines, team_edit, with_edits
-from hitchopt.mission.fitted import fitting_cables
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import find_suggestions
+from hitchopt.mission.repair import find_suggestions, fitting_cables
 from hitchopt.mission.solving import contents, solve_problem
 from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import read_yaml, split_key
