@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.team import Layout
 from hitchopt.motion.chapters import parts_at, parts_of
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion, Phase
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
@@ -100,7 +99,10 @@ def _part_curves(
         times = times[samples]
         drones, vertices = drones[samples], motion.vertices.at(times)
         contacts = motion.contacts.at(times) if motion.has_wraps else None
-        radius = min(radius, _largest_radius(motion.team.layout, drones, vertices))
+        layout = motion.team.layout  # bends fit the shortest leg or edge
+        legs = length(drones - vertices[:, layout.anchors])[:, layout.has_leg.ravel()]
+        shortest = min(np.min(legs, initial=np.inf), np.min(length(layout.edges(vertices))))
+        radius = min(radius, MAX_BEND_SHARE * float(shortest) / BEND_RADIUS)
         piece = np.searchsorted(motion.drones.breaks[1:-1], times, side="right")
         senses = senses | clasp_senses(motion)
         signs = np.array([senses.get(pair, 1.0) for pair in _clasp_pairs(motion)])
@@ -149,11 +151,9 @@ def _clasp_pairs(motion: Motion) -> list[tuple[int, int]]:
 
 def _state_runs(motion: Motion) -> list[tuple[CableState, float, float]]:
     """Return the cable states in order, with starts and ends [s]; all hooked ones are HITCHED."""
-
-    def state_of(phase: Phase) -> CableState:
-        return CableState.HITCHED if phase.state in HOOKED_STATES else phase.state
-
-    runs = [(state, list(phases)) for state, phases in groupby(motion.phases, state_of)]
+    each = (CableState.HITCHED if p.state in HOOKED_STATES else p.state for p in motion.phases)
+    pairs = groupby(zip(each, motion.phases, strict=True), lambda pair: pair[0])
+    runs = [(state, [phase for _, phase in run]) for state, run in pairs]
     return [(state, phases[0].start, phases[-1].end) for state, phases in runs]
 
 
@@ -310,10 +310,3 @@ def _bends(
         line = STRAIGHT_REACH * line - (under / BEND_RADIUS * UP)[:, None] * out**4
         bends[:, cables] = p[..., None, :] + radius * (bent * arc + (1.0 - bent) * line)
     return q_side, r_side
-
-
-def _largest_radius(layout: Layout, drones: Array, vertices: Array) -> float:
-    """Return the largest radius [m] of a drawn cable whose bends fit the shortest leg or edge."""
-    legs = length(drones - vertices[:, layout.anchors])[:, layout.has_leg.ravel()]
-    shortest = min(np.min(legs, initial=np.inf), np.min(length(layout.edges(vertices))))
-    return MAX_BEND_SHARE * float(shortest) / BEND_RADIUS

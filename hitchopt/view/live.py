@@ -108,12 +108,12 @@ class LiveView:
         with self.server.atomic():  # open pages show everything at once
             self.server.gui.set_panel_label(title or "hitchopt")
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
-            self._place_initial_camera()
+            self._place_camera(self.server.initial_camera, ASPECT)
             self._add_panel()
             self._fill_panel()
             if ghost is not None:
                 self._ghost = LiveScene(self.server, ghost, "/ghost/", ghost=True)
-        self.server.on_client_connect(self._watch_camera)
+        self.server.on_client_connect(self._widen_view)
         self._player = threading.Thread(target=self._play, daemon=True)
         self._player.start()
 
@@ -136,7 +136,7 @@ class LiveView:
             self.motion, self.certificate, self._title = motion, certificate, title
             self.live = LiveScene(self.server, scene_of(motion), "/plan/")
             self.live.visible = visible
-            self._place_initial_camera()
+            self._place_camera(self.server.initial_camera, ASPECT)
             self._fill_panel()
 
     def show_certificate(self, certificate: Certificate) -> None:
@@ -223,10 +223,6 @@ class LiveView:
                 self._move_cursor()
             before = now
 
-    def _place_initial_camera(self) -> None:
-        """Place the initial camera of pages so that it shows all paths."""
-        self._place_camera(self.server.initial_camera, ASPECT)
-
     def _place_camera(self, camera: Any, aspect: float) -> None:
         """Place a camera so that it shows all paths in a picture of an aspect ratio."""
         drones = self.live.scene.drones.reshape(-1, 3)
@@ -237,17 +233,17 @@ class LiveView:
         position = centre + distance * VIEW_DIRECTION / np.linalg.norm(VIEW_DIRECTION)
         camera.position, camera.look_at = tuple(position), tuple(centre)
 
-    def _watch_camera(self, client: Any) -> None:
-        """Watch the camera of a new page until it has its initial place."""
-        client.camera.on_update(self._widen_view)
-        self._widen_view(client.camera)
-
-    def _widen_view(self, camera: Any) -> None:
+    def _widen_view(self, client: Any) -> None:
         """Move the camera of a narrow page farther away than the initial camera."""
-        aspect, initial = camera.image_width / camera.image_height, self.server.initial_camera
-        if aspect < ASPECT and np.allclose(camera.position, initial.position, atol=1e-3):
-            with self._lock:
-                self._place_camera(camera, aspect)
+
+        def widen(camera: Any) -> None:
+            aspect, initial = camera.image_width / camera.image_height, self.server.initial_camera
+            if aspect < ASPECT and np.allclose(camera.position, initial.position, atol=1e-3):
+                with self._lock:
+                    self._place_camera(camera, aspect)
+
+        client.camera.on_update(widen)
+        widen(client.camera)
 
     def _add_panel(self) -> None:
         """Add the elements of the panel, which are the same for all plans."""

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
-from hitchopt.view.scene import Highlight, Scene
-from hitchopt.view.shapes import SPAN, RigidSurface, mesh, sphere_faces
+from hitchopt.view.scene import SPAN, Highlight, RigidSurface, Scene, mesh, sphere_faces
 from hitchopt.view.style import MARK_COLOUR, rgb
 
 Server = Any  # A viser server; viser is an optional dependency
@@ -46,7 +45,14 @@ class LiveScene:
         colours, cables = scene.appearance.cable_colours, _segments(self._moment.cables)
         self._cable_colours = (PALE_COLOUR,) * len(colours) if ghost else colours
         self._cables = self._lines("cables", cables, self._cable_colours, 2.0 * scene.radius)
-        self._drones, self._objects = self._add_drones(), self._add_objects()
+        opacity, pale = PALE_OPACITY if ghost else None, _as_bytes((PALE_COLOUR,))[0]
+        self._drones = list[Any]()
+        for part in scene.appearance.drone_parts():
+            drones = pale if ghost else _as_bytes(part.colours, linear=True)
+            self._drones.append(self._batch(f"drones/{part.name}", part.faces, drones, opacity))
+        self._objects = [
+            self._solid(f"objects/{each.name}", each, opacity) for each in scene.appearance.objects
+        ]
         if not ghost:
             self._add_switched()
             self._add_surroundings()
@@ -126,18 +132,6 @@ class LiveScene:
         if len(balls):
             self._marks.batched_positions = _float32(balls)
             self._marks.batched_wxyzs = _identities(len(balls))
-
-    def _add_drones(self) -> list[Any]:
-        opacity, batches = PALE_OPACITY if self._ghost else None, []
-        for part in self.scene.appearance.drone_parts():
-            pale = _as_bytes((PALE_COLOUR,))[0]
-            colours = pale if self._ghost else _as_bytes(part.colours, linear=True)
-            batches.append(self._batch(f"drones/{part.name}", part.faces, colours, opacity))
-        return batches
-
-    def _add_objects(self) -> list[Any]:
-        opacity, objects = PALE_OPACITY if self._ghost else None, self.scene.appearance.objects
-        return [self._solid(f"objects/{each.name}", each, opacity=opacity) for each in objects]
 
     def _add_switched(self) -> None:
         """Add the parts with switches, and the highlighting balls."""

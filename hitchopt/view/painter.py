@@ -25,8 +25,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
-from hitchopt.view.scene import Moment, Scene, scene_at
-from hitchopt.view.shapes import SEGMENTS, GroupName, normals, subdivide
+from hitchopt.view.scene import SEGMENTS, GroupName, Moment, Scene, normals, scene_at, subdivide
 
 # Width of a cable with its pale edges, and overlap of its segments to avoid gaps in bends, both in
 # half widths of the cable
@@ -211,8 +210,10 @@ def shots_in_motion(motion: Motion, count: int = MOTION_PANELS) -> tuple[Shot, .
 
     These divide the longest paths between two shots into equal parts.
     """
-    shots, travel = choose_shots(motion), _travel(motion)
-    times = np.linspace(0.0, motion.duration, len(travel))
+    shots, times = choose_shots(motion), np.linspace(0.0, motion.duration, PATH_SAMPLES)
+    places = motion.drones.at(motion.drones.breaks[0] + times)
+    steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
+    travel = np.concatenate([[0.0], np.cumsum(steps + TINY_STEP)])  # [m] of the fastest drones
     reached = np.interp([shot.time for shot in shots], times, travel)
     parts = np.ones(len(shots) - 1, dtype=np.intp)
     lengths = np.diff(reached)
@@ -221,21 +222,10 @@ def shots_in_motion(motion: Motion, count: int = MOTION_PANELS) -> tuple[Shot, .
     paths = zip(reached, lengths, parts, strict=False)
     inner = [begin + size * np.arange(1, n) / n for begin, size, n in paths]
     moments = np.interp(np.concatenate([*inner, []]), travel, times)
-    added = [Shot(_phase_at(motion, time), time) for time in moments.tolist()]
+    ends = np.array([phase.end for phase in motion.phases])
+    names = [*(phase.name for phase in motion.phases), "end"]
+    added = [Shot(names[np.searchsorted(ends, time)], time) for time in moments.tolist()]
     return tuple(sorted([*shots, *added], key=lambda shot: shot.time))
-
-
-def _travel(motion: Motion) -> Array:
-    """Return the increasing path lengths [m] of the fastest drones at even times (samples,)."""
-    times = np.linspace(0.0, motion.duration, PATH_SAMPLES)
-    places = motion.drones.at(motion.drones.breaks[0] + times)
-    steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
-    return np.concatenate([[0.0], np.cumsum(steps + TINY_STEP)])
-
-
-def _phase_at(motion: Motion, time: float) -> str:
-    """Return the name of the phase at a time [s]."""
-    return next((phase.name for phase in motion.phases if time <= phase.end), "end")
 
 
 def _passages(motion: Motion, shots: Sequence[Shot]) -> list[Shot]:

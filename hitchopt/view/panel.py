@@ -116,7 +116,12 @@ class EditingPanel:
             lambda event: self._run(self.choose, names.index(event.target.value) + START)
         )
         kinds = gui.add_dropdown("new step", tuple(STEP_KINDS), initial_value="hold")
-        self._button("Add after this step", lambda: self._add_step(kinds.value))
+
+        def add_step() -> None:
+            self.editing.add(self.step, kinds.value)
+            self.choose(self.step + 1)
+
+        self._button("Add after this step", add_step)
         if self.step != START:
             group = gui.add_button_group("this step", ("Earlier", "Later", "Remove"))
             group.on_click(lambda event: self._run(self._rearrange, event.target.value))
@@ -147,10 +152,6 @@ class EditingPanel:
                 self._drop(by_name[self.handle], place.value)
 
         self._button("Plan with these values", plan)
-
-    def _add_step(self, kind: str) -> None:
-        self.editing.add(self.step, kind)
-        self.choose(self.step + 1)
 
     def _rearrange(self, how: str) -> None:
         if how == "Remove":

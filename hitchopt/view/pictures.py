@@ -30,8 +30,7 @@ from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
 from hitchopt.view import painter, style
 from hitchopt.view.painter import PATH_OPACITY
-from hitchopt.view.scene import scene_at
-from hitchopt.view.shapes import Appearance, GroupName
+from hitchopt.view.scene import Appearance, GroupName, scene_at
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
 # Width and height [inch], and height ratios of a row of panels and the plan below it

@@ -23,12 +23,12 @@ from hitchopt.errors import InputError, Progress
 from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, Group, Motion
+from hitchopt.storage.files import digest
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, HOOKED_STATES, POINTS
 from hitchopt.view.pictures import draw_summary, panels, sample_states
-from hitchopt.view.scene import Scene, highlight_of, scene_of
-from hitchopt.view.shapes import RigidSurface, mesh
+from hitchopt.view.scene import RigidSurface, Scene, highlight_of, mesh, scene_of
 
 # File name extensions
 PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
@@ -275,8 +275,5 @@ def _versions_and_digests(problem: str, directory: Path) -> list[tuple[str, str]
             rows.append((package, "(not installed)"))
     if problem:
         rows.append(("problem file, SHA-256", hashlib.sha256(problem.encode()).hexdigest()))
-    for name in DIGESTED_FILES:
-        if (directory / name).is_file():
-            with (directory / name).open("rb") as file:
-                rows.append((f"{name}, SHA-256", hashlib.file_digest(file, "sha256").hexdigest()))
-    return rows
+    digested = [name for name in DIGESTED_FILES if (directory / name).is_file()]
+    return rows + [(f"{name}, SHA-256", digest(directory / name)) for name in digested]

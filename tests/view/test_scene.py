@@ -41,8 +41,15 @@ from hitchopt.view.painter import (
     draw_plan_storyboard,
 )
 from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sample_states
-from hitchopt.view.scene import Scene, ghost_scene, highlight_of, scene_at, scene_of
-from hitchopt.view.shapes import object_faces, subdivide
+from hitchopt.view.scene import (
+    Scene,
+    ghost_scene,
+    highlight_of,
+    object_faces,
+    scene_at,
+    scene_of,
+    subdivide,
+)
 from hitchopt.view.style import OTHERS_COLOUR, cable_colours, new_figure, rgb
 
 

@@ -28,8 +28,7 @@ from hitchopt.objects import Section, Slab
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import parsed_json
 from hitchopt.values import Array
-from hitchopt.view.scene import scene_at
-from hitchopt.view.shapes import RigidSurface, mesh, slab_faces
+from hitchopt.view.scene import RigidSurface, mesh, scene_at, slab_faces
 from hitchopt.view.style import rgb
 
 FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
