@@ -170,7 +170,6 @@ VERTICES_HEADER = "t,vertex,x,y,z,tension"
 
 ROWS = 20_000  # Rows that are sampled at once
 NUMBERS = 8000  # Numbers that are formatted at once, to fit the processor's cache
-
 Progress = Callable[[float], None]  # Callback with the completed fraction, 0 to 1
 
 

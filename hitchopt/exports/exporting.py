@@ -111,10 +111,8 @@ def export_motion(
     progress: status callback.
     problem: text of the plan's problem file, if known.
 
-    Raises
-    ------
-    CertificateError, InputError: the certificate does not hold, or an option is invalid.
-    InfeasibleError: the format cannot hold the plan, or violates a limit; nothing is written.
+    Raises CertificateError if the certificate does not hold, InputError for an invalid option, and
+    InfeasibleError if the format cannot hold the plan, or violates a limit; nothing is written.
     """
     say = progress or (lambda _: None)
     kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
@@ -133,17 +131,7 @@ def export_motion(
     rate = kind.rate if options.rate is None else checked_rate(options.rate)
     _check_gains(kind, motion.team, options)
     settings = kind.settings(motion.team, options)
-    notes = (
-        *weightless_notes(motion, problem),
-        *tracking_notes(motion),
-        *_trim_notes(kind, motion),
-        *_velocity_notes(kind, plan, options),
-        *(
-            f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
-            "s of this plan: fly both on one clock"
-            for each in plan.others
-        ),
-    )
+    notes = (*weightless_notes(motion, problem), *_notes(kind, plan, options))
     content = plan, title, frame, fleet, rate, options
     task = ExportTask(*content, settings=settings, notes=notes, has_trims=kind.has_heading)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
@@ -169,18 +157,29 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
             return
 
 
-def _velocity_notes(kind: Format, motion: Motion, options: ExportOptions) -> Iterator[str]:
-    """Yield a note if settings of receivers decide whether they follow velocities."""
-    if options.positions_only or not kind.velocity_settings:
-        return
-    speed = largest_rate(motion.drones, 1).worst
-    size = f"at up to {speed:.2g} m/s"
-    if all(_is_known(each.motion.team, options) for each in motion.groups):
-        size = f"up to {speed * max(_lags(motion, options)):.2g} m at {speed:.2g} m/s"
-    yield (
-        f"velocities follow from the curves with {kind.velocity_settings}; without them drones "
-        f"trail positions by v kd/kp, {size}: positions_only=True allows for it"
-    )
+def _notes(kind: Format, motion: Motion, options: ExportOptions) -> Iterator[str]:
+    """Yield notes on tracking errors, trims of drones, velocities, and other plans in the air."""
+    yield from tracking_notes(motion)
+    trim = 100.0 * float(np.max(np.linalg.norm(motion.team.trim, axis=1)))
+    size = f"trims of drones, up to {trim:.3g} cm,"  # they turn with the heading
+    if trim and kind.flown_by and kind.has_heading:
+        yield f"setpoints include {size} at the heading of the files: keep it in flight"
+    elif trim and kind.flown_by:
+        yield f"{size} are not included: {kind.name} has no heading, with which they turn"
+    if kind.velocity_settings and not options.positions_only:
+        speed = largest_rate(motion.drones, 1).worst
+        size = f"at up to {speed:.2g} m/s"
+        if all(_is_known(each.motion.team, options) for each in motion.groups):
+            size = f"up to {speed * max(_lags(motion, options)):.2g} m at {speed:.2g} m/s"
+        yield (
+            f"velocities follow from the curves with {kind.velocity_settings}; without them drones "
+            f"trail positions by v kd/kp, {size}: positions_only=True allows for it"
+        )
+    for each in motion.others:
+        yield (
+            f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
+            "s of this plan: fly both on one clock"
+        )
 
 
 def _lags(motion: Motion, options: ExportOptions) -> tuple[float, float]:
@@ -229,7 +228,9 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
         return replace(task, trailing=check, notes=(*task.notes, note))
     room = check.bound - tube.level + speed * lags[0]  # for trailing, of errors level
     first = math.ceil(101.0 * speed * lags[0] / room) / 100.0 if room > 0.0 else math.inf
-    remedy = f"Plan with a lower limits.speed or limits.tracking: {_rounded_up(tube)}"
+    level, height = (math.ceil(100.0 * x) / 100.0 for x in (tube.level, tube.height))
+    needed = f"{{level: {level:g}, height: {height:g}}}" if height > level else f"{level:g}"
+    remedy = f"Plan with a lower limits.speed or limits.tracking: {needed}"
     for factor in STRETCH_FACTORS:
         if first * factor <= MAX_STRETCH and check_at(first * factor)[1].holds:
             remedy = f"Add stretch={task.options.stretch * first * factor:.4g}"
@@ -239,23 +240,6 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
         f"it. {remedy}, or fly full setpoints, which do not trail: leave out positions_only."
     )
     raise InfeasibleError([check.violation("", TRAILING_REMEDY)], message)
-
-
-def _rounded_up(tube: Tube) -> str:
-    """Return a tube as in files, rounded up to centimetres."""
-    level, height = (math.ceil(100.0 * x) / 100.0 for x in (tube.level, tube.height))
-    return f"{{level: {level:g}, height: {height:g}}}" if height > level else f"{level:g}"
-
-
-def _trim_notes(kind: Format, motion: Motion) -> Iterator[str]:
-    """Yield a note on trims of drones, which turn with their heading."""
-    if (largest := float(np.max(np.linalg.norm(motion.team.trim, axis=1)))) == 0.0:
-        return
-    size = f"trims of drones, up to {100.0 * largest:.3g} cm,"
-    if kind.has_heading and kind.flown_by:
-        yield f"setpoints include {size} at the heading of the files: keep it in flight"
-    elif kind.flown_by:
-        yield f"{size} are not included: {kind.name} has no heading, with which they turn"
 
 
 def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
@@ -287,7 +271,11 @@ def _export_task(
     needs_offsets, may_lose = _needs_offsets(kind, task), task.options.allow_slack
     if not (reason := _slack_reason(kind, task)):
         try:
-            held = _with_offsets(task) if needs_offsets else task
+            held = task
+            if needs_offsets:
+                moved = held_tension(task.motion, task.options.stiffness, task.options.damping)
+                held = replace(task, motion=moved.motion, without_offsets=task.motion)
+                held = replace(held, notes=(*task.notes, moved.note))
             held = _allowing_for_trailing(kind, held)
             held = replace(held, undetermined=_undetermined_reasons(kind, held))
             return held, _first_valid(kind, held, scratch / "held", say)
@@ -318,13 +306,6 @@ def _takes_force(kind: Format, task: ExportTask, team: Team) -> bool:
     """Return whether receivers get the cable forces, and the drones add them."""
     is_sent = kind.flown_by != "upload" and not task.options.positions_only
     return is_sent and bool(np.all(team.feed_forward))
-
-
-def _with_offsets(task: ExportTask) -> ExportTask:
-    """Return the task with set points that hold the tension."""
-    held = held_tension(task.motion, task.options.stiffness, task.options.damping)
-    notes = (*task.notes, held.note)
-    return replace(task, motion=held.motion, without_offsets=task.motion, notes=notes)
 
 
 def _is_known(team: Team, options: ExportOptions) -> bool:
@@ -520,7 +501,10 @@ def _is_file(place: Path) -> bool:
 def _move_exports(
     exports: Sequence[Export], place: Path, kind: Format, task: ExportTask
 ) -> tuple[Export, ...]:
-    """Move verified exports to their file or folder; several parts to subfolders."""
+    """Move verified exports to their file or folder; several parts to subfolders.
+
+    Raises FileError if files that are not of an earlier export would go.
+    """
     first, several = exports[0], len(exports) > 1
     if _is_file(place):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
@@ -542,7 +526,11 @@ def _move_exports(
     parts = [place / name for name in listed_names(read_manifest(place), "parts")]
     obsolete = [folder for folder in parts if folder not in new]
     for folder, sources in (new | {folder: {} for folder in obsolete}).items():
-        _move(folder, sources, _owned(folder, tuple(sources)), MANIFEST)
+        owned = {MANIFEST, *listed_names(read_manifest(folder), "files")}
+        if foreign := [name for name in sources if name not in owned and (folder / name).exists()]:
+            reason = "is there already and not from an export; choose another folder with -o"
+            raise FileError(f"{folder / foreign[0]}: {reason}")
+        _move(folder, sources, owned | {*sources}, MANIFEST)
     for folder in obsolete:
         with contextlib.suppress(OSError):  # not empty
             folder.rmdir()
@@ -554,15 +542,6 @@ def _move(folder: Path, sources: Mapping[str, Path], owned: set[str], seal: str)
         sources[path.name].rename(path)
 
     replace_files(folder, dict.fromkeys(sources, move), owned, seal)
-
-
-def _owned(folder: Path, files: Sequence[str]) -> set[str]:
-    """Return the files of the earlier and the new export; raises FileError if others would go."""
-    owned = {MANIFEST, *listed_names(read_manifest(folder), "files")}
-    if foreign := [name for name in files if name not in owned and (folder / name).exists()]:
-        reason = "is there already and not from an export; choose another folder with -o"
-        raise FileError(f"{folder / foreign[0]}: {reason}")
-    return {*owned, *files}
 
 
 EXPORT_RULES = tuple(rule for rule in RULES if any(each.exported for each in rule.evaluators))

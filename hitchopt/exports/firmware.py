@@ -22,7 +22,6 @@ from hitchopt.hitch.estimator import HELD
 from hitchopt.hitch.flight_controller import FlightController, Gains, px4_gains
 
 SETTINGS = "crazyflies.yaml"  # File of a fleet's robots and their parameters
-
 Parameters = dict[str, dict[str, float]]  # By group and name; integers are int
 
 CONTROLLERS = {"pid": 1, "mellinger": 2, "lee": 5}
@@ -30,7 +29,6 @@ CONTROLLERS = {"pid": 1, "mellinger": 2, "lee": 5}
 
 KALMAN = 2  # Value of ``stabilizer.estimator`` for the extended Kalman filter
 MAX_COMMAND = 65535.0  # Command of full thrust
-
 STOCK_INERTIA = 16.57e-6, 16.66e-6, 29.26e-6  # Inertia of a Crazyflie 2.1 [kg m²]
 STOCK_MASS = 0.0313  # Its mass [kg], for a radius of gyration of half its arms of 46 mm
 STOCK_THRUST = MAX_COMMAND / 132_000.0  # Its full thrust [N], by the default of ``massThrust``
@@ -67,15 +65,15 @@ def team_parameters(
     Gains [N/m], [N s/m] are for drones without a named controller, which get Mellinger's. Raises
     InputError for unstable gains, and for gains that the firmware does not have.
     """
-    parameters = []
-    for kind in team.quadrotor:
+
+    def of_kind(kind: Quadrotor) -> Parameters:
         loop: FlightController | None = kind.loop
         if kind.controller is None:
             gains = _stated_gains(kind, stiffness, damping)
             loop = None if gains is None else FlightController.of("mellinger", kind.mass, gains)
-        parameters.append(firmware_parameters(kind, loop))
-    per_kind = team.drones // len(parameters)
-    return {name: parameters[i // per_kind] for i, name in enumerate(team.drone_names)}
+        return firmware_parameters(kind, loop)
+
+    return dict(zip(team.drone_names, map(of_kind, team.kinds), strict=True))
 
 
 def _stated_gains(kind: Quadrotor, stiffness: float | None, damping: float | None) -> Gains | None:
@@ -142,16 +140,16 @@ def px4_parameters(
     and of the position loop around it, within the ranges that PX4 declares; ``stiffness`` [N/m] and
     ``damping`` [N s/m] are for drones without a named controller.
     """
-    by_kind = []
-    for kind in team.quadrotor:
+
+    def of_kind(kind: Quadrotor) -> dict[str, float]:
         parameters: dict[str, float] = {"MPC_ACC_DECOUPLE": 0, "MPC_USE_HTE": 0}
         if (stated := _stated_gains(kind, stiffness, damping)) is not None:
             loop = FlightController.of("px4", kind.mass, stated)
             gains = px4_gains(loop.kp, loop.kd, loop.ki, kind.mass)
             parameters |= {name: _rounded(gain) for name, gain in gains.items()}
-        by_kind.append(parameters)
-    per_kind = team.drones // len(by_kind)
-    return {name: by_kind[i // per_kind] for i, name in enumerate(team.drone_names)}
+        return parameters
+
+    return dict(zip(team.drone_names, map(of_kind, team.kinds), strict=True))
 
 
 def px4_notes(

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,7 @@ from hitchopt.exports.contents import (
     warning,
 )
 from hitchopt.exports.directory import changed_tables
-from hitchopt.exports.firmware import SETTINGS, settings_findings
+from hitchopt.exports.firmware import SETTINGS, mapping_at, settings_findings
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, SHOW_LIMITS
 from hitchopt.exports.options import ENDINGS, HOMES
@@ -222,7 +221,7 @@ def _kind(path: Path, formats: Sequence[Format]) -> Format:
 def _joint_flight(
     kind: Format, contents: FileContents, rules: Rules
 ) -> tuple[JointFlight, list[Finding]]:
-    """Return figures of the joint flight, and findings."""
+    """Return figures of the joint flight, and findings; raises FileError for invalid numbers."""
     names, own = contents.names, contents.own
     limits, checks = rules.limits(own), dict[str, Check]()
     jumps = [(0.0, 0, 0.0)] * (contents.smooth + 1)
@@ -232,7 +231,15 @@ def _joint_flight(
     is_relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < RELATIVE_START
     reach, longest = (0.0, ""), 0.0
     for window in (last, *windows):
-        reach = max(reach, _reach(window, names))
+        extents = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
+        farthest = float(np.max(extents)), names[int(np.argmax(extents))]
+        if farthest[0] > MAX_COORDINATE:
+            reason = f"goes {farthest[0]:.3g} m from the origin; units are metres"
+            raise FileError(f"{farthest[1]} {reason}")
+        if (shortest := np.min(window.durations)) < MIN_PIECE:
+            at = float(window.breaks[np.argmin(window.durations)])
+            raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
+        reach = max(reach, farthest)
         for check in _checks(contents, window, limits, None if is_relative else rules.separation):
             checks[check.name] = worst_of([checks.get(check.name), check]) or check
         extended = window if window is last else joined([last, window])
@@ -271,18 +278,6 @@ def _joint_flight(
         reason = f"counts above {own[LOWEST]:g} m, where both drones are"
         findings.append(note(DISTANCE, "", reason))
     return flight, findings
-
-
-def _reach(window: PiecewisePolynomial, names: Sequence[str]) -> tuple[float, str]:
-    """Return the largest coordinate [m] and its drone; raises FileError for invalid numbers."""
-    extents = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
-    farthest = float(np.max(extents)), names[int(np.argmax(extents))]
-    if farthest[0] > MAX_COORDINATE:
-        raise FileError(f"{farthest[1]} goes {farthest[0]:.3g} m from the origin; units are metres")
-    if (shortest := np.min(window.durations)) < MIN_PIECE:
-        at = float(window.breaks[np.argmin(window.durations)])
-        raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
-    return farthest
 
 
 def _checks(
@@ -415,8 +410,7 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
             yield error("changed", path.name, "is not what was written with the plan beside it")
     if not files:
         return
-    value = manifest.get("digests")
-    digests = value if isinstance(value, dict) else {}
+    digests = mapping_at(manifest, "digests")
     for name, file in files.items():
         if not file.exists():
             yield error("missing", name, "was exported and is not there")
@@ -432,12 +426,10 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
 
 def _start_findings(fleet: Path, contents: FileContents) -> Iterator[Finding]:
     """Yield errors for drones whose initial positions are not below their first points."""
-    starts = next(contents.windows()).coefficients[0, :, :2, 0]
-    content: Any = read_yaml(fleet)
-    robots: Any = content.get("robots") if isinstance(content, Mapping) else None
+    starts, content = next(contents.windows()).coefficients[0, :, :2, 0], read_yaml(fleet)
+    robots = mapping_at(content if isinstance(content, Mapping) else {}, "robots")
     for name, start in zip(contents.names, starts, strict=True):
-        robot = robots.get(name) if isinstance(robots, Mapping) else None
-        point = robot.get("initial_position") if isinstance(robot, Mapping) else None
+        point = mapping_at(robots, name).get("initial_position")
         if not (
             isinstance(point, list) and len(point) == 3 and {*map(type, point)} <= {int, float}
         ):

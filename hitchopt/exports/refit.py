@@ -155,8 +155,15 @@ def round_points(curves: PiecewisePolynomial, quantum: float, scale: Scale) -> P
     exact = curves.coefficients / quantum
     counts = np.empty_like(exact)
     last = np.rint(exact[0, ..., 0])
-    for piece, h in enumerate(curves.durations):
-        counts[piece] = _nearest_integers(exact[piece], last, _gram(curves.degree, float(h), scale))
+    nodes, weights = np.polynomial.legendre.leggauss(curves.degree + 1)
+    x = 0.5 * (nodes + 1.0)
+    bases = [bernstein.derivative_basis(x, curves.degree, order) for order in range(len(scale))]
+    for piece, h in enumerate(curves.durations.tolist()):
+        gram = np.zeros((len(x), len(x)))  # of the basis, for errors over the piece
+        for order, (basis, size) in enumerate(zip(bases, scale, strict=True)):
+            values = basis / (size * h**order)
+            gram += values.T @ (0.5 * weights[:, None] * values)
+        counts[piece] = _nearest_integers(exact[piece], last, gram)
         last = counts[piece, ..., -1]
     return PiecewisePolynomial(curves.breaks, counts * quantum)
 
@@ -175,14 +182,3 @@ def _nearest_integers(exact: Array, first: Array, gram: Array) -> Array:
         counts[..., i] = first if i == size - 1 else np.rint(target)
         errors[..., i] = counts[..., i] - c[..., i]
     return counts[..., ::-1]
-
-
-def _gram(degree: int, h: float, scale: Scale) -> Array:
-    """Return the Gram matrix (N + 1, N + 1) of the basis for errors over a piece of h [s]."""
-    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
-    x = 0.5 * (nodes + 1.0)
-    gram = np.zeros((degree + 1, degree + 1))
-    for order, size in enumerate(scale):
-        values = bernstein.derivative_basis(x, degree, order) / (size * h**order)
-        gram += values.T @ (0.5 * weights[:, None] * values)
-    return gram

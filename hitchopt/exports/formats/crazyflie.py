@@ -163,7 +163,6 @@ HEADER = ",".join(("duration", *POWERS))
 PIECE_BYTES = 4 * (1 + len(POWERS))  # Size of a piece in the drone's memory [B]
 MAX_PIECES = BYTES // PIECE_BYTES  # Number of pieces in a drone's memory: 31
 MIN_ROWS = 2  # Minimum number of rows of a file, for the reader of Crazyswarm2
-
 LANDED = 0.04  # Height at which landing stops the motors [m], unless drones hover below it
 
 
@@ -197,7 +196,8 @@ class Crazyswarm2(CrazyflieFormat):
             breaks = np.array([0.0, POLY.quantum * (breaks[-1] // (2 * POLY.quantum)), breaks[-1]])
         curves = task.placed(fit_pieces(task.motion.drones, breaks, POLY))
         powers = np.zeros((curves.pieces, len(task.names), 4, DEGREE + 1))
-        powers[:, :, :3] = to_powers(curves)
+        for order in range(DEGREE + 1):  # of seconds
+            powers[:, :, :3, order] = curves.ends(order)[0] / factorial(order)
         powers[:, :, 3, 0] = task.frame.heading
         for i, file in enumerate(files := self.files(task)):
             write_poly_csv(folder / file, curves.durations, powers[:, i], task.frame.name)
@@ -241,7 +241,9 @@ class Crazyswarm2(CrazyflieFormat):
             reason = "has more than one line, and readers skip only the first; remove the others"
             findings.append(error("header", path.stem, reason))
         with reading(path, "table of polynomials"):
-            curves = of_powers(durations, powers)
+            breaks = np.concatenate([[0.0], np.cumsum(durations)])
+            scale = durations[:, None, None] ** np.arange(DEGREE + 1.0)
+            curves = PiecewisePolynomial(breaks, (powers * scale) @ OF_POWERS)
         left, right = curves.ends()
         jumps = np.abs(np.angle(np.exp(1j * (left[1:, 3] - right[:-1, 3]))))  # modulo 2π
         if np.max(jumps, initial=0.0) > YAW_TOLERANCE:
@@ -251,19 +253,6 @@ class Crazyswarm2(CrazyflieFormat):
         curve = PiecewisePolynomial(curves.breaks, curves.coefficients[:, :3])
         frame, size = text[0].partition("frame:")[2].strip(), len(table) * PIECE_BYTES
         return Trajectory(path.stem, curve, size, frame, tuple(findings))
-
-
-def to_powers(curves: PiecewisePolynomial) -> Array:
-    """Return ascending powers of seconds (pieces, D, 3, 8) of curves (D, 3) of degree 7."""
-    jet = [curves.ends(order)[0] / factorial(order) for order in range(DEGREE + 1)]
-    return np.stack(jet, axis=-1)
-
-
-def of_powers(durations: Array, powers: Array) -> PiecewisePolynomial:
-    """Return the curves (4,) of ascending powers (pieces, 4, 8) of seconds."""
-    breaks = np.concatenate([[0.0], np.cumsum(durations)])
-    scale = durations[:, None, None] ** np.arange(DEGREE + 1.0)
-    return PiecewisePolynomial(breaks, (powers * scale) @ OF_POWERS)
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:
@@ -317,8 +306,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
-    look = pilot_checklist(task.motion)
-    slack = _slack_points(task)
+    look, slack = pilot_checklist(task.motion), _slack_points(task)
     pull = "held_pull" if task.holds_tension else "pull"
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {

@@ -51,7 +51,6 @@ SMOOTH = 2  # The curves are quintics with continuous accelerations
 SAME_TIME = 1e-6  # Maximum difference of the drones' times in one row [s]
 ARMING_TIME = 5.0  # Maximum delay of arming after the common start [s]
 BLEND_TIME = 3.0  # Maximum duration of the transition from the climb to the rows [s]
-
 WAIT = ARMING_TIME + BLEND_TIME  # Time on the ground before the rise [s]
 SETTLE = 3.0  # Rest at the first positions [s]
 SPEED, ACCELERATION = 0.5, 0.5  # Maximum speed and acceleration of the rise [m/s], [m/s²]

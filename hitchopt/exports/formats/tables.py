@@ -64,23 +64,13 @@ class TableFormat(Format):
     dotted = True
 
     @abstractmethod
-    def _write(self, path: Path, task: ExportTask) -> None:
-        """Write the file."""
-
-    @abstractmethod
-    def _read(self, path: Path) -> FileContents:
-        """Read the file; raises FileError or others of READ_ERRORS if it is damaged."""
-
-    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
-        """Write the only file."""
-        (name,) = self.files(task)
-        self._write(folder / name, task)
-        return FormatOutput((name,))
+    def table(self, path: Path) -> tuple[NDArray[np.str_], Array, str]:
+        """Read names of drones (rows,), times and vectors (rows, 4, 7 or 10), and the frame."""
 
     def load(self, files: Sequence[Path]) -> FileContents:
-        """Read the file."""
+        """Return the contents of rows sorted by time, then drone."""
         with reading(files[0], f"{self.name} table of hitchopt's columns"):
-            return self._read(files[0])
+            return _contents_of_rows(*self.table(files[0]))
 
 
 def _contents_of_rows(drones: NDArray[np.str_], table: Array, frame: str) -> FileContents:
@@ -110,14 +100,17 @@ class CsvTable(TableFormat):
     file = "setpoints_{frame}.csv"
     header = "t,drone"
 
-    def _write(self, path: Path, task: ExportTask) -> None:
-        write_rows(path, HEADER, (task.names, rows_of(task, ROWS)))
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
+        """Write the only file."""
+        write_rows(folder / self.files(task)[0], HEADER, (task.names, rows_of(task, ROWS)))
+        return FormatOutput(self.files(task))
 
-    def _read(self, path: Path) -> FileContents:
+    def table(self, path: Path) -> tuple[NDArray[np.str_], Array, str]:
+        """Read the columns that are there; the file's name has the frame."""
         table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
         numbers = table.numbers(["t", *present_columns(table, STATE_COLUMNS)])
         drones = np.array(table.words("drone"), np.str_)
-        return _contents_of_rows(drones, numbers, path.stem.rpartition("_")[2])
+        return drones, numbers, path.stem.rpartition("_")[2]
 
 
 class ParquetTable(TableFormat):
@@ -127,20 +120,24 @@ class ParquetTable(TableFormat):
     endings = (".parquet",)
     file = "setpoints.parquet"
 
-    def _write(self, path: Path, task: ExportTask) -> None:
+    def write(self, folder: Path, task: ExportTask) -> FormatOutput:
+        """Write the only file."""
         arrow, parquet = required_module("pyarrow"), required_module("pyarrow.parquet")
         names, number = arrow.array(task.names), arrow.float64()
         fields = [("t", number), ("drone", arrow.dictionary(arrow.int32(), arrow.string()))]
         fields += [(column, number) for column in COLUMNS]
         metadata = {FRAME_KEY: task.frame.name.encode()}
-        with parquet.ParquetWriter(path, arrow.schema(fields, metadata=metadata)) as writer:
+        schema = arrow.schema(fields, metadata=metadata)
+        with parquet.ParquetWriter(folder / self.file, schema) as writer:
             for t, values in rows_of(task, GROUP):
                 indices = np.tile(np.arange(len(names), dtype=np.int32), len(t))
                 drones = arrow.DictionaryArray.from_arrays(indices, names)
                 columns = [np.repeat(t, len(names)), drones, *values.reshape(-1, len(COLUMNS)).T]
                 writer.write_table(arrow.table(columns, schema=writer.schema), len(indices))
+        return FormatOutput((self.file,))
 
-    def _read(self, path: Path) -> FileContents:
+    def table(self, path: Path) -> tuple[NDArray[np.str_], Array, str]:
+        """Read the columns that are there; the metadata has the frame."""
         arrow, parquet = required_module("pyarrow"), required_module("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
             check_expansion(72 * file.metadata.num_rows, path.stat().st_size)
@@ -149,4 +146,4 @@ class ParquetTable(TableFormat):
             columns = ["drone", "t", *present_columns(schema.names, STATE_COLUMNS)]
             drones, *rows = file.read(columns).columns
             numbers = np.column_stack([row.to_numpy() for row in rows]).astype(np.float64)
-            return _contents_of_rows(np.array(drones.to_pylist(), np.str_), numbers, frame)
+            return np.array(drones.to_pylist(), np.str_), numbers, frame
