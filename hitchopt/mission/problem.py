@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -308,6 +309,11 @@ class TeamMission:
         return self.start.polygon if isinstance(self.start, HitchStart | Hitch) else None
 
 
+def _least_share(team: Team) -> float:
+    """Return the least tension of edges over that of their legs, which lean against friction."""
+    return math.exp(-math.pi * team.cable_friction)
+
+
 def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
     """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners.
 
@@ -321,13 +327,14 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
         name, objects = getattr(step, "object", stage.name), {**requirements.objects}
         if isinstance(step, TensionStep):
             tensions = [team.tension, team.tension if step.tension is None else step.tension]
-            smallest = min(OPENING_TENSIONS[0], *map(np.min, tensions))
-            tension_range = smallest, max(map(np.max, tensions))
             hold = name, step.method_for(objects[name])
+            smallest = min(OPENING_TENSIONS[0], *map(np.min, tensions))
+            smallest *= _least_share(team) if hold[1] == HoldBy.GRIP.value else 1.0
+            tension_range = smallest, max(map(np.max, tensions))
         if isinstance(step, TransportObject | Tie) and team.robots == 2:
             tensions = [team.tension, step.tension_for(team)]
             smallest = min(OPENING_TENSIONS[0], tying_tension(team), *map(np.min, tensions))
-            tension_range = smallest, max(map(np.max, tensions))
+            tension_range = smallest * _least_share(team), max(map(np.max, tensions))
             hold = name, HoldBy.GRIP.value
         outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
         if name:
