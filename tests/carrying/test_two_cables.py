@@ -423,6 +423,15 @@ def test_steps_that_do_not_fit_are_refused(step: dict[str, Any], message: str) -
         ho.solve(problem([step]))
 
 
+@pytest.mark.parametrize("tension", [0.12, 0.2, 1.0])
+@pytest.mark.parametrize("density", [0.0015, 0.02])
+def test_cables_are_tied_with_no_more_than_the_team_s_tension(
+    tension: float, density: float
+) -> None:
+    team = problem([TIE], tension=tension, cable_density=density).team
+    assert np.all(ho.Tie("drum").tension_for(team) <= tension)
+
+
 def test_fixed_objects_and_those_below_others_are_tied_but_not_lifted() -> None:
     lift = [TIE, {"lift": {"by": 0.1}}]
     with pytest.raises(ho.InputError, match=r"objects\.drum\.fixed = True: must be false"):

@@ -315,13 +315,13 @@ MAX_SLOPE = 0.1
 """Weight at a clasp over the tension with which cables are tied by default."""
 
 MIN_TENSION = 0.15
-"""[N] Smallest default of that tension."""
+"""[N] Smallest default of that tension, unless the team's is smaller."""
 
 
 def tying_tension(team: Team) -> float:
     """Return the tension [N] with which cables are tied if the problem states none."""
     weight = 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
-    return float(np.clip(weight / MAX_SLOPE, MIN_TENSION, max(np.min(team.tension), MIN_TENSION)))
+    return min(max(weight / MAX_SLOPE, MIN_TENSION), float(np.min(team.tension)))
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
