@@ -370,22 +370,33 @@ def near_pairs(
     bodies = moving.first.shape[1] + moving.count
     split = pieces > 1 and pieces * (bodies if pairs is None else len(pairs)) > MAX_COMPARED
     if pairs is None and not split:
-        yield from _nearest_neighbours(moving, attained)
-        reach = (attained() + moving.margin) * (1.0 + SLACK)
-        reach += float(np.max(np.linalg.norm(moving.extent, axis=-1)))
-        first, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
-        is_moving = np.median(first.sizes) > 0.25 * reach
-        final = pieces == 1 and (depth == MAX_DEPTH or not is_moving)
-        second = None if moving.second is None else others
-        close = few_close_pairs(
-            first, second, float(reach) * (1.0 + SLACK), np.inf if final else MAX_PER_BODY * bodies
-        )
-        pairs = None if close is None else moving.select(close.first, close.second)
+        is_moving = False
+        if attained() < np.inf:  # what is near for the distance attained so far is often little
+            pairs, is_moving = _listed(moving, attained())
+        if pairs is None and not (is_moving and depth < MAX_DEPTH):
+            yield from _nearest_neighbours(moving, attained)
+            pairs, _ = _listed(moving, attained(), depth)
     if split or pairs is None:
         for half in moving.halves():
             yield from near_pairs(half, attained, depth + (pieces == 1), rough=rough)
     else:
         yield from _compared(moving, attained, pairs, rough=rough)
+
+
+def _listed(moving: Moving, reach: float, depth: int | None = None) -> tuple[Pairs | None, bool]:
+    """Return the pairs of boxes within a reach [m], and whether bodies move far in comparison.
+
+    Pairs are None if there are too many, unless a single piece at a ``depth`` is not halved again.
+    """
+    first, others = (Boxes(b[0].min(axis=1).T, b[1].max(axis=1).T) for b in moving.boxes)
+    reach = (reach + moving.margin) * (1.0 + SLACK)
+    reach += float(np.max(np.linalg.norm(moving.extent, axis=-1)))
+    is_moving = bool(np.median(first.sizes) > 0.25 * reach)
+    final = depth is not None and len(moving.first) == 1 and (depth == MAX_DEPTH or not is_moving)
+    limit = np.inf if final else MAX_PER_BODY * (len(first) + len(others))
+    second = None if moving.second is None else others
+    close = few_close_pairs(first, second, reach * (1.0 + SLACK), limit)
+    return None if close is None else moving.select(close.first, close.second), is_moving
 
 
 def _compared(
