@@ -311,7 +311,7 @@ def test_standard_errors_of_clocks_are_those_over_seeds(name: str) -> None:
     """Deviations of drones are correlated over a second, and partly common to all drones."""
     target = small_movement()[0] if name == "small" else task(name)
     deviations, standard_errors = [], []
-    for seed in range(20):
+    for seed in range(12):
         t, drones = swinging_drones(target, seed, 0.004 if name == "small" else 0.01)
         result = align(drones_recording(Camera(), t, drones, seed), target)
         deviations.append(result.rate * (2.0 + t[-1] / 2.0) + result.offset - t[-1] / 2.0)
