@@ -131,7 +131,7 @@ def test_pull_gains_compensate_the_bias_of_the_filter(name: str) -> None:
     assert FlightController.of("px4", MASS).pull_gain == (1.0, 1.0)
     fed = np.array([[1.0], [loop.pull_gain[0]]])
     pulls = np.tile([PULL, 0.0, 0.0], (2, 1))
-    places, *_ = flown([loop] * 2, pulls, 6.0, known=HELD, fed=fed)
+    places, *_ = flown([loop] * 2, pulls, 4.0, known=HELD, fed=fed)
     plain, gained = np.abs(np.mean(places[-500:, :, 0], axis=0))
     assert gained < 0.25 * plain
 
