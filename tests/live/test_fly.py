@@ -174,7 +174,7 @@ def at_once(compute: Callable[[], str]) -> Future[str]:
 class Rig:
     """Operator and fleet at once; time passes with ``run`` only."""
 
-    def __init__(self, later: Later = at_once, rate: float = 50.0, *, swarm: bool = False) -> None:
+    def __init__(self, later: Later = at_once, rate: float = 25.0, *, swarm: bool = False) -> None:
         self.plan = plan_of("swarm" if swarm else "moved")
         self.names = self.plan.motion.team.drone_names
         self.course = CommandedPlan(self.plan.motion, tables(swarm=swarm))
@@ -344,7 +344,7 @@ def test_setpoints_go_on_while_a_command_is_computed(*, ticks: int, late: bool) 
         waiting.append((len(rig.sent) + ticks, compute, Future()))
         return waiting[-1][2]
 
-    rig = Rig(slow)
+    rig = Rig(slow, rate=50.0)
     for command in ("resume", "pause", "abort"):
         rig.pressed.append(command)
         for _ in range(60):
