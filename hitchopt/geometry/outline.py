@@ -121,10 +121,9 @@ class Outline(ByValue, ABC):
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
             turn, min_turn = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
-            turn_in_words = f"left by {-turn:.6g}°" if turn < 0.0 else f"right by {turn:.6g}°"
-            bound = (
-                f"a convex corner: it turns {turn_in_words}, not right by {min_turn:.2g}° or more"
-            )
+            is_left = f"left by {-turn:.4g}°, where clockwise outlines turn right"
+            is_flat = f"right by {turn:.4g}°, not {min_turn:.2g}° at least"
+            bound = f"a convex corner: it turns {is_left if turn < 0.0 else is_flat}"
             remedy = "move the point outward, or list the points in clockwise order"
             raise self._error(bound, remedy, int(self.corners[flattest]))
 

@@ -126,7 +126,8 @@ def _tables(evaluation: ho.Evaluation) -> str:
             "standard errors include the scatter of markers about their cables; it is constant in "
             "a flight, so averaging over time does not reduce it"
         )
-    parts.append("names: " + ", ".join(map("=".join, zip(fit.names, drones, strict=True))))
+    if fit.names != drones:
+        parts.append("names: " + ", ".join(map("=".join, zip(fit.names, drones, strict=True))))
     return "\n\n".join(parts)
 
 
