@@ -33,7 +33,7 @@ def named_groups(name: str, groups: Sequence[Group]) -> list[Group]:
 @documented
 @dataclass(frozen=True, eq=False)
 class Other(ByValue):
-    """A plan of somebody else that flies besides, at rest before and after.
+    """An external plan in the same airspace, at rest before and after.
 
     It is read and certified when the record is made.
 

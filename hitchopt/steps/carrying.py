@@ -194,7 +194,7 @@ def requirements_near(task: StepTask, name: str) -> Requirements:
 
 @dataclass(frozen=True)
 class Enclose(Step):
-    """The hitch goes above an object, takes a polygon around it, and comes down around it.
+    """Rise above an object, take a polygon around it, and descend around it.
 
     It ends just below the object's rim, or, without one, as high as the centre of mass.
     """
@@ -305,7 +305,7 @@ class TensionStep(Step):
 
 @dataclass(frozen=True)
 class Grasp(TensionStep):
-    """The hitch closes below the object's rim and rises to it, or closes around it and grips it."""
+    """Close the hitch below the object's rim and rise to it, or close it around its body."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.AROUND, Stage.GRASPED)
     object: ObjectOf
@@ -360,7 +360,7 @@ class Grasp(TensionStep):
 
 @dataclass(frozen=True)
 class Lift(Step):
-    """The object's weight passes to the clasps, and it is lifted straight up."""
+    """Pass the object's weight to the clasps, and lift it straight up."""
 
     needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
@@ -383,7 +383,7 @@ class Lift(Step):
 
 @dataclass(frozen=True, eq=False)
 class Carry(Step):
-    """The object goes on a straight line and turns, so gently that it stays on its supports."""
+    """Fly the object on a straight line and turn it, so gently that it stays on its supports."""
 
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.LIFTED)
@@ -405,7 +405,7 @@ class Carry(Step):
 
 @dataclass(frozen=True)
 class SetDown(Step):
-    """The object goes straight down until it stands, and its weight passes to its support."""
+    """Lower the object until it stands, and pass its weight to its support."""
 
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.GRASPED)
@@ -436,7 +436,7 @@ class SetDown(Step):
 
 @dataclass(frozen=True)
 class Loosen(Step):
-    """The hitch opens around the object, having sunk below its rim, and pulls as the team does."""
+    """Open the hitch around the object, below its rim, and return to the team's tension."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.AROUND)
     object: ObjectOf
@@ -461,7 +461,7 @@ class Loosen(Step):
 
 @dataclass(frozen=True)
 class Leave(Step):
-    """The hitch goes straight up until it is above all objects."""
+    """Rise straight up until the hitch is above all objects."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.AROUND, Stage.FREE)
     object: ObjectOf
@@ -477,7 +477,7 @@ class Leave(Step):
 
 @dataclass(frozen=True, eq=False)
 class TransportObject(TensionStep):
-    """The hitch takes an object and sets it down elsewhere, in seven steps, or more by ``via``.
+    """Take an object and set it down elsewhere, in seven steps, or more by ``via``.
 
     Two robots tie their cables around it, and untie them.
     """

@@ -194,7 +194,7 @@ class ActionStep(ShapeStep):
 
 @dataclass(frozen=True)
 class Hold(HitchStep):
-    """Nothing moves."""
+    """Keep everything at rest."""
 
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = None
@@ -269,7 +269,7 @@ OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies a
 
 @dataclass(frozen=True, eq=False)
 class Morph(ShapeStep):
-    """Every vertex goes to its place in a polygon."""
+    """Change the polygon: every vertex moves to its place."""
 
     polygon: Polygon
     legs: LegsAtEnd = None
@@ -364,7 +364,7 @@ Offset = Annotated[Array | None, Key(POINT2, "By how much, [dx, dy] [m], in plac
 
 @dataclass(frozen=True, eq=False)
 class MoveVertex(MoveStep):
-    """One vertex goes elsewhere.
+    """Move one vertex.
 
     Only the four drones move that the paper names; where a limit binds, further drones slide along
     their cables as well.
@@ -385,7 +385,7 @@ class MoveVertex(MoveStep):
 
 @dataclass(frozen=True, eq=False)
 class MoveEdge(MoveStep):
-    """Both ends of one edge go elsewhere.
+    """Move both ends of one edge.
 
     Edge k runs from vertex k to vertex k + 1. Four drones move, or six where edges turn.
     """
@@ -406,7 +406,7 @@ class MoveEdge(MoveStep):
 
 @dataclass(frozen=True, eq=False)
 class Adjust(ActionStep):
-    """Cables slide through their clasps; the outline stays."""
+    """Slide cables through their clasps; the outline stays."""
 
     action_fields: ClassVar[tuple[str, ...]] = ()
 
@@ -462,7 +462,7 @@ _PATH = replace(_POINTS, check=_vertex_path, schema={"anyOf": [_POINTS, _PLACES]
 
 @dataclass(frozen=True, eq=False)
 class FollowVertex(ActionStep):
-    """One vertex follows points, at rest before and after.
+    """Move one vertex through points, at rest before and after.
 
     It meets timed points at their times. With a speed, points need no times: it moves at this speed
     on a smooth path through them. It stops at points where it turns by more than a right angle, and
@@ -558,7 +558,7 @@ class FollowVertex(ActionStep):
 
 @dataclass(frozen=True, eq=False)
 class Transport(HitchStep):
-    """The whole hitch goes elsewhere and turns about its centroid; its shape and legs stay."""
+    """Move the whole hitch and turn it about its centroid; its shape and legs stay."""
 
     to: Annotated[Array, Key(POINT3, "Where its centroid goes, [x, y, z] [m]", [0, 0, 1])]
     yaw: Yaw = 0.0

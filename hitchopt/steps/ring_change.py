@@ -59,7 +59,7 @@ def _ring_index(key: str, robot: int, ring: Ring) -> int:
 
 @dataclass(frozen=True)
 class Join(Step):
-    """A robot that waits joins the hitch in flight, while all others stay tied.
+    """Let a waiting robot join the hitch in flight, while all others stay tied.
 
     It cuts a vertex off: its cable is laid on both edges there, and its pairs roll. Its place in
     the ring is that of the vertex, which becomes two.
@@ -136,7 +136,7 @@ def _certified_plan(
 
 @dataclass(frozen=True)
 class Withdraw(Step):
-    """A robot leaves the hitch in flight, and waits beside it; its neighbours' lines meet.
+    """Take a robot out of the hitch in flight; it waits beside it, and its neighbours' lines meet.
 
     It is lifted out if its cable is on top of both neighbours', as of one that has joined, or let
     down if it is below both.
@@ -202,7 +202,7 @@ class Withdraw(Step):
 
 @dataclass(frozen=True)
 class Replace(Step):
-    """A robot that waits joins beside another one, which withdraws.
+    """Let a waiting robot join beside another one, which then withdraws.
 
     Then polygon and slack split are as before. The hitch stays tied all the time.
     """

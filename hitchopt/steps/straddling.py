@@ -91,7 +91,7 @@ def _check_two(team: Team, remedy: str) -> None:
 
 @dataclass(frozen=True)
 class Tie(Step):
-    """Two cables are laid past both sides of an object, tied beyond it, and drawn.
+    """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
     They come down beside it, bend around it, and each pair of drones at an end turns fully. Cables
     grip the object with the team's tension then.
@@ -224,7 +224,7 @@ def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Mo
 
 @dataclass(frozen=True)
 class Untie(Step):
-    """The cables are untied as they were tied, backwards, until they hang beside the object."""
+    """Untie the cables in the reverse order of tying, until they hang beside the object."""
 
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.FREE)

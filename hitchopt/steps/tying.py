@@ -70,7 +70,7 @@ ORDER_TEXT = "Order of laying, robots from bottom to top; auto: alternating leve
 
 @dataclass(frozen=True, eq=False)
 class Form(Step):
-    """Drones with hanging cables form a hitch; all cables are pulled by the team's tension then.
+    """Tie a hitch from drones with hanging cables, which the team's tension then pulls.
 
     Without ``legs`` they are spread, with a margin to the cables where drones stand close to them.
     """
@@ -308,7 +308,7 @@ class RollStep(Step):
 
 @dataclass(frozen=True)
 class OpenVertex(RollStep):
-    """The pair of a vertex rolls until both cables run straight through and lie on one another.
+    """Roll a vertex's pair until both cables run straight through and lie on one another.
 
     What is left is a chain on the same lines: all other vertices hold.
     """
@@ -326,7 +326,7 @@ class OpenVertex(RollStep):
 
 @dataclass(frozen=True)
 class CloseVertex(RollStep):
-    """The pair of an open vertex rolls back into its clasp."""
+    """Roll the pair of an open vertex back into its clasp."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.OPEN, Stage.FREE)
     vertex: WhichPoint
@@ -344,7 +344,7 @@ class CloseVertex(RollStep):
 
 @dataclass(frozen=True)
 class Release(Step):
-    """The hitch is taken apart as it was formed, backwards, until its cables hang free."""
+    """Untie the hitch in the reverse order of tying, until its cables hang free."""
 
     duration: Seconds = None
 
@@ -377,7 +377,7 @@ class Release(Step):
 
 @dataclass(frozen=True)
 class Land(Step):
-    """All drones go straight down to the ground."""
+    """Descend straight to the ground."""
 
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
