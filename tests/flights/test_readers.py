@@ -586,6 +586,18 @@ def test_clocks_that_are_minutes_apart_are_set_by_positions(
     assert list(result.clock_shifts.values()) == pytest.approx([350.0, 250.0, 150.0], abs=5e-3)
 
 
+def test_all_logs_of_a_drone_are_on_the_clock_that_positions_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also those whose topics come before the one with positions."""
+    monkeypatch.setattr(w, "LOGS", w.LOGS[::-1])
+    flight = w.rich_sample(1)
+    result = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", flight))
+    own, motors = flight.signals["cf3"]["motors"], result.signals["cf3"]["motors"]
+    start = result.tracks["cf3"].t[0] - flight.tracks["cf3"].t[0]
+    np.testing.assert_allclose(motors.t - start, own.t, atol=5e-3)
+
+
 def test_positions_and_yaws_are_commands(tmp_path: Path) -> None:
     """Commands of crazyswarm's type Position have a yaw and no velocity; one marker no attitude."""
     flight = w.rich_sample(1)

@@ -10,7 +10,7 @@ grouped by these, and each field of a group is read at once, by the type's defin
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -153,6 +153,9 @@ class _Stream:
 _Streams = dict[str, dict[str, _Stream]]
 """Streams by topic and frame."""
 
+_Bodies = dict[str, tuple[Topic, _Stream]]
+"""Topics and streams of positions by body."""
+
 
 def single_file(paths: Sequence[Path]) -> Path:
     """Return the only file of a recording; FileError if a directory has several."""
@@ -206,23 +209,96 @@ def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> Reco
     bodies, frame_notes = _bodies_of_frames(streams, taken)
     notes += frame_notes
     notes += [f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}"] if clouds[1:] else []
-    loads = {name: own for name, own in bodies.items() if is_load(name) and topic is None}
+    loads = {name for name in bodies if is_load(name) and topic is None}
     if len(loads) == len(bodies):
-        loads = {}
-    contents = _Contents({name: x for name, x in bodies.items() if name not in loads}, loads)
-    for each in sorted(topics.values(), key=lambda x: x.preference):
-        if each not in taken:
-            contents.add(each, streams.get(each.name, {}))
+        loads = set()
+    others = [each for each in topics.values() if each not in taken]
+    found = _found(bodies, loads, sorted(others, key=lambda x: x.preference), streams)
+    contents = dict[str, dict[str, Logged]]()
+    shifts, residuals = dict[str, float](), dict[str, float]()
+    for name, own in found.items():
+        contents[name], shift, residual = _content(own)
+        if shift is not None:
+            shifts[name], residuals[name] = shift, residual
+    carried = {name: contents.pop(name) for name in found if name in loads}
     cloud = positions_of({MARKER: np.concatenate(markers)} if markers else {})
     return flight_of(
         source,
-        {**contents.bodies, **cloud},
+        {**contents, **cloud},
         unit or "m",
-        loads=contents.loads,
-        notes=[*notes, *contents.notes],
-        clock_shifts=contents.shifts,
+        loads=carried,
+        notes=[*notes, *_clock_notes(residuals)],
+        clock_shifts=shifts,
         as_sent=True,
     )
+
+
+def _found(
+    bodies: _Bodies, loads: set[str], topics: Sequence[Topic], streams: _Streams
+) -> dict[str, list[tuple[Topic, _Stream]]]:
+    """Return the topics and streams of all bodies, those of their positions first.
+
+    Loads in ``topics`` are added to ``loads``.
+    """
+    found = {name: [own] for name, own in bodies.items()}
+    drones = set(bodies) - loads
+    for topic in topics:
+        for frame, stream in streams.get(topic.name, {}).items():
+            # A part of the names of topic and frame may be a drone's
+            parts = [topic.body, *topic.name.split("/"), *frame.split("/")]
+            name = next((part for part in parts if part in drones), "")
+            if topic.kind == LOAD and "position" in stream.parts:
+                name = topic.body if topic.body and is_load(topic.body) else LOAD
+                if name in found:
+                    continue
+                loads.add(name)
+            if name:
+                found.setdefault(name, []).append((topic, stream))
+    return found
+
+
+def _clock_notes(residuals: Mapping[str, float]) -> Iterator[str]:
+    """Yield sentences on clocks, by the distances [m] that remain; infinite without a fit."""
+    words = "their logs' clocks are set by"
+    fitted = {name: x for name, x in residuals.items() if np.isfinite(x)}
+    if fitted:
+        error = f"{1e3 * max(fitted.values()):.0f} mm"
+        yield f"{', '.join(fitted)}: {words} positions, which then agree to {error}"
+    if others := [name for name in residuals if name not in fitted]:
+        delay = "the smallest delay of arrival, which may be seconds"
+        yield f"{', '.join(others)}: {words} {delay}"
+
+
+def _content(
+    own: Sequence[tuple[Topic, _Stream]],
+) -> tuple[dict[str, Logged], float | None, float]:
+    """Return the quantities of a body from its streams, the first of which has its positions.
+
+    Then follow the shift of the clock of its logs [s], None if they have none, and the distance of
+    their positions that remains [m], infinite if the shift is not fitted to positions.
+    """
+    topic, track = own[0]
+    content = {"position": Logged(track.rows("position"), topic.family)}
+    apart = [stream for _, stream in own if abs(stream.delay - track.delay) >= MAX_DELAY]
+    shift, residual = None, np.inf
+    if apart:
+        shift = float(np.min(apart[0].received - apart[0].t)) - track.delay
+    for stream in (stream for stream in apart if "position" in stream.parts):
+        guess = float(np.min(stream.received - stream.t)) - track.delay
+        span = (guess + ARRIVALS[0], guess + ARRIVALS[1])
+        if (fit := fitted_shift(stream.rows("position"), track.rows("position"), span)) is not None:
+            shift, residual = fit
+            break
+    for topic, stream in own:
+        moved = 0.0 if shift is None or abs(stream.delay - track.delay) < MAX_DELAY else shift
+        for part, values in stream.parts.items():
+            quantity = quantity_name(topic.kind, part)
+            if quantity in content or quantity not in QUANTITIES:
+                continue
+            if part == "attitude" and np.nanmax(np.ptp(values, axis=0), initial=0.0) < MIN_TURN:
+                continue  # Of one marker
+            content[quantity] = Logged(stream.rows(part, moved), topic.family)
+    return content, shift, residual
 
 
 def _times(header: Any, received: Array) -> Array:
@@ -264,14 +340,12 @@ def _streams(
     return streams
 
 
-def _bodies_of_frames(
-    streams: _Streams, topics: Sequence[Topic]
-) -> tuple[dict[str, tuple[Topic, _Stream]], list[str]]:
+def _bodies_of_frames(streams: _Streams, topics: Sequence[Topic]) -> tuple[_Bodies, list[str]]:
     """Return topics and streams by body, and notes.
 
     Frames with a moving parent are omitted. Raises FileError if two topics have the same body.
     """
-    bodies, omitted = dict[str, tuple[Topic, _Stream]](), list[str]()
+    bodies, omitted = _Bodies(), list[str]()
     for topic in topics:
         frames = streams[topic.name]
         names = {frame: name or frame for frame, (name, _) in body_names(list(frames)).items()}
@@ -291,86 +365,6 @@ def _bodies_of_frames(
             bodies[body] = topic, frames[frame]
     relative = [f"{', '.join(omitted)} omitted: positions in frames that move"] if omitted else []
     return bodies, relative
-
-
-class _Contents:
-    """Quantities of bodies and loads whose positions are known, from all topics of a bag."""
-
-    def __init__(
-        self,
-        tracks: Mapping[str, tuple[Topic, _Stream]],
-        loads: Mapping[str, tuple[Topic, _Stream]],
-    ) -> None:
-        self._tracks = tracks
-        self.bodies, self.loads = dict[str, dict[str, Logged]](), dict[str, dict[str, Logged]]()
-        self.shifts, self._unfitted = dict[str, float](), list[str]()
-        self._residuals = list[float]()
-        for content, each in ((self.bodies, tracks), (self.loads, loads)):
-            for name, (topic, stream) in each.items():
-                content[name] = {"position": Logged(stream.rows("position"), topic.family)}
-                self._add_parts(content[name], topic, stream, 0.0)
-
-    @property
-    def notes(self) -> list[str]:
-        """Sentences on clocks of bodies."""
-        notes, names = list[str](), [name for name in self.shifts if name not in self._unfitted]
-        if names:
-            error = f"{1e3 * max(self._residuals):.0f} mm"
-            words = "their logs' clocks are set by positions, which then agree to"
-            notes.append(f"{', '.join(names)}: {words} {error}")
-        if self._unfitted:
-            words = "their logs' clocks are set by the smallest delay of arrival"
-            notes.append(f"{', '.join(self._unfitted)}: {words}, which may be seconds")
-        return notes
-
-    def add(self, topic: Topic, frames: Mapping[str, _Stream]) -> None:
-        """Add the quantities of a topic whose positions are not those of the bodies."""
-        for frame, stream in frames.items():
-            if topic.kind == LOAD and "position" in stream.parts:
-                name = topic.body if topic.body and is_load(topic.body) else LOAD
-                if name not in self.loads and name not in self._tracks:
-                    position = Logged(stream.rows("position"), topic.family)
-                    self.loads[name] = {"position": position}
-                    self._add_parts(self.loads[name], topic, stream, 0.0)
-                continue
-            # A part of the names of topic and frame may be a body's
-            parts = [topic.body, *topic.name.split("/"), *frame.split("/")]
-            body = next((part for part in parts if part in self._tracks), None)
-            if body is not None:
-                self._add_parts(self.bodies[body], topic, stream, self._shift(body, stream))
-
-    def _shift(self, body: str, stream: _Stream) -> float:
-        """Return the time of the recording minus that of a stream's clock [s]."""
-        delay = self._tracks[body][1].delay
-        if abs(stream.delay - delay) < MAX_DELAY:
-            return 0.0
-        if body not in self.shifts or (body in self._unfitted and "position" in stream.parts):
-            guess = float(np.min(stream.received - stream.t)) - delay
-            residual = np.inf
-            if "position" in stream.parts:
-                reference = self._tracks[body][1].rows("position")
-                own = stream.rows("position")
-                span = (guess + ARRIVALS[0], guess + ARRIVALS[1])
-                guess, residual = fitted_shift(own, reference, span) or (guess, np.inf)
-            if np.isfinite(residual):
-                self._residuals.append(residual)
-                self._unfitted = [name for name in self._unfitted if name != body]
-            elif body not in self._unfitted:
-                self._unfitted.append(body)
-            self.shifts[body] = guess
-        return self.shifts[body]
-
-    def _add_parts(
-        self, own: dict[str, Logged], topic: Topic, stream: _Stream, shift: float
-    ) -> None:
-        """Add the quantities of a stream that a body does not have yet."""
-        for part, values in stream.parts.items():
-            quantity = quantity_name(topic.kind, part)
-            if quantity in own or quantity not in QUANTITIES:
-                continue
-            if part == "attitude" and np.nanmax(np.ptp(values, axis=0), initial=0.0) < MIN_TURN:
-                continue  # Of one marker
-            own[quantity] = Logged(stream.rows(part, shift), topic.family)
 
 
 class _MixedError(Exception):
