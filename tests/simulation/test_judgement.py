@@ -199,6 +199,14 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     assert len(drawn_flight(brief, motion).axes) == 3
 
 
+def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path) -> None:
+    with pytest.raises(ho.InputError, match="motion"):
+        flight_with().save(tmp_path / "flight")
+    assert not (tmp_path / "flight").exists()
+    flight_with().save(tmp_path / "flight", motion=ho.hold(HITCH, 2.0).motion)
+    assert (tmp_path / "flight" / "simulation.json").is_file()
+
+
 def test_what_the_plan_leaves_open_is_warned_of() -> None:
     task = resting_task(regular_hitch(3, cable_friction=0.0), 0.1)
     assert "friction is 0" in judgement.warnings(task, Settings())[0]
