@@ -48,9 +48,8 @@ if TYPE_CHECKING:
 PREFERRED_HINGE = 0.1
 """[m] Preferred height of clasps above a centre of mass; objects then hang upright in wind."""
 
-NO_TURN, MAX_TURN = math.radians(2.0), math.radians(20.0)
-"""[rad] Angle up to which hanging cables need not turn about an object, and largest angle by which
-they turn on straight lines."""
+NO_TURN = math.radians(2.0)
+"""[rad] Angle up to which hanging cables need not turn about an object."""
 
 EDGE = 0.02
 """[m] Smallest distance of clasps to the top and the bottom of an object."""
@@ -154,8 +153,7 @@ class Tie(Step):
             raise InputError(f"mission[{i}].{self.name}.at", height, bound, "tie it there")
         check_pull(float(np.max(tension)), team, requirements)
         clasps = _numbered(grip_clasps(name, body, team, requirements), body, before.drones)
-        halves = np.full(team.robots, 0.5)
-        hold = GripHold(team, body, clasps, height, halves, np.zeros(2), clasps, halves)
+        hold = GripHold.tied(team, body, clasps, height)
         straddle = find_straddle(hold, self.tension_for(team), requirements, before.drones)
         around, split = straddle.hold.polygon, straddle.hold.fractions
         hold = replace(hold, around=around, open_fractions=split)
@@ -206,6 +204,7 @@ def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Mo
 
     They turn about the object if they are not along its clasps.
     """
+    from hitchopt.planners.carrying.straddle import MAX_TURN
     from hitchopt.planners.forming.stages import Keyframe, straight_stages
 
     before, centre = task.before, in_world(body.pose, body.centre_of_mass)[:2]

@@ -16,12 +16,14 @@ from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
+from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.team import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import CURVES, CableState, Group, Motion, concatenated
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.planners.carrying.straddle import OPEN
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -386,6 +388,73 @@ def test_clasps_that_are_tied_in_place_need_no_time_to_be_drawn() -> None:
     phases = ho.solve(problem([{"tie": {"around": "drum", "at": 1.2}}], post)).motion.phases
     (drawn,) = (phase for phase in phases if phase.name == "draw")
     assert drawn.end - drawn.start < 2.0
+
+
+def carried(body: dict[str, Any], **team: Any) -> ho.Plan:
+    """An object that is carried by 0.5 m, by drones that are off by up to 5 cm."""
+    steps = [{"transport_object": {"object": "drum", "to": [0.9, -0.3, 0.0]}}]
+    stated = problem(steps, body, **team)
+    return ho.solve(replace(stated, limits=replace(stated.limits, tracking=0.05)))
+
+
+def random_body(seed: int) -> dict[str, Any]:
+    """A circle, box or hexagon, with 0.3 to 0.8 of the mass that two cables hold at 1 N."""
+    rng = np.random.default_rng(seed)
+    size, aspect, share = rng.uniform(0.12, 0.2), rng.uniform(0.6, 1.0), rng.uniform(0.3, 0.8)
+    body = {"to": rng.uniform(0.3, 0.7), "friction": rng.uniform(0.4, 0.7), "mass": 0.1}
+    body["yaw_deg"] = rng.uniform(-180.0, 180.0)
+    angles = -np.pi * np.arange(6) / 3.0
+    hexagon = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    box = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+    shapes: list[dict[str, Any]] = [{"circle": size}]
+    shapes += [{"outline": (size * x * [1.0, aspect]).tolist()} for x in (box, hexagon)]
+    body |= shapes[seed % 3]
+    stated = problem([TIE], body)
+    requirements, solid = stated.teams[""].requirements.with_reserve, stated.objects["drum"]
+    clasps = grip_clasps("drum", solid, stated.team, requirements)
+    grip = Grip.of(solid.section, clasps, 2.4, 1.0)
+    capacity = grip_capacity(grip, stated.team.quadrotor[0], solid.friction, 1.5)
+    return body | {"mass": share * capacity.mass}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_random_sections_are_carried(seed: int) -> None:
+    assert carried(random_body(seed)).certificate.certified
+
+
+@pytest.mark.slow
+def test_pentagon_hangs_below_the_line_through_its_clasps() -> None:
+    """Of the grips around it, that with the most friction would tilt it."""
+    assert carried({**prism(5, 0.12), "mass": 0.05}).certificate.certified
+
+
+def test_sides_along_the_cables_are_touched_along_their_length() -> None:
+    """Grips are accurate to some hundredths of a degree only."""
+    assert ho.solve(problem([TIE], {**prism(8, 0.25), "mass": 0.09})).certificate.certified
+
+
+def test_narrow_outlines_are_refused_before_anything_is_planned() -> None:
+    box = [[-0.07, -0.05], [-0.07, 0.05], [0.07, 0.05], [0.07, -0.05]]
+    words = r"cable_clearance: 0\.1\d+ m is below the limit of 0\.2 m as cables bend.*circle"
+    with pytest.raises(ho.InfeasibleError, match=words):
+        carried({**prism(4, 0.1), "outline": box})
+
+
+def test_edges_may_have_less_tension_than_legs_that_lean_against_friction() -> None:
+    tie = {"tie": TIE["tie"] | {"tension": 0.3}}
+    assert ho.solve(problem([tie], cable_friction=0.15)).certificate.certified
+
+
+def test_cables_are_tied_with_no_more_than_the_tension_of_a_small_team() -> None:
+    team = {"tension": 0.12, "cable_density": 0.0015, "quadrotor": "crazyflie_2.1_brushless"}
+    assert ho.solve(problem([TIE], {**DRUM, "mass": 0.008}, **team)).certificate.certified
+
+
+def test_cables_keep_their_length_where_sag_jumps_at_the_corners_of_a_box() -> None:
+    corners = [[-0.16, -0.16], [-0.16, 0.16], [0.16, 0.16], [0.16, -0.16]]
+    plan = ho.solve(problem([TIE], {**prism(4, 0.1), "outline": corners}))
+    assert plan.certificate["cable_length"].bound < 1e-4
 
 
 def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:

@@ -279,6 +279,12 @@ class GripHold(HoldingHitch):
     around: Array  # (n, 2) [m], clasps around the object
     open_fractions: Array  # (n,), slack split there
 
+    @classmethod
+    def tied(cls, team: Team, body: SolidObject, clasps: Array, height: float) -> GripHold:
+        """Return the grip of two cables with clasps (2, 2) [m], and equal legs."""
+        halves = np.full(team.robots, 0.5)
+        return cls(team, body, clasps, height, halves, np.zeros(2), clasps, halves)
+
     @property
     def travel(self) -> float:
         """Longest path [m] of a clasp from around the object to the grip."""

@@ -166,6 +166,15 @@ class GripTask:
         """Return the smallest margin of all distances, and its name."""
         return min((float(np.min(each)), name) for name, each in self.distances(grip).items())
 
+    def offset_of_centroid(self, vertices: Array) -> Array:
+        """Return the distances (…) [m] of the centroid from lines through two clasps (…, 2, 2).
+
+        An object that hangs at two clasps tilts unless its centre of mass is below their line.
+        """
+        onward = unit(vertices[..., 1, :] - vertices[..., 0, :])
+        arms = self.section.centroid - vertices[..., 0, :]
+        return np.asarray(onward[..., 0] * arms[..., 1] - onward[..., 1] * arms[..., 0])
+
     def merit(self, grip: Grip) -> float:
         """Return the slip load over friction [N] of a grip, or minus its largest violation."""
         edges = np.roll(grip.vertices, -1, axis=0) - grip.vertices
@@ -175,6 +184,9 @@ class GripTask:
             return -math.inf
         scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
         imbalance = float(np.max(np.abs(grip.imbalance) / scale)) - MAX_IMBALANCE
+        if self.robots == 2:
+            offset = abs(float(self.offset_of_centroid(grip.vertices)))
+            imbalance = max(imbalance, offset / math.sqrt(self.section.area) - MAX_IMBALANCE)
         unwrapped = -float(np.min(grip.wraps.angles))
         violation = max(-self.shortest(grip)[0], imbalance, 0.0)
         if violation > 0.0 or unwrapped >= 0.0:
@@ -218,15 +230,17 @@ def best_grip(task: GripTask) -> Grip:
     centred = task
     if outline is not None and np.any(centre):
         centred = replace(task, section=Section(outline - centre))
-    guesses = _guesses(centred)
-    for iterations, number in ((SCREENING_ITERATIONS, FINALISTS), (MAX_ITERATIONS, 1)):
-        grips = [centred.grip(_refined(centred, guess, iterations)) for guess in guesses]
-        ranked = sorted(grips, key=centred.merit, reverse=True)[:number]
-        guesses = [each.vertices for each in ranked]
-    (best,) = ranked
-    if centred.merit(best) <= 0.0:
-        raise _no_grip(centred, best)
-    return task.grip(best.vertices + centre)
+    # The best two clasps around most sections are in line with the centroid without that constraint
+    for in_line in (False, True) if task.robots == 2 else (False,):
+        guesses = _guesses(centred)
+        for iterations, number in ((SCREENING_ITERATIONS, FINALISTS), (MAX_ITERATIONS, 1)):
+            found = (_refined(centred, guess, iterations, in_line=in_line) for guess in guesses)
+            ranked = sorted(map(centred.grip, found), key=centred.merit, reverse=True)[:number]
+            guesses = [each.vertices for each in ranked]
+        (best,) = ranked
+        if centred.merit(best) > 0.0:
+            return task.grip(best.vertices + centre)
+    raise _no_grip(centred, best)
 
 
 def _guesses(task: GripTask) -> list[Array]:
@@ -251,8 +265,10 @@ def _guesses(task: GripTask) -> list[Array]:
     return guesses
 
 
-def _refined(task: GripTask, guess: Array, iterations: int) -> Array:
+def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) -> Array:
     """Return the vertices (n, 2) [m] that sequential quadratic programming reaches from a guess.
+
+    Those of two clasps that are ``in_line`` have the centroid between them.
 
     Since grips of a disc have no moment and may be turned, its third equation is zero rotation of
     the vertices from the guess instead.
@@ -277,6 +293,9 @@ def _refined(task: GripTask, guess: Array, iterations: int) -> Array:
         imbalance = grip.imbalance / task.tension
         if rotation is not None:
             imbalance[..., 2] = (x - guess.ravel()) @ rotation
+        elif in_line:
+            offset = task.offset_of_centroid(grip.vertices)[..., None]
+            imbalance = np.concatenate([imbalance, offset], axis=-1)
         return np.concatenate([objective, imbalance, *margins], axis=-1)
 
     @lru_cache(maxsize=1)
@@ -297,7 +316,8 @@ def _refined(task: GripTask, guess: Array, iterations: int) -> Array:
         return lambda x: sign * of(tuple(x))[rows] - lower
 
     check_time()
-    kinds = ("eq", slice(1, 4), 0.0), ("ineq", slice(4, None), LIFT_MARGIN)
+    first = 5 if in_line and rotation is None else 4
+    kinds = ("eq", slice(1, first), 0.0), ("ineq", slice(first, None), LIFT_MARGIN)
     constraints: Any = [
         {"type": kind, "fun": part(at, rows, lower=lower), "jac": part(jacobian, rows)}
         for kind, rows, lower in kinds

@@ -24,7 +24,7 @@ import numpy as np
 from hitchopt.checks import Check
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import sag_factors
@@ -69,6 +69,9 @@ PITCHES = tuple(np.radians([4.0, 6.0, 8.0, 11.0, 15.0]))
 STRADDLE_SPEED = 0.3
 """[m/s] Largest speed of drones while cables bend around an object."""
 
+MAX_TURN = math.radians(20.0)
+"""[rad] Largest angle by which hanging cables turn about an object on straight lines."""
+
 SLACK = 6.0
 """Slack of hanging cables over the position error of drones, which displaces tauter ones far."""
 
@@ -96,6 +99,21 @@ UNFIT = -1e3
 
 ITERATIONS = 8
 """Fixed-point steps of the length of edges, whose sag changes as they bend."""
+
+
+class Distance(NamedTuple):
+    """The smallest of the distances that a check of the certificate limits."""
+
+    check: str
+    value: float
+    limit: float
+    planned: float  # limit with the reserve of planning
+    unit: str = "m"
+
+    @property
+    def margin(self) -> float:
+        """Margin over the planned distance."""
+        return self.value / self.planned - 1.0
 
 
 class Place(NamedTuple):
@@ -366,27 +384,29 @@ class Straddle:
             change = PlaceChange(start, end, SmoothLaw(0.5))
             yield self.curves(change, np.linspace(0.0, 1.0, count))
 
-    def roll_margin(self, requirements: Requirements) -> float:
-        """Return the smallest margin of distances at samples while pairs roll."""
+    def closest_rolling(self, requirements: Requirements) -> Distance:
+        """Return the distance with the smallest margin at samples while pairs roll."""
         origin, tension = self.hold.body.place, np.stack([self.tension, self.tension])
         roll = Move(origin, origin, tension, (0.0, 0.0), SmoothLaw(0.5), roll=(OPEN, 0.0))
         curves = self.hold.curves(roll, np.linspace(0.0, 1.0, SAMPLES))
         inner = curves["vertices"][:, self.hold.team.layout.anchors]
-        return self._margin(curves, inner, requirements)
+        return self._closest(curves, inner, requirements)
 
-    def path_margin(self, requirements: Requirements) -> float:
-        """Return the smallest margin of distances at samples, from straight to crossing cables."""
-        smallest = math.inf
+    def closest_bent(self, requirements: Requirements) -> Distance:
+        """Return the distance with the smallest margin, from straight to crossing cables."""
+        found = list[Distance]()
         for count in (SAMPLES, FINE_SAMPLES):
             for each in self.samples(count):
                 inner = each["anchors"].reshape(each["drones"].shape)
-                smallest = min(smallest, self._margin(each, inner, requirements))
-            if smallest < 0.0:
+                found.append(self._closest(each, inner, requirements))
+            if min(each.margin for each in found) < 0.0:
                 break
-        return smallest
+        return min(found, key=lambda each: each.margin)
 
-    def _margin(self, curves: dict[str, Array], inner: Array, requirements: Requirements) -> float:
-        """Return the smallest margin of distances, with the inner ends of legs (J, 2n, 3) [m]."""
+    def _closest(
+        self, curves: dict[str, Array], inner: Array, requirements: Requirements
+    ) -> Distance:
+        """Return the smallest distance, with the inner ends of legs (J, 2n, 3) [m]."""
         separation, n, drones = requirements.separation, self.hold.team.robots, curves["drones"]
         points, (i, j) = drones * separation.scale, np.triu_indices(2 * n, 1)
         closest = float(np.min(length(points[:, i] - points[:, j])))
@@ -400,11 +420,13 @@ class Straddle:
         gap = float(np.min(length(offsets)))
         lowest = float(np.min(drones[..., 2])) - requirements.floor
         off = requirements.position_error * requirements.height_ratio
-        return min(
-            closest / MIN_SEPARATION - 1.0,
-            gap / (DISTANCE_FACTOR * separation.cable + EXTRA_DISTANCE) - 1.0,
-            lowest / (MIN_HEIGHT + off) - 1.0,
+        wide = DISTANCE_FACTOR * separation.cable + EXTRA_DISTANCE
+        each = (
+            Distance("separation", closest, 1.0, MIN_SEPARATION, "ratio"),
+            Distance("cable_clearance", gap, separation.cable, wide),
+            Distance("arena", lowest, off, MIN_HEIGHT + off),
         )
+        return min(each, key=lambda x: x.margin)
 
     def unbalanced(self, requirements: Requirements) -> Check | None:
         """Return the check that cables violate that lie on one another, each for itself; or None.
@@ -421,7 +443,10 @@ class Straddle:
         return np.asarray(self.curves(change, np.zeros(1))["drones"][0])
 
     def hanging(self, requirements: Requirements) -> tuple[Array, float]:
-        """Return drones (2n, 3) [m] with cables that hang beside the object, and their rise [m]."""
+        """Return drones (2n, 3) [m] with cables that hang beside the object, and their rise [m].
+
+        Cables also keep off the ground as they turn about it there.
+        """
         team, pairs = self.hold.team, self.drones_taut.reshape(-1, 2, 3)
         middle, chords = np.mean(pairs, axis=1, keepdims=True), length(pairs[:, 1] - pairs[:, 0])
         rises = (pairs[:, 1] - pairs[:, 0])[:, 2]
@@ -429,7 +454,9 @@ class Straddle:
         share = np.sqrt((longest**2 - rises**2) / (chords**2 - rises**2))
         scale = share[:, None, None] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
         drones = (middle + scale * (pairs - middle)).reshape(-1, 3)
-        lowest = hover_altitude(team, drones, requirements)
+        turned = middle + math.cos(0.5 * MAX_TURN) * scale * (pairs - middle)
+        both = np.stack([drones, turned.reshape(-1, 3)])
+        lowest = hover_altitude(team, both, requirements)
         rise = max(lowest - float(np.min(drones[:, 2])), 0.0)
         return drones + [0.0, 0.0, rise], rise
 
@@ -530,6 +557,7 @@ def find_straddle(
     are tied.
     """
     centre, team, separation = np.mean(hold.polygon, axis=0), hold.team, requirements.separation
+    aligned = rotated(hold.polygon - centre, _angle_to_side(hold))
     spans, off = _longest_spans(team, requirements), requirements.position_error
     hanging = [Catenary.spanning(spans, 0.0, team.cable_length)]
     if drones is not None:
@@ -544,7 +572,7 @@ def find_straddle(
 
     def candidates() -> Iterator[tuple[float, Straddle]]:
         for scale, share in product(SCALES, SHORT_SHARES):
-            around = centre + scale * (hold.polygon - centre)
+            around = centre + scale * aligned
             wraps = wraps_around(hold.body.section, around)
             legs = share * (team.cable_length - wraps.lengths)
             if scale > 1.0 and np.min(legs) < requirements.limits.leg + MIN_RADIAL:
@@ -552,7 +580,7 @@ def find_straddle(
             opened = replace(hold, polygon=around, around=around, fractions=np.full(2, share))
             rolled = Straddle(opened, tension, 0.0, beside)
             try:
-                margin = rolled.roll_margin(requirements)
+                margin = rolled.closest_rolling(requirements).margin
             except InfeasibleError:  # clasps that tensions cannot balance
                 margin = -math.inf
             if margin < 0.0:
@@ -563,7 +591,7 @@ def find_straddle(
                 continue
             for pitch in PITCHES:
                 straddle = replace(rolled, pitch=float(pitch))
-                yield min(margin, straddle.path_margin(requirements)), straddle
+                yield min(margin, straddle.closest_bent(requirements).margin), straddle
 
     found = best(candidates(), 0.0)
     if found.sides_passed:
@@ -572,7 +600,31 @@ def find_straddle(
     if unbalanced:
         remedy = "raise the tension of tie, or use lighter cables or other lengths of them"
         raise InfeasibleError([unbalanced.violation("as cables lie on one another", remedy)])
+    closest = [found.closest_rolling(requirements)]
+    if found.pitch > 0.0:  # of pairs that can roll
+        closest.append(found.closest_bent(requirements))
+    name, value, limit, _, unit_of_both = min(closest, key=lambda each: each.margin)
+    if value < limit:
+        remedy = "use longer cables, or enclose a narrow outline in a circle"
+        if name == "arena":
+            remedy = "tie it higher above the ground"
+        when = "as cables bend around the object and roll, wherever they are tied"
+        raise InfeasibleError(
+            [Violation(name, value, limit, "min", unit_of_both, (), when, remedy)]
+        )
     return found
+
+
+def _angle_to_side(hold: GripHold) -> float:
+    """Return the angle [rad] of the nearest side to the line through both clasps, if it is tiny.
+
+    Grips are so accurate only. Straight cables must touch a side along all of its length.
+    """
+    sides = hold.body.section.sides
+    angles = turn(hold.polygon[1] - hold.polygon[0], sides[:, 1] - sides[:, 0])
+    angles = (angles + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    nearest = float(angles[np.argmin(np.abs(angles))])
+    return nearest if len(sides) > 1 and abs(nearest) < MIN_BEND else 0.0
 
 
 def _met_sides(straddle: Straddle) -> Violation:

@@ -27,9 +27,8 @@ from hitchopt.planners.forming.stages import (
     MIN_FLIGHT,
     PAUSE,
     Keyframe,
-    ground_clearance,
     hover_altitude,
-    lowest_points,
+    missing_height,
     stage,
     straight_stages,
 )
@@ -143,10 +142,7 @@ class DirectApproach(Approach):
             return [*rise, self._stage("approach", pause)]
         drones = separated(self.problem)
         at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
-        lowest = min(
-            float(np.min(lowest_points(self.team, x, requirements))) for x in drones.at(at)
-        )
-        deficit = requirements.floor + ground_clearance(requirements) - lowest
+        deficit = missing_height(self.team, drones.at(at), requirements)
         if deficit <= 0.0:
             return [*rise, self._stage("approach", drones)]
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])

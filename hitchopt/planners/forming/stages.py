@@ -209,10 +209,8 @@ def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> Piecewi
 
 
 def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
-    """Return the lowest altitude [m] at which cables of drones over (2n, 3) [m] hang free."""
-    level = drones * np.array([1.0, 1.0, 0.0])
-    lowest = float(np.min(lowest_points(team, level, requirements)))
-    return requirements.floor + ground_clearance(requirements) - lowest
+    """Return the lowest altitude [m] at which cables of drones over (…, 2n, 3) [m] hang free."""
+    return missing_height(team, drones * np.array([1.0, 1.0, 0.0]), requirements)
 
 
 def ground_clearance(requirements: Requirements) -> float:
@@ -220,12 +218,16 @@ def ground_clearance(requirements: Requirements) -> float:
     return GROUND_CLEARANCE * requirements.ground_clearance
 
 
-def lowest_points(team: Team, drones: Array, requirements: Requirements) -> Array:
-    """Return the height of every hanging cable's lowest point (n,) [m].
+def missing_height(team: Team, drones: Array, requirements: Requirements) -> float:
+    """Return the height [m] by which hanging cables of drones (…, 2n, 3) [m] are too low.
 
-    For position errors of drones it is reduced by the extra displacement of cables.
+    Position errors of drones displace cables farther. ``tracking_radius`` counts the lowest cable
+    with the largest displacement of all.
     """
-    q, r = drones[0::2], drones[1::2]
+    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
     cables = Catenary.between(q, r, team.cable_length)
     off, ratio = requirements.position_error, requirements.height_ratio
-    return q[:, 2] + cables.lowest - ratio * cables.extra_displacement(off, ratio)
+    heights, displaced = q[..., 2] + cables.lowest, ratio * cables.extra_displacement(off, ratio)
+    each = float(np.min(heights - displaced)) - ground_clearance(requirements)
+    joint = float(np.min(heights) - np.max(displaced)) - requirements.ground_clearance
+    return requirements.floor - min(each, joint)
