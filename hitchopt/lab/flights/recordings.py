@@ -50,7 +50,6 @@ MAX_SAMPLES = 600  # Samples that are compared
 MAX_RESIDUAL = 0.05  # Largest root mean square distance of two records of one motion [m]
 MIN_GAIN, GAIN_TIME = 1.2, 0.1  # Smallest growth of the distance at a shift [s] from the best one
 MIN_OVERLAP = 0.5  # Smallest share of samples at times of both records
-
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
 TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that is evaluated
 

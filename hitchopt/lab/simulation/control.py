@@ -54,8 +54,7 @@ BLOCKED = 0.5  # Fraction of the momentum through a drone's disk that acts on th
 # stiffnesses have the same damping ratio
 POSITION_GAIN, VELOCITY_GAIN = 36.0, 10.0
 
-# Integral time constant of the position loop [s]
-INTEGRAL_TIME = 2.0
+INTEGRAL_TIME = 2.0  # Integral time constant of the position loop [s]
 
 # Gains of the attitude loop [1/s²], [1/s], which has a delay of about 60 ms
 ATTITUDE_GAIN, RATE_GAIN = 900.0, 54.0

@@ -38,7 +38,6 @@ CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of
 SETTLE_TIME, TIGHTENING_TIME = 2.5, 1.5
 
 SETTLE_DAMPING = 40.0  # Initial damping of cables while they settle, against whipping [1/s]
-
 MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do not whip
 REST_TIME = 1.0  # Rest after the flight, before it is evaluated [s]
 

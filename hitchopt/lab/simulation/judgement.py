@@ -44,20 +44,13 @@ MAX_DROP = 0.05
 RELEASE_TIME = 0.2  # Final time of the rest in which no cable may touch a free object [s]
 HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone is averaged [s]
 
-# Warning about cables without friction
+# Warnings: about cables without friction, about those without weight, with the density of their
+# ropes [g/m] and the preset, about drones with different controllers, and about those not simulated
 NO_FRICTION = "friction is 0: at 0.1, hitches rest about 5 cm from their plans; "
 NO_FRICTION += "state team.cable_friction, or give friction="
-
-# Warning about cables without weight, with the density of their ropes [g/m] and the preset
-WEIGHTLESS = (
-    "cables count as weightless: they fly as ropes of {:.2g} g/m, the lightest that {} holds; "
-    "state team.cable_density, or give density="
-)
-
-# Warning about drones with different controllers
+WEIGHTLESS = "cables count as weightless: they fly as ropes of {:.2g} g/m, the lightest that {} "
+WEIGHTLESS += "holds; state team.cable_density, or give density="
 SEVERAL = "controllers fly as one, the ideal one; controller= names another"
-
-# Warning about drones that are not simulated
 NOT_FLOWN = "drones are at their setpoints, without cables; only hitches are simulated"
 
 SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"

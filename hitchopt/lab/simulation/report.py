@@ -57,7 +57,6 @@ OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, *PICTURES, CAMPA
 # Width and height [inch], and width ratios of storyboard and plots, as in a plan's summary
 SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
 PAGE_PLOT = 1.3  # Height of a plot on a page [inch]
-
 MEAN_TIME = 0.2  # Averaging time of thick tension curves [s]
 MAX_LABELS = 6  # Largest number of vertices in the legend
 ROPE_RADIUS, MAX_ROPE_RADIUS = 0.005, 0.02  # Of drawn ropes, over the flight's extent; at most [m]

@@ -38,7 +38,6 @@ BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 
 SLOPE_TOLERANCE = 1e-6  # Tolerance of equal slopes of legs
 OVERHANG = 0.5  # Extension of a cable's line beyond its drone, for its last segments [m]
-
 FOLD_LINKS = 4  # Links per fold of excess cable on the ground
 
 # Length used by coarse segments in a bend of 180°, over the squared segment length over the
@@ -46,7 +45,6 @@ FOLD_LINKS = 4  # Links per fold of excess cable on the ground
 COARSENESS = 0.15
 
 TINY = 1e-300  # Smallest divisor of normals [m²]: coplanar edges span no solid angle
-
 UP = np.array([0.0, 0.0, 1.0])  # Direction opposite to gravity
 
 

@@ -16,7 +16,6 @@ from hitchopt.values import check_choice, nonnegative, positive
 MAX_DEVIATIONS = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
 
 SHORT_LAG, MOTOR_LAG = 0.02, 0.03  # Time constants of the motors' thrust [s]
-
 IDEAL = "ideal"  # Name of the simplified controller, and of exact states in place of a filter
 
 

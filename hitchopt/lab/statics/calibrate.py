@@ -99,9 +99,7 @@ UNCERTAIN_RATE = 1e-2
 MIN_RATE, MIN_PLANNED_RATE = 1e-2, 5e-3
 
 MIN_PART = 0.05  # Smallest length of a part that is assumed for the error of its direction [m]
-
 MAX_DISTANCE = 0.5  # Largest median distance of drones from the plan that was flown [m]
-
 MIN_LENGTH_SCATTER = 3e-4  # Smallest assumed scatter of a measured cable length [m]
 
 

@@ -51,7 +51,6 @@ NEWTON_ITERATIONS, FRICTION_ITERATIONS, HALVINGS = 200, 20, 30
 DESCENT = 1e-4  # Fraction of the linear decrease that a step must attain (Armijo)
 ROUNDING = 1e-14  # Relative rounding error of energies
 MAX_STEP, MAX_FRICTION_STEP = 0.3, 0.1  # Largest displacements of a node in a step [m]
-
 INTEGRAL_ERROR = 1e-4  # Position error within which an integral's force is not saturated [m]
 
 # Fractions of the friction coefficient on the continuation path to an end of the band
