@@ -20,14 +20,7 @@ from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, STOCK
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.states import (
-    HOVER,
-    States,
-    attitudes,
-    iterate_states,
-    sample_times,
-    states_at,
-)
+from hitchopt.motion.states import HOVER, States, attitudes, iterate_states, sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, closest_word
 

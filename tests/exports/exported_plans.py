@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from plans import planned_of
 
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.exporting import EXPORT_RULES, Export, export_motion
+from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.format import ExportTask, format_of
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
+from hitchopt.exports.verification import EXPORT_RULES
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion, Phase

@@ -20,9 +20,9 @@ from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, InputError
 from hitchopt.exports.contents import FileContents, Trajectory
-from hitchopt.exports.exporting import Verdict, verify
 from hitchopt.exports.lint import load
 from hitchopt.exports.placing import AXES, ReferenceFrame
+from hitchopt.exports.verification import Verdict, verify
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at

@@ -40,13 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.contents import (
-    FileContents,
-    Trajectory,
-    error,
-    separator_findings,
-    warning,
-)
+from hitchopt.exports.contents import FileContents, Trajectory, error, separator_findings, warning
 from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions

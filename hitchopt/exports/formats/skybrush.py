@@ -47,11 +47,11 @@ from hitchopt.exports.contents import (
     largest_jump,
     warning,
 )
-from hitchopt.exports.exporting import EXPORT_RULES
 from hitchopt.exports.firmware import mapping_at
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.refit import PieceKind, Scale, fit_breaks, fit_pieces, round_points
+from hitchopt.exports.verification import EXPORT_RULES
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import parsed_json
