@@ -32,13 +32,7 @@ PORT = {"json": 14600, "mavlink": 14580}
 
 @command(
     "directory DIR",
-    option(
-        "--format",
-        f"One of {', '.join(HOMES)}.",
-        str,
-        "NAME",
-        **completing(lambda: HOMES),
-    ),
+    option("--format", f"One of {', '.join(HOMES)}.", str, "NAME", **completing(lambda: HOMES)),
     option(
         "-o --output", "Folder, or the file where there is but one; else DIR-NAME.", PATH, "PATH"
     ),

@@ -114,10 +114,7 @@ TEAMS_FORM = {
 
 FORMS = {
     "Problem": (HITCH_FORM, "A team of quadrotors, a cable hitch, and what to do with it."),
-    "SwarmProblem": (
-        SWARM_FORM,
-        "Single drones that trade places out of each other's downwash.",
-    ),
+    "SwarmProblem": (SWARM_FORM, "Single drones that trade places out of each other's downwash."),
     "TeamsProblem": (
         TEAMS_FORM,
         "Several teams in one arena: teams with a hitch, or single drones, and what each does.",

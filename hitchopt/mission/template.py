@@ -54,20 +54,12 @@ NAMES = {3: "a triangle", 4: "a square", 5: "a pentagon", 6: "a hexagon", 8: "an
 
 @dataclass(frozen=True)
 class FittedProblem:
-    """The text of a problem, and what fits its hitch.
+    """The text of a problem, and what fits its hitch."""
 
-    Attributes
-    ----------
-    text: of the problem file.
-    polygon: in words, such as ``a triangle with edges of 1 m``.
-    lengths: the shortest and the longest cable length that fit [m]; infinite without a longest.
-    tensions: the smallest and the largest tension that fit [N].
-    """
-
-    text: str
-    polygon: str
-    lengths: Range
-    tensions: Range
+    text: str  # of the problem file
+    polygon: str  # in words, such as ``a triangle with edges of 1 m``
+    lengths: Range  # shortest and longest cable that fit [m]; infinite without a longest
+    tensions: Range  # smallest and largest tension that fit [N]
 
 
 def for_team(text: str, model: str | None = None, robots: int | None = None) -> FittedProblem:

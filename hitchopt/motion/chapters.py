@@ -20,7 +20,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.combined import side_by_side
-from hitchopt.motion.motion import JOINT, CableState, Group, Motion
+from hitchopt.motion.motion import JOINT, RING_CURVES, CableState, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, slice_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -125,10 +125,6 @@ def _chapter(motion: Motion) -> Motion:
     if len(groups) == 1:
         return groups[0].motion.replaced(others=tuple(others))
     return side_by_side(groups, others)
-
-
-RING_CURVES = ("drones", "vertices", "legs", "tensions", "leg_tensions")
-"""Curves with rows for the robots of a ring."""
 
 
 def _rows(curve: str, robots: Sequence[int]) -> Indices:

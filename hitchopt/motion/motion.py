@@ -164,18 +164,9 @@ class Group:
         return f"{self.name}.{name}" if self.name else name
 
 
-CURVES = (
-    "drones",
-    "vertices",
-    "legs",
-    "tensions",
-    "leg_tensions",
-    "poses",
-    "load_share",
-    "contacts",
-    "anchors",
-)
-"""Polynomial fields of every motion."""
+RING_CURVES = ("drones", "vertices", "legs", "tensions", "leg_tensions")
+CURVES = (*RING_CURVES, "poses", "load_share", "contacts", "anchors")
+"""Polynomial fields of every motion, first those of the robots in a ring."""
 
 SOURCES: dict[str, frozenset[str]] = {
     "leg_tensions": frozenset({"tensions"}),

@@ -32,13 +32,8 @@ ZERO_AT_REST = ("velocities", "accelerations", "jerks", "cable_force_rates", "ve
 """Fields of states that are zero after a plan's end."""
 
 DRONE_FIELDS = (
-    "positions",
-    "velocities",
-    "accelerations",
-    "jerks",
-    "cable_forces",
-    "cable_force_rates",
-    "masses",
+    *("positions", "velocities", "accelerations", "jerks"),
+    *("cable_forces", "cable_force_rates", "masses"),
 )
 """Fields of states with one entry per drone."""
 

@@ -19,12 +19,7 @@ from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import (
-    GraspState,
-    MovePlanner,
-    check_pull,
-    tying_tension,
-)
+from hitchopt.planners.carrying.planner import GraspState, MovePlanner, check_pull, tying_tension
 from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
 from hitchopt.steps.step import (
     Knob,

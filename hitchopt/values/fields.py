@@ -24,13 +24,7 @@ from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
-from hitchopt.errors import (
-    FileError,
-    InputError,
-    JointInputError,
-    UnitWarning,
-    joint_error,
-)
+from hitchopt.errors import FileError, InputError, JointInputError, UnitWarning, joint_error
 from hitchopt.values import (
     FLAG,
     LIST,
