@@ -119,9 +119,7 @@ class Player(OneLine):
     def step(self, seconds: float) -> Setpoints:
         """Advance the time [s] and return the setpoints.
 
-        Raises
-        ------
-        InputError: the time is negative or not finite.
+        Raises InputError if the time is negative or not finite.
         """
         self._profile = self._profile.after(nonnegative("seconds", seconds))
         if not self._start <= self.time <= self._end:
@@ -141,13 +139,9 @@ class Player(OneLine):
     def rate(self, rate: float) -> float:
         """Change to a constant rate from -1 to 1 as soon as possible; return the time it takes [s].
 
-        A stop ends at the end of the plan if no earlier one is possible.
-
-        Raises
-        ------
-        InputError: the rate is out of range.
-        InfeasibleError: no change was found that keeps all limits, or cables would slide backward
-            where legs lean against friction; the clock continues as before.
+        A stop ends at the end of the plan if no earlier one is possible. Raises InputError if the
+        rate is out of range, and InfeasibleError if no change was found that keeps all limits, or
+        cables would slide backward where legs lean against friction; the clock continues as before.
         """
         rate = _checked_rate(rate)
         profile = self._first_feasible(partial(_to_rate, rate), rate)
@@ -160,11 +154,8 @@ class Player(OneLine):
         """Fly the plan backward at full rate; return the time until that is reached [s].
 
         The clock stops after the last span in which legs lean against friction: backward, cables
-        slide the other way, and the legs would have to lean to the other side.
-
-        Raises
-        ------
-        InfeasibleError: as rate.
+        slide the other way, and the legs would have to lean to the other side. Raises
+        InfeasibleError as ``rate``.
         """
         spans, time = self._shared.sliding_spans, self.time
         until = float(np.max(spans[spans[:, 0] < time, 1], initial=self._start))
@@ -173,10 +164,7 @@ class Player(OneLine):
     def seek(self, time: float) -> float:
         """Move the clock to a plan time and stop there; return the time it takes [s].
 
-        Raises
-        ------
-        InputError: the time is outside the plan.
-        InfeasibleError: as rate.
+        Raises InputError if the time is outside the plan, and InfeasibleError as ``rate``.
         """
         self._check_time(time)
         profile = self._first_feasible(partial(_to_time, time), 0.0)

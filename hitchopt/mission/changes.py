@@ -120,10 +120,7 @@ class Change(OneLine):
 
 
 def size_of(relative: float, *, is_factor: bool) -> float:
-    """Return the size of a relative change, ``|log(new / old)|`` of factors.
-
-    Half as much and twice as much are changes of the same size.
-    """
+    """Return the size of a relative change; half and twice as much of a factor are the same."""
     return abs(math.log1p(relative)) if is_factor else abs(relative)
 
 

@@ -139,10 +139,7 @@ def _starts(robots: int, length: float) -> Array:
 
 
 def expand_sections(text: str, **extra: tuple[type, str, Sequence[str]]) -> str:
-    """Return a template with lines such as ``# (limits)`` replaced by all keys and defaults.
-
-    ``extra`` are further sections.
-    """
+    """Return a template with lines such as ``# (limits)``, or ``extra``, replaced by their keys."""
     sections = SECTIONS | extra
     return re.sub(r" *# \((\w+)\)\n", lambda match: _lines(*sections[match[1]]), text)
 

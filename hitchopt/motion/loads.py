@@ -107,16 +107,12 @@ def sags(motion: Motion, density: float) -> Array:
 
 
 def tautness(motion: Motion) -> Array:
-    """Return the tautness of every cable, from 0 (hanging free) to 1 (straight parts).
+    """Return the tautness of cables (pieces, n, degree + 1), from 0 (hanging free) to 1 (straight).
 
     It is the weight with which forces blend from those of a hanging cable to those of a taut one
     (``forces.cable_forces``): ``T / T_stated``, T_stated the smaller of the team's tension and the
-    smallest one of the phase, each coefficient clipped to [0, 1]. Slack cables have 0. As a
-    polynomial it is continuous wherever tensions are.
-
-    Returns
-    -------
-    (pieces, n, degree + 1): Bernstein coefficients over the motion's pieces.
+    smallest one of the phase, each Bernstein coefficient clipped to [0, 1]. Slack cables have 0. As
+    a polynomial it is continuous wherever tensions are.
     """
     lowest = np.minimum(stated_tensions(motion)[..., :1], motion.team.tension[:, None])
     shares = motion.tensions.coefficients / ((1.0 - TENSION_ROUNDING) * lowest)
@@ -252,13 +248,9 @@ def _rise_angle(
 
 
 def strut_share(team: Team, mass: float, edges: Array, tensions: Array) -> Array:
-    """Return the share (…) of edges' pulls that the rim of an object takes.
+    """Return the share (…) of edges' pulls that the rim of an object of a mass [kg] takes.
 
-    Parameters
-    ----------
-    mass: mass of the object [kg].
-    edges: lengths (…, n) [m].
-    tensions: (…, n) [N].
+    ``edges`` are lengths (…, n) [m], ``tensions`` (…, n) [N].
     """
     return np.asarray(1.0 - np.cos(_rise_angle(team, mass, edges, tensions)))
 
@@ -268,13 +260,8 @@ def rim_drop(
 ) -> Array:
     """Return the depth of vertices below a rim that rests on their legs (…) [m].
 
-    From above, legs extend the two edges at their vertex.
-
-    Parameters
-    ----------
-    vertices: (…, n, 2) [m] in the object's frame, clockwise.
-    tensions: (…, n) [N].
-    load_share: share (…) of the weight on the legs.
+    From above, legs extend the two edges at their vertex. Vertices (…, n, 2) [m] are clockwise in
+    the object's frame, with tensions (…, n) [N] and the share (…) of the weight on the legs.
     """
     onward, back, edges = _distances_to_rim(body, vertices)
     angle = _rise_angle(team, body.mass, edges, tensions, load_share)

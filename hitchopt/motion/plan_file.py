@@ -64,15 +64,9 @@ class SavedPlan(NamedTuple):
 
 
 def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
-    """Write a plan; the same plan gives the same bytes.
+    """Write a plan, with the text of its problem file if known, to a new file or over an old one.
 
-    Parameters
-    ----------
-    path: file, replaced if it exists.
-    motion, title: the plan.
-    problem: text of its problem file, if known.
-
-    Raises OSError if the file cannot be written.
+    The same plan gives the same bytes. Raises OSError if the file cannot be written.
     """
     settings = json.dumps(_settings(motion, title, problem), allow_nan=False)
     arrays = {"format": np.array(FORMAT), "settings": np.array(settings)}
