@@ -17,7 +17,7 @@ from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import PATH, command, completing, option, plan_path
 from hitchopt.cli.output import ProgressBar, certificate_table, record, say, table
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.exports.options import HOMES
+from hitchopt.exports.options import HOMES, ROS_DISTROS, STORAGES
 
 if TYPE_CHECKING:
     from hitchopt.exports.lint import Report
@@ -58,12 +58,12 @@ PORT = {"json": 14600, "mavlink": 14580}
     ),
     option("--rate", "Samples per second, where it samples.", float, "HZ"),
     option("--stretch", "Factor of all durations, from 1 on.", 1.0, "FACTOR"),
-    option("--storage", "Storage of a ros2bag.", "mcap", choices=("mcap", "sqlite3")),
+    option("--storage", "Storage of a ros2bag.", "mcap", choices=tuple(STORAGES)),
     option(
         "--ros-distro",
         "Release that a ros2bag is for; later ones read it too.",
         "humble",
-        choices=("humble", "iron", "jazzy"),
+        choices=tuple(ROS_DISTROS),
     ),
     option(
         "--hold-tension",
