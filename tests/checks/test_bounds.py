@@ -72,7 +72,7 @@ def hitch(seed: int) -> Motion:
 
 
 def loaded(seed: int) -> Motion:
-    n, other = some(seed, 3, 6)
+    n, other = some(seed, 3, 8)
     return loaded_motion(other, n, 0.01 * (seed != 1))
 
 
@@ -180,7 +180,7 @@ NEAR = CLOSE | {"separation"}
 FREE, GROUND, CLASPING = CableState.FREE, CableState.GROUND, CableState.CLASPING
 CASES = {
     "hitch": Case(hitch, 601, 2e-3),
-    "loaded hitch": Case(loaded, gap=5e-4, least=2e-6),
+    "loaded hitch": Case(loaded, 2001, 5e-4, 2e-6),
     "chain": Case(lambda seed: random_chain(*some(seed, 2, 9)), gap=2e-3, least=1e-5),
     "curled chain": Case(curled, gap=2e-3, least=1e-5, seeds=1),
     "chain that is wrong": Case(

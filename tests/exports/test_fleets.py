@@ -92,7 +92,7 @@ def test_the_sag_is_that_of_the_cables_that_a_model_flies() -> None:
     ("name", "kind"),
     [
         *((name, "hitch and swarm") for name in HOMES),
-        *((name, "two hitches") for name in ("csv", "crazyswarm2", "mavsdk_drone_show")),
+        *((name, "two hitches") for name in ("csv", "skybrush", "mavsdk_drone_show")),
     ],
 )
 def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> None:
