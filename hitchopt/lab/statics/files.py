@@ -186,7 +186,7 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         "tension": task.tension,
         "clearance": task.clearance,
         "friction": task.friction,
-        "enclosing": holding.enclosing.vertices.tolist(),
+        "enclosing": None if holding.enclosing is None else holding.enclosing.vertices.tolist(),
         "grip": None,
         "rest": None,
         "largest_mass": {GRIP: {}, REST: {}},
@@ -200,6 +200,8 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
         }
     if isinstance(rest, ConvexPolygon):
         content["rest"] = {"polygon": rest.vertices.tolist()}
+    if holding.tied_at is not None:
+        content["tie_at"] = holding.tied_at
     for by, masses in content["largest_mass"].items():
         for n, capacity in fit.capacities(by).items():
             masses[str(n)] = {"mass": capacity.mass, "limit": capacity.binding}
@@ -241,7 +243,7 @@ def draw_fit(
         axes.set_title(title, fontsize="medium")
         axes.set(xlabel="x [m]", ylabel="y [m]")
         axes.label_outer()
-        if isinstance(polygon, InfeasibleError):
+        if polygon is None or isinstance(polygon, InfeasibleError):
             continue
         vertices = polygon.vertices[:, :2]
         # Cables are taut around a section within the polygon

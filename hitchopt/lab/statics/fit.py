@@ -7,8 +7,9 @@ the separation of the drones.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -19,22 +20,29 @@ from scipy.spatial import ConvexHull
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import Quadrotor, Swarm, kinds_of
+from hitchopt.hitch.team import Quadrotor, Swarm, Team, kinds_of
 from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.planners.carrying.holds import GripHold
+from hitchopt.planners.carrying.planner import tying_tension
 from hitchopt.planners.carrying.polygons import (
     GripTask,
     best_grip,
     rest_polygons,
 )
+from hitchopt.planners.carrying.straddle import find_straddle
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
+from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, nonnegative, points, positive
 
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Smallest ratio of slip load to load
 MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
+TIED_STEP, TIED_STEPS = 0.2, 15  # Step of the lengths of two cables [m], and their number
+TIED_DENSITY = 0.005  # Of two cables, which are not tied without weight [kg/m]
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,9 @@ class Holding(OneLine):
     Attributes
     ----------
     task: the request.
-    enclosing: the polygon that is lowered around the object, with the clearance.
+    robots: number of cables.
+    enclosing: the polygon that is lowered around the object, with the clearance; None for two
+        cables, which are tied around it.
     cable_length: of all cables [m].
     grip: the grip with the largest slip load, or the error without one.
     rest: the polygon on which the outline rests as a rim, or the error without one.
@@ -67,7 +77,8 @@ class Holding(OneLine):
     """
 
     task: FitTask
-    enclosing: ConvexPolygon
+    robots: int
+    enclosing: ConvexPolygon | None
     cable_length: float
     grip: Grip | InfeasibleError
     rest: ConvexPolygon | InfeasibleError
@@ -75,9 +86,9 @@ class Holding(OneLine):
     rest_capacity: Capacity
 
     @property
-    def robots(self) -> int:
-        """Number of cables."""
-        return len(self.enclosing)
+    def tied_at(self) -> float | None:
+        """Height above the base at which two cables are tied [m]; None for more."""
+        return _tied_at(self.task) if self.robots == 2 else None
 
     def capacity(self, by: str) -> Capacity:
         """Return the largest mass that is held by ``grip`` or ``rest``."""
@@ -102,8 +113,8 @@ class Fit(OneLine):
     notes: tuple[str, ...]
 
     @property
-    def enclosing(self) -> ConvexPolygon:
-        """The polygon that is lowered around the object."""
+    def enclosing(self) -> ConvexPolygon | None:
+        """The polygon that is lowered around the object; None for two robots."""
         return self.holding.enclosing
 
     def capacities(self, by: str) -> dict[int, Capacity]:
@@ -141,7 +152,7 @@ def fit(
     ----------
     outline: points (m, 2) [m], a circle's radius [m], a ``Section``, a geometry of shapely, or the
         path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
-    robots: number n of robots, at least 3: cables of two enclose no polygon.
+    robots: number n of robots; the cables of two are tied around the object.
     clearance: distance of cables to the object while it is enclosed [m].
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
@@ -155,10 +166,7 @@ def fit(
     InputError: a number out of its range, or an invalid outline.
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
-    if robots == 2:
-        remedy = "give 3 or more; two tie around the object: solve a problem with transport_object"
-        raise InputError("robots", 2, "at least 3, whose cables enclose a polygon", remedy)
-    integer("robots", robots, 3, MAX_ROBOTS)
+    integer("robots", robots, 2, MAX_ROBOTS)
     (kind,) = kinds_of(quadrotor, 1, "object")
     stated = Requirements(limits or Limits(), separation or Separation())
     requirements = stated.flown_by(Swarm(1, quadrotor=kind)).with_reserve
@@ -182,7 +190,9 @@ def fit(
         requirements,
     )
     numbers = sorted({robots, *TABLE_ROBOTS})
-    holding = _holding(task, robots)
+    holding = _tied(task) if robots == 2 else _holding(task, robots)
+    if holding.tied_at is not None:
+        notes.append(f"two cables are tied {holding.tied_at:.3g} m above the base")
     others = {n: holding if n == robots else _attempt(partial(_holding, task, n)) for n in numbers}
     return Fit(section, holding, others, tuple(notes))
 
@@ -246,7 +256,50 @@ def _holding(task: FitTask, robots: int) -> Holding:
         load = task.tension, task.kind, requirements, 0.5 * task.height
         rested = _attempt(lambda: rest_capacity(rest, cable, *load))
     capacities = (x if isinstance(x, Capacity) else _zero_capacity(x) for x in (gripped, rested))
-    return Holding(task, enclosing, cable, gripping, rest, *capacities)
+    return Holding(task, robots, enclosing, cable, gripping, rest, *capacities)
+
+
+def _tied_at(task: FitTask) -> float:
+    """Return the height above the base at which two cables are tied [m]."""
+    body = SolidObject(task.section, 0.0, task.height)
+    return Tie("object").height_for(body, task.requirements)
+
+
+def _tied(task: FitTask) -> Holding:
+    """Return the grip of two cables, and their length if none is stated: the shortest that ties.
+
+    InfeasibleError: no length can be tied, or the object would fall over its two clasps.
+    """
+    body = SolidObject(task.section, 0.0, task.height, friction=task.friction)
+    requirements = replace(task.requirements, objects={"object": body})
+    core = task.section.core
+    girth = float(np.sum(length(np.roll(core, -1, axis=0) - core)))
+    girth += 2.0 * np.pi * task.section.rounding
+    shortest = 0.5 * girth + 2.0 * requirements.limits.leg
+    steps = math.ceil(shortest / TIED_STEP) + np.arange(TIED_STEPS)
+    lengths = [task.cable_length] if task.cable_length else np.round(TIED_STEP * steps, 9).tolist()
+    errors, height = list[InfeasibleError](), _tied_at(task)
+    if height < (needed := needed_height(body, requirements)):
+        remedy, when = "use three robots, or a higher object", "of two clasps above its base"
+        violation = Violation("hinge", height, needed, "min", "m", (), when, remedy)
+        raise InfeasibleError([violation])
+    for cable in lengths:
+        kind, T, friction = task.kind, task.tension, task.clasp_friction
+        team = Team(2, cable, cable_density=TIED_DENSITY, tension=T, quadrotor=kind)
+        team = replace(team, cable_friction=friction)
+        request = GripTask(task.section, 2, cable, T, friction, requirements, kind)
+        try:
+            grip = best_grip(request)
+            hold = GripHold.tied(team, body, grip.vertices, height)
+            find_straddle(hold, np.full(2, tying_tension(team)), requirements)
+        except InfeasibleError as error:
+            errors.append(error)
+            continue
+        capacity = grip_capacity(grip, kind, task.friction, SAFETY)
+        violation = Violation("support", 2, 3, "min", "robots", (), "", "use 3 robots or more")
+        rest = InfeasibleError([violation], "two cables support no rim by three points")
+        return Holding(task, 2, None, cable, grip, rest, capacity, _zero_capacity(rest))
+    raise errors[-1]
 
 
 def _zero_capacity(error: InfeasibleError) -> Capacity:
