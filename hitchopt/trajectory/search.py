@@ -255,7 +255,6 @@ class BranchAndBound(Generic[S]):
         self.evaluated += batch.item.size
         bound = self.formula(batch)
         bounds = self._signed(bound)
-        # Spans that tie are taken in order: the answer is the same on every machine.
         if self.rough and bounds.max() <= self.target:
             best = bounds.argmax(axis=0, keepdims=True)
             self.record(batch.at(bound.x[best], best), bounds[best])
@@ -270,7 +269,8 @@ class BranchAndBound(Generic[S]):
             candidates = candidates[bounds[candidates] >= self.value - TIE * abs(self.value)]
         if candidates.size:
             points = batch.at(bound.x[candidates], candidates)
-            self.record(points, self._signed(self.formula(points)))
+            values = bounds[candidates] if batch.points else self._signed(self.formula(points))
+            self.record(points, values)
         return bounds
 
     def _signed(self, bound: Bound) -> Array:
