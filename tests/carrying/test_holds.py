@@ -166,3 +166,11 @@ def test_pieces_are_long_only_while_only_positions_change(
     curve = polynomials(replace(move, **changes), lambda t: {"share": move.law.jet(t)[..., :1]})
     assert (np.max(np.diff(curve["share"].breaks)) > 1.0) == steady
     assert curve["share"].at(5.5) == pytest.approx(move.law.jet(np.array(5.5))[:1], abs=1e-6)
+
+
+@pytest.mark.parametrize("cruise", [0.0, 1e-8, 1e-4, 1.0])
+def test_no_piece_is_so_short_that_its_accelerations_are_rounding(cruise: float) -> None:
+    law = SmoothLaw(0.6, cruise)
+    breaks = law.breaks(0.5)
+    assert np.min(np.diff(breaks)) > 1e-3
+    assert breaks[[0, -1]].tolist() == [0.0, law.duration]

@@ -23,8 +23,9 @@ STEP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 MAX_STEP_SLOPE, MAX_STEP_CURVATURE = 2.1875, 7.52
 """Largest first and second derivative of that step."""
 
-RAMP_PIECES = 10
-"""Number of pieces of a ramp, which approximate the clasps' balance to 1e-4 of the tension."""
+RAMP_PIECES, MIN_PIECE_SHARE = 10, 0.02
+"""Number of pieces of a ramp, which approximate the clasps' balance to 1e-4 of the tension, and
+shortest piece of a cruise over one of these."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,9 @@ class SmoothLaw:
         pieces = max(1, math.ceil(self.cruise / longest))
         cruise = self.ramp + np.linspace(0.0, self.cruise, pieces + 1)
         times = np.concatenate([ramp, cruise[1:], self.ramp + self.cruise + ramp[1:]])
-        breaks: Array = times[np.append(True, np.diff(times) > 1e-9)]
+        # Accelerations of a very short piece are those of rounding
+        shortest = MIN_PIECE_SHARE * self.ramp / RAMP_PIECES
+        breaks: Array = times[np.append(True, np.diff(times) > shortest)]
         breaks[-1] = self.duration
         return breaks
 
