@@ -34,7 +34,6 @@ from hitchopt.steps.certified_motions import (
 )
 from hitchopt.steps.moving import FollowVertex
 from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
-from hitchopt.steps.straddling import Tie
 from hitchopt.steps.tying import Form
 from hitchopt.values import Array
 
@@ -217,19 +216,19 @@ def _start_state(
 
         assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
     if team.layout.closed and team.robots == 2:
-        assignment = _assigned_sides(mission, start.drones)
+        assignment = _assigned_sides(team, start.drones)
     return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
 
 
-def _assigned_sides(mission: TeamMission, drones: Array) -> Assignment:
-    """Return the assignment with the first object that two cables tie on the right of both."""
-    assignment, objects = Assignment.fixed(mission.team.robots), mission.requirements.objects
-    tied = (step.object for step in mission.steps if isinstance(step, Tie | TransportObject))
-    if (name := next(tied, None)) is None:
-        return assignment
+def _assigned_sides(team: Team, drones: Array) -> Assignment:
+    """Return the assignment of two cables with each of them on the right of the other one.
+
+    An object between them, where they start or where they are tied, is on the right of both.
+    """
     pairs = drones.reshape(-1, 2, 3)[..., :2]
-    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0]).T, (objects[name].at[:2] - pairs[:, 0]).T
-    return replace(assignment, flipped=tuple((x * v - y * u > 0.0).tolist()))
+    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0]).T, (np.mean(pairs, axis=(0, 1)) - pairs[:, 0]).T
+    flipped = tuple((x * v - y * u > 0.0).tolist())
+    return replace(Assignment.fixed(team.robots), flipped=flipped)
 
 
 def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:

@@ -214,12 +214,14 @@ class Form(Step):
 
 def approach_motion(task: StepTask, goal: Array) -> Motion:
     """Return the motion of free cables along the first feasible route, or raise one error."""
-    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach
+    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach, OverApproach
 
     before = task.before
     arguments = before.team, before.drones, goal, task.requirements, task.index
-    errors = list[HitchoptError]()
-    for route in (DirectApproach(*arguments), GatheredApproach(*arguments)):
+    errors, kinds = list[HitchoptError](), [DirectApproach, GatheredApproach]
+    if task.requirements.objects:
+        kinds.append(OverApproach)
+    for route in (kind(*arguments) for kind in kinds):
         outcome = attempt(
             lambda route=route: require_certified(StepPlan(concatenated(route.solve()), before))  # type: ignore[misc]
         )

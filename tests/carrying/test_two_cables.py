@@ -492,6 +492,20 @@ def test_steps_that_do_not_fit_are_refused(step: dict[str, Any], message: str) -
         ho.solve(problem([step]))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("height", [0.0, 1.0])
+@pytest.mark.parametrize("y", [(2.0, 2.8), (0.9, -1.4)])
+def test_cables_start_anywhere_also_both_beyond_the_object(
+    y: tuple[float, float], height: float
+) -> None:
+    """They fly over it, each to its side, whichever of their drones are named q."""
+    q, r = ([[x, each, height] for each in y] for x in (1.3, -0.7))
+    far = replace(problem([TIE]), start=ho.DronesStart(q, r))
+    plan = ho.solve(far)
+    assert plan.certificate.certified
+    assert plan.motion.phases[-1].state is CableState.HITCHED
+
+
 @pytest.mark.parametrize("tension", [0.12, 0.2, 1.0])
 @pytest.mark.parametrize("density", [0.0015, 0.02])
 def test_cables_are_tied_with_no_more_than_the_team_s_tension(

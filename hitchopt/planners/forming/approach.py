@@ -1,9 +1,10 @@
 """Approaches to the pre-hitch with hanging cables, and the assignment of robots to edges.
 
-There are two, of which the first certified one applies. *Direct*: the separation planner flies all
-drones at once, with the two drones of a cable tethered. *Gathered*: every robot first draws its two
-drones together and turns them as at the goal, so that its cable hangs within a disc in plan view;
-discs avoid each other, and open at the goal. Cables within disjoint discs cannot tangle.
+There are three, of which the first certified one applies. *Direct*: the separation planner flies
+all drones at once, with the two drones of a cable tethered. *Gathered*: every robot first draws its
+two drones together and turns them as at the goal, so that its cable hangs within a disc in plan
+view; discs avoid each other, and open at the goal. Cables within disjoint discs cannot tangle.
+*Over*: a direct flight, above all objects.
 """
 
 from __future__ import annotations
@@ -124,6 +125,11 @@ class DirectApproach(Approach):
     A cable hangs lower while its drones are closer together than at both ends of the flight.
     """
 
+    @property
+    def obstacle_height(self) -> float:
+        """Height over the ground of what cables fly over [m]."""
+        return 0.0
+
     @cached_property
     def problem(self) -> SeparationTask:
         """The flight of all drones, with the two drones of a cable tethered."""
@@ -142,7 +148,7 @@ class DirectApproach(Approach):
             return [*rise, self._stage("approach", pause)]
         drones = separated(self.problem)
         at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
-        deficit = missing_height(self.team, drones.at(at), requirements)
+        deficit = missing_height(self.team, drones.at(at), requirements) + self.obstacle_height
         if deficit <= 0.0:
             return [*rise, self._stage("approach", drones)]
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
@@ -153,6 +159,16 @@ class DirectApproach(Approach):
             rise += self._lines(start, Keyframe("climb", start + up))
         down = self._lines(goal + up, Keyframe("descend", goal))
         return [*rise, self._stage("approach", higher), *down]
+
+
+class OverApproach(DirectApproach):
+    """All drones fly at once, with their cables above all objects."""
+
+    @property
+    def obstacle_height(self) -> float:
+        """Height of the highest object over the ground [m]."""
+        objects = self.requirements.objects.values()
+        return max(float(x.at[2]) + x.upper for x in objects) - self.requirements.floor
 
 
 class GatheredApproach(Approach):
