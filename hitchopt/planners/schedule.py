@@ -285,7 +285,7 @@ class Schedule:
         fixed: tracks with a fixed start.
         pad: increase of all distances [m].
         """
-        first: Blocked | None = None
+        conflicts = list[Blocked]()
         names = [track.group.name for track in self.tracks]
         for layers in (1, 3):
             orders, evaluated = permutations(range(len(names))), set[tuple[int, ...]]()
@@ -298,15 +298,15 @@ class Schedule:
                 placed = self._placed(fixed, order, layers, pad)
                 if not isinstance(placed, Blocked):
                     return [placed[k] for k in range(len(self.tracks))]
-                first, promoted = first or placed, None
+                conflicts.append(placed)
+                promoted = None
                 if placed.names[1] in names:  # not a fixed track
                     late, early = map(names.index, placed.names)
                     rest = [k for k in order if k != late]
                     index = rest.index(early)
                     moved = (*rest[:index], late, *rest[index:])
                     promoted = None if moved in evaluated else moved
-        assert first is not None
-        return first
+        return conflicts[0]
 
     def _placed(
         self, fixed: Sequence[Placed], order: Sequence[int], layers: int, pad: float
@@ -322,8 +322,7 @@ class Schedule:
                     placed[k] = Placed(track, start)
                     break
                 blocked = blocked or start
-            if k not in placed:
-                assert blocked is not None
+            if k not in placed and blocked is not None:
                 return blocked
         first = min([0, *(each.start for each in placed.values())])
         return {k: Placed(each.track, each.start - first) for k, each in placed.items()}

@@ -130,8 +130,7 @@ class HoldingHitch(ABC):
     def motion(self, move: Move, requirements: Requirements, phase: Phase) -> Motion:
         """Return the motion of a move as one phase; all other objects are at rest."""
         parts: dict[str, Any] = polynomials(move, lambda t: self.curves(move, t))
-        assert phase.hold is not None
-        index = list(requirements.objects).index(phase.hold.object)
+        index = list(requirements.objects).index(phase.hold.object if phase.hold else "")
         breaks = parts["pose"].breaks
         pose, share = parts.pop("pose").coefficients, parts["load_share"].coefficients
         poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)

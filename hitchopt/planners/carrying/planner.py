@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.checks import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import value_cache
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.holding import residual_grip
@@ -102,9 +102,10 @@ class MovePlanner:
 
     @property
     def hold(self) -> HoldingHitch:
-        """The hitch with the object."""
-        assert self.state.hold is not None
-        return self.state.hold
+        """The hitch with the object; raises InputError without one."""
+        if (hold := self.state.hold) is None:
+            raise InputError("object", self.state.object, "one that is held", "grasp it before")
+        return hold
 
     @property
     def body(self) -> SolidObject:
@@ -249,7 +250,8 @@ class MovePlanner:
         ``closure`` of the hitch are those before and after.
         """
         hold, opens = self.hold, closure[0] > closure[1]
-        assert isinstance(hold, GripHold)
+        if not isinstance(hold, GripHold):
+            raise InputError("by", hold.by, "grip where cables close around it", "rest it instead")
         friction, errors = bool(hold.team.cable_friction), list[InfeasibleError]()
         tensions = self._passage_tensions(hold, opens)
         for between, share in product(tensions, FRICTION_SHARES if friction else (0.0,)):

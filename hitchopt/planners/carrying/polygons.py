@@ -424,8 +424,10 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     Raises
     ------
     InfeasibleError: no polygon fits between body and rim.
+    InputError: no rim.
     """
-    assert body.rim is not None
+    if body.rim is None:
+        raise InputError(f"objects.{name}.rim", None, "given", "rest objects with a rim on clasps")
     rim, centre = body.rim.section, body.centre_of_mass[:2]
     frame, size = _axes(rim)
     angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES

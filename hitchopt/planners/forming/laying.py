@@ -130,7 +130,7 @@ class Laying:
     hitch: Hitch
     levels: Indices  # (n,), order of the cables, 0 the lowest
     spacing: float = 0.0  # [m], between levels
-    offsets: Array | None = None  # (n, 2) [m], of the start from the edges' lines
+    offsets: Array | float = 0.0  # (n, 2) [m], of the start from the edges' lines
     doubtful: ClassVar[bool] = True  # samples are of drones alone
 
     @property
@@ -157,8 +157,8 @@ class Laying:
     @property
     def drones_outside(self) -> Array:
         """(2n, 3) [m]: the drones outside of the edges' lines, where taut cables do not cross."""
-        assert self.offsets is not None
-        shift = np.column_stack([self.offsets, np.zeros(len(self.offsets))])
+        shift = np.zeros((len(self.levels), 3))
+        shift[:, :2] = self.offsets
         drones: Array = self.drones_above + np.repeat(shift, 2, axis=0)
         return drones
 
