@@ -31,20 +31,17 @@ convex outline from its hull."""
 CHORDS = 256
 """Number of chords of a curve in SVG: within FLATNESS of a quarter circle of 20 m radius."""
 
-GRID = 1e-6
-"""[m] Grid on which lines are noded."""
+GRID = 1e-6  # [m] Grid on which lines are noded
 
 JOIN_TOLERANCE = 1e-3
 """Largest gap between ends that meet, relative to the drawing's size; at most FLATNESS."""
 
-MAX_GAP = 0.02
-"""Largest gap that may be a drawing error, relative to the drawing's size."""
+MAX_GAP = 0.02  # Largest gap that may be a drawing error, relative to the drawing's size
 
 MIN_AREA_RATIO = 1.0 + 1e-6
 """Smallest ratio of areas at which closing the gaps yields a different outline."""
 
-MAX_FILE_SIZE = 20_000_000
-"""[B] Largest file: a drawing of a single part is smaller."""
+MAX_FILE_SIZE = 20_000_000  # [B] Largest file: a drawing of a single part is smaller
 
 MIN_EXTENT, MAX_EXTENT = 0.01, 20.0
 """[m] Smallest and largest outline: others have other units, such as degrees or millimetres."""
@@ -52,8 +49,7 @@ MIN_EXTENT, MAX_EXTENT = 0.01, 20.0
 INCH, PIXELS = 0.0254, 96.0
 """[m] One inch, and its number of pixels in CSS: lengths with units in SVG become pixels."""
 
-PAGE_TOLERANCE = 5e-4
-"""Largest share of its bounding box that a page or frame leaves out."""
+PAGE_TOLERANCE = 5e-4  # Largest share of its bounding box that a page or frame leaves out
 
 PIXEL_NOTE = (
     "its size is in pixels of 1/96 inch, as in CSS; programs that write 72 px an inch, such as "

@@ -18,8 +18,7 @@ from hitchopt.values import Array, ByValue, finite, integer, points, positive
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: a clasp at a flatter vertex would hold nothing."""
 
-MIN_EDGE = 1e-6
-"""[m] Smallest edge: closer points count as coincident."""
+MIN_EDGE = 1e-6  # [m] Smallest edge: closer points count as coincident
 
 
 @dataclass(frozen=True, eq=False)

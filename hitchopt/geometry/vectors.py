@@ -9,14 +9,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.values import Array
 
-TIE = 1e-9
-"""Relative difference below which values tie: far above rounding, far below what matters."""
+TIE = 1e-9  # Relative difference below which values tie: far above rounding, far below what matters
 
 GOLDEN = 0.6180339887498949
 """Fractional part of the golden ratio: sums of a few of its multiples and powers do not tie."""
 
-EAST = np.array([1.0, 0.0, 0.0])
-"""Default direction of vectors without one."""
+EAST = np.array([1.0, 0.0, 0.0])  # Default direction of vectors without one
 
 
 def dot(a: Array, b: Array) -> Array:

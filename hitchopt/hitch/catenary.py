@@ -26,8 +26,7 @@ from hitchopt.values import MAX_COORDINATE, Array, as_array, integer, positive
 NEWTON_ITERATIONS = 8
 """Number of Newton iterations; 6 reach the last digit for all ratios up to 1e9."""
 
-MIN_RELATIVE_SPAN = 1e-6
-"""Smallest horizontal distance of the ends, relative to L."""
+MIN_RELATIVE_SPAN = 1e-6  # Smallest horizontal distance of the ends, relative to L
 
 SERIES_LIMIT = 1e-3
 """σ below which power series replace closed forms, which lose digits by cancellation."""

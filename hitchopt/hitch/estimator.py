@@ -49,11 +49,8 @@ class EstimatorParameters(OneLine):
         return {"kalman": kalman, "locSrv": errors}
 
 
-HELD = EstimatorParameters()
-"""Values that exports set for rigid bodies of several markers."""
-
-FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)
-"""Defaults of the firmware for rigid bodies."""
+HELD = EstimatorParameters()  # Values that exports set for rigid bodies of several markers
+FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)  # Defaults of the firmware for rigid bodies
 
 ONE_MARKER = EstimatorParameters(0.5, 1.0, 1e-2, None)
 """Defaults of the firmware for drones with one marker; hitches do not hold with them."""

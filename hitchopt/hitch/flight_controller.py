@@ -19,27 +19,15 @@ from typing import Annotated, Any, NamedTuple
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import check_choice, form_of, units
-from hitchopt.values.fields import (
-    Key,
-    Kind,
-    Record,
-    documented,
-    either,
-    mapping_of,
-    one_or_each,
-)
+from hitchopt.values.fields import Key, Kind, Record, documented, either, mapping_of, one_or_each
 
-Pair = tuple[float, float]
-"""One horizontal value (x and y) and one vertical value (z)."""
+Pair = tuple[float, float]  # One horizontal value (x and y) and one vertical value (z)
 
 DAMPING_RATIO = 5.0 / 6.0
 """kd / (2 √(kp m)) if no damping is specified: gains of 36/s² and 10/s times the mass."""
 
-INTEGRAL_TIME = 2.0
-"""[s] kp / ki if only the presence of an integral is specified."""
-
-MIN_TRACKING = 0.05
-"""[m] Tracking error of the stiffest loops, and lower bound for all others."""
+INTEGRAL_TIME = 2.0  # [s] kp / ki if only the presence of an integral is specified
+MIN_TRACKING = 0.05  # [m] Tracking error of the stiffest loops, and lower bound for all others
 
 PULL_TIME = 0.02
 """[s] Velocity that the exported filter estimates under a steady horizontal pull, per acceleration.
@@ -155,8 +143,7 @@ class Gains(Record):
         return cls() if gains is None else mapping_of(Gains).check("gains", gains)
 
 
-LATENCY = 0.02
-"""[s] Longest delay of motion capture and commands at which the stiffest gains fly."""
+LATENCY = 0.02  # [s] Longest delay of motion capture and commands at which the stiffest gains fly
 
 LOOP_LAG = 0.04
 """[s] Lag of attitude loop, motors and filter, as a delay at the position loop's crossover.
@@ -217,8 +204,7 @@ STOCK: Mapping[str, _Stock] = {
 }  # fmt: skip
 """Default parameters by controller name."""
 
-CONTROLLERS = tuple(STOCK)
-"""Names of flight controllers."""
+CONTROLLERS = tuple(STOCK)  # Names of flight controllers
 
 PX4_RANGES: Mapping[str, Pair] = {
     "MPC_XY_P": (0.0, 2.0),

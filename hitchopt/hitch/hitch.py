@@ -20,11 +20,7 @@ from hitchopt.hitch.forces import (
     shortening,
 )
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.hitch.slack_split import (
-    LIMIT_MARGIN,
-    SPREAD_MARGIN,
-    LegTask,
-)
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, ByValue, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
@@ -34,11 +30,8 @@ LEG_TOLERANCE, SAGGING_LEG_TOLERANCE = 1e-4, 1e-2
 """Tolerances of a prescribed leg at a chain's end, relative to its cable's length: of massless
 cables, as for cable lengths in plans, and of heavy ones, whose sag the user may have neglected."""
 
-ALTITUDE_TOLERANCE = 1e-9
-"""[m] Altitudes that differ by less are the same."""
-
-UNIT_ERROR_RATIO = 100.0
-"""Edge over cable beyond which one of the two is probably in another unit."""
+ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
+UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit
 
 
 def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:

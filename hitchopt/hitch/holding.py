@@ -22,11 +22,7 @@ from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.slack_split import (
-    LIMIT_MARGIN,
-    SPREAD_MARGIN,
-    LegTask,
-)
+from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.objects import Section
 from hitchopt.values import Array, Indices
@@ -214,11 +210,8 @@ class Grip(OneLine):
 
 # Balance of clasps.
 
-DAMPING = 1e-2
-"""Damping over stiffness, which keeps clasps from turning about nearly round objects."""
-
-DIFFERENCE_STEP = 1e-6
-"""[m] Step of the central differences of the edges' pulls."""
+DAMPING = 1e-2  # Damping over stiffness, which keeps clasps from turning about nearly round objects
+DIFFERENCE_STEP = 1e-6  # [m] Step of the central differences of the edges' pulls
 
 MAX_STEP = 0.5
 """Largest step of a clasp over the shorter of its straight parts, within which pulls are nearly
@@ -380,11 +373,8 @@ def residual_grip(legs: Array, tension: Array, clasp_friction: float, friction: 
 
 # Capacities: the largest masses that hitches hold.
 
-MASS_RESOLUTION = 1e-7
-"""[kg] Resolution of masses."""
-
-LIMIT_TOLERANCE = 1e-9
-"""Relative tolerance of limits, as in the certificate."""
+MASS_RESOLUTION = 1e-7  # [kg] Resolution of masses
+LIMIT_TOLERANCE = 1e-9  # Relative tolerance of limits, as in the certificate
 
 SUGGESTIONS = {
     "grip": "raise the tension, or use rougher cables",
@@ -419,8 +409,7 @@ class Capacity(OneLine):
         return SUGGESTIONS.get(self.binding, "use longer cables")
 
 
-MAX_LOAD_ACCELERATION = 1.0
-"""[m/s²] Largest acceleration of loads."""
+MAX_LOAD_ACCELERATION = 1.0  # [m/s²] Largest acceleration of loads
 
 
 def rest_capacity(

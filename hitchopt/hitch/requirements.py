@@ -29,8 +29,7 @@ from hitchopt.values.fields import (
 ROUNDING_FACTOR = 1.0 + 2e-9
 """Factor of ``tracking`` in the planners' distances, so that rounding violates no limit."""
 
-MAX_CORNERS = 1000
-"""Largest number of corners of one outline in a file."""
+MAX_CORNERS = 1000  # Largest number of corners of one outline in a file
 
 
 @documented

@@ -42,11 +42,8 @@ if TYPE_CHECKING:
     import casadi as ca
     import scipy.sparse as sp
 
-SPREAD_MARGIN = 1.5
-"""Margin, distance over its limit, of the leg lengths called ``spread``."""
-
-LIMIT_MARGIN = 1.001
-"""Margin of all other leg lengths, which allows for small errors of a plan."""
+SPREAD_MARGIN = 1.5  # Margin, distance over its limit, of the leg lengths called ``spread``
+LIMIT_MARGIN = 1.001  # Margin of all other leg lengths, which allows for small errors of a plan
 
 CROSSING_MARGIN = 1.005
 """Largest margin of cables without a common clasp, since ``spread`` concerns drones."""
@@ -153,16 +150,14 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
 PENALTY = 1e3
 """[m²] Penalty weight per robot and unit of margin: distances have priority over deviation."""
 
-MAX_WEIGHT_SHIFT = 0.02
-"""[m] Largest lateral shift of drones as the weight of their legs changes."""
+MAX_WEIGHT_SHIFT = 0.02  # [m] Largest lateral shift of drones as the weight of their legs changes
 
 
 MAX_POLYGON_ITERATIONS, MAX_PATH_ITERATIONS = 60, 20
 """Maximum numbers of convex programs from one initial guess, on one polygon and along a path, which
 converges within ten iterations or not at all."""
 
-MIN_GAIN = 1e-6
-"""Smallest relative improvement of merit; mirror images differ by less."""
+MIN_GAIN = 1e-6  # Smallest relative improvement of merit; mirror images differ by less
 
 STEP_TOLERANCE, COARSE_STEP_TOLERANCE = 1e-9, 1e-5
 """[m] Largest change of a leg in the last iteration: by default, and if the first split with the

@@ -165,11 +165,8 @@ def layout_of(robots: int, topology: str) -> Layout:
     return layout
 
 
-GRAVITY = 9.81
-"""[m/s²] Acceleration of gravity, downward."""
-
-MAX_ROBOTS = 10_000
-"""Largest number of robots, checked before any memory is allocated."""
+GRAVITY = 9.81  # [m/s²] Acceleration of gravity, downward
+MAX_ROBOTS = 10_000  # Largest number of robots, checked before any memory is allocated
 
 
 class Model(NamedTuple):
@@ -210,8 +207,7 @@ TENSION_RATIO = 0.31
 """Default tension of a model over its largest horizontal pull: 0.4 N at 132 g, as without one."""
 
 
-MAX_TRIM = 2.0
-"""[m] Largest coordinate of a trim."""
+MAX_TRIM = 2.0  # [m] Largest coordinate of a trim
 
 
 def _trim(key: str, value: Any) -> Pair:
@@ -383,8 +379,7 @@ MODEL_NAMES = words(**{name: Quadrotor(model=name) for name in MODELS})
 QUADROTOR = either(MODEL_NAMES, mapping_of(Quadrotor))
 """Kinds of quadrotors in files: the name of a model, or numbers."""
 
-DRONE_NAME = r"[qrd](0|[1-9][0-9]*)"
-"""Pattern of drones' names within a team."""
+DRONE_NAME = r"[qrd](0|[1-9][0-9]*)"  # Pattern of drones' names within a team
 
 
 def _by_drone(key: str, value: Any) -> Quadrotor | dict[str, Quadrotor]:
@@ -713,8 +708,7 @@ class PartTeam(Team):
         return self.members
 
 
-MAX_DRONES = 2 * MAX_ROBOTS
-"""Largest number of drones, checked before any memory is allocated."""
+MAX_DRONES = 2 * MAX_ROBOTS  # Largest number of drones, checked before any memory is allocated
 
 
 @dataclass(frozen=True, eq=False)

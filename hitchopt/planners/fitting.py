@@ -34,11 +34,8 @@ AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
 """Candidates of enclosing polygons: directions of stretch besides those of the section's sides,
 rotations within a period of symmetry, and aspect ratios over the section's own."""
 
-MIN_TURN, MIN_EDGE = 0.6, 0.5
-"""Smallest exterior angle and smallest edge, over their means."""
-
-ROUNDING = 1e-9
-"""Tolerance within which lengths or margins are equal."""
+MIN_TURN, MIN_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
+ROUNDING = 1e-9  # Tolerance within which lengths or margins are equal
 
 CENTIMETRE, STRIDE, RANGE_STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 5, 1.0
 """Step of cable lengths [m], strides of candidates with unbalanced legs and of ranges, and largest
@@ -48,8 +45,7 @@ WEIGHT_SAFETY, MAX_TENSION_RATIO, TENSIONS = 2.0, 30.0, 60
 """Smallest tension over the one from which on heavy cables balance; largest over smallest tension
 of the search, and their number."""
 
-Range = tuple[float, float]
-"""Smallest and largest value."""
+Range = tuple[float, float]  # Smallest and largest value
 
 
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:

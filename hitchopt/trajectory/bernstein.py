@@ -14,8 +14,7 @@ import numpy as np
 
 from hitchopt.values import Array
 
-MAX_PAIRS = 2**18
-"""Maximum pairs of coefficients multiplied at a time: they fit into the caches."""
+MAX_PAIRS = 2**18  # Maximum pairs of coefficients multiplied at a time: they fit into the caches
 
 MAX_PRODUCT = 2**18
 """Maximum multiplications in one matrix product: OpenBLAS splits larger ones between threads, which

@@ -14,8 +14,7 @@ SLIVER = 1e-8
 """[s] Shorter parts of a phase are merged into their neighbour: beyond its break, a piece is off by
 its jump in jerk times 1e-25 s³."""
 
-BISECTIONS = 52
-"""Number of bisection steps for the time at which a phase passes a break."""
+BISECTIONS = 52  # Number of bisection steps for the time at which a phase passes a break
 
 
 def advance(jets: Array, dt: Array | float) -> Array:

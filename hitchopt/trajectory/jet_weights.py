@@ -11,8 +11,7 @@ from hitchopt.errors import InputError
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
-MAX_STORED_TIMES = 500
-"""Maximum number of times for which the weights of jets are stored: 0.1 MB."""
+MAX_STORED_TIMES = 500  # Maximum number of times for which the weights of jets are stored: 0.1 MB
 
 
 def locate(breaks: Array, times: Array) -> tuple[NDArray[np.intp], Array]:

@@ -16,8 +16,7 @@ from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.jet_weights import jet_weights, locate
 from hitchopt.values import Array, Indices, as_array
 
-MAX_STORED_SIZE = 2**16
-"""Maximum number of coefficients of a stored derivative: 0.5 MB."""
+MAX_STORED_SIZE = 2**16  # Maximum number of coefficients of a stored derivative: 0.5 MB
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,15 +30,13 @@ MAX_HALVINGS, MAX_SPANS = 40, 100_000
 """Maximum number of halvings of a piece, and of halves in all (or ten per initial span). Beyond
 them, bounds are accepted: valid, but less tight."""
 
-BATCH = 4096
-"""Number of spans bounded in one call: the arrays of a formula fit into the caches."""
+BATCH = 4096  # Number of spans bounded in one call: the arrays of a formula fit into the caches
 
 TIE_STEPS, TIE = 1e9, 1e-9
 """Steps of bounds up to the largest one, and relative difference of values, at which the first one
 in time is chosen."""
 
-WHOLE = np.array([[0.0], [1.0]])
-"""Start and end of whole pieces."""
+WHOLE = np.array([[0.0], [1.0]])  # Start and end of whole pieces
 
 MAX_CANDIDATES = 32
 """Number of spans of a batch, those with the worst bounds, in which a value is computed."""
@@ -157,8 +155,7 @@ class TimeSpans:
 
 S = TypeVar("S", bound=TimeSpans)
 
-Formula = Callable[[S], Bound]
-"""Bound of a quantity on spans, or its value at points."""
+Formula = Callable[[S], Bound]  # Bound of a quantity on spans, or its value at points
 
 
 @dataclass(frozen=True)

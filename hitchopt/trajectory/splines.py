@@ -14,8 +14,7 @@ from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.piecewise import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
-ENDS = np.array([0.0, 1.0])
-"""Local parameters of a piece's ends."""
+ENDS = np.array([0.0, 1.0])  # Local parameters of a piece's ends
 
 
 def _local(knots: Array, degree: int, span: Indices, x: Array) -> Array:

@@ -30,14 +30,7 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.hitch.holding import (
-    Bends,
-    Wraps,
-    balanced,
-    edge_ratios,
-    straight_parts,
-    wraps_around,
-)
+from hitchopt.hitch.holding import Bends, Wraps, balanced, edge_ratios, straight_parts, wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy, Motion, Phase
@@ -184,11 +177,7 @@ class RestHold(HoldingHitch):
         return rim_drop(self.team, self.body, self.polygon, tension, load_share)
 
     def drones(
-        self,
-        tension: Array,
-        forces: Array,
-        strut: Array | None = None,
-        saved: Array | float = 0.0,
+        self, tension: Array, forces: Array, strut: Array | None = None, saved: Array | float = 0.0
     ) -> tuple[Array, Array]:
         """Return drones (…, 2n, 3) [m] in the object's frame, and legs' chords (…, n, 2) [m].
 

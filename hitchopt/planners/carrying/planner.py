@@ -38,8 +38,7 @@ CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing")
 LOAD_LAW = SmoothLaw(0.75)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
-MIN_PATH = 1e-6
-"""[m] Length of paths up to which clasps do not move."""
+MIN_PATH = 1e-6  # [m] Length of paths up to which clasps do not move
 
 MAX_SLOWINGS, SLOWING_FACTOR = 5, 1.5
 """Maximum number of slowings of a move, and factor of a slowing if the required one is unknown."""
@@ -317,8 +316,7 @@ MAX_SLOPE = 0.065
 """Weight at a clasp over the tension with which cables are tied by default. The length that sags
 jumps at corners of objects, by a tenth of a millimetre at this slope."""
 
-MIN_TENSION = 0.15
-"""[N] Smallest default of that tension, unless the team's is smaller."""
+MIN_TENSION = 0.15  # [N] Smallest default of that tension, unless the team's is smaller
 
 
 def tying_tension(team: Team) -> float:

@@ -82,8 +82,7 @@ def sides_of(polygon: Array) -> tuple[Array, Array]:
 MIN_GAP = 0.02
 """[m] Smallest distance of a clasp, where two ropes bend around each other, to the section."""
 
-DIFFERENCE_STEP = 1e-6
-"""[m] Step of central differences of margins."""
+DIFFERENCE_STEP = 1e-6  # [m] Step of central differences of margins
 
 LIFT_MARGIN = 0.05
 """Margin of all distances over their limits, which exceeds the changes by lifting."""
@@ -105,8 +104,7 @@ of vertices only the first pair, of equal ones."""
 EVEN_GUESSES, MAX_ALIGNED_GUESSES = 3, 6
 """Number of guesses turned by equal parts of their symmetry, and largest number along sides."""
 
-DECIMALS = 12
-"""Decimal places of centroids and reported ratios, which round errors to zero."""
+DECIMALS = 12  # Decimal places of centroids and reported ratios, which round errors to zero
 
 
 @dataclass(frozen=True, eq=False)
@@ -401,11 +399,8 @@ EDGE_MARGIN = 0.045
 SUFFICIENT_INSET, MIN_INSET = 0.05, 0.01
 """[m] Sufficient and smallest distance of clasps to the rim's outline, and of edges to the body."""
 
-ANGLES, ASPECTS = 12, 17
-"""Numbers of candidate orientations and aspect ratios."""
-
-SIZES = np.linspace(0.05, 1.0, 96)
-"""Candidate sizes of a polygon below a rim, over the rim's own."""
+ANGLES, ASPECTS = 12, 17  # Numbers of candidate orientations and aspect ratios
+SIZES = np.linspace(0.05, 1.0, 96)  # Candidate sizes of a polygon below a rim, over the rim's own
 
 
 def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> HoldPolygons:

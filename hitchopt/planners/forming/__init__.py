@@ -19,8 +19,7 @@ class SwapSettings(Record):
         float | None, Key(SWING, "Tilt of the axis of turning, upward from level; null: 45°")
     ] = None
     seconds: Annotated[
-        float | None,
-        Key(DURATION, "Shortest half turn; null: as fast as the limits allow"),
+        float | None, Key(DURATION, "Shortest half turn; null: as fast as the limits allow")
     ] = None
     sense: Annotated[
         int,

@@ -46,8 +46,7 @@ from hitchopt.values import Array, Indices
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))
 """Slack splits in the order of the search."""
 
-ANGLES = 61
-"""Number of sampled angles of the roll; the certificate bounds all of them."""
+ANGLES = 61  # Number of sampled angles of the roll; the certificate bounds all of them
 
 DISTANCE_FACTOR, EXTRA_DISTANCE = 1.2, 0.03
 """Factor on distance limits of cables, and distance added to them [m], in planning."""

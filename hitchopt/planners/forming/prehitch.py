@@ -53,18 +53,14 @@ of robots; horizontal axes do so for up to about seven."""
 MIN_SEPARATION = 1.05
 """Smallest separation [1] of drones in planned stages, such as a pair that turns."""
 
-MAX_SPAN_RATIO = 0.97
-"""Largest distance of the drones of a hanging cable, over its length."""
-
-CLEARANCE = 1.05
-"""Clearance of drones to cables, over ``Separation.cable``."""
+MAX_SPAN_RATIO = 0.97  # Largest distance of the drones of a hanging cable, over its length
+CLEARANCE = 1.05  # Clearance of drones to cables, over ``Separation.cable``
 
 MIN_LINK = 0.05
 """[m] Smallest length of two cables beyond the crossing of their chords at a clasp, in plan view
 after the first swap: cables that do not cross there do not clasp."""
 
-ANGLES = 73
-"""Number of sampled angles; the certificate bounds all of them."""
+ANGLES = 73  # Number of sampled angles; the certificate bounds all of them
 
 SAMPLES = np.linspace(0.0, 1.0, 41)
 """Sampled shares of a hanging cable's length and of straight flights."""
@@ -78,11 +74,8 @@ MAX_PIECE_ANGLE = 0.3
 TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Shares of the acceleration that are centripetal at full speed; the rest is tangential."""
 
-JERK_SHARE = 0.7
-"""Share of the jerk for the angle's own rate."""
-
-TURN_ANGLES = 25
-"""Number of angles of half a turn at which usable accelerations are computed."""
+JERK_SHARE = 0.7  # Share of the jerk for the angle's own rate
+TURN_ANGLES = 25  # Number of angles of half a turn at which usable accelerations are computed
 
 CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Shares of the line from pre-hitch to hitch that are candidates for the clasps."""

@@ -57,8 +57,7 @@ from hitchopt.planners.morph.path import shapes_along
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
-LAYING_GAP = 0.005
-"""[m] Height of the new robot's cable over the others at the end of its descent."""
+LAYING_GAP = 0.005  # [m] Height of the new robot's cable over the others at the end of its descent
 
 SPLITS = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 """Candidate slack splits if no split of the robot's legs alone suffices."""
@@ -83,8 +82,7 @@ MIN_DIVISOR = 1e-9
 APPROACH_SPAN_RATIO = 0.95
 """Distance of an approaching robot's drones over its cable's length, so that it hangs flat."""
 
-NEWTON_ITERATIONS = 8
-"""Iterations for the chord of a taut cable, which converge quadratically."""
+NEWTON_ITERATIONS = 8  # Iterations for the chord of a taut cable, which converge quadratically
 
 
 def corner_cut(polygon: Any, vertex: int, cut: float) -> ConvexPolygon:

@@ -24,8 +24,7 @@ from hitchopt.values import Array
 
 T = TypeVar("T")
 
-MIN_RISE_SECONDS = 1.0
-"""[s] Shortest rise of the tensions, against which drones tilt."""
+MIN_RISE_SECONDS = 1.0  # [s] Shortest rise of the tensions, against which drones tilt
 
 MIN_RISE_PERIODS = 3.0
 """Shortest rise of the tensions over the longest period of a cable (see ``rise_seconds``)."""
@@ -169,14 +168,9 @@ def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
 GROUND_CLEARANCE = 1.1
 """Height of hanging cables above the ground, over ``Requirements.ground_clearance``."""
 
-LINE_SAMPLES = 9
-"""Number of points on a line at which usable accelerations are computed."""
-
-MIN_FLIGHT = 1e-9
-"""[m] Shortest distance of a flight."""
-
-PAUSE = 0.01
-"""[s] Duration of a flight in which no drone moves."""
+LINE_SAMPLES = 9  # Number of points on a line at which usable accelerations are computed
+MIN_FLIGHT = 1e-9  # [m] Shortest distance of a flight
+PAUSE = 0.01  # [s] Duration of a flight in which no drone moves
 
 
 def straight_lines(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:

@@ -40,8 +40,7 @@ from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
-UNIT_BREAKS = np.array([0.0, 1.0])
-"""Breakpoints of s for a path of one piece."""
+UNIT_BREAKS = np.array([0.0, 1.0])  # Breakpoints of s for a path of one piece
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +87,7 @@ class Action:
         return ShapePath(self.start.team, track, law, roll=roll)
 
 
-START_TOLERANCE = 1e-6
-"""[m] Largest distance of a point at t = 0 from the vertex."""
+START_TOLERANCE = 1e-6  # [m] Largest distance of a point at t = 0 from the vertex
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:

@@ -37,11 +37,8 @@ from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.splines import bspline, interpolated
 from hitchopt.values import Array
 
-MIN_LEAN = math.radians(0.5)
-"""[rad] Smallest lean, below which there is no feed-forward."""
-
-PIECES_PER_INTERVAL = 2
-"""Number of pieces of the drones' polynomials per interval of the splines."""
+MIN_LEAN = math.radians(0.5)  # [rad] Smallest lean, below which there is no feed-forward
+PIECES_PER_INTERVAL = 2  # Number of pieces of the drones' polynomials per interval of the splines
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +79,7 @@ def feedforward_matters(motion: Motion) -> bool:
     return slip is not None and (feedforward is None or feedforward.lean >= MIN_LEAN)
 
 
-SWINGS, SWING = 4, 1.25
-"""Number of swings that settle the clasps, and duration of a swing [s]."""
+SWINGS, SWING = 4, 1.25  # Number of swings that settle the clasps, and duration of a swing [s]
 
 FIRST_SHARE, LAST_SHARE = 0.65, 0.35
 """Shares of the friction of one cable in the first and the last swing. Both cables of a clasp slide
@@ -183,11 +179,8 @@ def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
     return PiecewisePolynomial.hermite(breaks, left, right)
 
 
-DEGREE = 5
-"""Degree of the friction splines, with four continuous derivatives."""
-
-KNOT_SPACING = 0.4
-"""[s] Spacing of their knots, with which friction reverses within a second."""
+DEGREE = 5  # Degree of the friction splines, with four continuous derivatives
+KNOT_SPACING = 0.4  # [s] Spacing of their knots, with which friction reverses within a second
 
 MIN_INTERVALS, MAX_INTERVALS = 4, 200
 """Bounds of the number of knot intervals: they limit the speed at which legs lean in short motions,
@@ -199,27 +192,23 @@ ZERO_COEFFICIENTS = 3
 SLOW_SHARE = 0.1
 """Share of the largest leg rate that is added to divisors; slow legs then expect less friction."""
 
-MIN_LEG_RATE = 1e-5
-"""[m/s] Rate of a leg below which nothing slides."""
+MIN_LEG_RATE = 1e-5  # [m/s] Rate of a leg below which nothing slides
 
 MAX_LEAN = math.radians(12.0)
 """[rad] Largest lean, since the two legs of a sharp, locked vertex would approach each other."""
 
-DISTANCE_FACTOR = 1.02
-"""Factor on the distance limits of a clasp's drones and legs."""
+DISTANCE_FACTOR = 1.02  # Factor on the distance limits of a clasp's drones and legs
 
 MAX_FRICTION = 5.0
 """Upper bound of the friction coefficient: legs reach MAX_LEAN with much less, and exponentials of
 larger ones overflow."""
 
-MIN_DISTANCE = 1e-3
-"""[m] Distance of drones to the other leg of their clasp if they have no limit."""
+MIN_DISTANCE = 1e-3  # [m] Distance of drones to the other leg of their clasp if they have no limit
 
 WRAP_ITERATIONS = 8
 """Fixed-point iterations for the wrap angle of legs with the friction that it causes."""
 
-BISECTIONS = 20
-"""Number of bisections for the largest feasible share of friction."""
+BISECTIONS = 20  # Number of bisections for the largest feasible share of friction
 
 
 def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:

@@ -22,8 +22,7 @@ from hitchopt.planners.timing.profile import check_hover, demands_along, path_gr
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
-POSITION_TOLERANCE = 1e-9
-"""[m] Distance below which positions are equal."""
+POSITION_TOLERANCE = 1e-9  # [m] Distance below which positions are equal
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +70,7 @@ MIN_ANGLE = math.radians(0.01)
 MIN_EDGE, MIN_LEG = 1e-3, 1e-3
 """[m] Shortest edge and leg on a path, below which their directions are inaccurate."""
 
-SHAPE_SAMPLES = 401
-"""Number of points of the path at which shapes are checked before timing."""
+SHAPE_SAMPLES = 401  # Number of points of the path at which shapes are checked before timing
 
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:

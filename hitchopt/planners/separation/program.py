@@ -27,15 +27,13 @@ from hitchopt.planners.separation.task import END_COUNT, Setting, inside
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
-PLANE_MARGIN = 0.01
-"""Margin of every plane, in separations; OSQP's residuals are some thousandths."""
+PLANE_MARGIN = 0.01  # Margin of every plane, in separations; OSQP's residuals are some thousandths
 
 DEVIATION_WEIGHT, ROUGHNESS_WEIGHT = 1.0, 3e-7
 """Weights of the squared distance to the nominal curves and of the squared third derivative, for
 lengths relative to the longest route and a duration of one."""
 
-PLANE_PENALTY = 10.0
-"""Penalty weight of a squared slack of a plane or tether."""
+PLANE_PENALTY = 10.0  # Penalty weight of a squared slack of a plane or tether
 
 LIMIT_PENALTY = 100.0
 """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
@@ -220,8 +218,7 @@ CHUNK, INITIAL_STEP = 100, 0.1
 MAX_ITERATIONS = 1500
 """Maximum iterations of OSQP. The last iterate is used; later programs correct its residuals."""
 
-MIN_TIME_LIMIT = 1e-3
-"""[s] Smallest time limit for OSQP, in which zero means no limit."""
+MIN_TIME_LIMIT = 1e-3  # [s] Smallest time limit for OSQP, in which zero means no limit
 
 
 class ProgramError(Exception):
@@ -278,14 +275,12 @@ def _settings() -> dict[str, float | bool]:
     return {**tolerance, "max_iter": CHUNK, "polishing": False, "verbose": False, **limit}
 
 
-LEVEL_TOLERANCE = 1e-6
-"""Largest vertical component of horizontal normals."""
+LEVEL_TOLERANCE = 1e-6  # Largest vertical component of horizontal normals
 
 NORMAL_SLOPE, SLOPE_SEPARATION = 1e-2, 2.0
 """Upward slope of horizontal normals per separation, and separation from which on it is zero."""
 
-CURVE_SAMPLES = 17
-"""Number of samples of a piece that locate its nearest point."""
+CURVE_SAMPLES = 17  # Number of samples of a piece that locate its nearest point
 
 PARALLEL_TOLERANCE = 1e-10
 """Squared sine of the angle below which two edges of a triangle count as parallel; the nearest

@@ -36,8 +36,7 @@ RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
 """Guesses in the order of the search: side of the pushes, and duration over that of the slowest
 flight (above 1, departures are staggered)."""
 
-MAX_PROGRAMS = 16
-"""Maximum number of programs from one guess."""
+MAX_PROGRAMS = 16  # Maximum number of programs from one guess
 
 SPEEDUP = 0.85
 """Target duration of the next program over the current one, while the curves are clear."""
@@ -49,8 +48,7 @@ GOOD_RATIO, FAIR_RATIO = 1.05, 1.15
 """Durations over that of single flights at which the search ends, and at which it ends after
 MAX_IDLE_ROUNDS_FAIR without improvement."""
 
-MIN_GAIN = 0.02
-"""Smallest relative improvement."""
+MIN_GAIN = 0.02  # Smallest relative improvement
 
 DAMPING, DAMPING_FACTOR = 1e-4, 10.0
 """Weight of squared changes in a program, as in Levenberg and Marquardt's method, and its increase
@@ -59,8 +57,7 @@ after every round without improvement."""
 MAX_IDLE_ROUNDS_FAIR, MAX_IDLE_ROUNDS, MAX_IDLE_ROUNDS_UNCLEAR = 2, 3, 6
 """Maximum number of consecutive rounds without improvement: of fair, clear and other curves."""
 
-UNCLEAR_MERIT = 1e9
-"""Merit of curves that violate a limit at any speed, per missing separation."""
+UNCLEAR_MERIT = 1e9  # Merit of curves that violate a limit at any speed, per missing separation
 
 PLANE_RANGE, CROWD_PLANE_RANGE = 1.0, 0.5
 """Separations [1] in excess of the limit up to which pairs of pieces have a plane; in crowds."""
@@ -69,8 +66,7 @@ LARGE_CROWD = 256
 """Number of drones from which on a program moves only those that are too close, and the search ends
 with the first clear curves: programs that couple all drones would need too much time."""
 
-CLOSE_RANGE = 0.1
-"""Separation [1] in excess of the limit below which such drones are too close."""
+CLOSE_RANGE = 0.1  # Separation [1] in excess of the limit below which such drones are too close
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,8 +213,7 @@ def _too_short(task: SeparationTask, duration: float, reason: str) -> Violation:
 STRETCH = 1.0 / LIMIT_SHARE
 """Stretch of the shortest duration, a reserve for rounding and refitting in exports."""
 
-MIN_DURATION = 0.01
-"""[s] Smallest duration, as of flights in which no drone moves."""
+MIN_DURATION = 0.01  # [s] Smallest duration, as of flights in which no drone moves
 
 REMEDY = "give more time or room, or move the drones concerned apart"
 

@@ -85,17 +85,13 @@ class SeparationResult:
     remark: str  # the priority rule of its initial guess
 
 
-DEGREE = 5
-"""Degree of the curves, whose jerk is continuous."""
+DEGREE = 5  # Degree of the curves, whose jerk is continuous
 
 END_COUNT = 3
 """Number of coefficients at each end, fixed by position, zero velocity and zero acceleration."""
 
-TRUST_RATIO = 2.5
-"""Trust radius over the radius of drones."""
-
-WALL_MARGIN = 1e-9
-"""Distance of curves to the arena's walls, relative to its coordinates."""
+TRUST_RATIO = 2.5  # Trust radius over the radius of drones
+WALL_MARGIN = 1e-9  # Distance of curves to the arena's walls, relative to its coordinates
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,17 +29,10 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splines import bspline, extraction, interpolated, knots_through
 from hitchopt.values import Array, Indices
 
-DemandsAt = Callable[[Array], Demands]
-"""Function from path parameters s to the path's demands."""
-
-SAMPLES = 5
-"""Number of samples per piece at which limits are evaluated."""
-
-INITIAL_ROWS = 2
-"""Number of drones per sample and limit that have rows in the first round."""
-
-MAX_ROW_ROUNDS = 6
-"""Maximum number of rounds of adding violated rows."""
+DemandsAt = Callable[[Array], Demands]  # Function from path parameters s to the path's demands
+SAMPLES = 5  # Number of samples per piece at which limits are evaluated
+INITIAL_ROWS = 2  # Number of drones per sample and limit that have rows in the first round
+MAX_ROW_ROUNDS = 6  # Maximum number of rounds of adding violated rows
 
 LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 """Relative tolerance of the limits, within the reserve of LIMIT_SHARE."""
@@ -257,26 +250,19 @@ def _double(A: Array, load: Array) -> Array:
 
 DEGREE = 3
 
-MAX_NEWTON_STEPS = 60
-"""Maximum number of Newton steps; 15 are typical."""
-
-GAP_TOLERANCE = 1e-5
-"""Duality gap at which the search ends, over the duration."""
+MAX_NEWTON_STEPS = 60  # Maximum number of Newton steps; 15 are typical
+GAP_TOLERANCE = 1e-5  # Duality gap at which the search ends, over the duration
 
 MIN_COEFFICIENT = 1e-4
 """Lower bound of coefficients, which keeps the rate positive between the samples."""
 
-BOUNDARY_SHARE = 0.99
-"""Largest step over the distance to the nearest bound."""
-
-MIN_SLACK_SHARE = 1e-3
-"""Smallest slack after a step, over that before."""
+BOUNDARY_SHARE = 0.99  # Largest step over the distance to the nearest bound
+MIN_SLACK_SHARE = 1e-3  # Smallest slack after a step, over that before
 
 BACKTRACK_FACTOR, MIN_STEP_SHARE = 0.7, 1e-8
 """Factor that shortens steps that violate a row, and share of a step at which the search ends."""
 
-CENTRING = 0.1
-"""Target of the duality gap in a step, over the current gap."""
+CENTRING = 0.1  # Target of the duality gap in a step, over the current gap
 
 
 @dataclass(frozen=True, eq=False)

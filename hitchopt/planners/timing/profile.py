@@ -25,14 +25,12 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import Path
 from hitchopt.values import Array, Indices
 
-LIMIT_SHARE = 0.999
-"""Share of the limits at samples, with a reserve for the times between."""
+LIMIT_SHARE = 0.999  # Share of the limits at samples, with a reserve for the times between
 
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits for the polynomials' enclosures; the rest is for the certificate's bounds."""
 
-CHUNK = 64_000
-"""Number of rays of drones per chunk, whose temporary arrays fit into a core's cache."""
+CHUNK = 64_000  # Number of rays of drones per chunk, whose temporary arrays fit into a core's cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,11 +221,8 @@ RAYS = 64
 ROUNDING_MARGIN = 1e-8
 """Margin of ṡ² below toppra's solution, with which programs remain feasible after rounding."""
 
-VARIABLE_BOUND = 1e8
-"""Bound of s̈ and ṡ² in toppra's programs."""
-
-ACCELERATION_WEIGHT = 1e-9
-"""Weight of s̈ relative to ṡ², which resolves ties of equal speed."""
+VARIABLE_BOUND = 1e8  # Bound of s̈ and ṡ² in toppra's programs
+ACCELERATION_WEIGHT = 1e-9  # Weight of s̈ relative to ṡ², which resolves ties of equal speed
 
 
 class TimingError(HitchoptError):

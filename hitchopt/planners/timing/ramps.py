@@ -15,8 +15,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advance
 from hitchopt.values import Array
 
-PHASE_TOLERANCE = 1e-9
-"""[s] Shorter phases of a profile are dropped."""
+PHASE_TOLERANCE = 1e-9  # [s] Shorter phases of a profile are dropped
 
 MIN_PHASE, LIMIT_FACTORS = 5e-4, (1.0, 0.98, 0.96)
 """[s] Shortest phase whose derivatives are accurate, and factors of limits that avoid shorter ones,
