@@ -12,17 +12,19 @@ demo: $(VENV)/.installed
 	$(BIN)/hitchopt solve problems/carry_box.yaml -o demo --report
 	@echo "Open demo/report.html in a browser; demo/summary.png shows the plan at a glance."
 
-# Films the demo's plan: in real time, and four times as fast and small for the README; there also how a robot is replaced.
-film: demo $(VENV)/.filmed
-	$(BIN)/hitchopt view demo --save demo/carry_box.mp4
-	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y \
-		-i demo/carry_box.mp4 -vf "setpts=PTS/4, fps=12.5, scale=800:-1" -quality 75 -loop 0 problems/pictures/carry_box.webp
-	$(BIN)/hitchopt solve -q problems/replace_in_flight.yaml -o demo/replace_in_flight
-	$(BIN)/hitchopt view demo/replace_in_flight --save demo/replace_in_flight.mp4
-	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y \
-		-i demo/replace_in_flight.mp4 \
-		-vf "trim=start=14, setpts=(PTS-STARTPTS)/4, fps=12.5, crop=700:600:290:120, scale=640:-1" \
-		-quality 75 -loop 0 problems/pictures/replace_in_flight.webp
+# Films plans in real time to demo/, and four times as fast and small for the pages: each from a time [s] on, and of a part of its frames.
+film: $(VENV)/.filmed
+	$(call film,carry_box,0,iw:ih:0:0,800)
+	$(call film,replace_in_flight,14,700:600:290:120,640)
+	$(call film,two_robots_drum,0,960:600:160:120,640)
+
+define film
+	$(BIN)/hitchopt solve -q problems/$(1).yaml -o demo/$(1)
+	$(BIN)/hitchopt view demo/$(1) --save demo/$(1).mp4
+	"$$($(BIN)/python -c 'import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())')" -loglevel error -y -i demo/$(1).mp4 \
+		-vf "trim=start=$(2), setpts=(PTS-STARTPTS)/4, fps=12.5, crop=$(3), scale=$(4):-1" \
+		-quality 75 -loop 0 problems/pictures/$(1).webp
+endef
 
 # What a change needs, in some three minutes; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested
