@@ -499,7 +499,7 @@ def test_cables_start_anywhere_also_both_beyond_the_object(
     y: tuple[float, float], height: float
 ) -> None:
     """They fly over it, each to its side, whichever of their drones are named q."""
-    q, r = ([[x, each, height] for each in y] for x in (1.3, -0.7))
+    q, r = (np.array([[x, each, height] for each in y]) for x in (1.3, -0.7))
     far = replace(problem([TIE]), start=ho.DronesStart(q, r))
     plan = ho.solve(far)
     assert plan.certificate.certified
