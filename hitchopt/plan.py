@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.closeness import SPANS, Closeness, closeness
+from hitchopt.checks.distances import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, short
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_groups
@@ -320,7 +320,7 @@ class Plan(OneLine):
 
 def closest(
     plan: Plan,
-    spans: int = SPANS,
+    spans: int = CLOSENESS_SPANS,
     picture: Path | str | None = None,
     width: float | None = None,
 ) -> Closeness:

@@ -22,7 +22,7 @@ from matplotlib.patheffects import withStroke
 from scipy.spatial import ConvexHull, cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
-from hitchopt.checks.closeness import Closeness
+from hitchopt.checks.distances import Closeness
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.motion.motion import Motion, Phase

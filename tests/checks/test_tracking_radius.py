@@ -27,7 +27,7 @@ from refusals import assert_refused
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify
-from hitchopt.checks.closeness import closeness
+from hitchopt.checks.distances import closeness
 from hitchopt.checks.registry import MERGEABLE_REPORTS
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation

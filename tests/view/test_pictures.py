@@ -21,7 +21,7 @@ from matplotlib.transforms import Bbox
 from pictured import made_certificate, make_motion
 
 import hitchopt as ho
-from hitchopt.checks.closeness import closeness
+from hitchopt.checks.distances import closeness
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.retiming import resting
 from hitchopt.view.painter import MAX_PANELS, MIN_TRAVEL, choose_shots, shots_in_motion
