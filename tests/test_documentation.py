@@ -31,6 +31,7 @@ from generators.page_pictures import KINDS, SCREENSHOTS, screenshot
 from generators.problem_collection import GALLERY, PICTURES, SECTIONS, Section, caption
 from generators.schema_page import write_schema_page
 from generators.script_page import SCRIPTS, write_script_page
+from matplotlib import rc_context
 from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
 
@@ -353,7 +354,7 @@ def test_scripts_run(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.chdir(tmp_path)
     (file,) = (each for each in SCRIPTS if each.stem == name)
     stream = io.StringIO()
-    with redirect_stdout(stream):
+    with redirect_stdout(stream), rc_context():  # scripts may choose fonts
         runpy.run_path(str(file), run_name="__main__")
     assert stream.getvalue()
 
