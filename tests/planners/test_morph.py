@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import signal
-from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
@@ -16,6 +13,7 @@ import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import QuadraticProgram, solve_qp
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
 from hitchopt.planners.morph.morph import StraightMorph
@@ -25,6 +23,7 @@ from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph, guesses
 from hitchopt.planners.timing.flight import fly
+from hitchopt.values import Array
 
 FREE = Requirements()
 SQUARE = regular_polygon(4, 1.2, np.pi / 4)
@@ -87,58 +86,74 @@ def test_parts_of_steps_keep_drones_apart_between_the_knots() -> None:
         assert apart(path, 8) is kept
 
 
-def test_the_optimiser_ends_on_ctrl_c_at_the_first_solver(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also of a solver that keeps signals to itself, as IPOPT does."""
-    built: list[str] = []
-    build = ca.nlpsol
+def tangent_errors(path: KnotPath, search: SearchLimits) -> float:
+    """Return the largest error of a program's tangent against central differences of tables."""
+    task = program.build_program(path, search, SolverStep(0.1))
+    columns, step, table = path.columns, 1e-6, path.table
+    free = [columns.vertices.ravel(), columns.q_legs]
+    free += [] if search.tension is None else [columns.tensions]
+    every, size = np.concatenate(free), task.tangent.shape[1]
+    direction = np.random.default_rng(3).uniform(-1.0, 1.0, size)
 
-    def disturbed(name: str, plugin: str, *given: Any) -> Any:
-        built.append(plugin)
-        solver = build(name, plugin, *given)
+    def moved(sign: float) -> Array:
+        changed = table.copy()
+        changed[1:-1, every] += sign * step * direction.reshape(path.steps - 1, -1)
+        return path.with_table(changed).table[1:-1].ravel()
 
-        def solve(**numbers: Any) -> Any:
-            with suppress(KeyboardInterrupt):
-                os.kill(os.getpid(), signal.SIGINT)
-            return solver(**numbers)
-
-        solve.stats = solver.stats  # type: ignore[attr-defined]
-        return solve
-
-    monkeypatch.setattr(ca, "nlpsol", disturbed)
-    monkeypatch.setattr(program, "solver_of", program.solver_of.__wrapped__)
-    triangle = ho.regular_polygon(3, 1.0)
-    start, before = ho.Hitch.spread(ho.Team(3, 2.4), triangle), signal.getsignal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt):
-        ho.morph(start, triangle.rotated(0.5), optimize=True)
-    assert built == ["ipopt"]
-    assert signal.getsignal(signal.SIGINT) is before
+    slopes = (moved(1.0) - moved(-1.0)) / (2.0 * step)
+    return float(np.max(np.abs(task.tangent @ direction - slopes)))
 
 
-def test_solvers_of_one_structure_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A second team's cables, positions and altitude are parameters of the same solver."""
-    built: list[str] = []
-    build = ca.nlpsol
+@pytest.mark.parametrize("kind", ["equal", "unequal", "loaded", "sagging", "rolled"])
+def test_drones_and_legs_follow_the_programs_tangent(kind: str) -> None:
+    team = {
+        "equal": Team(5, 2.6),
+        "unequal": Team(5, [2.6, 2.5, 2.7, 2.6, 2.8], tension=[0.6, 0.5, 0.55, 0.62, 0.58]),
+        "loaded": Team(5, 2.6, load=0.01),
+        "sagging": Team(5, 2.6, cable_density=0.002),
+        "rolled": Team(5, 2.6),
+    }[kind]
+    start, end = (Hitch.spread(team, polygon) for polygon in (PENTAGON, PENTAGON.rotated(0.2)))
+    polygons = np.linspace(PENTAGON.vertices, PENTAGON.rotated(0.2).vertices, 5)
+    path = KnotPath.through("", start, end, polygons)
+    if kind == "rolled":
+        path = replace(path, roll=np.full((5, 5), 0.3))
+    tension = None if kind == "equal" else (0.4, 0.7)
+    search = SearchLimits(FREE, lambda _: None, tension, (1.5, 1.5))
+    assert tangent_errors(path, search) < 1e-6
 
-    def counted(name: str, plugin: str, *given: Any) -> Any:
-        built.append(plugin)
-        return build(name, plugin, *given)
 
-    monkeypatch.setattr(ca, "nlpsol", counted)
-    program.solver_of.cache_clear()
+def test_steps_keep_rows_that_were_far_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The result is that of all rows at once, enforced in several programs."""
+    polygons = guesses(PENTAGON, PENTAGON.renumbered(2), 9)
+    guess = next(polygons[name] for name in polygons if name.startswith("turned"))
+    path = KnotPath.through("", *ends(Team(5, 2.6), PENTAGON, PENTAGON.renumbered(2)), guess)
+    bounds = SearchLimits(FREE, lambda _: None, None, (1.5, 1.5), 1.03)
+    solve, counts = solve_qp, list[int]()
 
-    def morphed(cable: float, moved: float) -> tuple[float, int]:
-        first, last = SQUARE, SQUARE.rotated(0.9).translated([0.4, 0.0])
-        first, last = (polygon.translated([moved, -moved]) for polygon in (first, last))
+    def counted(given: QuadraticProgram) -> Array | None:
+        counts.append(len(given.lower))
+        return solve(given)
+
+    monkeypatch.setattr(program, "solve_qp", counted)
+    results = []
+    for near in (program.NEAR_RANGE, np.inf):
+        monkeypatch.setattr(program, "NEAR_RANGE", near)
+        *_, last = iterates(path, bounds, SolverStep(0.17), 3)
+        results.append(last.table)
+    assert len(counts) > 2 * 3
+    assert min(counts) < counts[-1]
+    np.testing.assert_allclose(results[0], results[1], atol=1e-5)
+
+
+def test_optimised_plans_are_repeated_bit_by_bit() -> None:
+    start = Hitch.spread(Team(4, 2.4), SQUARE)
+    durations = list[float]()
+    for _ in range(2):
         ho.forget()
-        start = Hitch.spread(Team(4, cable), first, 1.0 + moved)
-        return ho.morph(start, last, optimize=True).duration, len(built)
-
-    (first, one), (second, two) = morphed(2.4, 0.0), morphed(2.4001, 3.0)
-    program.solver_of.cache_clear()
-    again, three = morphed(2.4001, 3.0)
-    assert 0 < one == two < three
-    assert abs(second - first) > 1e-6
-    assert again == pytest.approx(second, rel=1e-12)
+        plan = ho.morph(start, SQUARE.rotated(0.9).translated([0.4, 0.0]), optimize=True)
+        durations.append(plan.duration)
+    assert durations[0] == durations[1]
 
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -211,24 +226,22 @@ def test_what_cannot_be_faster_is_not_searched(monkeypatch: pytest.MonkeyPatch) 
     """No guess of a stretched 12-gon is nearly as fast as straight lines."""
     start, goal, separation = stretched(12)
     straight = ho.morph(start, goal, separation=separation)
-    monkeypatch.setattr(program, "solve_program", None)
+    monkeypatch.setattr(program, "solve_qp", None)
     optimised = ho.morph(start, goal, separation=separation, optimize=True)
     assert optimised.duration <= straight.duration
 
 
 def test_the_optimizer_ends_at_the_limit_of_its_effort(monkeypatch: pytest.MonkeyPatch) -> None:
     """For a morph with legs as long as edges, whose programs never have a feasible path."""
-    solve, sizes = program.solve_program, list[tuple[int, float]]()
+    solve, costs = solve_qp, list[float]()
 
-    def counted(task: program.MorphProgram) -> program.ProgramResult:
-        result = solve(task)
-        sizes.append((result.iterations, task.size))
-        return result
+    def counted(given: QuadraticProgram) -> Array | None:
+        costs.append(program.ENTRY_COST * (given.P.nnz + given.A.nnz))
+        return solve(given)
 
-    monkeypatch.setattr(program, "solve_program", counted)
-    monkeypatch.setattr(search, "MAX_ITERATIONS", 100)
+    monkeypatch.setattr(program, "solve_qp", counted)
+    monkeypatch.setattr(search, "MAX_EFFORT", 30.0)
     start, end = ends(Team(4, 4.0), SQUARE, SQUARE.rotated(0.5))
     assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
-    spent = [iterations * size for iterations, size in sizes]
-    limit = 100.0 * 4 * 7  # robots and inner knots
-    assert sum(spent[:-1]) <= limit < 2.0 * sum(spent)
+    limit = 30.0 * 4 * 7  # robots and inner knots
+    assert sum(costs) <= limit < 2.0 * sum(costs)

@@ -132,6 +132,14 @@ class KnotPath:
             self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions, roll=shapes.roll
         )
 
+    def with_perturbed_legs(self, share: float) -> KnotPath:
+        """Return the path with q-legs changed at random, by up to a share of the shorter leg."""
+        random = np.random.default_rng(0).uniform(-share, share, self.q_legs.shape)
+        random[[0, -1]] = 0.0
+        return replace(
+            self, q_legs=self.q_legs + random * np.minimum(self.q_legs, self.slack - self.q_legs)
+        )
+
     @property
     def columns(self) -> Columns:
         """The columns of the table."""
@@ -195,30 +203,23 @@ class SolverStep:
     @property
     def reach(self) -> float:
         """Distance beyond the limit [m] up to which pairs have rows in the step."""
-        return 1.5 * self.stride
-
-
-TYPICAL_ITERATIONS = 20
-"""Iterations that a program is expected to take."""
+        return 2.0 * self.stride
 
 
 @dataclass(eq=False)
 class Effort:
     """Effort of the optimizer, which does not depend on the machine's speed, and its limit.
 
-    It is the sum of iterations times sizes of programs; its unit takes about 0.1 ms.
+    It is the sum of the costs of programs; its unit takes about 0.1 ms.
     """
 
-    limit: float = math.inf  # beyond which no program starts
+    limit: float = math.inf  # within which programs start
     spent: float = 0.0  # so far
 
-    def allows(self, size: float) -> bool:
-        """Return whether a program of a size may start."""
-        return self.spent + TYPICAL_ITERATIONS * size <= self.limit
-
-    def spend(self, iterations: int, size: float) -> None:
-        """Add the iterations of a program of a size."""
-        self.spent += iterations * size
+    def spend(self, cost: float) -> bool:
+        """Add the cost of a program, and return whether it is within the limit."""
+        self.spent += cost
+        return self.spent <= self.limit
 
 
 @dataclass(frozen=True, eq=False)

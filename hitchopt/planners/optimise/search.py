@@ -45,10 +45,14 @@ INITIAL_STEP = SolverStep(0.17)
 REFINED_STRIDE = 0.12
 """[m] Stride of the optimizer in refinement."""
 
-MAX_INITIAL_STEPS, MAX_REFINED_STEPS, MAX_FASTEST_STEPS = 12, 5, 3
+MAX_INITIAL_STEPS, MAX_REFINED_STEPS, MAX_FASTEST_STEPS = 12, 5, 6
 """Maximum numbers of steps from a guess, in a round of refinement, and toward a faster path."""
 
-MIN_REFINED_PROGRESS = 0.15
+LEG_PERTURBATION = 0.05
+"""Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
+robots of regular polygons move alike up to saddle points, as all rows are linear."""
+
+MIN_REFINED_PROGRESS = 0.05
 """Smallest motion of vertices in a step over its stride, below which refinement ends."""
 
 KNOT_DISTANCE = 0.9
@@ -65,9 +69,9 @@ MIN_GAIN = 0.01
 """Smallest gain over the fastest path so far, as a share of its duration, for which guesses are
 tried."""
 
-MAX_ITERATIONS = 800
-"""Limit of the effort if the straight path is infeasible, in iterations of a program of the size of
-the largest guess. Successful searches of 3 to 24 robots took up to 570."""
+MAX_EFFORT = 240.0
+"""Limit of the effort if the straight path is infeasible, per robot and inner knot of the largest
+guess. Successful searches of 3 to 12 robots took up to 170."""
 
 MIN_EFFORT, EFFORT_PER_ROBOT = 2e4, 300.0
 """Limit of the effort if the straight path is feasible, which is about ten times that of planning
@@ -181,7 +185,7 @@ class OptimisedMorph:
         first, last = (END_MARGIN_FACTOR * margins[paths[0]])[[0, -1]].tolist()
         paths = [path.resampled(_steps(path)) for path in paths]
         if motion is None:
-            effort = Effort(MAX_ITERATIONS * max(path.size for path in paths))
+            effort = Effort(MAX_EFFORT * max(path.size for path in paths))
         else:
             effort = Effort(max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots))
         search = SearchLimits(
@@ -295,7 +299,8 @@ def _equal(path: KnotPath, other: KnotPath) -> bool:
 def _optimized(guess: KnotPath, search: SearchLimits, visited: list[KnotPath]) -> KnotPath | None:
     """Return the path of minimum energy near a guess; None if it reaches a visited path."""
     path: KnotPath | None = None
-    for path in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
+    perturbed = guess.with_perturbed_legs(LEG_PERTURBATION)
+    for path in iterates(perturbed, search, INITIAL_STEP, MAX_INITIAL_STEPS):
         if any(_equal(path, other) for other in visited):
             return None
     return path
