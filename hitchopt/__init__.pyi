@@ -9,7 +9,7 @@ from hitchopt.api import export as export, repair as repair, separate as separat
 from hitchopt.api import solve as solve, suggestions as suggestions
 from hitchopt.checks import Certificate as Certificate, CertificateError as CertificateError
 from hitchopt.checks import Check as Check, certify as certify
-from hitchopt.checks.closeness import Closeness as Closeness
+from hitchopt.checks.distances import Closeness as Closeness
 from hitchopt.errors import FileError as FileError, HitchoptError as HitchoptError
 from hitchopt.errors import InfeasibleError as InfeasibleError, InputError as InputError
 from hitchopt.errors import TimeLimitError as TimeLimitError, UnitWarning as UnitWarning
