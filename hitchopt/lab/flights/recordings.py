@@ -165,7 +165,7 @@ class RecordedFlight(OneLine):
 
     @property
     def contents(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """What is recorded, by body and quantity: topic, samples, rate [Hz], largest gap [s]."""
+        """Topic, number of samples, rate [Hz] and largest gap [s] of each body's quantities."""
         bodies = dict[str, dict[str, dict[str, Any]]]()
         for tracks, quantity in (
             (self.tracks, "position"),
