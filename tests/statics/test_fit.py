@@ -205,7 +205,7 @@ def test_two_cables_are_tied_and_hold_more_than_three(tmp_path: Path) -> None:
     assert fit.holding.cable_length < 1.6
     assert fit.holding.grip_capacity.binding == "grip"
     assert fit.holding.grip_capacity.mass > fit.capacities("grip")[3].mass
-    assert fit.capacities("rest")[2].mass == 0.0
+    assert min(fit.capacities("rest")) == 3
     save_fit(tmp_path, fit)
     content = json.loads((tmp_path / "fit.json").read_text())
     assert content["enclosing"] is None

@@ -118,10 +118,11 @@ class Fit(OneLine):
         return self.holding.enclosing
 
     def capacities(self, by: str) -> dict[int, Capacity]:
-        """Return the capacity of each number of robots, by ``grip`` or ``rest``."""
+        """Return the capacity of each number of robots, by ``grip`` or, from three on, ``rest``."""
         return {
             n: each.capacity(by) if isinstance(each, Holding) else _zero_capacity(each)
             for n, each in self.others.items()
+            if by == GRIP or n > 2
         }
 
     def raise_if_too_heavy(self, mass: float, by: str = GRIP) -> None:
