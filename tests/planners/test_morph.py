@@ -123,6 +123,57 @@ def test_drones_and_legs_follow_the_programs_tangent(kind: str) -> None:
     assert tangent_errors(path, search) < 1e-6
 
 
+def test_rows_of_corners_and_times_are_derivatives() -> None:
+    """Without near pairs they are the last rows; corners are convex and no time is exceeded."""
+    start, end = (Hitch.spread(Team(5, 2.6), p) for p in (PENTAGON, PENTAGON.rotated(0.2)))
+    polygons = np.linspace(PENTAGON.vertices, PENTAGON.rotated(0.2).vertices, 5)
+    path = KnotPath.through("", start, end, polygons)
+    near = ho.Separation(radius=0.01, cable=0.01, crossing=0.01)
+    bounds = SearchLimits(replace(FREE, separation=near), lambda _: None, None, (1.0, 1.0))
+    task = program.build_program(path, bounds, SolverStep(0.01, fastest=True))
+    speeds = np.repeat([FREE.limits.vertex_speed, FREE.limits.speed], [5, 10])
+
+    def rows(table: Array) -> tuple[Array, Array]:
+        """Return sines of exterior angles, and times of all segments (steps, 15) [s]."""
+        vertices = table[1:-1, path.columns.vertices]
+        edges = np.roll(vertices, -1, axis=1) - vertices
+        edges /= np.linalg.norm(edges, axis=-1, keepdims=True)
+        before = np.roll(edges, 1, axis=1)
+        sines = before[..., 1] * edges[..., 0] - before[..., 0] * edges[..., 1]
+        moves = np.diff(table[:, path.columns.nodes], axis=0)
+        return sines.ravel(), np.linalg.norm(moves, axis=-1) / speeds
+
+    changes = task.tangent.shape[1]
+    direction = np.random.default_rng(4).uniform(-1.0, 1.0, changes)
+    given = np.append(direction, np.zeros(task.program.A.shape[1] - changes))
+    change = np.zeros_like(path.table)
+    change[1:-1] = np.asarray(task.tangent @ direction).reshape(path.steps - 1, -1)
+    here, after, before = (rows(path.table + h * change) for h in (0.0, 1e-6, -1e-6))
+    sines, times = ((x - y) / 2e-6 for x, y in zip(after, before, strict=True))
+    longest = np.max(here[1], axis=1, keepdims=True)
+    bounding = here[1] > program.MIN_SEGMENT_SHARE * longest
+    found, count = np.asarray(task.program.A @ given), np.count_nonzero(bounding)
+    assert found[-count:] == pytest.approx(times[bounding], abs=1e-7)
+    spare = task.stride * task.program.upper[-count:]
+    assert spare == pytest.approx((longest - here[1])[bounding])
+    corners = slice(-count - len(sines), -count)
+    assert found[corners] == pytest.approx(sines, abs=1e-7)
+    lowest = task.stride * task.program.lower[corners] + here[0]
+    assert np.ptp(lowest) < 1e-12
+    assert lowest[0] > 0.0
+
+
+@pytest.mark.parametrize(("robots", "edge", "bound"), [(10, 0.34, 4.7), (12, 1.3, 12.2)])
+def test_half_turns_of_regular_polygons(robots: int, edge: float, bound: float) -> None:
+    """Guesses are perturbed, without which the 12-gon takes 13 s, or tight ones not: the 10-gon."""
+    polygon = regular_polygon(robots, edge)
+    separation = ho.Separation(cable=min(0.1, 0.15 * np.sin(2.0 * np.pi / robots)))
+    start = Hitch.spread(Team(robots, 2.0), polygon, separation=separation)
+    plan = ho.morph(start, polygon.rotated(np.pi), separation=separation)
+    assert plan.certificate.certified
+    assert plan.duration < bound
+
+
 def test_steps_keep_rows_that_were_far_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
     """The result is that of all rows at once, enforced in several programs."""
     polygons = guesses(PENTAGON, PENTAGON.renumbered(2), 9)
@@ -243,5 +294,5 @@ def test_the_optimizer_ends_at_the_limit_of_its_effort(monkeypatch: pytest.Monke
     monkeypatch.setattr(search, "MAX_EFFORT", 30.0)
     start, end = ends(Team(4, 4.0), SQUARE, SQUARE.rotated(0.5))
     assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
-    limit = 30.0 * 4 * 7  # robots and inner knots
-    assert sum(costs) <= limit < 2.0 * sum(costs)
+    limit = 30.0 * 4 * 7  # robots and inner knots, for perturbed guesses and for the others
+    assert limit < sum(costs) <= 2.0 * limit

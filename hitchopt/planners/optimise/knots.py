@@ -31,11 +31,7 @@ trajectory need not end at knots."""
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The columns of a table (knots, size), whose inner rows are variables.
-
-    Drones and r-legs are variables too, with equality constraints to the flat outputs. Distances
-    are then at most quadratic, and every row has few variables.
-    """
+    """The columns of a table (knots, size): flat outputs, and drones and r-legs that follow."""
 
     vertices: Indices  # (n, 2)
     q_legs: Indices  # (n,)
@@ -45,7 +41,7 @@ class Columns:
 
     @property
     def size(self) -> int:
-        """Number of variables per knot."""
+        """Number of columns."""
         return 9 * len(self.q_legs)
 
     @property

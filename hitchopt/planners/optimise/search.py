@@ -48,9 +48,10 @@ REFINED_STRIDE = 0.12
 MAX_INITIAL_STEPS, MAX_REFINED_STEPS, MAX_FASTEST_STEPS = 12, 5, 6
 """Maximum numbers of steps from a guess, in a round of refinement, and toward a faster path."""
 
-LEG_PERTURBATION = 0.05
-"""Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
-robots of regular polygons move alike up to saddle points, as all rows are linear."""
+LEG_PERTURBATIONS = (0.05, 0.0)
+"""Largest changes of q-legs in guesses, over the shorter leg of their cable; one after the other is
+tried until a motion is found. Without changes all robots of regular polygons move alike up to
+saddle points, as all rows are linear."""
 
 MIN_REFINED_PROGRESS = 0.05
 """Smallest motion of vertices in a step over its stride, below which refinement ends."""
@@ -185,35 +186,52 @@ class OptimisedMorph:
         first, last = (END_MARGIN_FACTOR * margins[paths[0]])[[0, -1]].tolist()
         paths = [path.resampled(_steps(path)) for path in paths]
         if motion is None:
-            effort = Effort(MAX_EFFORT * max(path.size for path in paths))
+            max_effort = MAX_EFFORT * max(path.size for path in paths)
         else:
-            effort = Effort(max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots))
-        search = SearchLimits(
-            self.requirements, self.judge, self.tension, (first, last), effort=effort
-        )
-        visited: list[KnotPath] = []
+            max_effort = max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
         estimates = np.zeros(len(paths))
         if len(paths) > 1 or candidates:
             smooth = [path.path for path in paths]
             estimates = np.array(flight_estimates(smooth, self.requirements.limits))
-        for k in np.argsort(estimates, kind="stable"):
-            if estimates[k] > MAX_GUESS_RATIO * fastest:
+        order = np.argsort(estimates, kind="stable")
+        for share in LEG_PERTURBATIONS:
+            effort = Effort(max_effort)
+            search = SearchLimits(
+                self.requirements, self.judge, self.tension, (first, last), effort=effort
+            )
+            tried = [paths[k].with_perturbed_legs(share) for k in order]
+            candidates += self._near(tried, estimates[order], search, fastest)
+            if candidates:
                 break
-            path = _optimized(paths[k], search, visited)
-            visited.append(paths[k])
+        return sorted(candidates, key=lambda candidate: candidate.motion.duration)
+
+    def _near(
+        self, tried: list[KnotPath], estimates: Array, search: SearchLimits, fastest: float
+    ) -> list[Candidate]:
+        """Return the motions along optimized guesses, in the order of their estimates [s].
+
+        ``fastest`` is the duration of the straight motion [s], infinite without one.
+        """
+        candidates: list[Candidate] = []
+        visited: list[KnotPath] = []
+        for guess, estimate in zip(tried, estimates, strict=True):
+            if estimate > MAX_GUESS_RATIO * fastest:
+                break
+            path = _optimized(guess, search, visited)
+            visited.append(guess)
             if path is None:
                 continue
             visited.append(path)
-            if candidates and _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
+            if _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
                 continue
             motion = _refined(path, search)
             if motion is None:
                 continue
             candidates.append(Candidate(path.name, motion))
             fastest = min(fastest, motion.duration)
-            if min_duration > (1.0 - MIN_GAIN) * fastest:
+            if self.min_duration > (1.0 - MIN_GAIN) * fastest:
                 break
-        return sorted(candidates, key=lambda candidate: candidate.motion.duration)
+        return candidates
 
 
 def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
@@ -299,8 +317,7 @@ def _equal(path: KnotPath, other: KnotPath) -> bool:
 def _optimized(guess: KnotPath, search: SearchLimits, visited: list[KnotPath]) -> KnotPath | None:
     """Return the path of minimum energy near a guess; None if it reaches a visited path."""
     path: KnotPath | None = None
-    perturbed = guess.with_perturbed_legs(LEG_PERTURBATION)
-    for path in iterates(perturbed, search, INITIAL_STEP, MAX_INITIAL_STEPS):
+    for path in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
         if any(_equal(path, other) for other in visited):
             return None
     return path
