@@ -232,13 +232,11 @@ def test_renumbered_cables_change_no_check() -> None:
 @pytest.mark.slow
 def test_tying_in_reverse_unties() -> None:
     motion = tied()
-    end = float(motion.drones.breaks[-1])
-    phases = [p.retimed(end - p.end, end - p.start) for p in reversed(motion.phases)]
-    phases[0] = phases[0].retimed(0.0, phases[0].end)
-    reverse = motion.map_curves(lambda part: part.reversed(), motion.phases)
-    start = float(reverse.drones.breaks[0])
-    phases = [p.retimed(p.start + start, p.end + start) for p in phases]
-    same(motion, reverse.replaced(phases=tuple(phases)))
+    both = float(motion.drones.breaks[0] + motion.drones.breaks[-1])
+    phases = [p.retimed(both - p.end, both - p.start) for p in reversed(motion.phases)]
+    start = float(motion.drones.breaks[0])
+    phases[0] = phases[0].retimed(start, phases[0].end)
+    same(motion, motion.map_curves(lambda part: part.reversed(), phases))
 
 
 # Lies.
