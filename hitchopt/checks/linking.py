@@ -261,7 +261,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     for span in motion.spans(TAUT_STATES):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
         if span.has_bent_cables:
-            parts.append((span.anchors.reshaped(-1, 3), legs))
+            parts.append((span.inner_ends.reshaped(-1, 3), legs))
     return jump_of(motion, parts)
 
 

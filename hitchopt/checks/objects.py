@@ -171,7 +171,7 @@ def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
 @cached
 def bends(motion: Motion) -> Array:
     """Return start, both contacts and end of edges (pieces, n, 4, 3, …) [m]."""
-    ends = motion.anchors.coefficients
+    ends = motion.inner_ends.coefficients
     return joined_arrays([ends[:, :, :1], motion.contacts.coefficients, ends[:, :, 1:]], axis=2)
 
 

@@ -189,7 +189,7 @@ def positions(motion: Motion) -> tuple[Array, Array]:
 @cached
 def leg_vectors(motion: Motion) -> Array:
     """Return vectors (pieces, 2n, 3, N+1) [m] of legs, to each drone q0, r0, q1, …."""
-    drones, ends = same_degree(motion.drones.coefficients, motion.anchors.coefficients)
+    drones, ends = same_degree(motion.drones.coefficients, motion.inner_ends.coefficients)
     return drones - ends.reshape(drones.shape)
 
 
@@ -221,7 +221,7 @@ def bent_edges(motion: Motion) -> tuple[Array, Array]:
     if not motion.has_wraps:
         edges = edge_vectors(motion)
         return edges, edges
-    ends, contacts = same_degree(motion.anchors.coefficients, motion.contacts.coefficients)
+    ends, contacts = same_degree(motion.inner_ends.coefficients, motion.contacts.coefficients)
     return contacts[:, :, 0] - ends[:, :, 0], ends[:, :, 1] - contacts[:, :, 1]
 
 
@@ -237,7 +237,7 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
         return joined_arrays(nodes, axis=1)[:, layout.part_nodes], layout.parts
     # Hitches that grip an object are closed: all cables have two legs.
     drones, ends, contacts = same_degree(
-        motion.drones.coefficients, motion.anchors.coefficients, motion.contacts.coefficients
+        motion.drones.coefficients, motion.inner_ends.coefficients, motion.contacts.coefficients
     )
     pairs = drones.reshape(ends.shape)
     corners = [pairs[:, :, 0], ends[:, :, 0], contacts[:, :, 0]]

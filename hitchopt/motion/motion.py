@@ -210,8 +210,8 @@ class Motion(OneLine):
         support, the default) to 1.
     contacts: shape (n, 2, 3) [m], first and last point at which edge k touches the section that it
         is wrapped around, one point if straight; by default the edges' midpoints.
-    anchors: shape (n, 2, 3) [m], inner ends of the q- and the r-leg of each cable: the vertices,
-        except in the state BENT. Others of other states are replaced.
+    anchors: shape (n, 2, 3) [m], inner ends of the q- and the r-leg of each cable in the state
+        BENT. In all others legs end at the vertices (``inner_ends``), the default.
     others: external plans on this motion's clock, at rest before and after their own time. All
         distances to them are kept.
 
@@ -272,7 +272,6 @@ class Motion(OneLine):
         if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
             remedy = "split the pieces there"
             raise InputError("phases", changes, "breaks where states change", remedy)
-        object.__setattr__(self, "anchors", self._anchored())
         roles = n if self.assignment is None else len(self.assignment.robots)
         if roles != n:
             raise InputError("assignment", roles, f"{n} robots", "give one per role")
@@ -332,8 +331,9 @@ class Motion(OneLine):
         """Whether any cable is taut on its own and bent around an object."""
         return CableState.BENT in self.cable_states
 
-    def _anchored(self) -> PiecewisePolynomial:
-        """Return the anchors, with vertices in all states other than BENT."""
+    @lazy
+    def inner_ends(self) -> PiecewisePolynomial:
+        """(n, 2, 3) [m] Inner ends of legs: anchors in the state BENT, vertices in all others."""
         plain = self._plain_curve("anchors")
         if not self.has_bent_cables:
             return plain
@@ -345,7 +345,7 @@ class Motion(OneLine):
     def pull_points(self) -> PiecewisePolynomial:
         """(2n, 3) [m] Points toward which cables pull drones: inner ends, or a chain's vertices."""
         if self.team.layout.closed:
-            return self.anchors.reshaped(-1, 3)
+            return self.inner_ends.reshaped(-1, 3)
         return self.vertices.replaced(self.vertices.coefficients[:, self.team.layout.pulled_to])
 
     @classmethod
@@ -509,8 +509,6 @@ class Motion(OneLine):
         if "phases" in values:
             breaks = motion.drones.breaks
             check_phases(motion.phases, float(breaks[0]), float(breaks[-1]))
-        if self.has_bent_cables and not {"anchors", "phases", "vertices"}.isdisjoint(values):
-            vars(motion)["anchors"] = motion._anchored()
         return motion
 
     def slowed(self, factor: float) -> Motion:

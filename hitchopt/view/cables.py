@@ -227,7 +227,7 @@ def _sagging(first: Array, second: Array, size: Array, share: Array, *, of_chord
 
 def _bent_cables(motion: Motion, drones: Array, t: Array) -> Array:
     """Return cables (times, n, POINTS, 3) [m] that bend around an object each on its own."""
-    anchors, contacts = motion.anchors.at(t), motion.contacts.at(t)  # (times, n, 2, 3)
+    anchors, contacts = motion.inner_ends.at(t), motion.contacts.at(t)  # (times, n, 2, 3)
     pairs = drones.reshape(contacts.shape)
     total, edges = wrapped_edges(anchors[..., 0, :], anchors[..., 1, :], contacts)
     arcs, chords = edges[..., 1:-1, :], length(pairs - contacts)

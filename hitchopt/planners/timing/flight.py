@@ -212,7 +212,7 @@ def needed_stretch(motion: Motion) -> float:
     drones, points, pulls = motion.drones, motion.pull_points, motion.pulls
     factor, vertex_speed = 1e-12, np.zeros(0)
     rates = (limits.speed, limits.acceleration, limits.jerk)
-    bounds = [(motion.anchors.reshaped(-1, 3), 1, limits.vertex_speed)]
+    bounds = [(motion.inner_ends.reshaped(-1, 3), 1, limits.vertex_speed)]
     bounds += [(drones, order, limit) for order, limit in enumerate(rates, 1)]
     for chunk in _chunks(team, np.arange(drones.pieces)):
         for part, order, limit in bounds:
