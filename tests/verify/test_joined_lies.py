@@ -267,7 +267,7 @@ def until(name: str) -> Change:
 
 
 def past(name: str, drones: tuple[int, int], by: float) -> Change:
-    """Let a pair roll on from lying across, and back, within a piece of a phase: q up, r down."""
+    """Let a pair that lies across roll, and back, within a piece of a phase: q up, r down."""
 
     def edit(motion: Motion, c: NDArray[np.float64]) -> None:
         on = pieces(motion, name)
@@ -409,6 +409,7 @@ JOINING: dict[str, tuple[Change, str, str]] = {
     "a pair rolls past lying across as others climb": (past("climb", (0, 5), -0.01), "interlacing", "interlacing"),
     "a pair rolls past lying across as the other one rolls": (past("roll", (0, 7), -0.02), "interlacing", "interlacing"),
     "a pair rolls past lying across as weight passes": (past("pass weight", (0, 7), -0.1), "interlacing", "interlacing"),
+    "a pair rolls toward its clasp and back as weight passes": (past("pass weight", (0, 5), -0.1), "interlacing", "interlacing"),
     "the wrong leg rolls first": (other_leg_first, "interlacing", "interlacing"),
     # Passing weight.
     "it passes weight as it holds": (called("hold", state=LYING), "interlacing", "interlacing|consistency"),
