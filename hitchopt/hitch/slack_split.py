@@ -491,17 +491,22 @@ class LegBodies:
         middles = nodes[first].mean(axis=1) - nodes[second].mean(axis=1)
         normal = unit(self.offsets(nodes), unit(middles, EAST[:dimensions]), 1e-9)
         pair, a, b = end_combinations(kind, first, second)
-        kind, row = kind[pair], np.arange(len(pair))
+        kind = kind[pair]
         limit = limits_of(task.requirements.separation)[kind]
         nu = normal[pair] * scales_of(task.requirements)[kind, :dimensions]
         slacks = np.where(kind == CROSSING, size - 1, size - 2)
         # Slightly more than required, to allow for rounding.
         required = task.margins[kind, frame[pair]] * (1.0 + 1e-7) * limit
         lower = required - np.sum(nu * (base[a] - base[b]), axis=1)
-        slopes = np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)
-        columns = np.concatenate([variable[a], variable[b], slacks])
+        columns = np.stack([variable[a], variable[b]])
+        slopes = np.stack([np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)])
+        # Rows that hold for all lengths within the bounds are omitted.
+        extremes = [slopes * bound.reshape(-1)[columns] for bound in task.bounds]
+        used = np.sum(np.minimum(*extremes), axis=0) < lower
+        columns = np.concatenate([columns[:, used].ravel(), slacks[used]])
+        entries = np.concatenate([slopes[:, used].ravel(), limit[used]])
         rows = Rows(size)
-        rows.add(np.tile(row, 3), columns, np.concatenate([*slopes, limit]), lower)
+        rows.add(np.tile(np.arange(len(lower[used])), 3), columns, entries, lower[used])
         arena = task.requirements.arena
         if arena is not None:  # every drone between its upright walls
             base, slope = base[self.drones, :2], slope[self.drones, :2]
