@@ -2,9 +2,6 @@
 
 Topics are sorted by what they hold; see ``topics``. Logs of a drone may be stamped by a clock that
 starts at its boot: it is set by the positions in the log, else by the smallest delay of arrival.
-
-Messages of one type with equal texts and counts have each number at the same bytes. So messages are
-grouped by these, and each field of a group is read at once, by the type's definition.
 """
 
 from __future__ import annotations
@@ -13,11 +10,9 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.recordings import (
@@ -41,21 +36,13 @@ from hitchopt.lab.flights.topics import (
     taken_topics,
 )
 from hitchopt.storage.archive import reading
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array
 
 STATIC = "/tf_static"  # Topic of frames that do not move
 MAX_FIXED = 0.05  # Largest motion of a frame that does not move [m]
 MAX_DELAY = 10.0  # Largest delay between stamp and arrival on one clock [s]
 ARRIVALS = (-8.0, 1.0)  # Shifts that are tried about the smallest delay of arrival [s]
 MIN_TURN = 1e-6  # Smallest change of an attitude that is measured
-
-NUMBERS = {
-    "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1",
-    **{f"int{8 * size}": f"<i{size}" for size in (1, 2, 4, 8)},
-    **{f"uint{8 * size}": f"<u{size}" for size in (1, 2, 4, 8)},
-    "float32": "<f4", "float64": "<f8",
-}  # fmt: skip
-BASE, NAME, ARRAY = 1, 2, 3  # Nodes of definitions in rosbags; others are sequences
 
 # Packages of crazyswarm, of ROS 1, and of crazyswarm2, and definitions that bags may lack
 CRAZYFLIES = ("crazyswarm", "crazyflie_driver", "crazyflie_interfaces")
@@ -71,22 +58,25 @@ MESSAGES = {
     "float32[] values\n",
 }
 
-Samples = list[tuple[str, Any, dict[str, Array]]]
-"""Frame, header and quantities (messages, k) of each body in messages."""
+_Parts = dict[str, Any]
+"""Numbers of a sample by quantity."""
+
+Samples = list[tuple[str, Any, _Parts]]
+"""Frame, header and quantities of each body in a message."""
 
 
-def _xyz(v: Any) -> Array:
-    return np.stack([v.x, v.y, v.z], axis=1)
+def _xyz(v: Any) -> tuple[float, float, float]:
+    return v.x, v.y, v.z
 
 
-def _pose(pose: Any) -> dict[str, Array]:
+def _pose(pose: Any) -> _Parts:
     q = pose.orientation
-    return {"position": _xyz(pose.position), "attitude": np.column_stack([_xyz(q), q.w])}
+    return {"position": _xyz(pose.position), "attitude": (*_xyz(q), q.w)}
 
 
-def _transform(transform: Any) -> dict[str, Array]:
+def _transform(transform: Any) -> _Parts:
     q = transform.rotation
-    return {"position": _xyz(transform.translation), "attitude": np.column_stack([_xyz(q), q.w])}
+    return {"position": _xyz(transform.translation), "attitude": (*_xyz(q), q.w)}
 
 
 def _full_state(m: Any) -> Samples:
@@ -95,7 +85,7 @@ def _full_state(m: Any) -> Samples:
 
 
 def _position(m: Any) -> Samples:
-    return [("", m.header, {"position": _xyz(m), "yaw": m.yaw[:, None]})]
+    return [("", m.header, {"position": _xyz(m), "yaw": (m.yaw,)})]
 
 
 def _imu(m: Any) -> Samples:
@@ -104,7 +94,7 @@ def _imu(m: Any) -> Samples:
 
 
 # Message types that are read, those with positions by preference: whether messages name the
-# bodies, and functions that return the samples of decoded messages
+# bodies, and functions that return the samples of a message
 MESSAGE_TYPES: dict[str, tuple[bool, Callable[[Any], Samples]]] = {
     f"{POSE}Array": (True, lambda m: [(x.name, m.header, _pose(x.pose)) for x in m.poses]),
     "geometry_msgs/msg/TransformStamped": (
@@ -182,18 +172,12 @@ def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> Reco
         clouds = sorted(name for name, kind in kinds.items() if kind == CLOUD)
         names = {*read, *clouds[:1]}
         used = [c for c in bag.connections if c.topic in names]
-        arrivals, messages = defaultdict[str, list[int]](list), defaultdict[str, list[bytes]](list)
+        messages = defaultdict[str, list[tuple[float, Any]]](list)
         for connection, received, data in bag.messages(used) if used else ():
-            arrivals[connection.topic].append(received)
-            messages[connection.topic].append(data)
-        streams, markers = _Streams(), list[Array]()
-        for name, data in messages.items():
-            groups = decoded(bag.typestore.fielddefs, kinds[name], data, ros1=not bag.is2)
-            received = 1e-9 * np.array(arrivals[name])
-            if kinds[name] == CLOUD:
-                markers = [_points(message, received[rows]) for rows, message in groups]
-            else:
-                streams[name] = _streams(name, kinds[name], groups, received)
+            message = bag.deserialize(data, connection.msgtype)
+            messages[connection.topic].append((1e-9 * received, message))
+        markers = [_points(*each) for name in clouds[:1] for each in messages.pop(name, ())]
+        streams = {name: _streams(name, kinds[name], each) for name, each in messages.items()}
         source = f"ROS {'2' if bag.is2 else '1'} bag"
     positions = {
         name: kind
@@ -301,41 +285,33 @@ def _content(
     return content, shift, residual
 
 
-def _times(header: Any, received: Array) -> Array:
-    """Return times of stamps [s], or of arrival if no message has a stamp."""
-    t = header.stamp.sec + 1e-9 * header.stamp.nanosec
-    return t if np.any(t) else received
+def _time(header: Any) -> float:
+    """Return the time of a stamp [s], 0 if there is none."""
+    return float(header.stamp.sec + 1e-9 * header.stamp.nanosec)
 
 
-def _streams(
-    topic: str, kind: str, groups: Sequence[tuple[Indices, Any]], received: Array
-) -> dict[str, _Stream]:
-    """Return the streams of a topic by frame, in the order in which they were recorded."""
-    pieces = defaultdict[str, list[tuple[Indices, str, Array, dict[str, Array]]]](list)
-    for rows, message in groups:
-        for frame, header, fields in MESSAGE_TYPES[kind][1](message):
-            parts = fields
-            if "values" in fields:
-                last = topic.rpartition("/")[2].casefold()
-                quantity, count, scale = LOGGED.get(last, ("", 0, 1.0))
-                is_known = quantity and fields["values"].shape[1] == count
-                parts = {quantity: scale * fields["values"]} if is_known else {}
-            t = _times(header, received[rows])
-            if "timestamp" in vars(message):  # Of crazyswarm2's logs [ms], from the drone's boot
-                t = 1e-3 * message.timestamp
+def _streams(topic: str, kind: str, messages: Sequence[tuple[float, Any]]) -> dict[str, _Stream]:
+    """Return the streams of a topic by frame, from times of arrival [s] and messages."""
+    samples = defaultdict[str, list[tuple[str, float, float, _Parts]]](list)
+    quantity, count, scale = LOGGED.get(topic.rpartition("/")[2].casefold(), ("", 0, 1.0))
+    for received, message in messages:
+        for frame, header, parts in MESSAGE_TYPES[kind][1](message):
+            if len(values := parts.pop("values", ())) == count > 0:
+                parts[quantity] = scale * np.asarray(values)
+            # Logs of crazyswarm2 are stamped from the drone's boot [ms]
+            t = 1e-3 * message.timestamp if hasattr(message, "timestamp") else _time(header)
             if parts:
                 parent = header.frame_id.strip("/")
-                pieces[frame.strip("/")].append((rows, parent, t, parts))
+                samples[frame.strip("/")].append((parent, t, received, parts))
     streams = dict[str, _Stream]()
-    for frame, each in pieces.items():
-        rows = np.concatenate([one[0] for one in each])
-        order = np.argsort(rows, kind="stable")
-        names = set.intersection(*(set(one[3]) for one in each))
+    for frame, each in samples.items():
+        parents, times, arrivals, fields = zip(*each, strict=True)
+        names = set.intersection(*map(set, fields))
         streams[frame] = _Stream(
-            each[-1][1],
-            np.concatenate([one[2] for one in each])[order],
-            received[rows[order]],
-            {name: np.concatenate([one[3][name] for one in each])[order] for name in names},
+            parents[-1],
+            np.array(times if any(times) else arrivals),
+            np.array(arrivals),
+            {name: np.array([x[name] for x in fields], np.float64) for name in names},
         )
     return streams
 
@@ -367,98 +343,11 @@ def _bodies_of_frames(streams: _Streams, topics: Sequence[Topic]) -> tuple[_Bodi
     return bodies, relative
 
 
-class _MixedError(Exception):
-    """Messages of a group differ in a text or a count; ``labels`` (messages,) tell them apart."""
-
-    def __init__(self, labels: NDArray[np.integer[Any]]) -> None:
-        super().__init__("messages of different layouts")
-        self.labels = labels
-
-
-def decoded(
-    definitions: Mapping[str, Any], kind: str, messages: Sequence[bytes], *, ros1: bool
-) -> list[tuple[Indices, Any]]:
-    """Return groups of messages of a type: their indices, and their fields.
-
-    Fields are named as in ``definitions``, those of rosbags' type stores; numbers are arrays
-    (messages,) or (messages, count), texts are the same in all messages of a group. Raises
-    ValueError for a message that is shorter than its type.
-    """
-    lengths = np.array([len(message) for message in messages])
-    pending, groups = list[tuple[Indices, NDArray[np.uint8]]](), list[tuple[Indices, Any]]()
-    for size in np.unique(lengths).tolist():
-        rows = np.flatnonzero(lengths == size)
-        data = np.frombuffer(b"".join(messages[i] for i in rows.tolist()), np.uint8)
-        pending.append((rows, data.reshape(len(rows), size)))
-    while pending:
-        rows, data = pending.pop()
-        try:
-            groups.append((rows, _Reader(definitions, data, ros1).message(kind)))
-        except _MixedError as mixed:
-            chosen = [mixed.labels == label for label in range(int(mixed.labels.max()) + 1)]
-            pending += [(rows[each], data[each]) for each in chosen]
-    return sorted(groups, key=lambda group: int(group[0][0]))
-
-
-class _Reader:
-    """Reads fields of messages of one layout (messages, bytes) in their order."""
-
-    def __init__(self, definitions: Mapping[str, Any], data: NDArray[np.uint8], ros1: bool) -> None:
-        self._definitions, self._data, self._ros1 = definitions, data, ros1
-        self._start = self._at = 0 if ros1 else 4
-
-    def message(self, kind: str) -> Any:
-        fields = self._definitions[kind][1]
-        return SimpleNamespace(**{name: self._value(int(node), of) for name, (node, of) in fields})
-
-    def _value(self, node: int, of: Any) -> Any:
-        if node == NAME:
-            return self.message(of)
-        if node == BASE:
-            return self._text() if of[0].endswith("string") else self._numbers(of[0], 1)[:, 0]
-        (item, item_of), count = of[0], of[1] if node == ARRAY else self._count()
-        if int(item) == BASE and item_of[0] in NUMBERS:
-            return self._numbers(item_of[0], count)
-        return [self._value(int(item), item_of) for _ in range(count)]
-
-    def _numbers(self, kind: str, count: int) -> Array:
-        dtype = np.dtype(NUMBERS[kind])
-        return self._block(dtype.itemsize, count).view(dtype)
-
-    def _count(self) -> int:
-        count = int.from_bytes(self._common(self._block(4, 1)), "little")
-        if count > self._data.shape[1]:
-            raise ValueError(f"a message of {self._data.shape[1]} bytes has {count} items")
-        return count
-
-    def _text(self) -> str:
-        return self._common(self._block(1, self._count())).rstrip(b"\0").decode()
-
-    def _block(self, size: int, count: int) -> NDArray[np.uint8]:
-        """Return the next bytes (messages, size * count); ROS 2 aligns numbers to their size."""
-        if count and not self._ros1:
-            self._at += (self._start - self._at) % size
-        block = self._data[:, self._at : self._at + size * count]
-        if block.shape[1] < size * count:
-            raise ValueError(f"a message of {self._data.shape[1]} bytes is shorter than its type")
-        self._at += size * count
-        return np.ascontiguousarray(block)
-
-    def _common(self, block: NDArray[np.uint8]) -> bytes:
-        """Return bytes that all messages share."""
-        if np.any(block != block[0]):
-            _, labels = np.unique(block, axis=0, return_inverse=True)
-            raise _MixedError(labels.reshape(-1))
-        return bytes(block[0].tobytes())
-
-
-def _points(message: Any, received: Array) -> Array:
-    """Return rows (m, 4) of time [s] and position of the points of clouds of float32."""
+def _points(received: float, cloud: Any) -> Array:
+    """Return rows (m, 4) of time [s] and position of the points of a cloud of float32."""
     float32 = 7
-    offsets = {x.name: int(x.offset[0]) for x in message.fields if x.datatype[0] == float32}
-    step, count = int(message.point_step[0]), int(message.width[0]) * int(message.height[0])
-    data = message.data.reshape(len(message.data), count, step)
-    axes = [np.ascontiguousarray(data[..., offsets[x] : offsets[x] + 4]) for x in "xyz"]
-    t = np.broadcast_to(_times(message.header, received)[:, None], data.shape[:2])
-    columns = [t, *(each.view("<f4")[..., 0] for each in axes)]
-    return np.stack(columns, axis=-1).astype(np.float64).reshape(-1, 4)
+    offsets = {x.name: x.offset for x in cloud.fields if x.datatype == float32}
+    data = cloud.data.reshape(cloud.width * cloud.height, cloud.point_step)
+    axes = [np.ascontiguousarray(data[:, offsets[x] : offsets[x] + 4]).view("<f4") for x in "xyz"]
+    t = np.full((len(data), 1), _time(cloud.header) or received)
+    return np.concatenate([t, *axes], axis=1)
