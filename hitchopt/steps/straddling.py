@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
@@ -19,8 +19,8 @@ from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
-from hitchopt.planners.carrying.planner import GraspState, MovePlanner, check_pull, tying_tension
-from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
+from hitchopt.planners.carrying.planner import MovePlanner, check_pull, tying_tension
+from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.steps.step import (
     Knob,
     ObjectOf,
@@ -36,9 +36,6 @@ from hitchopt.steps.tying import approach_motion, check_rollable
 from hitchopt.values import Array
 from hitchopt.values.fields import Key
 from hitchopt.values.units import LENGTH, TENSION
-
-if TYPE_CHECKING:
-    from hitchopt.planners.carrying.straddle import Straddle
 
 PREFERRED_HINGE = 0.1
 """[m] Preferred height of clasps above a centre of mass; objects then hang upright in wind."""
@@ -134,7 +131,7 @@ class Tie(Step):
 
     def plan_to_grip(self, task: StepTask, tension: Array) -> StepPlan:
         """Return the plan to cables that grip the object with tensions (n,) [N]."""
-        from hitchopt.planners.carrying.straddle import find_straddle
+        from hitchopt.planners.carrying.straddle_planner import find_straddle
 
         before, requirements, i = task.before, task.requirements, task.index
         team, body, name = before.team, requirements.objects[self.around], self.around
@@ -149,32 +146,18 @@ class Tie(Step):
         check_pull(float(np.max(tension)), team, requirements)
         clasps = _numbered(grip_clasps(name, body, team, requirements), body, before.drones)
         hold = GripHold.tied(team, body, clasps, height)
-        straddle = find_straddle(hold, self.tension_for(team), requirements, before.drones)
-        around, split = straddle.hold.polygon, straddle.hold.fractions
-        hold = replace(hold, around=around, open_fractions=split)
-        tying, full = _planners(straddle, hold, name, requirements, i)
-        hanging, _ = straddle.hanging(requirements)
-        approach = _approach_motions(task, hanging, body)
-        tied = [*straddle.stages(tying), *full.draw_grip(tension)]
+        tying = self.tension_for(team), requirements, i, before.drones
+        planner = find_straddle(name, hold, *tying)
+        approach = _approach_motions(task, planner.hanging[0], body)
+        tied = [*planner.stages(), *planner.draw_grip(tension)]
         motion = self.with_duration(task, concatenated([*approach, *tied]))
-        after = replace(full.state, tension=tension)
-        return plan_to(task, after, motion, body.place)
+        return plan_to(task, replace(planner.state, tension=tension), motion, body.place)
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the height, and the knobs of all steps."""
         yield from super().knobs()
         if self.at is not None:
             yield Knob("at", self.at, "m", covers=frozenset({"hinge"}))
-
-
-def _planners(
-    straddle: Straddle, hold: GripHold, name: str, requirements: Requirements, step: int
-) -> tuple[MovePlanner, MovePlanner]:
-    """Return the planners of moves of the cables as they are tied, and of their final hitch."""
-    polygons = HoldPolygons(hold.around, hold.polygon)
-    tying = GraspState(name, polygons, straddle.tension, straddle.hold)
-    full = replace(tying, hold=hold)
-    return MovePlanner(tying, requirements, step), MovePlanner(full, requirements, step)
 
 
 def _along(drones: Array) -> Array:
@@ -199,7 +182,7 @@ def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Mo
 
     They turn about the object if they are not along its clasps.
     """
-    from hitchopt.planners.carrying.straddle import MAX_TURN
+    from hitchopt.planners.carrying.straddle_planner import MAX_TURN
     from hitchopt.planners.forming.stages import Keyframe, straight_stages
 
     before, centre = task.before, in_world(body.pose, body.centre_of_mass)[:2]
@@ -231,22 +214,16 @@ class Untie(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to hanging cables."""
-        from hitchopt.planners.carrying.straddle import find_straddle
+        from hitchopt.planners.carrying.straddle_planner import find_straddle
         from hitchopt.planners.forming.stages import reversed_stages
 
-        requirements, planner = task.requirements, planner_of(task)
-        hold, name, team = planner.hold, planner.state.object, task.before.team
-        assert isinstance(hold, GripHold)
+        requirements, held, team = task.requirements, planner_of(task), task.before.team
         tension = np.full(team.robots, tying_tension(team))
-        straddle = find_straddle(replace(hold, body=planner.body), tension, requirements)
-        around, split = straddle.hold.polygon, straddle.hold.fractions
-        opened = replace(hold, body=planner.body, around=around, open_fractions=split)
-        tying, full = _planners(straddle, opened, name, requirements, task.index)
-        full = full.from_state(tension=planner.state.tension)
-        loosened = full.open_grip(tension, "loosen")
-        untied = reversed_stages(straddle.stages(tying))
+        hold = replace(held.grip, body=held.body)
+        planner = find_straddle(held.state.object, hold, tension, requirements, task.index)
+        loosened = planner.from_state(tension=held.state.tension).open_grip(tension, "loosen")
+        untied = reversed_stages(planner.stages())
         motion = self.with_duration(task, concatenated([loosened, *untied]))
-        objects = dict(requirements.objects)
-        drones = motion.drones.at(motion.duration)
+        objects, drones = dict(requirements.objects), motion.drones.at(motion.duration)
         after = replace(task.before, drones=drones, hitch=None, grasp=None, objects=objects)
         return StepPlan(motion, after)

@@ -32,7 +32,7 @@ from hitchopt.planners.carrying.polygons import (
     best_grip,
     rest_polygons,
 )
-from hitchopt.planners.carrying.straddle import find_straddle
+from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, nonnegative, points, positive
@@ -292,7 +292,7 @@ def _tied(task: FitTask) -> Holding:
         try:
             grip = best_grip(request)
             hold = GripHold.tied(team, body, grip.vertices, height)
-            find_straddle(hold, np.full(2, tying_tension(team)), requirements)
+            find_straddle("object", hold, np.full(2, tying_tension(team)), requirements)
         except InfeasibleError as error:
             errors.append(error)
             continue

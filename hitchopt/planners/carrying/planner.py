@@ -107,6 +107,14 @@ class MovePlanner:
         return hold
 
     @property
+    def grip(self) -> GripHold:
+        """The hitch that grips the object; raises InputError for another hold."""
+        hold = self.hold
+        if not isinstance(hold, GripHold):
+            raise InputError("by", hold.by, "grip where cables close around it", "rest it instead")
+        return hold
+
+    @property
     def body(self) -> SolidObject:
         """The object at its current position."""
         return self.requirements.objects[self.state.object]
@@ -248,9 +256,7 @@ class MovePlanner:
         Tensions are so low that edges do not displace the object. ``tension`` (n,) [N] and
         ``closure`` of the hitch are those before and after.
         """
-        hold, opens = self.hold, closure[0] > closure[1]
-        if not isinstance(hold, GripHold):
-            raise InputError("by", hold.by, "grip where cables close around it", "rest it instead")
+        hold, opens = self.grip, closure[0] > closure[1]
         friction, errors = bool(hold.team.cable_friction), list[InfeasibleError]()
         tensions = self._passage_tensions(hold, opens)
         for between, share in product(tensions, FRICTION_SHARES if friction else (0.0,)):
