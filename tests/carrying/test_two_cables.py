@@ -449,6 +449,16 @@ def test_cables_are_tied_with_no_more_than_the_tension_of_a_small_team() -> None
     assert ho.solve(problem([TIE], {**DRUM, "mass": 0.008}, **team)).certificate.certified
 
 
+def test_cables_fly_as_high_as_bounds_on_their_displacements_require() -> None:
+    """Bounds of ``tracking_radius`` are larger than displacements at samples, by a millimetre."""
+    small = {"tension": 0.12, "cable_density": 0.0015, "quadrotor": "crazyflie_2.1_brushless"}
+    stated = problem([{"tie": {"around": "drum", "at": 0.35}}], {**DRUM, "mass": 0.008}, **small)
+    q, r = ([[x, 0.5, 0.0], [-x, -0.5, 0.0]] for x in (-1.0, 1.0))
+    start = ho.DronesStart(*(np.array(each) + AT for each in (q, r)))
+    limits = replace(stated.limits, tracking=0.05)
+    assert ho.solve(replace(stated, start=start, limits=limits)).certificate.certified
+
+
 def test_cables_keep_their_length_where_sag_jumps_at_the_corners_of_a_box() -> None:
     corners = [[-0.16, -0.16], [-0.16, 0.16], [0.16, 0.16], [0.16, -0.16]]
     plan = ho.solve(problem([TIE], {**prism(4, 0.1), "outline": corners}))

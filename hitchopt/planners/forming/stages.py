@@ -165,8 +165,9 @@ def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
 
 # Flights on straight lines, and hovering.
 
-GROUND_CLEARANCE = 1.1
-"""Height of hanging cables above the ground, over ``Requirements.ground_clearance``."""
+GROUND_CLEARANCE, JOINT_RESERVE = 1.1, 2e-3
+"""Height of hanging cables above the ground, over ``Requirements.ground_clearance``, and height [m]
+by which the bounds of ``tracking_radius`` are larger than at samples."""
 
 LINE_SAMPLES = 9  # Number of points on a line at which usable accelerations are computed
 MIN_FLIGHT = 1e-9  # [m] Shortest distance of a flight
@@ -223,5 +224,5 @@ def missing_height(team: Team, drones: Array, requirements: Requirements) -> flo
     off, ratio = requirements.position_error, requirements.height_ratio
     heights, displaced = q[..., 2] + cables.lowest, ratio * cables.extra_displacement(off, ratio)
     each = float(np.min(heights - displaced)) - ground_clearance(requirements)
-    joint = float(np.min(heights) - np.max(displaced)) - requirements.ground_clearance
-    return requirements.floor - min(each, joint)
+    joint = float(np.min(heights) - np.max(displaced)) - JOINT_RESERVE
+    return requirements.floor - min(each, joint - requirements.ground_clearance)
