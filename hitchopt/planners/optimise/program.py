@@ -42,9 +42,9 @@ if TYPE_CHECKING:
 BEND_WEIGHT = 0.1
 """Weight of the knots' second differences in the energy, which keeps splines near their knots."""
 
-TIME_BEND_WEIGHT = 0.01
-"""Weight of the second differences relative to the time; smaller weights leave corners that cost
-more time than they save."""
+TIME_BEND_WEIGHT = 0.02
+"""[s] Weight of the second differences relative to the time, times the path's time at the speed
+limits: bends cost more of a short flight, whose accelerations bound it."""
 
 TIME_ENERGY_WEIGHT = 1e-3
 """Weight of the energy relative to the time, which makes the solution unique."""
@@ -263,7 +263,10 @@ def _energy(
     change = np.diff(np.eye(steps + 1), axis=0)
     bend = np.diff(change, axis=0)
     squares, bends = steps * (change.T @ change), steps**3 * (bend.T @ bend)
-    own, bend_weight = (TIME_ENERGY_WEIGHT, TIME_BEND_WEIGHT) if fastest else (1.0, BEND_WEIGHT)
+    own, bend_weight = 1.0, BEND_WEIGHT
+    if fastest:
+        time = float(np.sum(np.max(_segment_times(path, search)[1], axis=1)))
+        own, bend_weight = TIME_ENERGY_WEIGHT, TIME_BEND_WEIGHT / time
     scale = np.zeros(columns.size)  # units of time and, for tensions, shares of the team's
     scale[columns.vertices], scale[columns.drones] = 1.0 / limits.vertex_speed, 1.0 / limits.speed
     of_nodes = 2.0 / n * (own * squares + bend_weight * bends)
@@ -288,6 +291,17 @@ def _blockwise(matrix: Array, weights: Array) -> sp.csr_array[np.float64]:
     return sp.csr_array((entries.ravel(), tuple(places)), shape)
 
 
+def _segment_times(path: KnotPath, search: SearchLimits) -> tuple[Array, Array]:
+    """Return times (J, 3n) [s] of nodes' segments at their limits of speed, second.
+
+    First are their derivatives (J, 3n, 2) [s/m] by the segments' ends.
+    """
+    limits = search.requirements.limits
+    speeds = np.repeat([limits.vertex_speed, limits.speed], np.array([1, 2]) * path.team.robots)
+    moves = np.diff(path.table[:, path.columns.nodes], axis=0)
+    return unit(moves) / speeds[:, None], length(moves) / speeds
+
+
 def _segments(
     path: KnotPath, search: SearchLimits
 ) -> tuple[sp.csr_array[np.float64], Indices, Array]:
@@ -296,14 +310,12 @@ def _segments(
     These are the derivatives of their times by the table's inner rows, their steps, and by how much
     [s] their times are less than their steps'.
     """
-    columns, steps, limits = path.columns, path.steps, search.requirements.limits
-    speeds = np.repeat([limits.vertex_speed, limits.speed], np.array([1, 2]) * path.team.robots)
-    moves = np.diff(path.table[:, columns.nodes], axis=0) / speeds[:, None]
-    times = length(moves)
+    columns, steps = path.columns, path.steps
+    slopes, times = _segment_times(path, search)
     longest = np.max(times, axis=1, keepdims=True)
     step, node = np.nonzero(times > MIN_SEGMENT_SHARE * longest)
     count = len(step)
-    slopes = moves[step, node] / (times[step, node] * speeds[node])[:, None]
+    slopes = slopes[step, node]
     own = (columns.size * (step - 1))[:, None] + columns.nodes[node]
     entries, by = np.stack([-slopes, slopes]), np.stack([own, own + columns.size])
     row = np.broadcast_to(np.arange(count)[:, None], by.shape)
