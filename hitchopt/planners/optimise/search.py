@@ -78,6 +78,10 @@ MIN_EFFORT, EFFORT_PER_ROBOT = 2e4, 300.0
 """Limit of the effort if the straight path is feasible, which is about ten times that of planning
 it, or about 2 s if that is more."""
 
+MIN_STEP_GAIN = 5e-4
+"""Smallest gain of a step toward a faster path, as a share of its duration, below which no further
+one is tried."""
+
 MIN_GUESS_MARGIN = 0.3
 """Smallest margin of distances of a preferred guess."""
 
@@ -339,12 +343,17 @@ def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
                 break
         else:
             continue
-        fastest = replace(step, fastest=True)
-        faster = iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS)
-        choices = [*(each for each in faster if _is_feasible(each, search)), path]
-        if len(choices) > 1:
-            choices.sort(key=lambda each: _estimate(each, search.requirements))
-        for choice in dict.fromkeys([choices[0], path]):
+        choices = [(_estimate(path, search.requirements), path)]
+        fastest, last = replace(step, fastest=True), math.inf
+        for each in iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS):
+            estimate = _estimate(each, search.requirements)
+            if _is_feasible(each, search):
+                choices.append((estimate, each))
+            if estimate > (1.0 - MIN_STEP_GAIN) * last:
+                break
+            last = estimate
+        _, best = min(choices, key=lambda choice: choice[0])
+        for choice in dict.fromkeys([best, path]):
             motion = _judged(choice.path, search.judge)
             if motion is not None:
                 return motion
