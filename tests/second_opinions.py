@@ -16,8 +16,27 @@ from hitchopt.motion.plan_file import write_plan
 Rows = Callable[..., Iterator[second.Row]]
 OF_WHOLE: set[Rows] = {second.jumps, second.interlacing}
 OF_TAUT: set[Rows] = {second.taut_cables, second.crossing_leg_heights}
+OF_BENT: set[Rows] = {second.bent_cables}
 OF_BODIES: set[Rows] = {second.resting, second.gripped, second.hinged, second.clear_objects}
 OF_PAIRS: set[Rows] = {second.between_plans, second.object_distances}
+
+TAUT = second.bent_cables, second.taut_cables, second.laid_cables
+ROWS: dict[str, tuple[Rows, ...]] = {
+    "interlacing": (second.interlacing,),
+    "continuity": (second.jumps,),
+    "consistency": (second.consistency,),
+    "laid": (
+        *(second.bent_cables, second.crossing_leg_heights, second.laid_cables),
+        second.between_plans,
+    ),
+    **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
+    "crossing": (*TAUT, second.between_plans),
+    "tension": (second.jumps, second.taut_cables),
+    **dict.fromkeys(("span", "drawn"), (second.free_cables,)),
+    "grip": (second.gripped, second.taut_cables),
+    **dict.fromkeys(("hinge", "support"), (second.hinged,)),
+}
+"""Functions of ``verify`` that have the rows of a limit."""
 
 
 def opinion_of(motion: Motion, folder: Path, *functions: Rows) -> Iterator[second.Row]:
@@ -35,6 +54,8 @@ def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
             yield from chain(*map(rows, own))
         elif rows in OF_TAUT:
             yield from chain(*(rows(part) for part in parts if np.any(part.taut)))
+        elif rows in OF_BENT:
+            yield from chain(*(rows(part) for part in parts if np.any(part.bent)))
         elif rows in OF_BODIES:
             yield from chain(*(rows(part, b) for part in parts for b in range(len(part.bodies))))
         elif rows in OF_PAIRS:

