@@ -12,7 +12,7 @@ from groups import moved
 from motions import free_motion, lines, random_flight, random_motion
 
 import hitchopt as ho
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.across import ACROSS
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.hitch.pairs import DISTANCES
@@ -226,29 +226,26 @@ def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool
     assert {name[2:] for name in check.where} == {"d0", "post"} or "post" in check.where
 
 
-def test_tracking_radius_is_half_of_the_slack_between_groups() -> None:
-    one = lines([[0.0, 0, 1]], [[1.0, 0, 1]], separation=SEPARATION)
-    other = lines([[0.0, 1, 1]], [[1.0, 1, 1]], separation=SEPARATION)
-    both = certify(combined([Group("a", one), Group("b", other)]))
-    assert both["tracking_radius"].worst == pytest.approx(0.5 * (1.0 - 0.22), rel=1e-4)
-    stated = replace(one.requirements.limits, tracking=0.5)
-    strict = [
-        each.replaced(requirements=replace(each.requirements, limits=stated))
-        for each in (one, other)
-    ]
-    assert not across(*strict)["tracking_radius"].holds
-
-
+@pytest.mark.parametrize(("away", "limit"), [([0, 1, 0], 0.22), ([0, 0, 1], 0.6)])
 @pytest.mark.parametrize("ratio", [1.0, 2.5])
-def test_upright_errors_bring_groups_nearer_that_are_above_each_other(ratio: float) -> None:
-    low, high = (lines([[0.0, 0, z]], [[1.0, 0, z]], separation=SEPARATION) for z in (1.0, 2.0))
-    limits = replace(low.requirements.limits, tracking=ho.Tube(0.01, 0.01 * ratio))
-    both = [
-        each.replaced(requirements=replace(each.requirements, limits=limits))
-        for each in (low, high)
-    ]
-    radius = certify(combined([Group("a", both[0]), Group("b", both[1])]))["tracking_radius"]
-    assert radius.bound == pytest.approx(0.5 * (1.0 - 0.6) / ratio, rel=1e-4)
+def test_tracking_radius_is_half_of_the_slack_between_groups(
+    away: list[int], limit: float, ratio: float
+) -> None:
+    """Upright errors bring groups nearer that are above each other."""
+    one, other = (lines([x], [x + [1, 0, 0]], separation=SEPARATION)
+                  for x in (np.array([0.0, 0, 1]), np.array([0.0, 0, 1]) + away))  # fmt: skip
+
+    def radius(off: float) -> Check:
+        limits = replace(one.requirements.limits, tracking=ho.Tube(off, off * ratio))
+        both = [
+            each.replaced(requirements=replace(each.requirements, limits=limits))
+            for each in (one, other)
+        ]
+        return certify(combined([Group("a", both[0]), Group("b", both[1])]))["tracking_radius"]
+
+    slack = 0.5 * (1.0 - limit) / (ratio if away[2] else 1.0)
+    assert radius(0.01).bound == pytest.approx(slack, rel=1e-4)
+    assert not radius(0.5).holds
 
 
 def test_start_times_and_certificates_keep_the_same_distances() -> None:

@@ -64,7 +64,7 @@ def passing(whole: Motion, t: float, start: Array, end: Array, seconds: float = 
     return combined([Group("a", whole), Group("s", single)])
 
 
-@pytest.mark.parametrize("name", TYING)
+@pytest.mark.parametrize("name", ["tie_carry_untie", "lay_triangle"])
 def test_no_drone_passes_from_one_side_of_a_cable_to_the_other(name: str) -> None:
     whole, rule = hitch(name), RULE_OF["cable_clearance"]
     for i, phase in enumerate(whole.phases):
