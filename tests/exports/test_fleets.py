@@ -38,7 +38,6 @@ def is_held(name: str, kind: str) -> bool:
     [
         ({}, ["team"]),
         ({"": 0}, []),
-        ({"": 0.004}, []),
         ({"b": 0}, ["teams.a"]),
         ({"a": 0.0, "b": 0.003}, []),
         ({"c": None}, ["teams.a", "teams.b"]),

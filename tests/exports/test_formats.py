@@ -137,11 +137,6 @@ def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path:
     assert all(report.sound for report in lint(tmp_path)) or name == "gltf"
 
 
-def test_a_hitch_that_changes_its_robots_holds_no_tension_by_set_points(tmp_path: Path) -> None:
-    with pytest.raises(UnsupportedError, match="hold_tension=True needs a hitch with the same"):
-        exported(joining(), "csv", tmp_path, hold_tension=True)
-
-
 def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
     """The path keeps 0.12009 m; in whole millimetres it begins at 0.1196 m."""
     y = 0.12049

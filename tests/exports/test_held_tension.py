@@ -146,7 +146,7 @@ def of_kind(plan: ho.Plan, kind: ho.Quadrotor) -> ho.Plan:
     ("name", "changes", "expected"),
     [
         *((name, {}, []) for name in HOMES),
-        *((name, RIGID, []) for name in ("csv", "parquet", "ros2bag", "gltf")),
+        *((name, RIGID, []) for name in ("csv", "gltf")),
         ("csv", {"feed_forward": False}, [SLACK]),
         ("csv", {"integral": True}, [INTEGRAL]),
         (UNKNOWN, {"feed_forward": False}, []),
