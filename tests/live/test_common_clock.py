@@ -148,7 +148,7 @@ def test_a_plan_stopped_while_a_robot_joins_or_leaves_keeps_its_rings(
     [
         pytest.param(21.0, "hold", "roll", marks=pytest.mark.slow),
         (18.0, "land", "land"),
-        (12.0, "back", "draw taut"),
+        pytest.param(12.0, "back", "draw taut", marks=pytest.mark.slow),
         pytest.param(21.0, "back", "draw taut", marks=pytest.mark.slow),
     ],
 )

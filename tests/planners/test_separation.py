@@ -254,22 +254,6 @@ def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(drones[-1], goal, atol=1e-9)
 
 
-def test_rows_that_are_far_at_first_bound_the_solution() -> None:
-    rng = np.random.default_rng(4)
-    A = np.vstack([np.eye(12), rng.normal(size=(60, 12)) / np.sqrt(12.0)])
-    bound, eye = np.full(72, 0.4), sp.csc_array(sp.eye(12))
-    program = QuadraticProgram(eye, rng.normal(size=12), sp.csc_array(A), -bound, bound)
-    x = solve_program(program)
-    assert np.max(np.abs(A @ -program.q)) > 1.0
-    assert np.max(np.abs(A @ x)) < 0.4 + 3e-3
-    active = np.abs(A @ x) > 0.4 - 3e-3
-    assert 0 < np.sum(active) < 12
-    normals = np.sign(A[active] @ x)[:, None] * A[active]
-    forces, *_ = np.linalg.lstsq(normals.T, -(x + program.q), rcond=None)
-    assert np.min(forces) > -1e-2
-    np.testing.assert_allclose(normals.T @ forces, -(x + program.q), atol=1e-2)
-
-
 def test_an_interrupted_osqp_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     """OSQP catches SIGINT and reports it in its status."""
     one, eye = np.ones(2), sp.csc_array(sp.eye(2))

@@ -50,21 +50,6 @@ def test_widened_ellipsoids_contain_the_sum_with_the_tube(
     assert wider.height <= bound * (1.0 + 1e-12)
 
 
-def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> None:
-    limits, separation = Limits(tracking=0.05), Separation(cable=0.1, crossing=0.04, object=0.03)
-    need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).with_reserve
-    found = need.separation
-    distances = [found.cable, found.crossing, found.object, need.limits.leg, need.position_error]
-    np.testing.assert_allclose(distances, [0.2, 0.14, 0.08, 0.25, 0.05], atol=1e-8)
-    assert need.arena is not None
-    np.testing.assert_allclose(need.arena.lower, [-1.95, -0.95, 0.2], atol=1e-8)
-    np.testing.assert_allclose(need.arena.upper, [1.95, 0.95, 2.95], atol=1e-8)
-    assert need.flown_by(ho.Team(3, 2.4, quadrotor=RETUNED)) is need  # not twice
-    plain = Requirements(Limits(tracking=0.0))
-    assert plain.with_reserve is not need
-    assert plain.with_reserve.separation == plain.separation
-
-
 def test_controllers_define_tracking_and_tilt_unless_the_problem_does() -> None:
     start = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0)
     for kind, stated, off, tilt in (
@@ -95,14 +80,20 @@ def test_tubes_of_problem_and_drones_take_precedence() -> None:
         assert problem.requirements.limits.tracking == off, kinds
 
 
-def test_planners_divide_heights_where_errors_are_larger_upright() -> None:
+def test_planners_keep_wider_distances_and_drones_may_stand_on_the_floor() -> None:
+    """Heights are divided where errors are larger upright."""
     limits, separation = Limits(tracking=ho.Tube(0.08, 0.2)), Separation(0.12, 0.3)
     need = Requirements(limits, separation, Arena([-2, -1, 0.2], [2, 1, 3])).with_reserve
     found = need.separation
     distances = [found.radius, found.height, found.cable, need.limits.leg, need.height_ratio]
     np.testing.assert_allclose(distances, [0.2, 0.5, 0.26, 0.31, 2.5], atol=1e-8)
+    np.testing.assert_allclose([found.crossing, found.object], [0.21, 0.115], atol=1e-8)
     assert need.arena is not None
+    np.testing.assert_allclose(need.arena.lower, [-1.92, -0.92, 0.2], atol=1e-8)
     np.testing.assert_allclose(need.arena.upper, [1.92, 0.92, 2.8], atol=1e-8)
+    assert need.flown_by(ho.Team(3, 2.4, quadrotor=RETUNED)) is need  # not twice
+    exact = Requirements(Limits(tracking=0.0), separation)
+    assert exact.with_reserve.separation == separation
     as_number = Requirements(Limits(tracking=ho.Tube(0.05, 0.05)), separation).with_reserve
     number = Requirements(Limits(tracking=0.05), separation).with_reserve
     assert vars(as_number.separation) == vars(number.separation)
