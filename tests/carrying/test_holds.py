@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.objects.placing import footing
-from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
+from hitchopt.planners.carrying.moves import SmoothLaw
 
 
 def hold(
@@ -143,29 +143,6 @@ def test_footings_do_not_depend_on_origins(away: float) -> None:
     thin = ho.SolidObject(ho.Section(radius=1e-4), 0.0, 0.5, at=[1e-3, 5e-4, 0.0], fixed=True)
     assert footing({"post": thin, "box": box}, "box") <= 0.002
     assert footing({"box": box}, "box") == np.inf
-
-
-@pytest.mark.parametrize(
-    ("changes", "steady"),
-    [
-        ({}, True),
-        ({"start": np.ones(4)}, False),
-        ({"start": np.ones(4), "below": (0.05, 0.0)}, True),
-        ({"end": np.array([1.0, 0.0, 0.0, 0.3])}, False),
-        ({"tension": np.array([[1.0], [1.2]])}, False),
-        ({"load_share": (0.0, 1.0)}, False),
-        ({"closure": (0.0, 1.0)}, False),
-        ({"friction_share": (0.0, 0.3)}, False),
-    ],
-)
-def test_pieces_are_long_only_while_only_positions_change(
-    changes: dict[str, Any], steady: bool
-) -> None:
-    end = np.ones(4) if "start" in changes else np.array([2.0, 0.0, 0.0, 0.0])
-    move = Move(np.zeros(4), end, np.ones((2, 1)), (1.0, 1.0), SmoothLaw(0.75, 10.0))
-    curve = polynomials(replace(move, **changes), lambda t: {"share": move.law.jet(t)[..., :1]})
-    assert (np.max(np.diff(curve["share"].breaks)) > 1.0) == steady
-    assert curve["share"].at(5.5) == pytest.approx(move.law.jet(np.array(5.5))[:1], abs=1e-6)
 
 
 @pytest.mark.parametrize("cruise", [0.0, 1e-8, 1e-4, 1.0])

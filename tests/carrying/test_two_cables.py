@@ -48,7 +48,6 @@ def problem(mission: list[dict[str, Any]], body: dict[str, Any] = DRUM, **team: 
 
 
 TIE: dict[str, Any] = {"tie": {"around": "drum", "at": 0.3}}
-UNTIE: dict[str, Any] = {"untie": {}}
 
 
 @cache

@@ -17,7 +17,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
-from hitchopt.motion.states import attitudes, final_hitch, states_at
+from hitchopt.motion.states import final_hitch, states_at
 from hitchopt.planners.timing.flight import in_duration
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -142,25 +142,6 @@ def test_inner_ends_of_bent_cables_outlast_other_times_and_phases(change: str) -
 
 def rotation_of(quaternions: Array) -> Rotation:
     return Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 0.7, -2.9])
-def test_attitudes_match_thrust_yaw_and_body_rates(yaw: float) -> None:
-    rng, h = np.random.default_rng(1), 1e-6
-    thrusts, rates = rng.normal(size=(40, 3)) + [0.3, -0.2, 0.0], 3.0 * rng.normal(size=(40, 3))
-    thrusts[:, 2] = np.abs(thrusts[:, 2]) + 0.2
-    result = attitudes(thrusts, rates, yaw)
-    turned = rotation_of(result.quaternions)
-    along = thrusts / np.linalg.norm(thrusts, axis=-1, keepdims=True)
-    np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), along, atol=1e-14)
-    np.testing.assert_allclose(turned.as_euler("ZYX")[:, 0], yaw, atol=1e-13)
-    assert np.all(result.quaternions[:, 0] >= 0.0) or abs(yaw) > 1.0
-    np.testing.assert_allclose(np.linalg.norm(result.quaternions, axis=-1), 1.0, rtol=1e-14)
-    before, after = (
-        rotation_of(attitudes(thrusts + step * rates, rates, yaw).quaternions) for step in (-h, h)
-    )
-    by_differences = (before.inv() * after).as_rotvec() / (2.0 * h)
-    np.testing.assert_allclose(by_differences, result.body_rates, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize("stem", ["weight_hexagon", "form_hanging_to_the_floor", "join_a_fourth"])

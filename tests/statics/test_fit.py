@@ -157,7 +157,8 @@ def test_resting_loads_are_limited_by_clasps_thrust_and_support() -> None:
     assert (unstable.mass, unstable.binding) == (0.0, "support")
 
 
-def test_fit_of_a_cylinder() -> None:
+def test_fit_of_a_cylinder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", (3, 4))
     fit = ho.fit(0.2, 3, tension=1.3, limits=ho.Limits(tilt=math.radians(60.0)))
     assert fit.notes[0] == "outline: circle of radius 0.2 m"
     grips = fit.capacities("grip")
@@ -181,6 +182,7 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
     assert len(fit.section.core) == 4
 
 
+@pytest.mark.usefixtures("_one_number_of_robots")
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -199,7 +201,10 @@ def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: 
         ho.fit(**({"outline": 0.2, "robots": 3} | options))
 
 
-def test_two_cables_are_tied_and_hold_more_than_three(tmp_path: Path) -> None:
+def test_two_cables_are_tied_and_hold_more_than_three(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", (3,))
     fit = ho.fit(0.12, 2, tension=1.0, height=0.4)
     assert fit.notes[-1] == "two cables are tied 0.3 m above the base"
     assert fit.holding.cable_length < 1.6

@@ -172,15 +172,6 @@ def test_equal_errors_of_all_cables_of_a_regular_hitch() -> None:
     np.testing.assert_allclose(rest.vertices, rest.planned_vertices, atol=1e-9)
 
 
-def test_moved_set_points_replace_feed_forward() -> None:
-    hitch = random_hitch(11, 5, stiffness=4.75)
-    assert np.max(settle_hitch(hitch, feed_forward=False).tensions) < 0.02
-    outward = -hitch.cable_forces / hitch.team.stiffness
-    rest = settle_hitch(hitch, feed_forward=False, offsets=outward)
-    np.testing.assert_allclose(rest.tensions, hitch.team.tension, atol=1e-9)
-    np.testing.assert_allclose(rest.vertices, hitch.vertices, atol=1e-9)
-
-
 def test_integral_action_holds_drones_at_set_points_with_any_stiffness() -> None:
     hitch, conditions = regular_hitch(4), {"cable_length": 2.39, "axial_stiffness": 200.0}
     for rigid in ({"integral": True, "stiffness": 3.0}, {"stiffness": np.inf}):
