@@ -25,6 +25,7 @@ from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, needed_height
 from hitchopt.values import Array
 
 DRUM: dict[str, Any] = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5}
@@ -367,6 +368,23 @@ def test_cables_are_tied_with_no_more_than_the_team_s_tension(
 ) -> None:
     team = problem([TIE], tension=tension, cable_density=density).team
     assert np.all(ho.Tie("drum").tension_for(team) <= tension)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.03, 0.06])
+@pytest.mark.parametrize("top", [0.12, 0.25, 0.4, 2.5])
+def test_clasps_are_tied_above_the_centre_of_mass_and_below_the_top(
+    top: float, error: float
+) -> None:
+    """By the height with which the object hangs upright in wind, if drones' errors leave it."""
+    stated = problem([TIE], {**DRUM, "to": top})
+    stated = replace(stated, limits=replace(stated.limits, tracking=error))
+    requirements, body = stated.teams[""].requirements, stated.objects["drum"]
+    lowest = needed_height(body, requirements)
+    height = ho.Tie("drum").height_for(body, requirements)
+    assert min(lowest, top - EDGE) <= height <= top - EDGE
+    assert height <= max(lowest, top - error) + 1e-9
+    assert height <= max(lowest, 0.5 * top + PREFERRED_HINGE)
+    assert top < 1.0 or height == 0.5 * top + PREFERRED_HINGE
 
 
 def test_fixed_objects_and_those_below_others_are_tied_but_not_lifted() -> None:

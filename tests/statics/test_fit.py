@@ -206,7 +206,7 @@ def test_two_cables_are_tied_and_hold_more_than_three(
 ) -> None:
     monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", (3,))
     fit = ho.fit(0.12, 2, tension=1.0, height=0.4)
-    assert fit.notes[-1] == "two cables are tied 0.3 m above the base"
+    assert fit.notes[-1] == "two cables are tied 0.35 m above the base"
     assert fit.holding.cable_length < 1.6
     assert fit.holding.grip_capacity.binding == "grip"
     assert fit.holding.grip_capacity.mass > fit.capacities("grip")[3].mass
@@ -214,7 +214,7 @@ def test_two_cables_are_tied_and_hold_more_than_three(
     save_fit(tmp_path, fit)
     content = json.loads((tmp_path / "fit.json").read_text())
     assert content["enclosing"] is None
-    assert content["tie_at"] == pytest.approx(0.3)
+    assert content["tie_at"] == pytest.approx(0.35)
     with pytest.raises(
         ho.InfeasibleError, match=r"hinge: 0\.06 m is below .* 0\.07 m of two clasps"
     ):
