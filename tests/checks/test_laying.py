@@ -230,6 +230,15 @@ def test_a_roll_past_lying_across_by_less_than_balance_allows_holds(tmp_path: Pa
     assert not second_opinion(motions, tmp_path, ORDER)
 
 
+def test_no_pair_is_open_at_the_start(tmp_path: Path) -> None:
+    """Curves do not show which of the cables lies on the other."""
+    laying = laying_of(3)
+    for roll in (laying.path.start, laying.path.start * [0.0, 1.0, 0.0]):
+        shut = rolled(laying, roll, laying.path.end)
+        assert wrong([shut]) == {f"p{k}" for k in np.flatnonzero(roll)}
+        assert "open at the start" in second_opinion([shut], tmp_path, ORDER)
+
+
 def test_upper_cables_come_from_above(tmp_path: Path) -> None:
     laying, (taut, slide, _, tension, roll) = laying_of(3), stages_of(3)
     # Cable 2, at the top, comes from below instead: it would pass through both others.

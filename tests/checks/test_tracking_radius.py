@@ -59,7 +59,7 @@ MOTIONS: dict[str, Callable[[], Motion]] = {
 def test_the_radius_matches_samples(name: str) -> None:
     motion = MOTIONS[name]()
     breaks, check = motion.drones.breaks, radius_of(motion)
-    least = tracking_radius(motion, np.union1d(np.linspace(breaks[0], breaks[-1], 401), breaks))
+    least = tracking_radius(motion, np.union1d(np.linspace(breaks[0], breaks[-1], 201), breaks))
     if not row(motion, "separation").holds:
         assert check.bound == 0.0
     else:
