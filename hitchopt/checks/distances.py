@@ -582,7 +582,6 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
         return flags
 
     corners_cut = cut_corners(motion)
-    corners_cut = cut_corners(motion)
     active = np.ones(parts.corners.shape[:2], dtype=np.bool_)
     for corner in corners_cut:
         active[corner.pieces] = False

@@ -271,13 +271,14 @@ def jump_of(
     """Return the largest sum of jumps of curves with named items, on a motion's breaks."""
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
-        for order in range(3):
-            rates = derivative(part, order)
-            left, right = rates[..., 0], rates[..., -1]
+        rates = [derivative(part, order) for order in range(3)]
+        left, right = (np.stack([each[..., end] for each in rates]) for end in (0, -1))
+        jumps = accumulated(length(left[:, 1:] - right[:, :-1]), 1e-3 * MAX_JUMP)
+        jumps[0] += position_margin(motion)
+        for order in (1, 2):
             margin = derivative_margin(part, order)
-            noise = margin[1:] + margin[:-1] if order else position_margin(motion)
-            jumps = accumulated(length(left[1:] - right[:-1]), 1e-3 * MAX_JUMP) + noise
-            cases.append(worst_at_joint(jumps, part.breaks[1:], names))
+            jumps[order] += margin[1:] + margin[:-1]
+        cases.append(worst_at_joint(np.maximum.reduce(jumps), part.breaks[1:], names))
     return max(cases, key=lambda case: case.worst)
 
 

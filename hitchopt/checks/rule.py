@@ -52,14 +52,14 @@ def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCa
 
 
 def accumulated(jumps: Array, rounding: float) -> Array:
-    """Return jumps (joints, items), with the largest one of every item replaced by their sum.
+    """Return jumps (…, joints, items), with the largest one of every item replaced by their sum.
 
     Jumps up to ``rounding`` are rounding and do not add up.
     """
     if jumps.size == 0:
         return jumps
-    largest = np.arange(len(jumps))[:, None] == np.argmax(jumps, axis=0)
-    total = np.sum(np.where(jumps > rounding, jumps, 0.0), axis=0)
+    largest = np.arange(jumps.shape[-2])[:, None] == jumps.argmax(axis=-2, keepdims=True)
+    total = np.add.reduce(np.where(jumps > rounding, jumps, 0.0), axis=-2, keepdims=True)
     return np.asarray(np.where(largest, np.maximum(total, jumps), jumps))
 
 

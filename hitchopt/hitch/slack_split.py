@@ -8,7 +8,7 @@ its bounds. In repeated solutions the penalized deviation never increases (Marks
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -246,7 +246,7 @@ class LegTask:
         also from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the
         first lengths that keep the margin, which is much faster.
         """
-        bodies = LegBodies(self, self.bounds)
+        bodies = LegBodies(self, (*self.bounds, np.clip(self.reference, *self.bounds)))
         best = bodies.reference_kept() or bodies.refined(self.reference, first)
         if len(self.reference) > 1 or (self._kept_by(best) and (first or best.deviation <= 1e-12)):
             return best
@@ -265,7 +265,7 @@ class LegTask:
     def reference_margins(self) -> Array:
         """Return the smallest margin (J,) of the reference on every polygon."""
         bodies = LegBodies(self, (self.reference,))
-        return bodies.margins(bodies.nodes(self.reference))
+        return bodies.margins(bodies.ends[-1])
 
     @property
     def _uneven_fractions(self) -> Array:
@@ -366,11 +366,17 @@ class LegBodies:
 
     Horizontal legs need two coordinates; others need three, with heights scaled by kind of pair.
     The directions of heavy legs depend on the leg lengths at which they are evaluated. Pairs that
-    are never close for leg lengths between the given ones (J, n) are omitted.
+    are never close for leg lengths between the given ones (J, n) are omitted; the last ones are the
+    initial guess.
     """
 
     task: LegTask
     lengths: tuple[Array, ...]
+
+    @cached_property
+    def ends(self) -> Array:
+        """(lengths, J·count, 2 or 3) [m]: positions of the nodes at the given lengths."""
+        return self.nodes(np.stack(self.lengths))
 
     @cached_property
     def points(self) -> Array:
@@ -404,8 +410,7 @@ class LegBodies:
         task, (J, count) = self.task, self.variable.shape
         bodies, limits = TautBodies.of(task.team.layout), limits_of(task.requirements.separation)
         # Distances in plan view are lower bounds.
-        ends = np.stack([self.nodes(d)[:, :2] for d in self.lengths])
-        swept = ends.reshape(-1, J, count, 2)[:, :, bodies.nodes]
+        swept = self.ends[..., :2].reshape(-1, J, count, 2)[:, :, bodies.nodes]
         # Pairs beyond the cutoff always have their margin.
         cutoff = max(task.largest_margin, 1.0) * float(np.max(limits)) * (1.0 + 1e-9)
         cutoff += MAX_WEIGHT_SHIFT if task.team.cable_density > 0.0 else 0.0
@@ -421,33 +426,39 @@ class LegBodies:
         return None if self.task.team.cable_density > 0.0 else self._lines(self.task.reference)
 
     def lines(self, d: Array) -> tuple[Array, Array]:
-        """Return base points [m] and slopes (J·count, 2 or 3) of the lines on which nodes slide.
+        """Return base points [m] and slopes (…, J·count, 2 or 3) of the lines of sliding nodes.
 
-        Nodes are ``base + slope d``; heavy legs have their directions at lengths d (J, n) [m].
+        Nodes are ``base + slope d``; heavy legs have their directions at lengths d (…, J, n) [m].
         """
         return self._fixed or self._lines(d)
 
     def _lines(self, d: Array) -> tuple[Array, Array]:
-        task, team, p = self.task, self.task.team, self.points
-        layout, slack, shape = team.layout, task.slack, (len(p), -1, p.shape[-1])
+        task, team, layout = self.task, self.task.team, self.task.team.layout
+        slack, shape = task.slack, d.shape[:-2]
+        p, edges = (np.broadcast_to(x, (*shape, *x.shape)) for x in (self.points, self.edges))
         loads = None if task.level else clasp_loads(team, d, slack, task.roll)
-        q, r = leg_directions(self.edges, team.tension, team.topology, loads)
+        q, r = leg_directions(edges, team.tension, team.topology, loads)
         if task.team.cable_density > 0.0:
             sag = sag_factors(team, team.tension)
             q, r = (
                 leg_vectors(np.ones_like(legs), direction, sag * legs**2)
                 for legs, direction in ((d, q), (slack - d, r))
             )
-        ends = np.stack([p[:, layout.starts], p[:, layout.ends] + slack[..., None] * r], axis=2)
-        slopes = np.stack([q, -r], axis=2)
-        base = np.concatenate([p, ends.reshape(shape)], axis=1)
-        slope = np.concatenate([np.zeros_like(p), slopes.reshape(shape)], axis=1)
-        return base.reshape(shape[1:]), slope.reshape(shape[1:])
+        ends = p[..., layout.starts, :], p[..., layout.ends, :] + slack[..., None] * r
+        return self._flat(p, ends), self._flat(np.zeros_like(p), (q, -r))
+
+    @staticmethod
+    def _flat(points: Array, drones: Sequence[Array]) -> Array:
+        """Return values of points (…, J, points, k), then of both drones of cables (…, J, n, k)."""
+        shape = (*points.shape[:-2], -1, points.shape[-1])
+        nodes = np.concatenate([points, np.stack(drones, axis=-2).reshape(shape)], axis=-2)
+        return nodes.reshape(*shape[:-3], -1, shape[-1])
 
     def nodes(self, d: Array) -> Array:
-        """Return the positions (J·count, 2 or 3) [m] of the nodes."""
+        """Return the positions (…, J·count, 2 or 3) [m] of the nodes at lengths d (…, J, n) [m]."""
         base, slope = self.lines(d)
-        nodes: Array = base + slope * d.reshape(-1)[self.variable.reshape(-1)][:, None]
+        lengths = d.reshape(*d.shape[:-2], -1)[..., self.variable.reshape(-1)]
+        nodes: Array = base + slope * lengths[..., None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
@@ -530,10 +541,9 @@ class LegBodies:
     def reference_kept(self) -> LegLengths | None:
         """Return the reference if it keeps the margin and exactly all bounds, else None."""
         task, arena = self.task, self.task.requirements.arena
-        start = np.clip(task.reference, *task.bounds)
+        start, nodes = self.lengths[-1], self.ends[-1]
         if task.roughness > 0.0 or not np.array_equal(start, task.reference):
             return None
-        nodes = self.nodes(start)
         margin, drones = float(np.min(self.margins(nodes))), nodes[self.drones, :2]
         if margin < task.largest_margin or (
             arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))

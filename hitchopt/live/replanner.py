@@ -255,12 +255,11 @@ class Replanner(OneLine):
         recent = cut(past, past.drones.pieces - 1, past.drones.pieces)
         end = self._end(outline, altitude)
         path = RetargetPath.to(past.team, stop.state, end, yaw)
-        shift = path.shortest_shift(self._limits, brake)
-        if shift is None:
+        curves = path.fastest(self._limits, brake)
+        if curves is None:
             raise InfeasibleError([], "no duration keeps all limits on the way to the goal")
-        phase = Phase("retarget", past.phases[-1].step + 1, 0.0, max(brake, shift))
-        breaks = _breaks(brake if path.state.moves else 0.0, shift)
-        drones, vertices, legs, tensions = path.curves(breaks, brake, shift)
+        drones, vertices, legs, tensions = curves
+        phase = Phase("retarget", past.phases[-1].step + 1, 0.0, drones.duration)
         new = Motion(path.team, self.requirements, drones, vertices, legs, tensions, (phase,))
         new = with_last_poses(past, new)
         ahead = append_motion(recent, new)
@@ -412,15 +411,38 @@ class RetargetPath:
         """Return the drones at times t (J,) [s] for durations of brake and shift [s]."""
         return _drones(self.team, self.ends @ _weights(t, brake, shift), turns=self.yaw != 0.0)
 
-    def curves(self, breaks: Array, brake: float, shift: float) -> list[PiecewisePolynomial]:
-        """Return the four polynomials of a motion, which start exactly at the state."""
-        count, h = len(breaks) - 1, ONE_SIDED * (breaks[1:] - breaks[:-1])
-        times = np.concatenate([breaks[:-1] + h, breaks[1:] - h])
-        drones = self.drones(times, brake, shift)
+    def fastest(self, limits: Limits, brake: float) -> list[PiecewisePolynomial] | None:
+        """Return the four polynomials of a motion that keeps all limits at samples, or None.
+
+        Its shift is the first of increasing durations with which it does. The model is evaluated
+        once for each: at samples, and at both ends of every piece.
+        """
+        shift = MIN_SHIFT
+        for _ in range(SHIFT_ROUNDS):
+            breaks = _breaks(brake if self.state.moves else 0.0, shift)
+            h = ONE_SIDED * (breaks[1:] - breaks[:-1])
+            ends = np.array([brake, shift]) * (1.0 - ONE_SIDED)
+            samples = max(shift, brake) * SAMPLES, ends
+            times = np.concatenate([breaks[:-1] + h, breaks[1:] - h, *samples])
+            drones = self.drones(times, brake, shift)
+            excess = float(_excess(drones, limits, times)[2 * len(h) :].max())
+            if excess <= SHARE:
+                return self._curves(breaks, drones)
+            if not math.isfinite(excess):
+                return None
+            shift *= max(excess / TARGET_SHARE, MIN_GROWTH)
+        return None
+
+    def _curves(self, breaks: Array, drones: DroneJets) -> list[PiecewisePolynomial]:
+        """Return the four polynomials for drones at all starts and ends of pieces, then others.
+
+        They start exactly at the state.
+        """
+        count = len(breaks) - 1
         legs = drones.legs * self.team.layout.has_leg[..., None]
         starts = (self.state.drones, self.state.vertices, self.state.legs)
         rows = [
-            part.reshape(2 * count, -1, JET)
+            part[: 2 * count].reshape(2 * count, -1, JET)
             for part in (drones.positions, drones.flat.vertices, legs)
         ]
         derivatives = np.moveaxis(np.concatenate(rows, axis=1), -1, 0)
@@ -431,21 +453,6 @@ class RetargetPath:
         curves = PiecewisePolynomial.hermite(breaks, left, right)
         pulls = np.repeat(self.team.tension[None, :, None], count, axis=0)
         return [*curves.split([part.shape[:-1] for part in starts]), curves.replaced(pulls)]
-
-    def shortest_shift(self, limits: Limits, brake: float) -> float | None:
-        """Return the duration [s] of a shift that keeps all limits at samples, or None."""
-        shift = MIN_SHIFT
-        for _ in range(SHIFT_ROUNDS):
-            ends = np.array([brake, shift]) * (1.0 - ONE_SIDED)
-            times = np.concatenate([max(shift, brake) * SAMPLES, ends])
-            drones = self.drones(times, brake, shift)
-            excess = float(_excess(drones, limits, times).max())
-            if excess <= SHARE:
-                return shift
-            if not math.isfinite(excess):
-                return None
-            shift *= max(excess / TARGET_SHARE, MIN_GROWTH)
-        return None
 
 
 def _drones(team: Team, outputs: Array, *, turns: bool = False) -> DroneJets:

@@ -54,8 +54,9 @@ def stated_tensions(motion: Motion) -> Array:
     """
     index, default = ranged_phases(motion), np.repeat(motion.team.tension[:, None], 2, axis=1)
     stated = np.tile(default, (motion.drones.pieces, 1, 1))
-    for i in np.unique(index[index >= 0]):
-        stated[index == i] = motion.phases[i].tension
+    for i, phase in enumerate(motion.phases):
+        if phase.tension is not None:
+            stated[index == i] = phase.tension
     return stated
 
 

@@ -44,6 +44,11 @@ MAX_CANDIDATES = 32
 _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
 
+def are_bounds_rough() -> bool:
+    """Return whether bounds that satisfy a limit suffice, as within ``rough_bounds``."""
+    return _ROUGH.get()
+
+
 @contextmanager
 def rough_bounds() -> Iterator[None]:
     """Within the context, accept bounds that satisfy the target without tightening them."""
@@ -200,7 +205,7 @@ class BranchAndBound(Generic[S]):
         self.relative, self.absolute = relative, absolute
         self.target = np.inf if math.isnan(target) else self.sign * target
         self.value = -np.inf if math.isnan(incumbent) else self.sign * incumbent
-        self.rough = _ROUGH.get() and not math.isnan(target)
+        self.rough = are_bounds_rough() and not math.isnan(target)
         self.item, self.time = -1, 0.0
         self.ceiling = -np.inf  # largest bound of closed spans
         self.evaluated = 0
@@ -254,7 +259,7 @@ class BranchAndBound(Generic[S]):
         bounds = self._signed(bound)
         if self.rough and bounds.max() <= self.target:
             best = bounds.argmax(axis=0, keepdims=True)
-            self.record(batch.at(bound.x[best], best), bounds[best])
+            self.record(batch.item[best], batch.times(bound.x)[best], bounds[best])
             return bounds
         # Spans that tie are taken in order: the answer is the same on every machine.
         size = np.maximum.reduce(sizes := np.abs(bounds)) or 1.0
@@ -267,7 +272,7 @@ class BranchAndBound(Generic[S]):
         if candidates.size:
             points = batch.at(bound.x[candidates], candidates)
             values = bounds[candidates] if batch.points else self._signed(self.formula(points))
-            self.record(points, values)
+            self.record(points.item, points.times(0.0), values)
         return bounds
 
     def _signed(self, bound: Bound) -> Array:
@@ -276,15 +281,15 @@ class BranchAndBound(Generic[S]):
         values[np.isnan(values)] = np.inf
         return values
 
-    def record(self, points: S, values: Array) -> None:
+    def record(self, items: Indices, times: Array, values: Array) -> None:
         """Record the largest of sign · values, or the first in time of values that tie."""
         largest = float(np.maximum.reduce(values))
         tie = TIE * abs(largest) if largest - largest == 0.0 else 0.0  # not if infinite
         best = int((values >= largest - tie).argmax())
-        value, time = float(values[best]), float(points.times(0.0)[best])
+        value, time = float(values[best]), float(times[best])
         earlier = self.item >= 0 and value >= self.value - tie and time < self.time
         if value > self.value + tie or earlier or (self.item < 0 and np.isinf(self.value)):
-            self.value, self.item, self.time = max(value, self.value), int(points.item[best]), time
+            self.value, self.item, self.time = max(value, self.value), int(items[best]), time
 
     def _prune(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
         """Close spans at the threshold, and return the remaining ones, if any."""
