@@ -33,9 +33,10 @@ CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or witho
 
 
 @cache
-def trees() -> dict[Path, ast.Module]:
-    """Return the syntax trees of all files of the package."""
-    return {path: ast.parse(path.read_text("utf-8")) for path in sorted(PACKAGE.rglob("*.py"))}
+def syntax() -> dict[Path, list[ast.AST]]:
+    """Return the nodes of the syntax trees of all files of the package, modules first."""
+    paths = sorted(PACKAGE.rglob("*.py"))
+    return {path: [*ast.walk(ast.parse(path.read_text("utf-8")))] for path in paths}
 
 
 def test_public_names_have_words_and_others_are_refused() -> None:
@@ -89,28 +90,29 @@ def test_imports_load_nothing_heavy_and_users_get_toppra_whole(
 def test_modules_import_one_another_in_no_circle() -> None:
     """Late imports and those of type checkers count: they say that a boundary is wrong."""
     modules = {
-        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): tree
-        for path, tree in trees().items()
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): nodes
+        for path, nodes in syntax().items()
     }
-    arrows = {name: _imported(tree, set(modules)) - {name} for name, tree in modules.items()}
+    arrows = {name: _imported(nodes, set(modules)) - {name} for name, nodes in modules.items()}
     while leaves := {name for name, ahead in arrows.items() if not ahead & arrows.keys()}:
         arrows = {name: ahead for name, ahead in arrows.items() if name not in leaves}
     assert sorted(arrows) == []
 
 
-def _imported(tree: ast.AST, names: set[str]) -> set[str]:
+def _imported(nodes: list[ast.AST], names: set[str]) -> set[str]:
     """Return the modules that one imports, also within functions."""
-    lines = (x for x in ast.walk(tree) if isinstance(x, ast.ImportFrom) and x.module)
+    lines = (x for x in nodes if isinstance(x, ast.ImportFrom) and x.module)
     pairs = ((str(x.module), f"{x.module}.{alias.name}") for x in lines for alias in x.names)
     return {name if name in names else module for module, name in pairs} & names
 
 
-def defined(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
+def defined(tree: ast.AST) -> Iterator[tuple[ast.AST, str]]:
     """The public names that a module defines, and the public methods of its classes.
 
     Decorated functions are left out, since a decorator may register them; not so properties and the
     like.
     """
+    assert isinstance(tree, ast.Module)
     for node in tree.body:
         if isinstance(node, ast.FunctionDef) and not node.decorator_list:
             yield node, node.name
@@ -125,7 +127,7 @@ def defined(tree: ast.Module) -> Iterator[tuple[ast.AST, str]]:
 
 def test_nothing_public_is_unused_by_the_package() -> None:
     """What only tests or benchmarks use belongs there; strings such as ``module:Class`` count."""
-    nodes = [node for tree in trees().values() for node in ast.walk(tree)]
+    nodes = [node for each in syntax().values() for node in each]
     read = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Load)]
     known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
@@ -133,8 +135,8 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
     unused = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {name}"
-        for path, tree in trees().items()
-        for node, name in defined(tree)
+        for path, each in syntax().items()
+        for node, name in defined(each[0])
         if name not in known and not name.startswith("_")
     ]
     assert not unused, "\n".join(unused)

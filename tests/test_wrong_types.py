@@ -284,7 +284,9 @@ def test_angles_in_degrees_are_those_in_radians() -> None:
 def test_the_command_line_warns_on_stderr_once(tmp_path: Path) -> None:
     path = tmp_path / "problem.yaml"
     path.write_text(written(tilt="0.785"))
-    done = CliRunner().invoke(main, ["solve", str(path), "-o", str(tmp_path / "out")])
+    done = CliRunner().invoke(
+        main, ["solve", str(path), "-o", str(tmp_path / "out"), "--no-repair"]
+    )
     assert done.exit_code == 3
     warned = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
     words = "usual values are 1.1 to 90 °; if radians were meant, 45"

@@ -262,7 +262,7 @@ def test_any_commands_end_in_a_landing_without_a_jump(seed: int) -> None:
 
 def test_setpoints_have_the_cable_forces_of_their_time() -> None:
     rig, plan = Rig(rate=1000.0), plan_of()
-    rig.begin(0.7)
+    rig.begin(0.5)
     flown, mass = rig.sent[-1], plan.motion.team.mass[:, None]
     expected = mass * (flown.setpoints.accelerations + [0, 0, 9.81])
     expected -= plan.at(flown.setpoints.time).cable_forces
