@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.errors import InfeasibleError
+from hitchopt.hitch.quadratic_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.hitch.slack_split import QuadraticProgram
 from hitchopt.planners.separation import SeparatedFlight, SeparationResult, SeparationTask
 from hitchopt.planners.separation.guesses import points_along, routes_around
 from hitchopt.planners.separation.program import hull_points, solve_program

@@ -23,8 +23,8 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.model import planar
 from hitchopt.hitch.pairs import TautBodies, end_combinations, limits_of
+from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Separation
-from hitchopt.hitch.slack_split import QuadraticProgram, solve_qp
 from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from hitchopt.errors import check_time, time_left
 from hitchopt.geometry.broadphase import Boxes, close_pairs
 from hitchopt.geometry.vectors import EAST, first_smallest, length, unit
+from hitchopt.hitch.quadratic_program import QuadraticProgram, Rows
 from hitchopt.hitch.requirements import Prism, Separation
-from hitchopt.hitch.slack_split import QuadraticProgram, Rows
 from hitchopt.planners.separation.task import END_COUNT, Setting, inside
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
