@@ -38,8 +38,8 @@ class OneLine:
 
     def _parts(self) -> Iterator[str]:
         """Yield the parts between the parentheses."""
-        assert is_dataclass(self)
-        for field in fields(self):
+        record: Any = self  # a dataclass
+        for field in fields(record):
             value = short(getattr(self, field.name))
             factory = field.default_factory
             default = field.default if factory is MISSING else factory()

@@ -85,7 +85,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, known
 
 # [m] Exported curves may pass a wall by this distance, as for a drone at rest on the floor
 EXPORTED_LIMIT = -1e-4
@@ -598,8 +598,7 @@ def _wall_gap(spans: MotionSpans, x: Array, lowered: Array | float, reach: float
 
     Points have a horizontal radius ``reach``, and are lowered by ``lowered`` (spans, points) [m].
     """
-    arena = spans.source.requirements.arena
-    assert arena is not None
+    arena = known(spans.source.requirements.arena)
     above, below = x - arena.lower[:, None], arena.upper[:, None] - x
     above[..., 2, :] -= np.asarray(lowered)[..., None]
     for wall in (above, below):

@@ -51,7 +51,7 @@ from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.trajectory.search import BranchAndBound, Extremum, TimeSpans
-from hitchopt.values import Array, Indices, lazy
+from hitchopt.values import Array, Indices, known, lazy
 
 # Number of pairs up to which an index costs more than it saves; pairs times pieces at a time
 MAX_LISTED, MAX_COMPARED = 8000, 32_768
@@ -358,8 +358,7 @@ class PairSpans(TimeSpans):
     @property
     def lengths(self) -> Array:
         """Lengths (spans,) [m] of hanging cables."""
-        assert self.source.lengths is not None
-        return self.source.lengths[self.item // self.source.count]
+        return known(self.source.lengths)[self.item // self.source.count]
 
 
 def near_pairs(

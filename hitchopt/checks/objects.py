@@ -39,7 +39,7 @@ from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_frame, surface_
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import worst
-from hitchopt.values import Array, Indices, lazy
+from hitchopt.values import Array, Indices, known, lazy
 
 Mask = NDArray[np.bool_]
 
@@ -515,14 +515,13 @@ class Resting(Held):
 def force_line(spans: Resting) -> Bound:
     """Return the distance of the force line from the edges of the clasps' polygon [m]."""
     places, body = spans.places, spans.body
-    assert body.rim is not None
     centre = body.centre_of_mass
     edges = unit(np.roll(places, -1, axis=1) - places)
     inward = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)  # of clockwise edges
     gaps = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
     horizontal = add_axis(rotate_back(spans.acceleration.xy, heading))
-    shift = horizontal.dot(inward) * (centre[2] - body.rim.height)
+    shift = horizontal.dot(inward) * (centre[2] - known(body.rim).height)
     weight = add_axis(spans.acceleration[2] + GRAVITY).range
     margin = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
     lowest = np.where(weight.low > 0.0, gaps - (shift.range * weight.inverse).high, -np.inf)
@@ -600,8 +599,7 @@ def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
     If the object is ``carried`` (spans,), clasps must also keep their positions since the start of
     the hold, ``rim_drop`` below the rim, and friction must prevent sliding.
     """
-    motion, body, rim, places = spans.source, spans.body, spans.body.rim, spans.places
-    assert rim is not None
+    motion, body, rim, places = spans.source, spans.body, known(spans.body.rim), spans.places
     next_places, to_centre = np.roll(places, -1, axis=1), body.section.centroid - places
     edges = next_places - places
     invalid = edges[..., 1] * to_centre[..., 0] - edges[..., 0] * to_centre[..., 1] <= 0.0

@@ -49,7 +49,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.values import Array, Indices, lazy
+from hitchopt.values import Array, Indices, known, lazy
 
 Flags = NDArray[np.bool_]
 
@@ -378,12 +378,11 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     Clasps carry shares of the mass, and loads that the higher centre of mass shifts between them.
     Friction moves the rim with them. The force line meets their plane within their polygon.
     """
-    assert body.rim is not None
     pose = motion.poses.coefficients[:, index]
     places = motion.vertices.coefficients[:, motion.team.layout.clasps]
     centre = centre_path(pose, body)[:, None]
     points = motion.vertices.replaced(joined_arrays([places, centre], axis=1))
-    height = abs(body.centre_of_mass[2] - body.rim.height)
+    height = abs(body.centre_of_mass[2] - known(body.rim).height)
     supports = supports_of(motion, index, body)
     shifted = height * np.linalg.norm(supports.gains, axis=-1)
     shifted *= 1.0 + heading_error(Enclosed(pose[:, 3:]))[:, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 from typing import TYPE_CHECKING, NamedTuple
@@ -52,41 +53,48 @@ class Pairs:
 
 def close_pairs(first: Boxes, second: Boxes | None, cutoff: float) -> Pairs:
     """Return the pairs of boxes within ``cutoff`` [m], of two groups or (i < j) of one."""
-    pairs = few_close_pairs(first, second, cutoff)
-    assert pairs is not None
-    return pairs
+    return _close_pairs(first, second, cutoff, _candidates(first, second, cutoff))
 
 
 def few_close_pairs(
-    first: Boxes, second: Boxes | None, cutoff: float, limit: float = np.inf
+    first: Boxes, second: Boxes | None, cutoff: float, limit: float
 ) -> Pairs | None:
     """Return ``close_pairs``, or None if the index finds more than ``limit`` candidates.
 
     Candidates are counted first: a list of all pairs of thousands of boxes could fill the memory.
     """
-    single, groups = second is None, _by_size(first, cutoff)
-    other = first if second is None else second
-    group_pairs = (
-        combinations_with_replacement(groups, 2)
-        if single
-        else product(groups, _by_size(other, cutoff))
-    )
-    # The reach bounds the distance of the centres of close boxes.
-    candidates = [(a, b, cutoff + a.size + b.size) for a, b in group_pairs]
+    candidates = _candidates(first, second, cutoff)
     if limit < np.inf:
         counts = (a.tree.count_neighbors(b.tree, reach, p=np.inf) for a, b, reach in candidates)
         if sum(map(int, counts)) > limit:
             return None
-    rows = []
+    return _close_pairs(first, second, cutoff, candidates)
+
+
+def _candidates(first: Boxes, second: Boxes | None, cutoff: float) -> list[_Candidates]:
+    """Return pairs of size classes, and the largest distance of the centres of close boxes."""
+    groups = _by_size(first, cutoff)
+    if second is None:
+        pairs = [*combinations_with_replacement(groups, 2)]
+    else:
+        pairs = [*product(groups, _by_size(second, cutoff))]
+    return [(a, b, cutoff + a.size + b.size) for a, b in pairs]
+
+
+def _close_pairs(
+    first: Boxes, second: Boxes | None, cutoff: float, candidates: Sequence[_Candidates]
+) -> Pairs:
+    """Return the pairs of boxes within ``cutoff`` [m] among those of close centres."""
+    other, rows = first if second is None else second, []
     for a, b, reach in candidates:
-        if single and a is b:
+        if a is b:
             i, j = a.tree.query_pairs(reach, p=np.inf, output_type="ndarray").T
         else:
             table = a.tree.sparse_distance_matrix(b.tree, reach, p=np.inf, output_type="ndarray")
             i, j = table["i"], table["j"]
         rows.append((a.members[i], b.members[j]))
     i, j = (np.concatenate(each) for each in zip(*rows, strict=True))
-    if single:
+    if second is None:
         i, j = np.minimum(i, j), np.maximum(i, j)
     gaps = np.maximum(first.lower[i] - other.upper[j], other.lower[j] - first.upper[i])
     is_close = np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) <= cutoff * cutoff
@@ -99,6 +107,9 @@ class _SizeClass(NamedTuple):
     members: Indices
     size: float
     tree: cKDTree
+
+
+_Candidates = tuple[_SizeClass, _SizeClass, float]
 
 
 def _by_size(boxes: Boxes, cutoff: float) -> list[_SizeClass]:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import is_dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,7 @@ from hitchopt.errors import InputError, OneLine
 
 Array = NDArray[np.float64]  # Type of arrays of real numbers
 Indices = NDArray[np.intp]  # Type of arrays of indices
+T = TypeVar("T")
 
 if TYPE_CHECKING:
     lazy = cached_property
@@ -52,6 +53,13 @@ _FORMS = (
     ((str,), WORD, "put it in quotes if it is meant as text"),
     ((Mapping,), MAPPING, "write {key: value, …}"),
 )
+
+
+def known(value: T | None) -> T:
+    """Return a value that callers have checked to exist; TypeError if it is None."""
+    if value is None:
+        raise TypeError("a value that must exist here is None")
+    return value
 
 
 def form_of(value: object) -> str:
