@@ -22,7 +22,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.estimator import HELD, ONE_MARKER
+from hitchopt.hitch.flight_controller import HELD, ONE_MARKER
 from hitchopt.lab.flights.hover import HoverSeries
 from hitchopt.lab.flights.replay import (
     RATE,

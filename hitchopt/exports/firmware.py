@@ -18,8 +18,7 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.exports.contents import Finding, error, warning
 from hitchopt.hitch import GRAVITY, Quadrotor, Team
-from hitchopt.hitch.estimator import HELD
-from hitchopt.hitch.flight_controller import FlightController, Gains, px4_gains
+from hitchopt.hitch.flight_controller import HELD, FlightController, Gains, px4_gains
 
 SETTINGS = "crazyflies.yaml"  # File of a fleet's robots and their parameters
 Parameters = dict[str, dict[str, float]]  # By group and name; integers are int

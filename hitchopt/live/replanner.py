@@ -29,12 +29,11 @@ from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, checked_polygon
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
-from hitchopt.hitch.series import Series
+from hitchopt.hitch.series import Series, chained, product
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
-from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.planners.morph.path import cable_along
 from hitchopt.steps.certified_motions import infeasible_error, rest_motion
@@ -469,7 +468,7 @@ def _drones(team: Team, outputs: Array, *, turns: bool = False) -> DroneJets:
     tensions[..., 0] = team.tension
     slack = -cable_along(team, edges, tensions)
     slack[..., 0] += team.cable_length
-    q_legs = layout.q_leg_jets(jets.product(split, slack), slack)
+    q_legs = layout.q_leg_jets(product(split, slack), slack)
     return drone_jets(team, FlatJets(vertices, q_legs, tensions))
 
 
@@ -531,7 +530,7 @@ def _rotated(shape: Array, angle: Array) -> Array:
     """Return the jets of shapes (J, points, 3, 4) rotated by angles with jets (J, 4)."""
     outer = np.exp(1.0j * angle[:, :1]) * 1.0j ** np.arange(JET)
     level = shape[:, :, 0] + 1.0j * shape[:, :, 1]
-    level = jets.product(jets.chained(outer, angle)[:, None], level)
+    level = product(chained(outer, angle)[:, None], level)
     rotated = shape.copy()
     rotated[:, :, 0], rotated[:, :, 1] = level.real, level.imag
     return rotated

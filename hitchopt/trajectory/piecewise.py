@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
-from hitchopt.trajectory.jet_weights import jet_weights, locate
 from hitchopt.values import Array, Indices, as_array
 
+MAX_STORED_TIMES = 500  # Maximum number of times for which the weights of jets are stored: 0.1 MB
 MAX_STORED_SIZE = 2**16  # Maximum number of coefficients of a stored derivative: 0.5 MB
 
 
@@ -95,6 +95,12 @@ class PiecewisePolynomial(OneLine):
         for j in range(m):
             scaled[..., j], scaled[..., m + j] = left[j] * h**j, right[j] * h**j
         return cls(times, bernstein.transform(scaled, _hermite_map(m)))
+
+    @classmethod
+    def through_jets(cls, breaks: Array, jets: Array) -> PiecewisePolynomial:
+        """Return the polynomials with jets (J, *shape, m) at breaks (J,), of degree 2m - 1."""
+        orders = jets.transpose(-1, *range(jets.ndim - 1))
+        return cls.hermite(breaks, orders[:, :-1], orders[:, 1:])
 
     @property
     def pieces(self) -> int:
@@ -283,6 +289,13 @@ def merged_breaks(arrays: Sequence[Array]) -> Array:
     return merged
 
 
+def divided(breaks: Array, counts: Indices) -> Array:
+    """Return breakpoints (J,) with pieces divided into ``counts`` (J - 1,) equal parts each."""
+    each = zip(breaks[:-1], breaks[1:], counts, strict=True)
+    inner = [np.linspace(first, last, count, endpoint=False) for first, last, count in each]
+    return np.append(np.concatenate(inner), breaks[-1])
+
+
 def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
     """Return the functions on ``breaks`` within the part's, each piece inside one of the part's.
 
@@ -316,3 +329,49 @@ def _cells(own: bytes, breaks: bytes) -> tuple[Indices, Indices, Array, Array]:
     upper[np.abs(inner[1:] - end) <= BREAK_TOLERANCE] = 1.0
     (partial,) = ((lower > 0.0) | (upper < 1.0)).nonzero()
     return piece, partial, lower[partial], upper[partial]
+
+
+def locate(breaks: Array, times: Array) -> tuple[Indices, Array]:
+    """Return the pieces (…) of times (…), and the local parameters (…) in them, from 0 to 1."""
+    first, last = breaks[0], breaks[-1]
+    if not np.all((times >= first - 1e-9) & (times <= last + 1e-9)):
+        raise InputError(
+            "t", times, f"within [{first:g}, {last:g}] s", "pass times within the plan"
+        )
+    piece = np.clip(np.searchsorted(breaks, times, side="right") - 1, 0, len(breaks) - 2)
+    return piece, np.clip((times - breaks[piece]) / np.diff(breaks)[piece], 0.0, 1.0)
+
+
+def _weights(
+    breaks: bytes, times: bytes, shape: tuple[int, ...], order: int, count: int
+) -> tuple[Indices, Array, Array]:
+    """Return the weights of ``PiecewisePolynomial.jet``, which only depend on breaks and times.
+
+    Parameters
+    ----------
+    breaks, times: bytes of the arrays, which are hashable.
+    shape: shape of the times, (…).
+    order: degree of the pieces.
+    count: number of derivatives, the zeroth included.
+
+    Returns
+    -------
+    Pieces (…), the basis (…, order + 1), and the basis with its derivatives (…, order + 1, count).
+    """
+    spans = np.frombuffer(breaks)
+    piece, x = locate(spans, np.frombuffer(times).reshape(shape))
+    weights = bernstein.jet_basis(x, order, count)
+    weights /= np.diff(spans)[piece][..., None, None] ** np.arange(count)
+    return piece, bernstein.basis(x, order), weights
+
+
+_stored_weights = lru_cache(maxsize=64)(_weights)
+"""``_weights`` with a cache: a search evaluates all of its paths on a few grids."""
+
+
+def jet_weights(
+    breaks: Array, times: Array, order: int, count: int
+) -> tuple[Indices, Array, Array]:
+    """Return ``_weights`` for breaks (pieces + 1,) and times (…) [s], cached for few times."""
+    weights = _stored_weights if times.size <= MAX_STORED_TIMES else _weights
+    return weights(breaks.tobytes(), times.tobytes(), times.shape, order, count)

@@ -22,8 +22,15 @@ from scripted import hanging_task, regular_hitch, resting_task
 import hitchopt as ho
 from hitchopt.errors import InputError
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, stiffest_gains
+from hitchopt.hitch.flight_controller import (
+    CONTROLLERS,
+    FIRMWARE,
+    HELD,
+    ONE_MARKER,
+    EstimatorParameters,
+    FlightController,
+    stiffest_gains,
+)
 from hitchopt.lab.simulation import estimator as estimators
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import FileError, OneLine
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
+from hitchopt.hitch.flight_controller import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight
 from hitchopt.lab.simulation.estimator import Filter, rotation

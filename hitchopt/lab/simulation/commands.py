@@ -14,8 +14,7 @@ from hitchopt.exports.exporting import Export, export_motion
 from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.estimator import HELD
-from hitchopt.hitch.flight_controller import STOCK, Gains, latency_scale
+from hitchopt.hitch.flight_controller import HELD, STOCK, Gains, latency_scale
 from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.motion.motion import Motion

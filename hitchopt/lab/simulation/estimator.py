@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.estimator import EstimatorParameters
+from hitchopt.hitch.flight_controller import EstimatorParameters
 from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
 

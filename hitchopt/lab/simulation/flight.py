@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import InfeasibleError, InputError, Progress, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.estimator import EstimatorParameters
+from hitchopt.hitch.flight_controller import EstimatorParameters
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved

@@ -8,8 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.estimator import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
-from hitchopt.hitch.flight_controller import CONTROLLERS, Gains
+from hitchopt.hitch.flight_controller import (
+    CONTROLLERS,
+    FIRMWARE,
+    HELD,
+    ONE_MARKER,
+    EstimatorParameters,
+    Gains,
+)
 from hitchopt.values import check_choice, nonnegative, positive
 
 # Largest relative deviations; larger numbers are probably percentages

@@ -18,7 +18,6 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.jets import polynomials_through
 from hitchopt.planners.morph.legs import PATH_SAMPLES, with_legs_clear, worst_point
 from hitchopt.planners.morph.morph import MIN_LEG, POSITION_TOLERANCE, check_loads, check_shapes
 from hitchopt.planners.morph.path import (
@@ -298,7 +297,7 @@ def fly_timed(path: ShapePath, requirements: Requirements, seconds: float) -> Mo
             track = path.vertices.slice_pieces(slice(i, i + 1))
             breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
             curves = path_jets(replace(path, vertices=track), breaks)[:3]
-            parts.append([polynomials_through(breaks, each) for each in curves])
+            parts.append([PiecewisePolynomial.through_jets(breaks, each) for each in curves])
         drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
         tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
         motion = Motion(path.team, requirements, drones, vertices, legs, tensions, phases=())

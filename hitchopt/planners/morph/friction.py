@@ -26,14 +26,13 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import slipping_drones
 from hitchopt.hitch.requirements import Separation
-from hitchopt.hitch.series import JET
+from hitchopt.hitch.series import JET, chained, product
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph import jets
 from hitchopt.planners.morph.path import cable_along
 from hitchopt.planners.timing.flight import needed_stretch
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.piecewise import on_breaks
+from hitchopt.trajectory.piecewise import divided, on_breaks
 from hitchopt.trajectory.splines import bspline, interpolated
 from hitchopt.values import Array
 
@@ -129,7 +128,7 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
     layout = motion.team.layout
     coarse, longest = motion.drones.breaks, motion.duration / (PIECES_PER_INTERVAL * slip.pieces)
     counts = np.maximum(1, np.ceil(np.diff(coarse) / longest - 1e-9).astype(np.intp))
-    breaks = jets.divided(coarse, counts)
+    breaks = divided(coarse, counts)
     drones, vertices, legs, tensions = (
         on_breaks(part, breaks)
         for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
@@ -140,10 +139,10 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
         for part in (drones, vertices, legs, tensions)
     )
     logs = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
-    ratios = jets.chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
+    ratios = chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
     pulls = np.repeat(T[:, :, None], 2, axis=2)
-    pulls[:, layout.behind, 1] = jets.product(ratios[:, :, 0], T[:, layout.behind])
-    pulls[:, layout.ahead, 0] = jets.product(ratios[:, :, 1], T[:, layout.ahead])
+    pulls[:, layout.behind, 1] = product(ratios[:, :, 0], T[:, layout.behind])
+    pulls[:, layout.ahead, 0] = product(ratios[:, :, 1], T[:, layout.ahead])
     cables = cables_of_legs(motion.team, d - p[:, layout.anchors], lengths, T)
     balanced = slipping_drones(motion.team, p, lengths, T, pulls, d, cables)
     if not np.all(np.isfinite(balanced)):

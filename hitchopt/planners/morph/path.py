@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
-from hitchopt.hitch.series import JET, Series
-from hitchopt.planners.morph import jets
+from hitchopt.hitch.series import JET, Series, product
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -63,7 +62,7 @@ class LegLaw:
     def q_legs(self, s: Array, slack: Array) -> Array:
         """Return the jets (J, n, m) of ``d`` from those of the slack."""
         count = slack.shape[-1]
-        part = jets.product(self.share.jet(s, count), slack)
+        part = product(self.share.jet(s, count), slack)
         return self.length.jet(s, count) + part if np.any(self.length.coefficients) else part
 
 

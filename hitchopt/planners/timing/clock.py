@@ -23,7 +23,7 @@ from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import dot, length
-from hitchopt.planners.morph.jets import chained, chained_rates
+from hitchopt.hitch.series import chained, chained_rates
 from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, SpeedProfile, TimingError
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splines import bspline, extraction, interpolated, knots_through

@@ -18,8 +18,8 @@ from hitchopt.geometry.vectors import column_lengths, dot, length
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.series import chained
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.jets import chained, polynomials_through
 from hitchopt.planners.morph.path import Path, path_jets
 from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
 from hitchopt.planners.timing.profile import (
@@ -109,7 +109,7 @@ def _motion(path: Path, requirements: Requirements, clock: Clock) -> Motion:
     s[0], s[-1] = 0.0, 1.0
     parts = path_jets(path, s)
     rows = np.concatenate([part.reshape(len(s), -1, 4) for part in parts], axis=1)
-    curves = polynomials_through(breaks, chained(rows, progress[:, None]))
+    curves = PiecewisePolynomial.through_jets(breaks, chained(rows, progress[:, None]))
     drones, vertices, legs, tensions = curves.split([part.shape[1:-1] for part in parts])
     values = parts[-1]
     if not values[..., 1:].any() and (values == values[0]).all():

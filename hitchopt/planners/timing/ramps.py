@@ -9,10 +9,11 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import HitchoptError
 from hitchopt.hitch.requirements import Limits
-from hitchopt.planners.morph.jets import chained, divided
+from hitchopt.hitch.series import chained
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import advance
+from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array
 
 PHASE_TOLERANCE = 1e-9  # [s] Shorter phases of a profile are dropped
