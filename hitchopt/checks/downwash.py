@@ -25,8 +25,9 @@ from hitchopt.checks.distances import Moving, PairSpans, gap, nearest
 from hitchopt.checks.objects import in_object_frame
 from hitchopt.checks.rule import CheckRule, Evaluator
 from hitchopt.checks.spans import ROUNDING, magnitude
+from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Separation
-from hitchopt.hitch.team import GRAVITY, Team
+from hitchopt.hitch.team import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import Section, Slab, SolidObject
 from hitchopt.trajectory.enclosed import Bound, Enclosed

@@ -24,8 +24,9 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import Series
-from hitchopt.hitch.team import CLOSED, GRAVITY, Team, layout_of
+from hitchopt.hitch.team import CLOSED, Team, layout_of
 from hitchopt.values import Array
 
 

@@ -21,9 +21,9 @@ from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import dot, first_smallest, length, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
+from hitchopt.hitch.quadrotor import GRAVITY, Quadrotor
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
-from hitchopt.hitch.team import GRAVITY, Quadrotor
 from hitchopt.objects import Section
 from hitchopt.values import Array, Indices
 

@@ -15,8 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.hitch.forces import cable_forces, chord_pull, closed_triangle, shortening
+from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import JET, Series
-from hitchopt.hitch.team import GRAVITY, Team
+from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:

@@ -15,6 +15,7 @@ from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_remedy
+from hitchopt.hitch.quadrotor import quadrotors
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,
@@ -23,7 +24,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, PartTeam, quadrotors
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, PartTeam
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
 from hitchopt.motion.motion import HoldBy

@@ -13,8 +13,8 @@ import numpy as np
 
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.quadrotor import MODEL_NAMES, MODELS
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import MODEL_NAMES, MODELS
 from hitchopt.mission.objects import SECTION_KEYS, ObjectKeys
 from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam
 from hitchopt.planners.fitting import Range, fitting_lengths, fitting_tensions

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.team import MODELS
+from hitchopt.hitch.quadrotor import MODELS
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT, in_frame

@@ -21,8 +21,9 @@ import numpy as np
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Swarm, Team
+from hitchopt.hitch.quadrotor import MEASURED, Quadrotor
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import MEASURED, Assignment, Quadrotor
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT

@@ -18,7 +18,7 @@ from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
-from hitchopt.hitch.team import GRAVITY
+from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import CableState, Group, Motion

@@ -12,7 +12,8 @@ from refusals import Refusal, assert_refused
 
 import hitchopt as ho
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation, SwapSettings
-from hitchopt.hitch.team import MODELS, Assignment, PartTeam, Quadrotor, Swarm, Team
+from hitchopt.hitch.quadrotor import MODELS, Quadrotor
+from hitchopt.hitch.team import Assignment, PartTeam, Swarm, Team
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 HILL = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]

@@ -21,7 +21,8 @@ from scipy.special import stdtrit
 
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch.team import GRAVITY, Layout
+from hitchopt.hitch.quadrotor import GRAVITY
+from hitchopt.hitch.team import Layout
 from hitchopt.lab.flights.recordings import Track, plan_at, taut_at
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array, Indices

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.errors import FileError, InputError
 from hitchopt.geometry.vectors import EAST, length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.team import MEASURED, Quadrotor, kinds_of
+from hitchopt.hitch.quadrotor import MEASURED, Quadrotor, kinds_of
 from hitchopt.lab.feedback import Feedback
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task

@@ -22,8 +22,9 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, rest_capacity
+from hitchopt.hitch.quadrotor import Quadrotor, kinds_of
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
-from hitchopt.hitch.team import Quadrotor, Swarm, Team, kinds_of
+from hitchopt.hitch.team import Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension

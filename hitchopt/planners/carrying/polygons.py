@@ -20,8 +20,8 @@ from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip, turn
+from hitchopt.hitch.quadrotor import Quadrotor
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import Quadrotor
 from hitchopt.objects import Section, SolidObject
 from hitchopt.values import Array, Indices
 
