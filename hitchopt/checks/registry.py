@@ -121,7 +121,7 @@ def certify(
     with value_cache():
         across = {
             chapter: {rule.name: _across(rule, chapter) for rule in RULES}
-            for chapter in _chapters(motion)
+            for chapter in chapters(motion)
             if len(chapter.all_groups) > 1
         }
         checks = list[Check | None]()
@@ -160,15 +160,10 @@ def certify(
     return certificate
 
 
-def _chapters(motion: Motion) -> tuple[Motion, ...]:
-    """Return the time spans in which the same robots form the ring: usually the whole motion."""
-    return chapters(motion) if motion.has_ring_changes else (motion,)
-
-
 def _parts(motion: Motion) -> dict[Motion, Group]:
     """Return the motions that are checked alone, one per chapter and group, with their groups."""
     parts = dict[Motion, Group]()
-    for chapter in _chapters(motion):
+    for chapter in chapters(motion):
         several = len(chapter.all_groups) > 1
         for each in chapter.groups:
             parts[each.motion.replaced(others=()) if several else each.motion] = each
@@ -195,7 +190,7 @@ def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Chec
     checks = [
         _label(rule.check(part, exported=exported), group) for part, group in _parts(motion).items()
     ]
-    across = [_across(rule, each) for each in _chapters(motion) if len(each.all_groups) > 1]
+    across = [_across(rule, each) for each in chapters(motion) if len(each.all_groups) > 1]
     return _of_parts(rule, motion, [*checks, *across])
 
 

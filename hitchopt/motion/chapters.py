@@ -37,8 +37,12 @@ _CHAPTERS: WeakKeyDictionary[Motion, tuple[Motion, ...]] = WeakKeyDictionary()
 def chapters(motion: Motion) -> tuple[Motion, ...]:
     """Return the chapters of a motion, at its times; the first group of each is the ring.
 
+    A motion whose ring does not change is its only chapter.
+
     Raises InputError for invalid rings, robots twice or missing, or objects that move.
     """
+    if not motion.has_ring_changes:
+        return (motion,)
     if motion not in _CHAPTERS:
         check_rings(motion)
         rings = [motion.phases[i].ring for i in motion.phase_of_piece.tolist()]
@@ -49,9 +53,7 @@ def chapters(motion: Motion) -> tuple[Motion, ...]:
 
 
 def parts_of(motion: Motion) -> tuple[Group, ...]:
-    """Return the groups of a motion, or those of all its chapters, at their times."""
-    if not motion.has_ring_changes:
-        return motion.groups
+    """Return the groups of all chapters of a motion, at their times."""
     return tuple(group for chapter in chapters(motion) for group in chapter.groups)
 
 

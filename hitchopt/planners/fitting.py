@@ -85,16 +85,14 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     return ConvexPolygon(corners[np.argmax(squares <= (1.0 + ROUNDING) * np.min(squares))])
 
 
-def shortest_cable(
-    polygons: Sequence[Outline], requirements: Requirements, team: Team | None = None
-) -> float:
+def shortest_cable(polygons: Sequence[Outline], requirements: Requirements) -> float:
     """Return the shortest cable length [m], in centimetres, with well separated balanced legs.
 
     They are separated on all polygons, of the same number of robots. If there is no such length,
-    return the one with the largest margin over all slack splits. By default, cables are weightless
-    and drones carry no load; otherwise those of a ``team``, of which the longest cable is meant.
-    InfeasibleError: no length up to MAX_EXTRA_LENGTH keeps the separation of the drones.
+    return the one with the largest margin over all slack splits. Cables have no weight, and drones
+    carry no load. InfeasibleError: no length up to MAX_EXTRA_LENGTH keeps drones separated.
     """
+    team = Team(len(polygons[0]), 1.0)
     for balanced in (True, False):
         best, shortest = 0.0, 0.0
         for cable, margin in _margins(polygons, requirements, team, balanced=balanced):
@@ -168,13 +166,13 @@ def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, te
 def _margins(
     polygons: Sequence[Outline],
     requirements: Requirements,
-    team: Team | None,
+    team: Team,
     *,
     balanced: bool = True,
     stride: int = 1,
 ) -> Iterator[tuple[float, float]]:
-    """Yield cable lengths [m] with the margins of their legs (``_margin``)."""
-    team, leg = team or Team(len(polygons[0]), 1.0), requirements.limits.leg
+    """Yield lengths [m] of the longest cable with the margins of all legs (``_margin``)."""
+    leg = requirements.limits.leg
     ratios = team.cable_length / np.max(team.cable_length)
     vertices = np.stack([each.vertices for each in polygons])
     needed = np.max(np.stack([each.edge_lengths for each in polygons]) / ratios)
