@@ -91,7 +91,7 @@ MUTATIONS = (
     Mutation("objects.py", "(self.acceleration[2] + GRAVITY) * self.share", "self.acceleration[2] * self.share", "grip_drum", "the weight dropped"),
     Mutation("objects.py", "* add_axis(pull) * -SIGNS", "* add_axis(pull)", "grip_drum", "sign of a pull"),
     Mutation("clearance.py", "active = ~touching[", "active = touching[", "carry_box", "cables that hold taken for others"),
-    Mutation("linking.py", "left, right = rates", "right, left = rates", "triangle", "ends exchanged"),
+    Mutation("linking.py", "for end in (0, -1))", "for end in (-1, 0))", "triangle", "ends exchanged"),
     Mutation("drones.py", '"vertex_speed", "m/s", 1, Points)', '"vertex_speed", "m/s", 1, Drones)', "triangle", "drones in place of vertices"),
 )  # fmt: skip
 

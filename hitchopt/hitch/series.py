@@ -6,6 +6,7 @@ scalar. A constant has a single coefficient; all others in a formula have equall
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import factorial
 from typing import Any
 
@@ -168,6 +169,16 @@ class Series:
                 c[k] -= rate * s[k - i]
                 s[k] += rate * c[k - i]
         return Series(c), Series(s)
+
+
+def of_both(formula: Callable[..., Series], *sides: tuple[Series, Series]) -> tuple[Series, Series]:
+    """Return the values of a formula for both sides of items, which are evaluated at once."""
+    if not _is_array(sides[0][0].coefficients):
+        return formula(*[a for a, _ in sides]), formula(*[b for _, b in sides])
+    values = [np.concatenate([a.coefficients, b.coefficients], axis=-1) for a, b in sides]
+    c = formula(*map(Series, values)).coefficients
+    count = c.shape[-1] // 2
+    return Series(c[..., :count]), Series(c[..., count:])
 
 
 def _is_array(value: Any) -> bool:
