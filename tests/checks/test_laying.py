@@ -206,8 +206,8 @@ def past(n: int, pair: int, degrees: float, when: str) -> list[Motion]:
     ("n", "pair", "degrees", "when"),
     [
         (3, 0, 60.0, "hold"),
-        (3, 1, 5.0, "open"),
         (3, 2, 0.5, "close"),
+        pytest.param(3, 1, 5.0, "open", marks=pytest.mark.slow),
         pytest.param(6, 4, 20.0, "hold", marks=pytest.mark.slow),
     ],
 )
