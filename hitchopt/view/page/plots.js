@@ -80,7 +80,7 @@ class Plots {
     for (const { cursor, value, t, curves } of this.cursors) {
       cursor.setAttribute("x1", this.x(time));
       cursor.setAttribute("x2", this.x(time));
-      const values = [...new Set(curves.map((curve) => significant(valueAt(t, curve, time), 3)))];
+      const values = [...new Set(curves.map((curve) => significant(valueAt(t, curve, time), 3, 1e-3)))];
       value.textContent = values.join(" to ");
     }
   }
@@ -98,9 +98,9 @@ function valueAt(t, values, time) {
   return a === null || b === null ? null : a + (b - a) * Math.min(1, Math.max(0, (time - t[i - 1]) / (t[i] - t[i - 1])));
 }
 
-function significant(value, digits = 4) {
+function significant(value, digits = 4, least = 1e-9) {
   if (value === null) return "–";
   if (Math.abs(value) > 1e300) return value > 0 ? "∞" : "−∞";
-  const text = Math.abs(value) < 1e-9 ? 0 : Number(value.toPrecision(digits));  // below are rounding errors
+  const text = Math.abs(value) < least ? 0 : Number(value.toPrecision(digits));  // below are rounding errors
   return Math.abs(text) >= 1e-4 || text === 0 ? String(text) : text.toExponential();
 }
