@@ -137,7 +137,7 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
         if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
             yield (
                 f"distances allow for tracking errors of {tube}, as simulated; recorded drones "
-                f"reached {Tube(*RECORDED_TUBE)}: limits.tracking or calibrated drones set it"
+                f"were off by {Tube(*RECORDED_TUBE)}: state yours as limits.tracking, or calibrate"
             )
             return
 

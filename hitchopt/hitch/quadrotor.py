@@ -169,8 +169,8 @@ class Quadrotor(OneLine):
         Pair | None,
         Key(
             TRIM,
-            "Setpoint minus place at rest, [x, y] in the body's frame at yaw 0, as of a rigid body "
-            "that is defined tilted; null: none",
+            "Setpoint minus place at rest, [x, y] in the body's frame at yaw 0: not 0 if motion "
+            "capture defines the rigid body tilted; null: none",
         ),
     ] = None
     thrust_factor: Annotated[

@@ -188,9 +188,8 @@ class Team(ByValue):
         tuple[Quadrotor, ...],
         Key(
             quadrotors(2, 2 * MAX_ROBOTS),
-            "Kind of quadrotor or name of a model: one for all, one per robot or drone, or a "
-            "mapping of drones such as q0 to their own values beside common ones; stored as kinds "
-            "of all; null: the default kind",
+            "Kind of quadrotor or name of a model: one for all, one per robot or drone, or common "
+            "values and, by names such as q0, values of single drones; null: the default kind",
         ),
     ] = field(repr=False)
     load: Annotated[

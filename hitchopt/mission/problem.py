@@ -416,8 +416,8 @@ class SwarmTeam:
         Any,
         Key(
             quadrotors(1, MAX_DRONES),
-            "Kind of quadrotor or name of a model, one for all or one per drone, or a mapping of "
-            "drones such as d0 to their own values beside common ones; null: the default kind",
+            "Kind of quadrotor or name of a model: one for all, one per drone, or common values "
+            "and, by names such as d0, values of single drones; null: the default kind",
         ),
     ] = None
 

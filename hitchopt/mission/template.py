@@ -104,7 +104,7 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
         changed |= {"separation": {"radius": radius, "height": height}}
     for key, value in changed.items():
         text = with_value(text, split_key(key), value)
-    text = re.sub(r"^(  \w+: \S+) +#", lambda line: f"{line[1]:<{COLUMN}}#", text, flags=re.M)
+    text = re.sub(r"^(  \w+: \S+) +#", lambda line: f"{line[1]:<{COLUMN - 2}}  #", text, flags=re.M)
     return FittedProblem(text, f"{noun} with edges of {edge:g} m", lengths, tensions)
 
 
@@ -153,7 +153,7 @@ def _lines(record: type, prefix: str, exclude: Sequence[str] = ()) -> str:
         is_nested = key.name == "quadrotor"
         value = "" if is_nested else f" {flow(key.to_file(key.default))}"
         first, *rest = textwrap.wrap(key.described(key.file_kind), WIDTH - COLUMN - 2)
-        lines += [f"{prefix} {key.name}:{value}".ljust(COLUMN) + f"# {first}"]
+        lines += [f"{prefix} {key.name}:{value}".ljust(COLUMN - 2) + f"  # {first}"]
         lines += [f"{prefix.ljust(COLUMN)}# {line}" for line in rest]
         if is_nested:
             lines += [_lines(Quadrotor, f"{prefix}  ").rstrip("\n")]

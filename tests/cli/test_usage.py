@@ -314,6 +314,7 @@ def test_init_fits_any_number_of_robots_to_models() -> None:
         fitted = for_team(template, name, robots)
         team = parse_problem(fitted.text).team
         assert team.quadrotor == (ho.Quadrotor(model=name),) * robots
+        assert not re.search(r"[^\s#]#", fitted.text), "a comment begins after a blank"
         assert fitted.lengths[0] < team.cable_length[0] < fitted.lengths[1], (name, robots)
         assert fitted.tensions[0] <= team.tension[0] <= fitted.tensions[1], (name, robots)
 
