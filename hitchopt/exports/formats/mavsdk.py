@@ -91,7 +91,7 @@ class MavsdkDroneShow(Format):
         settings, files = receiver_settings(task), self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
-        unseen = ", with cables not looked at" if task.motion.has_cables else ""
+        unseen = ", where cables are not checked" if task.motion.has_cables else ""
         order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
             f"the plan begins {rise.duration:g} s after the show: until then drones wait and "
@@ -100,7 +100,7 @@ class MavsdkDroneShow(Format):
             f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone at px, py of its first row: its rows are counted from there",
-            "of PX4 set the parameters in export.json, and MPC_THR_HOVER, of free drones",
+            "set PX4's parameters as in export.json, and MPC_THR_HOVER as measured without cables",
             *px4_notes(task.motion.team, task.options.stiffness, task.options.damping),
         )
         return FormatOutput(files, notes, {"settings": settings, "plan_begins_s": rise.duration})

@@ -408,6 +408,8 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
             axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)
     draw_phases(plots, motion.phases, end)
     bottom.set_xlabel("t [s]; hatched: rest and pull test")
+    # A fixed number of ticks: with more of them after the layout, the last label would be clipped.
+    bottom.locator_params("x", nbins=7, steps=[1, 2, 5, 10])
 
 
 def ending(simulation: Simulation) -> str:
