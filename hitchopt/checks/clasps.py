@@ -31,7 +31,7 @@ from hitchopt.checks.spans import (
     leg_vectors,
     without_shared_zeros,
 )
-from hitchopt.geometry.vectors import column_lengths, unit
+from hitchopt.geometry.vectors import column_lengths, turn, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
@@ -592,9 +592,7 @@ def _smallest_angle(motion: Motion, limit: float) -> WorstCase:
     clasps, ends = np.arange(len(layout.clasps)), () if layout.closed else (points[0], points[-1])
     where = (points[layout.clasps[smallest.item]],) if smallest.item < len(clasps) else ends
     behind, ahead = np.moveaxis(_corners(motion)[0, clasps, :, :, 0], 1, 0)
-    right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
-    turns = np.arctan2(right, np.sum(behind * ahead, axis=-1))
-    remaining = 360.0 - float(np.sum(np.degrees(turns)))
+    remaining = 360.0 - float(np.sum(np.degrees(turn(ahead, behind))))
     lowest = max(smallest.worst, MIN_ANGLE)
     if lowest > MIN_ANGLE and remaining < min(lowest, -ANGLE_ROUNDING):
         return WorstCase(remaining, float(start), ends)

@@ -87,7 +87,7 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval
 from hitchopt.trajectory.search import TimeSpans, batches, worst
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, true_runs
 
 MIN_DISTANCE = 1e-6  # [m] of chords that do not touch, and of drones outside sheets
 MAX_HALVINGS = 30  # Spans still open after these: a chord touches another one's end
@@ -456,8 +456,7 @@ class Ties:
         wrong: Flags = (self.numbers != 0) & (not ties[0])
         wrong |= (ties[0] and not upright[0]) or (ties[1] and not upright[-1])
         signs = 0 * self.lying
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], upright, [False]])))
-        for start, stop in edges.reshape(-1, 2).tolist():
+        for start, stop in true_runs(upright):
             gaps = height_gaps(motion.slice_pieces(slice(start, stop), motion.phases))[self.order]
             rising, descending = ties[0] and start == 0, ties[1] and stop == len(upright)
             contact, clearance = gaps[:, 0, 0], gaps[:, -1, -1]

@@ -29,7 +29,7 @@ from hitchopt.checks.spans import (
     leg_vectors,
     magnitude,
 )
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import cross, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import centre_path, held_pieces, reduce_constants, rim_drop, tautness
@@ -602,7 +602,7 @@ def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
     motion, body, rim, places = spans.source, spans.body, known(spans.body.rim), spans.places
     next_places, to_centre = np.roll(places, -1, axis=1), body.section.centroid - places
     edges = next_places - places
-    invalid = edges[..., 1] * to_centre[..., 0] - edges[..., 0] * to_centre[..., 1] <= 0.0
+    invalid = cross(to_centre, edges) <= 0.0
     invalid |= Enclosed(spans.clasps.c)[2].upper.value > rim.height + PLACE_TOLERANCE
     pulls = motion.tensions.coefficients[spans.piece, :, 0]
     drop = rim_drop(motion.team, body, places, pulls)[:, None]

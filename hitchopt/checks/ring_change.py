@@ -27,6 +27,7 @@ from hitchopt.checks.distances import (
 from hitchopt.checks.linking import MAX_JUMP, MAX_LAID_GAP, UNLINKED, Ties, jump_of, wrong_cables
 from hitchopt.checks.rule import WorstCase
 from hitchopt.checks.spans import clasped_pairs, leg_vectors, position_margin
+from hitchopt.geometry.vectors import cross
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.pairs import MIN_GAP
@@ -34,7 +35,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, true_runs
 
 HALVINGS = 4
 """Number of halvings of a piece before the side of a leg is enclosed on each part."""
@@ -57,9 +58,8 @@ def vertical_passes(ring: Motion, alone: Motion) -> Iterator[VerticalPass]:
     for curve in (ring.drones, ring.vertices):
         resting &= np.max(np.ptp(curve.coefficients, axis=-1), axis=(1, 2)) <= MAX_SIDEWAYS
     vertical = taut & resting & ring.formed & upright_pieces(alone)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], vertical, [False]])))
-    for first, last in edges.reshape(-1, 2).tolist():
-        yield _vertical_pass(ring, alone, slice(first, last))
+    for run in true_runs(vertical):
+        yield _vertical_pass(ring, alone, slice(*run))
 
 
 def _vertical_pass(ring: Motion, alone: Motion, pieces: slice) -> VerticalPass:
@@ -68,11 +68,10 @@ def _vertical_pass(ring: Motion, alone: Motion, pieces: slice) -> VerticalPass:
     points = ring.vertices.coefficients[pieces.start, ..., 0]
     a, b = points[layout.starts], points[layout.ends]
     along, direction = b - a, r - q
-    turn = direction[0] * along[:, 1] - direction[1] * along[:, 0]
+    turn = cross(direction, along)
     offset = a - q
     with np.errstate(all="ignore"):
-        x = (offset[:, 0] * along[:, 1] - offset[:, 1] * along[:, 0]) / turn  # along the cable
-        y = (offset[:, 0] * direction[1] - offset[:, 1] * direction[0]) / turn  # along the edge
+        x, y = cross(offset, along) / turn, cross(offset, direction) / turn  # of cable and edge
     crossed = np.flatnonzero((x > 0.0) & (x < 1.0) & (y > 0.0) & (y < 1.0))
     x, y = x[crossed], y[crossed]
     cable = Catenary.between(q[None], r[None], alone.team.cable_length)

@@ -49,7 +49,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.enclosed import Enclosed
-from hitchopt.values import Array, Indices, known, lazy
+from hitchopt.values import Array, Indices, known, lazy, true_runs
 
 Flags = NDArray[np.bool_]
 
@@ -364,8 +364,7 @@ def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         for by, paths_of in ((HoldBy.REST, _resting), (HoldBy.GRIP, _gripped)):
             mask = moving_objects(motion)[:, index] & held_pieces(motion, name, by)
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
-            for first, last in edges.reshape(-1, 2).tolist():
+            for first, last in true_runs(mask):
                 if by is HoldBy.REST and body.rim is None:  # violates the check ``support``
                     continue
                 phases = motion.overlapping(breaks[first], breaks[last])

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import EXCHANGED, InputError
+from hitchopt.geometry.vectors import cross, turn
 from hitchopt.values import Array, ByValue, finite, integer, points, positive
 
 MIN_EXTERIOR_ANGLE = 1e-6
@@ -90,9 +91,7 @@ class Outline(ByValue, ABC):
         """(corners,) [rad]: right turn of the outline at each corner."""
         edges = self.edge_vectors
         ahead, behind = edges[self.corners], edges[self.corners - 1]
-        right = behind[:, 1] * ahead[:, 0] - behind[:, 0] * ahead[:, 1]
-        angles: Array = np.arctan2(right, np.add.reduce(behind * ahead, axis=1))
-        return angles
+        return turn(ahead, behind)
 
     def translated(self, offset: ArrayLike) -> Self:
         """Return the outline translated by ``offset`` (2,) [m]."""
@@ -158,9 +157,9 @@ def centroids(polygons: Array) -> Array:
     """Return the centroids (…, 2) [m] of the areas of polygons (…, n, 2) [m]."""
     points = polygons - polygons[..., :1, :]
     next_points = np.roll(points, -1, axis=-2)
-    cross = points[..., 0] * next_points[..., 1] - points[..., 1] * next_points[..., 0]
-    moments = np.sum((points + next_points) * cross[..., None], axis=-2)
-    centres: Array = polygons[..., 0, :] + moments / (3.0 * np.sum(cross, axis=-1))[..., None]
+    areas = cross(points, next_points)
+    moments = np.sum((points + next_points) * areas[..., None], axis=-2)
+    centres: Array = polygons[..., 0, :] + moments / (3.0 * np.sum(areas, axis=-1))[..., None]
     return centres
 
 

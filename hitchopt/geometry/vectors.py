@@ -29,6 +29,16 @@ def length(a: Array) -> Array:
     return lengths
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Return the products a₀ b₁ - a₁ b₀ (…) of vectors (…, d), positive if b is left of a."""
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def turn(first: Array, second: Array) -> Array:
+    """Return the angles (…) [rad] from the first to the second vectors (…, 2), positive left."""
+    return np.asarray(np.arctan2(cross(first, second), np.add.reduce(first * second, axis=-1)))
+
+
 def column_lengths(a: Array) -> Array:
     """Return the lengths (…, k) of vectors in columns (…, d, k)."""
     lengths: Array = np.sqrt(_ones(a.shape[-2]) @ (a * a))  # einsum takes twice the time

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, OneLine
 from hitchopt.geometry import Outline
-from hitchopt.geometry.vectors import dot, first_smallest, length, unit
+from hitchopt.geometry.vectors import cross, dot, first_smallest, length, turn, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.quadrotor import GRAVITY, Quadrotor
@@ -128,12 +128,6 @@ def _tangents(
     c, s = np.cos(side * angle), np.sin(side * angle)
     x, y = np.moveaxis(unit(to_middle), -1, 0)
     return np.stack([c * x - s * y, s * x + c * y], axis=-1), lengths, corner
-
-
-def turn(first: Array, second: Array) -> Array:
-    """Return the angles (…) [rad] from the first to the second vectors (…, 2), positive left."""
-    cross = first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
-    return np.asarray(np.arctan2(cross, np.sum(first * second, axis=-1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,8 +260,7 @@ def balanced(
         """Return the unbalanced horizontal force, and moment over size (…, 3) [N]."""
         parts = _parts(polygon, _raised(polygon, z, pull, at, load[..., 2]), at)
         pulls = pull[..., None] * unit(parts)
-        moments = at[..., 0] * pulls[..., 1] - at[..., 1] * pulls[..., 0]
-        pulls[..., 2] = moments / size
+        pulls[..., 2] = cross(at, pulls) / size
         return np.asarray(load * [1.0, 1.0, 0.0] - np.sum(pulls, axis=(-3, -2)))
 
     steps = DIFFERENCE_STEP, -DIFFERENCE_STEP
@@ -427,8 +420,8 @@ def rest_capacity(
     """
     n, limits = len(polygon), requirements.limits
     offsets, u = polygon.vertices - polygon.centroid, polygon.edge_directions
-    inradius = np.min(offsets[:, 1] * u[:, 0] - offsets[:, 0] * u[:, 1])
-    support = float(inradius) - height * MAX_LOAD_ACCELERATION / GRAVITY  # of the force line [m]
+    inradius = float(np.min(cross(u, offsets)))
+    support = inradius - height * MAX_LOAD_ACCELERATION / GRAVITY  # of the force line [m]
     unloaded = Team(n, cable_length, tension=tension, quadrotor=kind)
     shape = polygon.vertices[None], balanced_legs(unloaded, polygon)[None]
     spread = LegTask(unloaded, requirements, *shape, limits.leg, SPREAD_MARGIN)

@@ -18,7 +18,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.objects.placing import poses_of
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.values import check_instance, lazy, sequence
+from hitchopt.values import check_instance, lazy, sequence, true_runs
 
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
@@ -469,8 +469,7 @@ class Motion(OneLine):
         selected = self.in_states(states)
         if np.all(selected):  # phases may be shorter than any piece
             return (self,)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], selected, [False]])))
-        return tuple(self.on_pieces(*run) for run in edges.reshape(-1, 2).tolist())
+        return tuple(self.on_pieces(*run) for run in true_runs(selected))
 
     def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the phases that overlap the time from ``start`` to ``end`` [s]."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.geometry.vectors import dot, length, turn, unit
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
@@ -72,8 +72,7 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
     onward = np.roll(corners, -1, axis=-2) - corners
     previous, sizes = np.roll(onward, 1, axis=-2), length(onward)
-    right = previous[..., 1] * onward[..., 0] - previous[..., 0] * onward[..., 1]
-    turned = np.arctan2(right, dot(previous, onward))
+    turned = turn(onward, previous)
     feasible = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
     feasible &= np.all(turned >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
     feasible &= np.min(sizes, axis=-1) >= MIN_EDGE * np.mean(sizes, axis=-1)

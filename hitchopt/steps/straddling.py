@@ -11,9 +11,8 @@ import numpy as np
 
 from hitchopt.checks.objects import MIN_HINGE
 from hitchopt.errors import InfeasibleError, InputError, Violation
-from hitchopt.geometry.vectors import rotated
+from hitchopt.geometry.vectors import rotated, turn
 from hitchopt.hitch import Team
-from hitchopt.hitch.holding import turn
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject

@@ -62,6 +62,12 @@ def known(value: T | None) -> T:
     return value
 
 
+def true_runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the first and the last index, exclusive, of each run of true values of a mask (k,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
+    return [(first, last) for first, last in edges.reshape(-1, 2).tolist()]
+
+
 def form_of(value: object) -> str:
     """Return the form of a value, "" if it has none; records are mappings."""
     if is_dataclass(value):

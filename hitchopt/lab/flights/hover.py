@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.linalg import expm
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
@@ -30,7 +29,7 @@ from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight, Signal, drones_by_name
 from hitchopt.storage.files import with_nulls
 from hitchopt.storage.yaml_file import flow
-from hitchopt.values import Array, positive
+from hitchopt.values import Array, positive, true_runs
 from hitchopt.values import path as checked_path
 
 RATE = 50.0  # Of the samples that are compared [Hz]
@@ -340,7 +339,7 @@ class HoverSeries:
         slow = (level < MAX_LEVEL_SPEED) & (climb < MAX_CLIMB) & self.flying & self.visible
         slow = _bridged(slow, MAX_BREAK) & self.flying & self.still
         for kind in (COMMANDED, ABOVE_START):
-            for start, end in _runs(slow & (self.source == kind)):
+            for start, end in true_runs(slow & (self.source == kind)):
                 first = start + int(min(TRANSIENT * RATE, 0.5 * (end - start)))
                 mask = np.zeros(len(self.t), np.bool_)
                 mask[first:end] = True
@@ -359,7 +358,7 @@ class HoverSeries:
         if not {"mass", "kp", "kd"} <= set(gains):
             return None
         mask = (self.t >= self.began) & (self.t <= self.ended) & self.flying & self.visible
-        start, end = max(_runs(mask), key=lambda run: run[1] - run[0], default=(0, 0))
+        start, end = max(true_runs(mask), key=lambda run: run[1] - run[0], default=(0, 0))
         speed = length(self.commanded_velocity[start:end, :2])
         is_moving = np.sum(speed > MAX_COMMAND_SPEED) >= MIN_MOVING * RATE
         return slice(start, end) if is_moving else None
@@ -421,7 +420,7 @@ class HoverSeries:
         path = float(np.sum(speed[moving])) / RATE
         if np.sum(moving) < MIN_MOVING * RATE or path < MIN_PATH:
             return math.nan, math.nan
-        start, end = max(_runs(moving), key=lambda run: run[1] - run[0])
+        start, end = max(true_runs(moving), key=lambda run: run[1] - run[0])
         place, command = self.x[start:end, :2], self.commanded[start:end, :2]
         place = place if trim is None else place + _turned(trim, self.yaw[start:end])
         lags = np.arange(LAG_STEP, MAX_LAG, LAG_STEP)
@@ -643,15 +642,10 @@ def _since(t: Array, events: Array) -> Array:
     return np.asarray(t - np.where(i < 0, -np.inf, past))
 
 
-def _runs(mask: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Return the first and the last index, exclusive, of each run of true values."""
-    return [(run.start, run.stop) for (run,) in ndimage.find_objects(ndimage.label(mask)[0])]
-
-
 def _bridged(mask: NDArray[np.bool_], seconds: float) -> NDArray[np.bool_]:
     """Return a mask with gaps between true values up to a time closed."""
     bridged = mask.copy()
-    for start, end in _runs(~mask):
+    for start, end in true_runs(~mask):
         if start > 0 and end < len(mask) and end - start <= seconds * RATE:
             bridged[start:end] = True
     return bridged

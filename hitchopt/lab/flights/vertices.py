@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtrit
 
 from hitchopt.errors import OneLine
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import cross, length, unit
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.flights.recordings import Track, plan_at, taut_at
@@ -93,9 +93,8 @@ class _Edges:
         """
         off, u = x[:, None] - self.origin[time], self.along[time]
         s = np.sum(off[..., :2] * u, axis=-1)
-        lateral = off[..., 1] * u[..., 0] - off[..., 0] * u[..., 1]
         vertical = off[..., 2] - self.slope[time] * s
-        return s, np.stack([lateral, vertical, self.sag(s, time)], axis=-1)
+        return s, np.stack([cross(u, off), vertical, self.sag(s, time)], axis=-1)
 
     def sag(self, s: Array, time: Indices | slice = slice(None)) -> Array:
         """Return heights over the density at positions along edges (…, n) [m], zero at the ends."""
@@ -249,22 +248,18 @@ def _crossings(
     normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
     base = edges.origin[..., :2] + fit[..., 0, :1] * normal
     toward = u + fit[..., 1, :1] * normal
-    sine = _cross(toward[:, a], toward[:, b])
+    sine = cross(toward[:, a], toward[:, b])
     sine = np.where(np.abs(sine) < MIN_SINE, np.nan, sine)
     crossed = np.full((2, *edges.span.shape), np.nan)
     between = base[:, b] - base[:, a]
-    crossed[0][:, b] = _cross(between, toward[:, a]) / sine
-    crossed[1][:, a] = _cross(between, toward[:, b]) / sine
+    crossed[0][:, b] = cross(between, toward[:, a]) / sine
+    crossed[1][:, a] = cross(between, toward[:, b]) / sine
     heights = edges.origin[..., 2] + fit[..., 0, 1] + crossed * (edges.slope + fit[..., 1, 1])
     heights = heights + density * edges.sag(crossed)
     crossings = np.full((len(u), layout.points, 3), np.nan)
     crossings[:, layout.clasps, :2] = base[:, b] + crossed[0][:, b, None] * toward[:, b]
     crossings[:, layout.clasps, 2] = 0.5 * (heights[1][:, a] + heights[0][:, b])
     return crossings, crossed, sine
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _outlying(off: Array) -> NDArray[np.bool_]:
@@ -329,7 +324,7 @@ def marker_plan(task: Task) -> MarkerPlan:
         markers[:, k] = np.where(count > 1, [count, mean, squares], np.nan).T
         places.append(positions)
     u, ends = unit(edges[..., :2]), np.stack([0.0 * legs, length(edges)])
-    sine = _cross(u[:, layout.behind], u[:, layout.ahead])
+    sine = cross(u[:, layout.behind], u[:, layout.ahead])
     of_clasps = np.nan_to_num(relative_errors(markers, ends, sine, layout), nan=np.inf)
     errors = np.full((layout.points, 2), np.nan)
     if np.any(hitched):

@@ -17,9 +17,9 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import cross, length, turn, unit
 from hitchopt.hitch import Team
-from hitchopt.hitch.holding import Grip, turn
+from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.quadrotor import Quadrotor
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Section, SolidObject
@@ -171,7 +171,7 @@ class GripTask:
         """
         onward = unit(vertices[..., 1, :] - vertices[..., 0, :])
         arms = self.section.centroid - vertices[..., 0, :]
-        return np.asarray(onward[..., 0] * arms[..., 1] - onward[..., 1] * arms[..., 0])
+        return cross(onward, arms)
 
     def merit(self, grip: Grip) -> float:
         """Return the slip load over friction [N] of a grip, or minus its largest violation."""

@@ -19,9 +19,9 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from hitchopt.geometry.vectors import dot, length, unit
+from hitchopt.geometry.vectors import dot, length, turn, unit
 from hitchopt.hitch.forces import sag_factors
-from hitchopt.hitch.holding import turn, wraps_around
+from hitchopt.hitch.holding import wraps_around
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw

@@ -14,10 +14,10 @@ import numpy as np
 from hitchopt.checks import Check
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import length, rotated, unit
+from hitchopt.geometry.vectors import length, rotated, turn, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.holding import turn, wraps_around
+from hitchopt.hitch.holding import wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, PhaseHold, concatenated
 from hitchopt.motion.retiming import resting

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.geometry import Outline
-from hitchopt.geometry.vectors import GOLDEN, TIE
+from hitchopt.geometry.vectors import GOLDEN, TIE, cross
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
@@ -268,7 +268,6 @@ def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> As
     order = robots[np.argsort(roles)]
     gain = straight[order, k] - crossed[order, k]
     cables, edges = drones[1::2, :2][order] - drones[0::2, :2][order], last - first
-    turns = cables[:, 0] * edges[:, 1] - cables[:, 1] * edges[:, 0]
     # For equal costs cables turn counter-clockwise.
-    flipped = np.where(np.abs(gain) > TIE * size, gain > 0.0, turns < -TIE * size)
+    flipped = np.where(np.abs(gain) > TIE * size, gain > 0.0, cross(cables, edges) < -TIE * size)
     return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))

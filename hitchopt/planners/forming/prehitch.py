@@ -18,7 +18,7 @@ import numpy as np
 
 from hitchopt.checks.bodies import clasped_outlines
 from hitchopt.geometry import hull_distance
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import cross, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
@@ -159,12 +159,10 @@ class SwapEllipses:
         drones = self.drones(math.pi)[:, :2]
         r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
         back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
-        turn = back[:, 0] * onward[:, 1] - back[:, 1] * onward[:, 0]
-        offset = q - r  # = s back - t onward, at the lengths s and t beyond the crossing
-        s = offset[:, 0] * onward[:, 1] - offset[:, 1] * onward[:, 0]
-        t = offset[:, 0] * back[:, 1] - offset[:, 1] * back[:, 0]
-        parallel = np.full((2, len(turn)), -np.inf)
-        lengths = np.divide(np.stack([s, t]), turn, out=parallel, where=turn != 0.0)
+        turn, offset = cross(back, onward), q - r
+        # offset = s back - t onward, at the lengths s and t beyond the crossing
+        both = np.stack([cross(offset, onward), cross(offset, back)])
+        lengths = np.divide(both, turn, out=np.full_like(both, -np.inf), where=turn != 0.0)
         return float(np.min(lengths, initial=np.inf))
 
     def clasp_points(self, hitch: Hitch) -> Array:

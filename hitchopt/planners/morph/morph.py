@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import length, turn
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
@@ -76,9 +76,7 @@ SHAPE_SAMPLES = 401  # Number of points of the path at which shapes are checked 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
     """Return the right turns (…, clasps) [rad] of edges (…, n, 2) at each clasp."""
     ahead, behind = edges[..., layout.ahead, :], edges[..., layout.behind, :]
-    right = behind[..., 1] * ahead[..., 0] - behind[..., 0] * ahead[..., 1]
-    angles: Array = np.arctan2(right, np.sum(behind * ahead, axis=-1))
-    return angles
+    return turn(ahead, behind)
 
 
 def check_shapes(path: Path) -> None:
