@@ -26,6 +26,11 @@ if TYPE_CHECKING:
 
 MAX_LISTED = 5  # Maximum number of findings listed per rule
 HOWS = ("hold", "back", "release_and_land", "land")  # Aborts; the last two end a flight
+# Options for the place of a plan in the frame of files or of drones
+PLACEMENT = (
+    option("--origin", "The plan's: east, north, up [m] in that frame.", (0.0, 0.0, 0.0), "X Y Z"),
+    option("--yaw-deg", "Turns the plan there, counter-clockwise from above.", 0.0, "DEG"),
+)
 # Default first port; PX4's simulated vehicle i listens on 14580 + i
 PORT = {"json": 14600, "mavlink": 14580}
 
@@ -37,18 +42,7 @@ PORT = {"json": 14600, "mavlink": 14580}
         "-o --output", "Folder, or the file where there is but one; else DIR-NAME.", PATH, "PATH"
     ),
     option("--frame", "enu, nwu or ned; by default the format's usual.", str, "FRAME"),
-    option(
-        "--origin",
-        "The plan's origin in the file's frame: east, north, up [m].",
-        (0.0, 0.0, 0.0),
-        "X Y Z",
-    ),
-    option(
-        "--yaw-deg",
-        "Angle by which the plan is turned there, counter-clockwise from above.",
-        0.0,
-        "DEG",
-    ),
+    *PLACEMENT,
     option(
         "--fleet",
         "YAML: drones: {q0: {name: cf1, uri: radio://…, type: cf21}, …}, or a crazyflies.yaml"
@@ -286,13 +280,7 @@ def _default_abort(motion: ho.Motion) -> str:
         "HOST:PORT",
     ),
     option("--fleet", "Names of the Crazyflies.", PATH, "FILE"),
-    option(
-        "--origin",
-        "The plan's origin for the drones: east, north, up [m].",
-        (0.0, 0.0, 0.0),
-        "X Y Z",
-    ),
-    option("--yaw-deg", "Angle by which the plan is turned.", 0.0, "DEG"),
+    *PLACEMENT,
     option("--rate", "Setpoints per second and drone.", 50.0, "HZ"),
     option(
         "--how",

@@ -26,7 +26,7 @@ from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.flights.readers import read_flight
-from hitchopt.lab.flights.recordings import RecordedFlight, Signal, drones_by_name
+from hitchopt.lab.flights.recordings import RecordedFlight, Signal, drones_by_name, interpolated
 from hitchopt.storage.files import with_nulls
 from hitchopt.storage.yaml_file import flow
 from hitchopt.values import Array, positive, true_runs
@@ -625,8 +625,8 @@ def _velocity(t: Array, x: Array) -> Array:
     """Return velocities (times, 3) [m/s], means over SPEED_TIME."""
     half = 0.5 * SPEED_TIME
     ahead, behind = (np.clip(t + sign * half, t[0], t[-1]) for sign in (1.0, -1.0))
-    steps = [np.interp(ahead, t, each) - np.interp(behind, t, each) for each in x.T]
-    return np.stack(steps, axis=1) / np.maximum(ahead - behind, 1e-9)[:, None]
+    steps = interpolated(ahead, t, x) - interpolated(behind, t, x)
+    return steps / np.maximum(ahead - behind, 1e-9)[:, None]
 
 
 def _turned(vectors: Array, yaw: Array | float) -> Array:

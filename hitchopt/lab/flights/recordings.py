@@ -58,6 +58,11 @@ TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that i
 INTERPOLATION_ERROR, CORRELATION_TIME = 1e-2, 0.1
 
 
+def interpolated(times: Array, t: Array, values: Array) -> Array:
+    """Return values (times, k) between rows of values (m, k) at times t (m,)."""
+    return np.stack([np.interp(times, t, column) for column in values.T], axis=-1)
+
+
 @dataclass(frozen=True, eq=False)
 class Signal(OneLine):
     """Samples of one of QUANTITIES.
@@ -76,8 +81,7 @@ class Signal(OneLine):
 
     def at(self, t: Array) -> Array:
         """Return interpolated values (times, k); quaternions are interpolated linearly."""
-        columns = [np.interp(t, self.t, each) for each in self.values.T]
-        return np.stack(columns, axis=-1)
+        return interpolated(t, self.t, self.values)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +102,7 @@ class Track(OneLine):
 
     def at(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Return interpolated positions (times, 3) [m], and whether the body is visible then."""
-        x = np.column_stack([np.interp(t, self.t, axis) for axis in self.positions.T])
+        x = interpolated(t, self.t, self.positions)
         i = np.searchsorted(self.t, t)
         gaps = np.abs(self.t[np.clip([i - 1, i], 0, len(self.t) - 1)] - t).min(axis=0)
         step = np.median(np.diff(self.t)) if len(self.t) > 1 else 0.0
@@ -230,8 +234,8 @@ def fitted_shift(
         inside = (t >= reference[0, 0]) & (t <= reference[-1, 0])
         if np.mean(inside) < MIN_OVERLAP:
             return np.inf
-        at = [np.interp(t[inside], reference[:, 0], x) for x in reference.T[1:]]
-        squares = np.sum((own[inside, 1:] - np.stack(at, axis=1)) ** 2, axis=1)
+        at = interpolated(t[inside], reference[:, 0], reference[:, 1:])
+        squares = np.sum((own[inside, 1:] - at) ** 2, axis=1)
         return float(np.sqrt(np.mean(np.minimum(squares, np.quantile(squares, 0.95)))))
 
     shifts = np.arange(span[0], span[1] + SHIFT_STEP, SHIFT_STEP)

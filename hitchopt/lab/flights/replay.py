@@ -23,7 +23,7 @@ from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.lab.flights.readers import read_flight
-from hitchopt.lab.flights.recordings import RecordedFlight
+from hitchopt.lab.flights.recordings import RecordedFlight, interpolated
 from hitchopt.lab.simulation.estimator import Filter, rotation
 from hitchopt.values import Array
 from hitchopt.values import path as checked_path
@@ -209,8 +209,7 @@ def attitudes_at(t: Array, quaternions: Array, times: Array) -> Array:
     """Return attitudes (times, 3, 3) between quaternions (m, 4) at times (m,)."""
     signs = np.cumprod(np.where(np.sum(quaternions[1:] * quaternions[:-1], axis=1) < 0, -1.0, 1.0))
     smooth = quaternions * np.append(1.0, signs)[:, None]
-    values = np.stack([np.interp(times, t, x) for x in smooth.T], axis=1)
-    return np.asarray(Rotation.from_quat(values).as_matrix())
+    return np.asarray(Rotation.from_quat(interpolated(times, t, smooth)).as_matrix())
 
 
 def gyro_delay(t: Array, attitudes: Array, rates_at: Any) -> float:
@@ -244,11 +243,10 @@ def cable_pulls(flight: RecordedFlight, t: Array, load: float = 1.0) -> Array:
 def smoothed(t: Array, values: Array, time: float = SMOOTHING, order: int = 0) -> Array:
     """Return values (m, k), or a derivative of them, smoothed over a time [s]."""
     grid = np.arange(t[0], t[-1], 1.0 / RATE)
-    even = np.stack([np.interp(grid, t, x) for x in values.T], axis=1)
-    even = gaussian_filter1d(even, time * RATE, axis=0, mode="nearest")
+    even = gaussian_filter1d(interpolated(grid, t, values), time * RATE, axis=0, mode="nearest")
     for _ in range(order):
         even = np.gradient(even, 1.0 / RATE, axis=0)
-    return np.stack([np.interp(t, grid, x) for x in even.T], axis=1)
+    return interpolated(t, grid, even)
 
 
 def derivative(t: Array, values: Array, time: float = SMOOTHING) -> Array:

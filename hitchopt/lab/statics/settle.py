@@ -164,6 +164,14 @@ class Settled(OneLine):
         return tuple(f"p{k}" for k in clasps[~self.bears.reshape(-1, len(clasps)).all(axis=0)])
 
 
+def motion_of(plan: Plan | Motion, feature: str) -> Motion:
+    """Return the motion of a plan; UnsupportedError for several teams or rings that change."""
+    check_instance("plan", plan, Plan, Motion)
+    motion = plan.motion if isinstance(plan, Plan) else plan
+    motion.require_one_team(feature, others=False)
+    return motion
+
+
 def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     """Return the rest of a plan's hitch: positions of drones and vertices, and tensions.
 
@@ -189,9 +197,7 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     UnsupportedError: single drones, several teams, or objects that are carried.
     InfeasibleError: there is no rest.
     """
-    check_instance("plan", plan, Plan, Motion)
-    motion = plan.motion if isinstance(plan, Plan) else plan
-    motion.require_one_team("settle", others=False)
+    motion = motion_of(plan, "settle")
     resolved = conditions_of(motion.team, **conditions)
     shape, samples = samples_of(motion, t, resolved)
     size = max(1, BLOCK // motion.team.robots)

@@ -28,13 +28,14 @@ from hitchopt.lab.statics.settle import (
     Settled,
     conditions_of,
     energy_of,
+    motion_of,
     samples_of,
     settle,
 )
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.values import Array, as_array, check_instance, nonnegative
+from hitchopt.values import Array, as_array, nonnegative
 
 DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
 PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
@@ -193,9 +194,7 @@ def tolerance(
     UnsupportedError: a plan without a taut hitch, or of several teams.
     InfeasibleError: there is no rest.
     """
-    check_instance("plan", plan, Plan, Motion)
-    motion = plan.motion if isinstance(plan, Plan) else plan
-    motion.require_one_team("tolerance", others=False)
+    motion = motion_of(plan, "tolerance")
     sizes = {"cable": cable_error, "position": position_error, "force": force_error}
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
