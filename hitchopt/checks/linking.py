@@ -68,7 +68,7 @@ from hitchopt.checks.spans import (
 )
 from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
-from hitchopt.geometry.vectors import length, unit
+from hitchopt.geometry.vectors import left_of, length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import cable_of, sag_factors
@@ -224,7 +224,7 @@ def _outside_sheet(spans: PairSpans) -> Flags:
     nearest = np.argmin(np.linalg.norm(directions, axis=-1), axis=1)
     edgewise = np.take_along_axis(directions, nearest[:, None, None], axis=1)[:, 0]
     chord = ring[:, 0] - ring[:, -2]
-    sideways = np.column_stack([-chord[:, 1], chord[:, 0], np.zeros(len(chord))])
+    sideways = left_of(chord)
     sideways *= np.sign(np.sum(sideways * ring[:, 0], axis=1))[:, None]
     outside = np.zeros(len(spans), dtype=np.bool_)
     for direction in (edgewise, sideways):

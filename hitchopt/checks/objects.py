@@ -29,7 +29,7 @@ from hitchopt.checks.spans import (
     leg_vectors,
     magnitude,
 )
-from hitchopt.geometry.vectors import cross, unit
+from hitchopt.geometry.vectors import cross, left_of, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import centre_path, held_pieces, reduce_constants, rim_drop, tautness
@@ -517,7 +517,7 @@ def force_line(spans: Resting) -> Bound:
     places, body = spans.places, spans.body
     centre = body.centre_of_mass
     edges = unit(np.roll(places, -1, axis=1) - places)
-    inward = np.stack([edges[..., 1], -edges[..., 0]], axis=-1)  # of clockwise edges
+    inward = -left_of(edges)  # of clockwise edges
     gaps = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
     horizontal = add_axis(rotate_back(spans.acceleration.xy, heading))

@@ -34,6 +34,13 @@ def cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
+def left_of(a: Array) -> Array:
+    """Return level parts of vectors (…, 2 or 3) turned to the left by a right angle; z is 0."""
+    turned = np.zeros_like(a)
+    turned[..., 0], turned[..., 1] = -a[..., 1], a[..., 0]
+    return turned
+
+
 def turn(first: Array, second: Array) -> Array:
     """Return the angles (…) [rad] from the first to the second vectors (…, 2), positive left."""
     return np.asarray(np.arctan2(cross(first, second), np.add.reduce(first * second, axis=-1)))

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, OneLine
 from hitchopt.geometry import Outline
-from hitchopt.geometry.vectors import cross, dot, first_smallest, length, turn, unit
+from hitchopt.geometry.vectors import cross, dot, first_smallest, left_of, length, turn, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.quadrotor import GRAVITY, Quadrotor
@@ -82,8 +82,7 @@ def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) 
     b, chord = -b, onward - vertices
     straight, right = unit(chord), -turn(a, b)
     if bends is None:
-        left = np.stack([-straight[..., 1], straight[..., 0]], axis=-1)
-        nearest = np.argmax(left @ section.core.T, axis=-1)[..., None]
+        nearest = np.argmax(left_of(straight) @ section.core.T, axis=-1)[..., None]
         corners = np.stack([corner, corner_after], axis=-1)
         bends = Bends(right > 0.0, np.where((right > 0.0)[..., None], corners, nearest))
     touching = np.broadcast_to(bends.touching, right.shape)
@@ -253,7 +252,7 @@ def balanced(
     polygon, z = clasps[..., :2], clasps[..., 2]
     size = np.mean(length(arms), axis=(-2, -1))[..., None, None]
     at, pull = _contacts_at_clasps(arms), np.stack([T, np.roll(T, 1, axis=-1)], axis=-1)
-    rotation = np.stack([-polygon[..., 1], polygon[..., 0]], axis=-1) / size
+    rotation = left_of(polygon) / size
     moves = np.stack([0.0 * rotation + [1.0, 0.0], 0.0 * rotation + [0.0, 1.0], rotation])
 
     def residual(polygon: Array) -> Array:

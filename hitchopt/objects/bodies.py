@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
-from hitchopt.geometry.vectors import dot, first_smallest, length, unit
+from hitchopt.geometry.vectors import dot, first_smallest, left_of, length, unit
 from hitchopt.values import (
     Array,
     ByValue,
@@ -91,7 +91,7 @@ class Section(ByValue):
     def _normals(self) -> Array:
         """(m, 2): outward unit normals of a polygon's sides."""
         edges = self.sides[:, 1] - self.sides[:, 0]  # clockwise
-        return unit(np.stack([-edges[:, 1], edges[:, 0]], axis=-1))
+        return unit(left_of(edges))
 
     def support(self, directions: Array) -> Array:
         """Return the support function (…) [m]: largest products of directions (…, 2) and points."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.geometry.vectors import dot, length, turn, unit
+from hitchopt.geometry.vectors import dot, left_of, length, turn, unit
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
@@ -65,7 +65,7 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     regular = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
     shapes = np.einsum("aj,kj,tnj,aji->aktni", widths, ratios, regular, axes).reshape(-1, n, 2)
     edges = unit(np.roll(shapes, -1, axis=-2) - shapes)
-    outward = np.stack([-edges[..., 1], edges[..., 0]], axis=-1)
+    outward = left_of(edges)
     distances = section.support(outward) + clearance
     pairs = np.stack([np.roll(outward, 1, axis=-2), outward], axis=-2)
     reaches = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)

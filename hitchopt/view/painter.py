@@ -21,7 +21,7 @@ from matplotlib.patheffects import withStroke
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy.spatial.transform import Rotation
 
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import left_of, unit
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view import style
@@ -163,7 +163,7 @@ class Painter:
         points = self.camera.project(curves)
         first, last = points[:, :-1].reshape(-1, 3), points[:, 1:].reshape(-1, 3)
         along = unit((last - first) * [1.0, 1.0, 0.0])
-        across = width * np.stack([-along[:, 1], along[:, 0], np.zeros(len(along))], axis=-1)
+        across = width * left_of(along)
         first, last = first - extension * along, last + extension * along
         return np.stack([first - across, first + across, last + across, last - across], axis=1)
 

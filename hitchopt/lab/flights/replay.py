@@ -19,7 +19,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, OneLine
-from hitchopt.geometry.vectors import dot, length
+from hitchopt.geometry.vectors import dot, left_of, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.lab.flights.readers import read_flight
@@ -199,7 +199,7 @@ class Series:
             steady = (self.t > self.t[0] + STEADY_START).astype(np.float64)
             ramp = gaussian_filter1d(steady, SMOOTHING * RATE)
             pull = ramp[:, None] * np.array([1.0, 0.0, 0.0])
-        level = np.stack([-pull[:, 1], pull[:, 0], 0.0 * pull[:, 0]], axis=1)
+        level = left_of(pull)
         turn = -LEAN / max(_rms(length(level)), 1e-9) * level
         turning = np.einsum("iba,ib->ia", self.known, derivative(self.t, turn, 0.5 * SMOOTHING))
         return rotation(turn) @ self.known, self.rates + turning

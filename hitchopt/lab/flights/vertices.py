@@ -20,7 +20,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtrit
 
 from hitchopt.errors import OneLine
-from hitchopt.geometry.vectors import cross, length, unit
+from hitchopt.geometry.vectors import cross, left_of, length, unit
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.flights.recordings import Track, plan_at, taut_at
@@ -245,7 +245,7 @@ def _crossings(
     without a crossing, and sines of the angles (t, clasps).
     """
     u, (a, b) = edges.along, (layout.behind, layout.ahead)
-    normal = np.stack([-u[..., 1], u[..., 0]], axis=-1)
+    normal = left_of(u)
     base = edges.origin[..., :2] + fit[..., 0, :1] * normal
     toward = u + fit[..., 1, :1] * normal
     sine = cross(toward[:, a], toward[:, b])

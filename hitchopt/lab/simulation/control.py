@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.geometry.vectors import EAST, length, unit
+from hitchopt.geometry.vectors import EAST, left_of, length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.quadrotor import MEASURED, Quadrotor, kinds_of
 from hitchopt.lab.feedback import Feedback
@@ -119,7 +119,7 @@ class FlownDrones:
         kinds, team = flown_kinds(task, settings), task.team
         trims = np.array([kind.trim or (0.0, 0.0) for kind in kinds])
         lean = stiffness[:, :1] * trims / (GRAVITY * team.mass[:, None])  # tangents of tilts
-        axis, size = np.column_stack([-lean[:, 1], lean[:, 0]]), length(lean)
+        axis, size = left_of(lean), length(lean)
         angle = np.arctan(size) / np.maximum(size, 1e-12)
         turns = Rotation.from_rotvec(np.insert(axis * angle[:, None], 2, 0.0, axis=1)).as_matrix()
         drag = settings.perturbations.rotor_drag

@@ -17,7 +17,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
-from hitchopt.geometry.vectors import cross, length, turn, unit
+from hitchopt.geometry.vectors import cross, left_of, length, turn, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.quadrotor import Quadrotor
@@ -73,7 +73,7 @@ class HoldPolygons:
 def sides_of(polygon: Array) -> tuple[Array, Array]:
     """Return outward normals (…, n, 2) of a clockwise polygon's edges, and their offsets [m]."""
     onward = np.roll(polygon, -1, axis=-2) - polygon
-    outward = unit(np.stack([-onward[..., 1], onward[..., 0]], axis=-1))
+    outward = unit(left_of(onward))
     return outward, np.sum(outward * polygon, axis=-1)
 
 
@@ -456,7 +456,7 @@ def _axes(section: Section) -> tuple[Array, Array]:
     if len(core) < 3:
         return np.eye(2), np.full(2, section.rounding)
     sides = unit(np.roll(core, -1, axis=0) - core)
-    frames = np.stack([sides, np.stack([-sides[:, 1], sides[:, 0]], axis=1)], axis=2)
+    frames = np.stack([sides, left_of(sides)], axis=2)
     widths = np.ptp(np.einsum("pd,sdi->spi", core, frames), axis=1)  # (sides, 2)
     best = int(np.argmin(np.prod(widths, axis=1)))
     return frames[best], 0.5 * widths[best]

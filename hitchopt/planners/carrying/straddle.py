@@ -19,7 +19,7 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from hitchopt.geometry.vectors import dot, length, turn, unit
+from hitchopt.geometry.vectors import dot, left_of, length, turn, unit
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.hitch.holding import wraps_around
 from hitchopt.objects.placing import in_world
@@ -39,11 +39,6 @@ that at which drones pass each other."""
 
 ITERATIONS = 8
 """Fixed-point steps of the length of edges, whose sag changes as they bend."""
-
-
-def left_of(directions: Array) -> Array:
-    """Return level directions (…, 2) turned to the left by a right angle."""
-    return np.stack([-directions[..., 1], directions[..., 0]], axis=-1)
 
 
 class Place(NamedTuple):

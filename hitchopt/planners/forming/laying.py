@@ -17,6 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.vectors import left_of
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
@@ -225,7 +226,7 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     sag = float(np.max(Catenary.between(q, r, team.cable_length).depth(0.0) + np.abs(r - q)[:, 2]))
     distance = planned_distance(separation)
     u = hitch.polygon.edge_directions
-    outward = np.column_stack([-u[:, 1], u[:, 0]])
+    outward = left_of(u)
     step = OFFSET_STEP * float(np.mean(team.cable_length))
 
     def candidates() -> Iterator[tuple[float, Laying]]:

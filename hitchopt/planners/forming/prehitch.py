@@ -18,7 +18,7 @@ import numpy as np
 
 from hitchopt.checks.bodies import clasped_outlines
 from hitchopt.geometry import hull_distance
-from hitchopt.geometry.vectors import cross, unit
+from hitchopt.geometry.vectors import cross, left_of, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
@@ -294,7 +294,7 @@ def _ellipses(
         edges = unit(layout.edges(hitch.vertices))
         along = unit(edges[layout.behind] + edges[layout.ahead])
         offsets -= np.sum(offsets * along, axis=1, keepdims=True) * along
-    outward = np.column_stack([-along[:, 1], along[:, 0], np.zeros(len(along))])
+    outward = left_of(along)
     upward = math.cos(tilt) * np.array([0.0, 0.0, 1.0]) - math.sin(tilt) * outward
     # The scaled chord and w are orthogonal: both axes of the ellipse need the separation.
     w = separation.scale * [0.0, math.sin(tilt), math.cos(tilt)]

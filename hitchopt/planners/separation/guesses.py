@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import InfeasibleError, Violation, check_time
-from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, length, unit
+from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, left_of, length, unit
 from hitchopt.hitch.requirements import Prism
 from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, Setting, inside
 from hitchopt.planners.timing.ramps import fastest_ramps
@@ -187,7 +187,7 @@ def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> tupl
     Segments that miss the prism exit before they enter.
     """
     edges = prism.polygon.edge_vectors
-    sides = unit(np.column_stack([-edges[:, 1], edges[:, 0], np.zeros(len(edges))]))
+    sides = unit(np.insert(left_of(edges), 2, 0.0, axis=1))
     supports = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
     normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
     offsets = np.concatenate([supports, [-prism.lower, prism.upper]]) + distance
@@ -204,7 +204,7 @@ def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> tupl
 def _widened(outline: Array, distance: float) -> Array:
     """Return the corners of a clockwise outline offset outward by a distance [m]."""
     edges = np.roll(outline, -1, axis=0) - outline
-    outward = unit(np.column_stack([-edges[:, 1], edges[:, 0]]))
+    outward = unit(left_of(edges))
     middle = np.roll(outward, 1, axis=0) + outward
     widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
     return widened
@@ -282,9 +282,8 @@ def rightward(velocity: Array, min_speed: float) -> Array:
 
     East for vertical velocities, and below ``min_speed``, where rounding dominates.
     """
-    right = np.column_stack([velocity[:, 1], -velocity[:, 0], np.zeros(len(velocity))])
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    return unit(right, EAST, np.maximum(1e-3 * speed, min_speed))
+    return unit(left_of(-velocity), EAST, np.maximum(1e-3 * speed, min_speed))
 
 
 def _other_pushes(setting: Setting, points: Array) -> Array:
