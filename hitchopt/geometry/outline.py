@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import EXCHANGED, InputError
-from hitchopt.geometry.vectors import cross, turn
+from hitchopt.geometry.vectors import cross, rotated, turn
 from hitchopt.values import Array, ByValue, finite, integer, points, positive
 
 MIN_EXTERIOR_ANGLE = 1e-6
@@ -99,8 +99,7 @@ class Outline(ByValue, ABC):
 
     def rotated(self, angle: float) -> Self:
         """Return the outline rotated counter-clockwise about the origin by ``angle`` [rad]."""
-        c, s = math.cos(angle), math.sin(angle)
-        return type(self)(self.vertices @ np.array([[c, s], [-s, c]]))
+        return type(self)(rotated(self.vertices, angle))
 
     def scaled(self, factor: float) -> Self:
         """Return the outline scaled about its centroid by ``factor`` > 0."""

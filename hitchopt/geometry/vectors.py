@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -70,7 +71,7 @@ def unit(a: Array, fallback: ArrayLike = 0.0, min_length: ArrayLike = 0.0) -> Ar
 
 def rotated(a: Array, angle: float) -> Array:
     """Return vectors (…, 2) rotated counter-clockwise by an angle [rad]."""
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = math.cos(angle), math.sin(angle)
     turned: Array = a @ np.array([[c, s], [-s, c]])
     return turned
 

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, certify
 from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.geometry import Outline
-from hitchopt.geometry.vectors import column_lengths, length
+from hitchopt.geometry.vectors import column_lengths, length, rotated
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.hitch import cable_slack, checked_polygon
 from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
@@ -237,8 +237,7 @@ class Replanner(OneLine):
             vertices[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
             return checked_polygon(team, vertices), goal.altitude, 0.0
         centroid = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
-        c, s = math.cos(yaw), math.sin(yaw)
-        vertices = (own.vertices - own.centroid) @ np.array([[c, s], [-s, c]]) + centroid[:2]
+        vertices = rotated(own.vertices - own.centroid, yaw) + centroid[:2]
         return checked_polygon(team, vertices), float(centroid[2]), yaw
 
     def _departures(self, at: float) -> Iterator[_Departure | str]:

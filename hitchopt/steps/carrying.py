@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,6 +14,7 @@ import numpy as np
 from hitchopt.checks.objects import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
+from hitchopt.geometry.vectors import rotated
 from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
@@ -254,9 +254,7 @@ def _renumbered(
         end, goal = (points @ np.array([1.0, 1.0j]) for points in (polygons.around, start))
         products = [np.vdot(np.roll(end, -k), goal) for k in range(len(end))]
         angle = float(np.angle(max(products, key=abs))) - body.yaw
-        c, s = math.cos(angle), math.sin(angle)
-        turn = np.array([[c, s], [-s, c]])
-        polygons = HoldPolygons(polygons.around @ turn, polygons.clasps @ turn)
+        polygons = HoldPolygons(*(rotated(x, angle) for x in (polygons.around, polygons.clasps)))
     around = polygon_at(body, polygons.around)
     end = around.vertices - around.centroid
     squares = [np.sum((np.roll(end, -k, axis=0) - start) ** 2) for k in range(len(end))]
