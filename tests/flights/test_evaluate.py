@@ -303,7 +303,7 @@ def test_other_movements_of_the_same_hitch_are_refused(camera: Camera) -> None:
             align(flight, task_with_movement(target, size * np.asarray(waves)))
 
 
-@pytest.mark.parametrize("name", ["small", "triangle"])
+@pytest.mark.parametrize("name", ["small", pytest.param("triangle", marks=pytest.mark.slow)])
 def test_standard_errors_of_clocks_are_those_over_seeds(name: str) -> None:
     """Deviations of drones are correlated over a second, and partly common to all drones."""
     target = small_movement()[0] if name == "small" else task(name)

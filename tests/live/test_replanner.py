@@ -190,7 +190,7 @@ def test_goals_are_checked(key: str, given: dict[str, Any]) -> None:
         steered().retarget(**({"at": 0.5} | given))
 
 
-@pytest.mark.parametrize("late", [-1e-7, 0.0, 1e-10, 1e-7, 1e-5, 9e-4])
+@pytest.mark.parametrize("late", [-1e-7, 1e-7, 9e-4])
 def test_plans_can_be_left_just_after_a_break(late: float) -> None:
     """A piece that is hardly flown has derivatives of rounding alone: a little more is flown.
 

@@ -56,7 +56,7 @@ def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) 
     return flights
 
 
-@pytest.mark.parametrize("least", [0.3, 0.7])
+@pytest.mark.parametrize("least", [0.3, pytest.param(0.7, marks=pytest.mark.slow)])
 def test_variable_tensions_stay_within_their_range_and_return(least: float) -> None:
     start, end = ends(WEAK, SQUARE, SQUARE.rotated(0.9).translated([0.5, 0.2]))
     eased = found(start, end, (least, 0.8))
