@@ -19,7 +19,6 @@ from scipy.interpolate import BSpline
 
 import hitchopt as ho
 from benchmarks.measuring import Table, parser, slope, timed
-from hitchopt.mission.loading import any_problem_from_dict, of_kind
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import antipodal_circle, random_crowd, random_team
 
@@ -33,11 +32,6 @@ CIRCLES, SMALL, CROWDS, TEAMS = (6, 12, 24, 64, 200), (6, 12, 24), (100, 300, 10
 DEGREE, POINTS, KNOTS, FIXED = 5, 14, 24, 3
 """Degree, number of control points and number of knots of the rival's splines; number of control
 points at either end that are fixed by rest."""
-
-
-def problem_of(data: dict[str, object]) -> ho.Problem:
-    """Return a problem of single drones."""
-    return of_kind(any_problem_from_dict(data), "swarm")
 
 
 def bound(problem: ho.Problem) -> float:
@@ -62,10 +56,10 @@ COLUMNS = ("processor [s]", "duration [s]", "over bound", "separation, all t", "
 def circles(table: Table) -> None:
     """Add the circles."""
     table.section("Circles", "N", *COLUMNS)
-    ho.separate(problem_of(antipodal_circle(2)))  # imports are not measured
+    ho.separate(ho.problem_from_dict(antipodal_circle(2)))  # imports are not measured
     times = []
     for n in CIRCLES:
-        row = cells(problem_of(antipodal_circle(n)))
+        row = cells(ho.problem_from_dict(antipodal_circle(n)))
         times.append(row[0])
         table.row(n, *row)
     table.note(f"time grows as N^{slope(CIRCLES, times):.2f}")
@@ -76,7 +70,7 @@ def random(table: Table) -> None:
     times, ratios, failed = [], [], []
     for seed in range(TEAMS):
         try:
-            elapsed, _, ratio, *_ = cells(problem_of(random_team(seed)))
+            elapsed, _, ratio, *_ = cells(ho.problem_from_dict(random_team(seed)))
         except ho.InfeasibleError:
             failed.append(str(seed))
             continue
@@ -92,7 +86,7 @@ def crowds(table: Table) -> None:
     """Add the crowds."""
     table.section("Crowds between random places", "N", *COLUMNS)
     for n in CROWDS:
-        table.row(n, *cells(problem_of(random_crowd(n))))
+        table.row(n, *cells(ho.problem_from_dict(random_crowd(n))))
 
 
 def rival(table: Table) -> None:
@@ -100,7 +94,9 @@ def rival(table: Table) -> None:
     columns = ("N", "processor [s]", "duration [s]", "separation, 2000 samples")
     table.section("Plain casadi and IPOPT on circles", *columns)
     for n in SMALL:
-        (duration, separation), elapsed = timed(partial(fly, problem_of(antipodal_circle(n))))
+        (duration, separation), elapsed = timed(
+            partial(fly, ho.problem_from_dict(antipodal_circle(n)))
+        )
         table.row(n, elapsed, duration, separation)
 
 

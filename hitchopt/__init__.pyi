@@ -49,9 +49,8 @@ from hitchopt.lab.sweeps.sweep import SweepError as SweepError
 from hitchopt.lab.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
 from hitchopt.live.player import Player as Player, Setpoints as Setpoints
 from hitchopt.live.replanner import Replanner as Replanner, Retarget as Retarget
-from hitchopt.mission.loading import load_problem as load_problem, load_swarm as load_swarm
+from hitchopt.mission.loading import load_problem as load_problem
 from hitchopt.mission.loading import problem_from_dict as problem_from_dict
-from hitchopt.mission.loading import read_problem as read_problem
 from hitchopt.mission.others import Other as Other
 from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
 from hitchopt.mission.problem import Problem as Problem

@@ -135,18 +135,20 @@ def _seconds(limit: Any) -> float | None:
     return None if limit is None else positive("limit", limit)
 
 
-def _loaded(problem: Any, kind: Literal["hitch", "swarm"] | None = None) -> Problem:
+def _loaded(given: Any, kind: Literal["hitch", "swarm"] | None = None) -> Problem:
     """Return a problem, of a kind if specified, loaded if it is a path."""
     from hitchopt.mission import loading  # heavy
 
-    if isinstance(problem, str | Path):
-        problem = loading.read_problem(problem)
+    problem = loading.load_problem(given) if isinstance(given, str | Path) else given
     if not isinstance(problem, Problem):
         remedy = "read one with load_problem, or convert a dict with problem_from_dict"
         raise InputError("problem", problem, "a path or a hitchopt.Problem", remedy)
-    if isinstance(problem, Mission):
-        problem = problem.problem
-    return problem if kind is None else loading.of_kind(problem, kind)
+    problem = problem.problem if isinstance(problem, Mission) else problem
+    if kind is not None and problem.kind != kind:
+        key = "teams" if problem.kind == "teams" else "team"
+        robots = "catenary robots" if kind == "hitch" else "single drones"
+        raise InputError(key, problem.kind, f"one team of {robots}", "solve plans all kinds")
+    return problem
 
 
 @dataclass(frozen=True, eq=False)

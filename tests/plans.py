@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 
 import hitchopt as ho
-from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 
 ROOT = Path(__file__).parents[1]
 PROBLEMS = ROOT / "problems"
@@ -36,7 +36,7 @@ def planned_of(problem: Mapping[str, object]) -> ho.Plan:
     """Return the plan of a problem's mapping."""
     text = json.dumps(problem, sort_keys=True)
     key = hashlib.sha256(text.encode()).hexdigest()[:16]
-    return _stored(key, lambda: ho.solve(any_problem_from_dict(problem)))
+    return _stored(key, lambda: ho.solve(problem_from_dict(problem)))
 
 
 def _stored(key: str, plan_now: Callable[[], ho.Plan]) -> ho.Plan:

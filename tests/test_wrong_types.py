@@ -80,7 +80,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.solve, {"problem": ho.Problem(TEAM, START, (ho.Hold(1.0),)), "limit": None}),
     *((call, {"problem": NOWHERE}) for call in (ho.separate, ho.suggestions, ho.repair)),
     (ho.lint, {"path": NOWHERE}),
-    *((call, {"path": NOWHERE}) for call in (ho.read_problem, ho.load_problem, ho.load_swarm)),
+    *((call, {"path": NOWHERE}) for call in (ho.load_problem,)),
     *((call, {"directory": NOWHERE}) for call in (ho.load, ho.load_sweep)),
     *((call, {"plan": PLAN, "t": AFTER}) for call in (ho.settle, ho.tolerance)),
     (ho.certify, {"motion": PLAN.motion}),

@@ -65,7 +65,7 @@ def write_gallery() -> dict[Path, str]:
 
 def program(file: Path) -> str:
     """Return a Python program that solves the problem of a file."""
-    problem = python(ho.read_problem(file)).replace(f"{PROBLEMS}/", "")
+    problem = python(ho.load_problem(file)).replace(f"{PROBLEMS}/", "")
     imports = ["import math\n"] * ("math." in problem) + ["import hitchopt as ho\n"]
     last = f'plan = ho.solve(problem)\nprint(plan)\nplan.save("{file.stem}")\n'
     return "\n".join([*imports, f"problem = {problem}", last])
@@ -184,7 +184,7 @@ def _text(section: Section, file: Path) -> str:
 def _refused(file: Path) -> str:
     name = file.relative_to(PROBLEMS).as_posix()
     try:
-        ho.read_problem(file)
+        ho.load_problem(file)
     except (ho.InputError, ho.FileError) as error:
         message = " ".join(str(error).replace(str(file), file.name).split())
         message = message.replace(f"{PROBLEMS}/", "")

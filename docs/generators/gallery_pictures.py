@@ -60,7 +60,7 @@ def draw(file: Path, *, solved: bool) -> Figure:
         if legend := axes.get_legend():
             legend.remove()
     else:
-        draw_task(axes, ho.read_problem(file))
+        draw_task(axes, ho.load_problem(file))
     axes.set_axis_off()
     return figure
 

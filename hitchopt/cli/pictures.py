@@ -129,7 +129,7 @@ def _load_content(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, st
     if path.suffix not in SUFFIXES:
         saved = read_saved_plan(plan_path(path))
         return saved.motion, None, saved.title, saved.problem
-    problem, text = ho.read_problem(path), read_text(path)[0]
+    problem, text = ho.load_problem(path), read_text(path)[0]
     with ProgressBar("planning") as progress:
         plan = ho.solve(problem, progress)
     return plan.motion, plan.certificate, plan.title, text

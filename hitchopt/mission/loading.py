@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch.requirements import Limits, Prism, Separation
@@ -135,7 +135,7 @@ def problem_schema() -> Schema:
     return {"$schema": dialect, "title": title, "anyOf": forms, "$defs": definitions}
 
 
-def read_problem(path: str | Path) -> Problem:
+def load_problem(path: str | Path) -> Problem:
     """Return the problem in the YAML file at ``path``; ``-`` is standard input.
 
     Raises FileError if the file cannot be read as YAML; InputError for wrong keys, types, counts,
@@ -146,7 +146,7 @@ def read_problem(path: str | Path) -> Problem:
 
 
 def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> Problem:
-    """Return the problem in a YAML text; errors as ``read_problem``.
+    """Return the problem in a YAML text; errors as ``load_problem``.
 
     ``name`` is the file's name in messages, ``directory`` that of the objects' outlines.
     """
@@ -158,7 +158,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> Pr
             "`hitchopt init` writes one"
         )
     with located(text, name):
-        return any_problem_from_dict(data, directory)
+        return problem_from_dict(data, directory)
 
 
 def request_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
@@ -174,7 +174,7 @@ def request_in(text: str, objects: Mapping[str, SolidObject]) -> dict[str, Any]:
             del body["file"]
             body["outline"] = objects[name].section.core.tolist()
     start_times = START_TIMES.check("others", others or {})
-    return any_problem_from_dict(data).request | {"others": start_times}
+    return problem_from_dict(data).request | {"others": start_times}
 
 
 def _start_time(key: str, value: Any) -> dict[str, float]:
@@ -187,35 +187,7 @@ def _start_time(key: str, value: Any) -> dict[str, float]:
 START_TIMES = dict_of(Kind((MAPPING,), _start_time, {}), NAME)
 
 
-def load_problem(path: str | Path) -> Problem:
-    """Return the problem of a hitch in the YAML file at ``path``; errors as ``read_problem``."""
-    return of_kind(read_problem(path), "hitch")
-
-
-def load_swarm(path: str | Path) -> Problem:
-    """Return the problem of single drones in a YAML file; errors as ``read_problem``."""
-    return of_kind(read_problem(path), "swarm")
-
-
-def problem_from_dict(data: Mapping[str, object]) -> Problem:
-    """Return the problem of a hitch that ``data`` describes; errors as ``load_problem``."""
-    return of_kind(any_problem_from_dict(data), "hitch")
-
-
-def of_kind(problem: Problem, kind: Literal["hitch", "swarm"]) -> Problem:
-    """Return the problem, or raise InputError if it is of another kind."""
-    if problem.kind != kind:
-        key, value, remedy = {
-            "hitch": ("team", "robots", "use load_problem or read_problem"),
-            "swarm": ("team", "drones", "use load_swarm"),
-            "teams": ("teams", "several", "use read_problem"),
-        }[problem.kind]
-        bound = "a team of catenary robots" if kind == "hitch" else "a team of single drones"
-        raise InputError(key, value, bound, remedy)
-    return problem
-
-
-def any_problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Problem:
+def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Problem:
     """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
     values: Any = plain(data)
     team = values.get("team") if isinstance(values, dict) else None

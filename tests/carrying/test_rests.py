@@ -16,7 +16,7 @@ from plans import PROBLEMS, planned
 import hitchopt as ho
 from hitchopt.checks.registry import RULE_OF, certify, merged
 from hitchopt.hitch import GRAVITY
-from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.motion.retiming import cut
 from hitchopt.objects.placing import in_frame
@@ -206,4 +206,4 @@ def test_flat_trays_are_carried_from_below_and_obstacles_are_named() -> None:
     given["objects"]["pillar"]["circle"] = 0.3
     words = r"^object_clearance: 0 m is below the limit of 0\.085 m at .*pillar"
     with pytest.raises(ho.InfeasibleError, match=words):
-        ho.solve(any_problem_from_dict(given))
+        ho.solve(problem_from_dict(given))

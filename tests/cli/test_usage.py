@@ -253,7 +253,7 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
         done = run("init", "--kind", *words.split(), code=0)
         assert f"hitchopt {said}.yaml\n" in done.stdout
     assert [*ho.load_problem("problem.yaml").objects] == ["table", "shelf", "box"]
-    assert ho.load_swarm("s.yaml").team.drones == 6
+    assert ho.load_problem("s.yaml").team.drones == 6
     study: Any = parse_yaml(Path("study.yaml").read_text("utf-8"))
     assert len(list(study_from_dict(study).cases())) == 9
     assert "error: --kind" in refused("init", "--kind", "swarm", "--example", "triangle")
@@ -397,9 +397,9 @@ def test_every_example_is_listed_and_written() -> None:
         run("init", "--example", path.stem, code=0)
         written = Path(f"{path.stem}.yaml")
         assert written.read_text(encoding="utf-8").startswith(MODELINE)
-        assert ho.read_problem(written).title == entry["title"]
+        assert ho.load_problem(written).title == entry["title"]
     run("init", "mine", "--example", "triangle", code=0)
-    assert ho.read_problem("mine.yaml").title == ho.read_problem(TRIANGLE).title
+    assert ho.load_problem("mine.yaml").title == ho.load_problem(TRIANGLE).title
 
 
 @pytest.mark.parametrize(

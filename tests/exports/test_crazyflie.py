@@ -49,7 +49,7 @@ from hitchopt.exports.placing import (
     read_fleet,
 )
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
@@ -272,7 +272,7 @@ def test_long_plans_are_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) 
 
 
 def test_stacked_starts_are_reported(tmp_path: Path) -> None:
-    motion = ho.solve(any_problem_from_dict(reversed_stack(3))).motion
+    motion = ho.solve(problem_from_dict(reversed_stack(3))).motion
     (part,) = exported(motion, "crazyswarm2", tmp_path)
     assert any("would take off from one place" in note for note in part.notes)
 

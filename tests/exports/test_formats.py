@@ -33,7 +33,7 @@ from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES, ExportOptions
 from hitchopt.hitch import GRAVITY
-from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours
@@ -147,7 +147,7 @@ def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:
         "goal": [[1.5, y, 1.0]],
         "keep_out": [{"polygon": prism, "lower": 0.0, "upper": 3.0}],
     }
-    motion = ho.solve(any_problem_from_dict(problem)).motion
+    motion = ho.solve(problem_from_dict(problem)).motion
     exported(motion, "csv", tmp_path / "csv")
     with pytest.raises(InfeasibleError, match=r"keep_out.*sample at a higher rate="):
         exported(motion, "compressed", tmp_path / "compressed")

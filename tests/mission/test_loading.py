@@ -25,10 +25,9 @@ import hitchopt as ho
 from hitchopt.cli.planning import problem_text
 from hitchopt.errors import MAX_LISTED, FileError, HitchoptError, InputError, JointInputError
 from hitchopt.mission.loading import (
-    any_problem_from_dict,
+    load_problem,
     problem_from_dict,
     problem_schema,
-    read_problem,
 )
 from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
 from hitchopt.values.fields import keys_of
@@ -330,7 +329,7 @@ def test_what_can_be_planned_is_read_and_valid(path: Path) -> None:
     data: Any = read_yaml(path)
     assert data == YAML(typ="safe", pure=True).load(path)
     VALIDATOR.validate(data)
-    problem = read_problem(path)
+    problem = load_problem(path)
     assert problem.title
     for name, team in data.get("teams", {"": data.get("team")}).items():
         read = problem.teams[name].team
@@ -341,7 +340,7 @@ def test_what_can_be_planned_is_read_and_valid(path: Path) -> None:
 @pytest.mark.parametrize("path", REFUSED, ids=lambda path: path.stem)
 def test_what_is_wrong_in_itself_is_told_with_its_place(path: Path) -> None:
     with pytest.raises((InputError, FileError)) as caught:
-        read_problem(path)
+        load_problem(path)
     assert path not in BAD or header(path, "Names") in str(caught.value)
     if isinstance(caught.value, InputError):
         assert all("must be" in line and "; " in line for line in str(caught.value).splitlines())
@@ -405,7 +404,7 @@ def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None
     if kind == "_carry":
         alternatives = {"circle", "file"}  # to an outline
         assert set(data["objects"]["box"]) | alternatives == set(schema["ObjectKeys"]["properties"])
-    read, unchanged = (any_problem_from_dict(each) for each in (data, plain_data))
+    read, unchanged = (problem_from_dict(each) for each in (data, plain_data))
     assert plain(read) == plain(unchanged)
 
 
@@ -440,7 +439,7 @@ def test_files_are_read_without_solvers() -> None:
     """Errors of a file are reported before any planner is imported."""
     script = (
         "import sys, hitchopt as ho\n"
-        f"ho.read_problem({str(PROBLEMS / 'grip_drum.yaml')!r})\n"
+        f"ho.load_problem({str(PROBLEMS / 'grip_drum.yaml')!r})\n"
         "print(*{name.partition('.')[0] for name in sys.modules})"
     )
     process = subprocess.run(

@@ -12,7 +12,7 @@ from plans import PROBLEMS, planned
 from problem_cases import hitch_start
 
 import hitchopt as ho
-from hitchopt.mission.loading import any_problem_from_dict, problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
@@ -163,7 +163,7 @@ def test_ties_are_settled_by_a_rule(name: str) -> None:
     data: Any = read_yaml(PROBLEMS / f"{name}.yaml")
     rng = np.random.default_rng(1)
     changed = {key: noisy(data[key], rng) for key in ("start", "goal") if key in data}
-    plan, before = ho.solve(any_problem_from_dict({**data, **changed})), planned(name)
+    plan, before = ho.solve(problem_from_dict({**data, **changed})), planned(name)
     assert plan.duration == pytest.approx(before.duration, rel=1e-6)
     # Programs of single drones are solved to 1e-3; another choice would be decimetres away.
     np.testing.assert_allclose(places(plan), places(before), atol=1e-3)

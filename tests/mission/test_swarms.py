@@ -12,7 +12,7 @@ from plans import PROBLEMS, header
 from problem_cases import VALIDATOR
 
 import hitchopt as ho
-from hitchopt.mission.loading import any_problem_from_dict, load_problem, load_swarm
+from hitchopt.mission.loading import load_problem, problem_from_dict
 from hitchopt.steps.flying import flyable_accelerations
 from hitchopt.storage.yaml_file import read_yaml
 
@@ -38,7 +38,7 @@ def full() -> dict[str, Any]:
 
 
 def swarm(data: dict[str, Any]) -> ho.Problem:
-    problem = any_problem_from_dict(data)
+    problem = problem_from_dict(data)
     assert problem.kind == "swarm"
     return problem
 
@@ -83,15 +83,17 @@ def test_infeasible_problems_say_what_binds(path: Path) -> None:
 )
 def test_faults_are_named(key: str, value: object, words: str) -> None:
     with pytest.raises(ho.InputError) as caught:
-        any_problem_from_dict({**full(), key: value})
+        problem_from_dict({**full(), key: value})
     assert words in str(caught.value)
 
 
-def test_each_kind_has_its_own_loader() -> None:
-    with pytest.raises(ho.InputError, match="load_swarm"):
-        load_problem(SWARMS / "head_on.yaml")
-    with pytest.raises(ho.InputError, match="load_problem"):
-        load_swarm(PROBLEMS / "triangle.yaml")
+def test_swarms_are_loaded_as_hitches_are_and_get_no_suggestions() -> None:
+    assert load_problem(SWARMS / "head_on.yaml").kind == "swarm"
+    assert load_problem(PROBLEMS / "triangle.yaml").kind == "hitch"
+    with pytest.raises(ho.InputError, match=r"team = .swarm.: .* catenary robots"):
+        ho.suggestions(SWARMS / "head_on.yaml")
+    with pytest.raises(ho.InputError, match=r"team = .hitch.: .* single drones"):
+        ho.separate(PROBLEMS / "triangle.yaml")
 
 
 PLACES = np.array([[-1.0, 0.0, 1.0], [1.0, 0.1, 1.0]])
@@ -145,7 +147,7 @@ def test_thrust_and_tilt_limit_what_drones_accelerate() -> None:
     heavy = {**data, "team": {"drones": 2, "quadrotor": {"mass": 0.5}}}
     for changed, binds in ((heavy, "thrust"), ({**full(), "duration": 9.5}, "duration")):
         with pytest.raises(ho.InfeasibleError, match=binds):
-            ho.solve(any_problem_from_dict(changed))
+            ho.solve(problem_from_dict(changed))
 
 
 def test_a_goal_at_an_object_names_it() -> None:
@@ -158,9 +160,9 @@ def test_a_goal_at_an_object_names_it() -> None:
         "goal": [[3.2, 1.0, 0.6], [0.8, 1.05, 0.3]],
         "objects": {"table": table, "tub": tub},
     }
-    check = ho.solve(any_problem_from_dict(data)).certificate["keep_out"]
+    check = ho.solve(problem_from_dict(data)).certificate["keep_out"]
     assert check.bound >= 0.12
     assert check.where[1] in data["objects"]
     data["goal"] = [[2.25, 1.0, 0.6], [0.8, 1.05, 0.3]]
     with pytest.raises(ho.InfeasibleError, match=r"keep_out: .* d0, tub at the goals"):
-        ho.solve(any_problem_from_dict(data))
+        ho.solve(problem_from_dict(data))

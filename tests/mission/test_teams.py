@@ -11,7 +11,7 @@ import pytest
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
-from hitchopt.mission.loading import any_problem_from_dict, request_in
+from hitchopt.mission.loading import problem_from_dict, request_in
 from hitchopt.motion.motion import WAIT
 from hitchopt.motion.plan_file import is_of, write_plan
 from hitchopt.motion.request import check_request
@@ -34,7 +34,7 @@ FILE: dict[str, Any] = {
 
 
 def teams(data: dict[str, Any]) -> ho.Problem:
-    problem = any_problem_from_dict(data)
+    problem = problem_from_dict(data)
     assert problem.kind == "teams"
     return problem
 
@@ -116,7 +116,7 @@ def test_mistakes_are_told_with_their_keys(
     path: tuple[str | int, ...], value: object, key: str
 ) -> None:
     with pytest.raises(ho.InputError) as caught:
-        any_problem_from_dict(changed(path, value))
+        problem_from_dict(changed(path, value))
     assert caught.value.key == key
 
 
@@ -169,27 +169,27 @@ def test_the_plan_of_the_show_is_that_of_its_problem() -> None:
 def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Path) -> None:
     data = changed(("others",), {"show": {"plan": "show", "at": 2}})
     with pytest.raises(ho.InputError, match=r"^others\.show = .*No plan in"):
-        any_problem_from_dict(data, tmp_path)
+        problem_from_dict(data, tmp_path)
     motion = planned("swarms/show").motion
     (tmp_path / "show").mkdir()
     write_plan(tmp_path / "show" / "plan.npz", motion)
-    show = any_problem_from_dict(data, tmp_path).others["show"]
+    show = problem_from_dict(data, tmp_path).others["show"]
     assert [each.motion.drones.breaks[0] for each in show.groups("show")] == [2.0]
     write_plan(tmp_path / "show" / "plan.npz", planned("two_teams").motion)
-    hall = any_problem_from_dict(data, tmp_path).others["show"].groups("hall")
+    hall = problem_from_dict(data, tmp_path).others["show"].groups("hall")
     assert [(each.name, each.motion.drones.breaks[0]) for each in hall] == [
         ("hall.a", 2.0),
         ("hall.b", 2.0),
     ]
     write_plan(tmp_path / "show" / "plan.npz", motion.slowed(0.5))
     with pytest.raises(ho.InputError, match="whose own certificate holds, not without") as caught:
-        any_problem_from_dict(data, tmp_path)
+        problem_from_dict(data, tmp_path)
     assert caught.value.key == "others.show.plan"
 
 
 def test_two_finished_plans_on_one_clock_have_the_certificate_of_the_teams_together() -> None:
     together = planned("two_teams")
-    problem = ho.read_problem(PROBLEMS / "two_teams.yaml")
+    problem = ho.load_problem(PROBLEMS / "two_teams.yaml")
     parts = {key: getattr(problem, key) for key in ("limits", "separation", "arena")}
     each = [ho.solve(ho.Problem(x.team, x.start, x.steps, **parts)) for x in problem.teams.values()]
     combined = ho.combine(each[0], each[1], at=7.0)

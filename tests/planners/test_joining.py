@@ -14,7 +14,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.hitch.team import PartTeam
-from hitchopt.mission.loading import any_problem_from_dict
+from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.forming.ring_change import (
@@ -48,7 +48,7 @@ def solved(
         "start": {"drones": {"q": q.tolist(), "r": r.tolist()}},
         "mission": [{"form": {**form, "robots": [*range(n)]}}, *steps],
     }
-    problem = any_problem_from_dict(data)
+    problem = problem_from_dict(data)
     assert isinstance(problem, ho.Problem)
     return ho.solve(problem)
 

@@ -16,7 +16,7 @@ from hitchopt import Hitch, Limits, Separation, Team
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
-from hitchopt.mission.loading import read_problem
+from hitchopt.mission.loading import load_problem
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.flight import GRID, fly, needed_stretch, turning_stretch
@@ -146,7 +146,7 @@ def test_derivatives_of_rows_by_differences(seed: int) -> None:
 
 
 def turning(name: str, rate_deg: float) -> ho.Plan:
-    problem = read_problem(PROBLEMS / f"{name}.yaml")
+    problem = load_problem(PROBLEMS / f"{name}.yaml")
     limits = replace(problem.limits, body_rate=math.radians(rate_deg))
     return ho.solve(replace(problem, limits=limits))
 

@@ -270,7 +270,7 @@ def test_certificate_and_verify_agree_on_the_largest_tube(tmp_path: Path) -> Non
 
 
 def test_a_specified_tracking_that_is_too_large_is_suggested_as_that_of_retuned_drones() -> None:
-    problem: Any = ho.read_problem(PROBLEMS / "form_triangle.yaml")
+    problem: Any = ho.load_problem(PROBLEMS / "form_triangle.yaml")
     wide = replace(problem, limits=replace(problem.limits, tracking=0.5))
     with pytest.raises(InfeasibleError, match="let drones be off by less") as caught:
         ho.solve(wide)
@@ -289,7 +289,7 @@ def test_aborts_keep_what_the_plan_keeps() -> None:
 
 @cache
 def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
-    problem = ho.read_problem(PROBLEMS / "retuned_triangle.yaml")
+    problem = ho.load_problem(PROBLEMS / "retuned_triangle.yaml")
     assert isinstance(problem, ho.Problem)
     kinds = (ho.Quadrotor(controller=controller),) * 3
     other = replace(problem, team=replace(problem.team, quadrotor=kinds))

@@ -222,7 +222,7 @@ class Study(OneLine):
 
     def check(self) -> None:
         """Raise InputError for invalid key paths and values of parameters, tested one at a time."""
-        from hitchopt.mission.loading import any_problem_from_dict
+        from hitchopt.mission.loading import problem_from_dict
 
         first = points(self.keys.parameters)[0]
         tests = [first]
@@ -233,7 +233,7 @@ class Study(OneLine):
                 raise InputError(f"parameters.{key}", "simulate", "a section of the study", remedy)
         for case in self._cases_at(tests):
             try:
-                any_problem_from_dict(case.problem)
+                problem_from_dict(case.problem)
             except InputError as error:
                 parameter = next((key for key in case.point if error.key.startswith(key)), None)
                 if parameter is None:

@@ -338,11 +338,11 @@ def case_columns(case: Case, digest: str) -> Row:
 def compute_row(case: Case, digest: str) -> Row:
     """Return the row of a case; a HitchoptError becomes a row."""
     from hitchopt.api import solve
-    from hitchopt.mission.loading import any_problem_from_dict
+    from hitchopt.mission.loading import problem_from_dict
 
     row, start = case_columns(case, digest), time.process_time()
     try:
-        plan = solve(any_problem_from_dict(case.problem), limit=case.limit)
+        plan = solve(problem_from_dict(case.problem), limit=case.limit)
         row |= {"status": PLANNED, "duration": plan.duration}
         row |= {f"check.{check.name}": check.worst for check in plan.certificate.checks}
         row["time.plan"] = time.process_time() - start
