@@ -98,7 +98,7 @@ class PiecewisePolynomial(OneLine):
 
     @classmethod
     def through_jets(cls, breaks: Array, jets: Array) -> PiecewisePolynomial:
-        """Return the polynomials with jets (J, *shape, m) at breaks (J,), of degree 2m - 1."""
+        """Return the polynomials with jets ``(J, *shape, m)`` at breaks (J,), of degree 2m - 1."""
         orders = jets.transpose(-1, *range(jets.ndim - 1))
         return cls.hermite(breaks, orders[:, :-1], orders[:, 1:])
 
