@@ -22,7 +22,7 @@ PHONE = (390, 844)
 """Width and height of a small screen [pixels]."""
 
 SEARCHES = {
-    "clasp": "explanation/model",
+    "clasp": "reference/glossary",
     "separation 1.05": "how_to/read_separation",
     "fly faster": "how_to/fly_faster",
     "exit code 3": "how_to/exit_code_3",
