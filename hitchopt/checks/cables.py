@@ -40,7 +40,7 @@ from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
-from hitchopt.trajectory.search import are_bounds_rough, worst
+from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, lazy
 
 Mask = NDArray[np.bool_]
@@ -238,14 +238,14 @@ def friction_excess(motion: Motion) -> WorstCase:
     return WorstCase(largest.worst, largest.time, (f"p{point}",))
 
 
-def _worst_tension(motion: Motion, limit: float) -> WorstCase:
+def _worst_tension(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
     While the hitch exists, every cable has the team's tension, or one in the range of its phase, or
     on a ramp one from 0 to the team's. Pulls of legs are within the range of friction. Without a
     hitch, tensions and pulls count as 0.
     """
-    cases = [_pull_jump(motion), _thrust_jump(motion, limit)]
+    cases = [_pull_jump(motion), _thrust_jump(motion)]
     if np.any(motion.taut):
         ranges = np.moveaxis(stated_tensions(motion), -1, 0)
         if not np.all(motion.taut):  # ramps are next to spans without a hitch
@@ -268,33 +268,22 @@ def _pull_jump(motion: Motion) -> WorstCase:
     return worst_at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
 
 
-def _thrust_jump(motion: Motion, limit: float) -> WorstCase:
-    """Return the largest jump of a drone's thrust, by its norm.
-
-    Where rough bounds suffice, those of whole pieces are used if they keep the limit.
-    """
-    for whole in (True, False) if are_bounds_rough() else (False,):
-        (left, right), (before, after) = end_thrusts(motion, whole=whole)
-        jumps = length(left[1:] - right[:-1]) + before[1:] + after[:-1]
-        jump = worst_at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
-        if jump.worst <= limit:
-            break
-    return jump
+def _thrust_jump(motion: Motion) -> WorstCase:
+    """Return the largest jump of a drone's thrust, by its norm."""
+    (left, right), (before, after) = end_thrusts(motion)
+    jumps = length(left[1:] - right[:-1]) + before[1:] + after[:-1]
+    return worst_at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
 
 
-def end_thrusts(motion: Motion, *, whole: bool = False) -> tuple[Array, Array]:
-    """Return thrusts (2, pieces, 2n, 3) [N] at starts and ends of all pieces, and their errors.
-
-    With ``whole``, errors are those on whole pieces, on which checks bound thrusts anyway.
-    """
+def end_thrusts(motion: Motion) -> tuple[Array, Array]:
+    """Return thrusts (2, pieces, 2n, 3) [N] at starts and ends of all pieces, and their errors."""
     shape, parts = (2, motion.drones.pieces, motion.team.drones), list[Array]()
     for spans in Drones.of(motion):
         count = len(spans)
         x, index = np.repeat([0.0, 1.0], count), np.tile(np.arange(count), 2)
-        thrust = spans.thrust if whole else spans.at(x, index).thrust
-        ends = np.concatenate([thrust.c[..., 0], thrust.c[..., -1]])[: 2 * count]
-        errors = np.broadcast_to(thrust.r, (2, count) if whole else 2 * count).reshape(-1)
-        parts.append(np.column_stack([ends, errors]).reshape(2, count, 4))
+        thrust = spans.at(x, index).thrust
+        errors = np.broadcast_to(thrust.r, 2 * count)
+        parts.append(np.column_stack([thrust.c[..., 0], errors]).reshape(2, count, 4))
     each = np.concatenate(parts, axis=1).reshape(*shape, 4)
     return each[..., :3], each[..., 3]
 
@@ -327,8 +316,6 @@ def _end_deviation(motion: Motion) -> WorstCase:
     range. So are bent cables, which are held by the tension at which they are tied.
     """
     index = np.concatenate([[-1], ranged_phases(motion), [-1]])
-    if np.all(index < 0):
-        return WorstCase(0.0, float(motion.drones.breaks[0]))
     holds = [phase.hold is not None for phase in motion.phases] or [False]
     holding = np.pad(np.array(holds)[motion.phase_of_piece], 1, mode="edge")
     c, team = motion.tensions.coefficients, motion.team.tension

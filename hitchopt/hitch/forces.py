@@ -25,7 +25,7 @@ from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.quadrotor import GRAVITY
-from hitchopt.hitch.series import Series, of_both
+from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import CLOSED, Team, layout_of
 from hitchopt.values import Array
 
@@ -180,14 +180,12 @@ def closed_triangle(
     pulls = tensions
     for _ in range(TRIANGLE_PASSES - 1 if halves else 0):
         rises = directions(along.row(2), across.row(2), *pulls)
-        pulls = of_both(_pull_at, tensions, halves or tensions, rises)
+        behind, ahead = (
+            chord_pull(tension, half, 1.0 - rise * rise, rise)
+            for tension, half, rise in zip(tensions, halves or (), rises, strict=True)
+        )
+        pulls = behind, ahead
     return directions(along, across, *pulls)
-
-
-def _pull_at(tension: Series, half: Series, rise: Series) -> Series:
-    """Return the pull of a leg of half weight [N] along a direction that rises by ``rise``."""
-    pull: Series = chord_pull(tension, half, 1.0 - rise * rise, rise)
-    return pull
 
 
 def leg_directions(

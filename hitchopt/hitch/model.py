@@ -16,7 +16,7 @@ import numpy as np
 
 from hitchopt.hitch.forces import cable_forces, chord_pull, closed_triangle, shortening
 from hitchopt.hitch.quadrotor import GRAVITY
-from hitchopt.hitch.series import JET, Series, of_both
+from hitchopt.hitch.series import JET, Series
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 
@@ -100,14 +100,12 @@ def clasp_legs(
     # Half of both cables' lengths about the clasp, such as cable k-1 without its q-leg.
     carried = (whole - q_legs[0] + d + ahead.cable) * half
     directions = closed_triangle(V + carried.upward, onward, roll, tensions, (e * half, d * half))
-    return directions, of_both(_chord, (e, d), (behind.sag, ahead.sag), directions), e
-
-
-def _chord(cable: Series, sag: Series, direction: Series) -> Series:
-    """Return the chord of a leg with a cable length [m] along a direction."""
-    level = direction.row(0, 1)
-    chord: Series = cable * shortening(sag * cable * cable * level.dot(level))
-    return chord
+    levels = [direction.row(0, 1) for direction in directions]
+    first, second = (
+        cable * shortening(edge.sag * cable * cable * level.dot(level))
+        for cable, edge, level in zip((e, d), edges, levels, strict=True)
+    )
+    return directions, (first, second), e
 
 
 CLASPS_PER_CHUNK = 4000

@@ -128,16 +128,6 @@ class TautBodies:
         A drone may touch the part that ends at it (its leg, or its edge without one), and parts may
         touch at a common clasp.
         """
-        small = len(self.nodes) <= MAX_DIRECT_BODIES
-        return self._kinds[i, j] if small else self._kind(i, j)
-
-    @cached_property
-    def _kinds(self) -> Indices:
-        """(bodies, bodies): the kind of every pair."""
-        i, j = np.indices((len(self.nodes),) * 2).reshape(2, -1)
-        return self._kind(i, j).reshape(len(self.nodes), -1)
-
-    def _kind(self, i: Indices, j: Indices) -> Indices:
         layout, drones = self.layout, 2 * self.layout.robots
         i_drone, j_drone = i < drones, j < drones
         on_leg, drone = layout.has_leg.ravel(), np.minimum(i, drones - 1)

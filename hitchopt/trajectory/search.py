@@ -44,11 +44,6 @@ MAX_CANDIDATES = 32
 _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
 
-def are_bounds_rough() -> bool:
-    """Return whether bounds that satisfy a limit suffice, as within ``rough_bounds``."""
-    return _ROUGH.get()
-
-
 @contextmanager
 def rough_bounds() -> Iterator[None]:
     """Within the context, accept bounds that satisfy the target without tightening them."""
@@ -205,7 +200,7 @@ class BranchAndBound(Generic[S]):
         self.relative, self.absolute = relative, absolute
         self.target = np.inf if math.isnan(target) else self.sign * target
         self.value = -np.inf if math.isnan(incumbent) else self.sign * incumbent
-        self.rough = are_bounds_rough() and not math.isnan(target)
+        self.rough = _ROUGH.get() and not math.isnan(target)
         self.item, self.time = -1, 0.0
         self.ceiling = -np.inf  # largest bound of closed spans
         self.evaluated = 0
