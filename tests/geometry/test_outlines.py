@@ -20,6 +20,7 @@ from hitchopt.geometry import (
     shortest_offset,
 )
 from hitchopt.geometry.broadphase import Boxes, close_pairs
+from hitchopt.geometry.vectors import cross, left_of, rotated, turn
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -167,3 +168,13 @@ def test_shortest_offsets_match_sampled_segments(seed: int, d: int) -> None:
     assert np.all(sampled - distances <= lengths * 0.0026)
     reverse = shortest_offset(differences(b, a))
     np.testing.assert_allclose(np.linalg.norm(reverse, axis=1), distances, atol=1e-12)
+
+
+@given(seeds, st.floats(-3.1, 3.1))
+def test_left_is_counter_clockwise(seed: int, angle: float) -> None:
+    a = np.random.default_rng(seed).normal(size=(6, 2)) + 3.0
+    np.testing.assert_allclose(turn(a, rotated(a, angle)), angle, atol=1e-12)
+    np.testing.assert_allclose(left_of(a), rotated(a, 0.5 * math.pi), atol=1e-12)
+    np.testing.assert_allclose(cross(a, left_of(a)), np.sum(a * a, axis=1), rtol=1e-12)
+    level = left_of(np.column_stack([a, np.ones(6)]))
+    np.testing.assert_array_equal(level, np.column_stack([left_of(a), np.zeros(6)]))
