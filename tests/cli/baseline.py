@@ -1,7 +1,7 @@
 """Durations and figures of this repository's problems when ``baseline.json`` was written.
 
 A change of structure must not change them. Where a planner is meant to plan otherwise, write them
-anew with ``PYTHONPATH=tests python tests/cli/baseline.py`` and say so in the changelog.
+anew with ``PYTHONPATH=tests python tests/cli/baseline.py`` and say why in the commit.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 ``stored_plans`` has one of each kind, compressed, as versions of November 2026 wrote them; do not
 write them again. The request in ``early`` has no mission. ``stored_plans.json`` has their figures;
-where a certificate is meant to change, write these again and say so in the changelog:
+where a certificate is meant to change, write these again and say so in the commit:
 ``PYTHONPATH=.:tests python tests/storage/test_stored_plans.py``.
 """
 
