@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import (
     cable_slack_of,
@@ -142,19 +143,32 @@ class KnotPath:
         return columns_of(self.team.robots)
 
     @cached_property
+    def drones(self) -> Array:
+        """(J + 1, n, 2, 3) [m]: positions of both drones of every cable, heights over the plane."""
+        corners, edges, r_legs = self.polygons, self.edges, self.slack - self.q_legs
+        loads = clasp_loads(self.team, self.q_legs, self.slack, self.roll)
+        q, r = leg_directions(unit(edges), self.tensions, loads=loads)
+        sag = sag_factors(self.team, self.tensions)
+        drones = np.zeros((*self.q_legs.shape, 2, 3))
+        dimensions = q.shape[-1]  # 2 if all legs are level
+        drones[:, :, 0, :dimensions] = leg_vectors(self.q_legs, q, sag)
+        drones[:, :, 1, :dimensions] = leg_vectors(r_legs, r, sag)
+        drones[:, :, 0, :2] += corners
+        drones[:, :, 1, :2] += np.roll(corners, -1, axis=1)
+        return drones
+
+    @property
+    def node_heights(self) -> Array:
+        """(J + 1, 3n) [m]: heights of the nodes over the plane, vertices first."""
+        drones = self.drones[..., 2].reshape(len(self.polygons), -1)
+        return np.concatenate([np.zeros_like(self.q_legs), drones], axis=1)
+
+    @cached_property
     def table(self) -> Array:
         """(knots, size): all columns, read-only."""
-        edges = self.edges
-        loads = clasp_loads(self.team, self.q_legs, self.slack, self.roll)
-        u = edges / np.linalg.norm(edges, axis=-1, keepdims=True)
-        q, r = leg_directions(u, self.tensions, loads=loads)
-        r_legs = self.slack - self.q_legs
-        sag = sag_factors(self.team, self.tensions)
-        q_drones = self.polygons + leg_vectors(self.q_legs, q, sag)[..., :2]
-        r_drones = np.roll(self.polygons, -1, axis=1) + leg_vectors(r_legs, r, sag)[..., :2]
-        drones = np.stack([q_drones, r_drones], axis=2)
+        r_legs, drones = self.slack - self.q_legs, self.drones[..., :2]
         parts = [self.polygons, self.q_legs, r_legs, drones, self.tensions]
-        table = np.concatenate([part.reshape(len(edges), -1) for part in parts], axis=1)
+        table = np.concatenate([part.reshape(len(r_legs), -1) for part in parts], axis=1)
         table.setflags(write=False)
         return table
 

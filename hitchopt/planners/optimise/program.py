@@ -22,9 +22,9 @@ from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.model import planar
-from hitchopt.hitch.pairs import TautBodies, end_combinations, limits_of
+from hitchopt.hitch.pairs import TautBodies, end_combinations, limits_of, scales_of
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
-from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import CLOSED, layout_of
 from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (
@@ -332,21 +332,28 @@ class NearPairs(NamedTuple):
     first: Indices  # (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same
     second: Indices  # (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same
     kind: Indices  # (m,), as in ``hitch.pairs``
-    normal: Array  # (m, 2), unit vector along the shortest offset from the second body to the first
+    # (m, 3), derivative of the distance by the first body's position: the unit normal along the
+    # shortest offset from the second body, with heights scaled
+    gradient: Array
     enforced: Array  # (m,) [m], enforced distance
 
 
-def _near_pairs(nodes: Array, separation: Separation, margins: Array, reach: Array) -> NearPairs:
-    """Return the pairs of nodes (K, 3n, 2) [m] with distances up to margins and reach (K,) [m]."""
-    bodies, limits = TautBodies.of(layout_of(nodes.shape[1] // 3, CLOSED)), limits_of(separation)
-    corners = nodes[:, bodies.nodes]
+def _near_pairs(
+    nodes: Array, requirements: Requirements, margins: Array, reach: Array
+) -> NearPairs:
+    """Return the pairs of nodes (K, 3n, 3) [m] with distances up to margins and reach (K,) [m]."""
+    bodies = TautBodies.of(layout_of(nodes.shape[1] // 3, CLOSED))
+    limits, scales = limits_of(requirements.separation), scales_of(requirements)
+    corners = nodes[:, bodies.nodes, :2]  # distances in plan view are lower bounds
     cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
     frame, i, j, kind = bodies.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)
-    one, other = (nodes[frame[:, None], bodies.nodes[body]] for body in (i, j))
-    offset = shortest_offset(differences(one, other))
-    normal = unit(offset, unit((one - other).mean(axis=1)), 1e-6)
+    scale = scales[kind][:, None]
+    first, second = (nodes[frame[:, None], bodies.nodes[body]] * scale for body in (i, j))
+    offset = shortest_offset(differences(first, second))
+    normal = unit(offset, unit((first - second).mean(axis=1)), 1e-6)
     enforced = limits[kind] * margins[frame]
-    pairs = NearPairs(frame, bodies.nodes[i], bodies.nodes[j], kind, normal, enforced)
+    ends = bodies.nodes[i], bodies.nodes[j]
+    pairs = NearPairs(frame, *ends, kind, normal * scales[kind], enforced)
     near = length(offset) < enforced + reach[frame]
     return NearPairs._make(each[near] for each in pairs)
 
@@ -356,22 +363,29 @@ def _near_rows(
 ) -> tuple[sp.csr_array[np.float64], Array]:
     """Return the distances' derivatives by the table's inner rows, and their least changes [m].
 
-    Distances are those of close pairs along normals: bodies are separated by as much as all their
-    ends are. Between the knots the path is the chord of two knots and a constant deviation.
+    Distances are those in space of close pairs along normals: bodies are separated by as much as
+    all their ends are. Heights are constant within a step. Between the knots the path is the chord
+    of two knots and a constant deviation.
     """
-    parts = step.parts
-    columns, inner = path.columns, path.table[1:-1]
+    parts, columns = step.parts, path.columns
     indices = np.arange(1, parts * path.steps) / parts  # of frames, in steps between knots
-    table = inner if parts == 1 else path.at(indices / path.steps).table
+    if parts == 1:
+        table, heights = path.table[1:-1], path.node_heights[1:-1]
+    else:
+        frames = path.at(indices / path.steps)
+        table, heights = frames.table, frames.node_heights
+    nodes = np.concatenate([table[:, columns.nodes], heights[..., None]], axis=-1)
     margins = search.margins(path.steps, indices)
     reach = np.where(indices % 1.0 == 0.0, 1.0, BETWEEN_KNOTS_SHARE) * step.reach
-    pairs = _near_pairs(table[:, columns.nodes], search.requirements.separation, margins, reach)
-    pair, *ends = end_combinations(pairs.kind, pairs.first, pairs.second)
-    nodes = np.concatenate([columns.nodes[end] for end in ends], axis=1)
-    slopes = np.concatenate([pairs.normal[pair], -pairs.normal[pair]], axis=1)
-    entries = (slopes.ravel(), (columns.size * pairs.frame[pair, None] + nodes).ravel())
+    pairs = _near_pairs(nodes, search.requirements, margins, reach)
+    pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)
+    frame, gradient = pairs.frame[pair], pairs.gradient[pair]
+    moved = np.concatenate([columns.nodes[first], columns.nodes[second]], axis=1)
+    slopes = np.concatenate([gradient[:, :2], -gradient[:, :2]], axis=1)
+    entries = (slopes.ravel(), (columns.size * frame[:, None] + moved).ravel())
     rows = sp.csr_array((*entries, 4 * np.arange(len(pair) + 1)), (len(pair), table.size))
-    needed = pairs.enforced[pair] - rows @ table.ravel()
+    rise = heights[frame, first] - heights[frame, second]
+    needed = pairs.enforced[pair] - gradient[:, 2] * rise - rows @ table.ravel()
     if parts > 1:
         share = np.maximum(1.0 - np.abs(indices[:, None] - np.arange(1.0, path.steps)), 0.0)
         rows = sp.csr_array(rows @ _blockwise(share, np.ones(columns.size)))
