@@ -68,6 +68,46 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     assert optimum <= fly(path, Requirements(limits)).duration <= 1.02 * optimum
 
 
+def line_demands(progress: np.ndarray, rate: np.ndarray, distance: float) -> Demands:
+    """Of single drones side by side on a line, at a share (J,) of a distance [m], unbent."""
+    swarm = Swarm(3)
+    jets = np.zeros((len(progress), 3, 3, 4))
+    jets[:, :, 0, 0] = distance * progress[:, None]
+    jets[:, :, 0, 1] = distance * rate[:, None]
+    weights = swarm.mass[:, None] * np.array([0.0, 0.0, GRAVITY])
+    loads = np.broadcast_to(weights, (len(progress), 3, 3))
+    limits = Limits(0.8, 2.0, tilt=1.5, vertex_speed=100.0)
+    return Demands(jets, np.zeros(len(progress)), loads, swarm, limits)
+
+
+@pytest.mark.parametrize("distance", [1e-8, 1e-4, 0.1, 3.0, 1e4])
+@pytest.mark.parametrize("pause", [0.0, 0.01, 0.2])
+def test_lines_of_any_length_take_the_known_time_also_if_the_path_pauses(
+    distance: float, pause: float
+) -> None:
+    """Where the drones do not move with the path's parameter, its speed is unbounded."""
+    s, (v, a) = path_grid(GRID), (0.8, 2.0)
+    moving = np.abs(s - 0.5) >= 0.5 * pause
+    progress = np.where(
+        s < 0.5, np.minimum(s, 0.5 - 0.5 * pause), np.maximum(s - pause, 0.5 - 0.5 * pause)
+    )
+    rate = moving / (1.0 - pause)
+    profile = fastest_profile(s, line_demands(progress / (1.0 - pause), rate, distance))
+    bang = distance / v + v / a if distance > v * v / a else 2.0 * math.sqrt(distance / a)
+    assert profile.duration == pytest.approx(bang, rel=0.02)
+
+
+@pytest.mark.parametrize("distance", [1e-8, 0.1, 3.0])
+def test_a_path_that_stops_midway_is_timed(distance: float) -> None:
+    """The path slows to a stop and goes on: s - 1/2 enters by its cube."""
+    s = np.linspace(0.0, 1.0, 161)
+    centered = 2.0 * s - 1.0  # 0 at the middle point
+    demands = line_demands(0.5 + 0.5 * centered**3, 3.0 * centered**2, distance)
+    demands.drones[:, :, 0, 2] = distance * 12.0 * centered[:, None]
+    straight = fastest_profile(s, line_demands(s, np.ones_like(s), distance))
+    assert straight.duration < fastest_profile(s, demands).duration < 2.0 * straight.duration
+
+
 @pytest.mark.parametrize(
     ("limits", "binding"),
     [

@@ -1,8 +1,8 @@
 """Demands on drones along a path, and its time-optimal speed profile by reachability analysis.
 
 The method is toppra's (Pham and Pham, "A new approach to time-optimal path parameterization based
-on reachability analysis", IEEE T-RO 34, 2018), with its solver of small linear programs. Its
-classes are not used: they take three times as long to set up the programs as to solve them.
+on reachability analysis", IEEE T-RO 34, 2018). toppra solves it under limits that are given to it
+as a polygon of (s̈, ṡ²) at every grid point.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from toppra.solverwrapper.cy_seidel_solverwrapper import solve_lp2d
 
 from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry.vectors import dot, length
@@ -218,12 +217,6 @@ def _products(pair: Array) -> Array:
 RAYS = 64
 """Number of directions in the half plane of (s̈, ṡ² ≥ 0); chords cut off 0.03 % of a circle."""
 
-ROUNDING_MARGIN = 1e-8
-"""Margin of ṡ² below toppra's solution, with which programs remain feasible after rounding."""
-
-VARIABLE_BOUND = 1e8  # Bound of s̈ and ṡ² in toppra's programs
-ACCELERATION_WEIGHT = 1e-9  # Weight of s̈ relative to ṡ², which resolves ties of equal speed
-
 
 class TimingError(HitchoptError):
     """No timing of the path from rest to rest satisfies the limits."""
@@ -294,68 +287,18 @@ def fastest_profile(
     ------
     TimingError: none exists, for instance because rest violates a limit.
     """
+    from hitchopt.planners.timing.reachability import fastest_speeds
+
     corners, acceleration, squared_speed = polygons or feasible_polygons(demands)
-    # toppra's bounds and tolerances are absolute. A length of the path and a unit of time scale
-    # both s̈ and ṡ² to order 1, whether limited by acceleration or by speed.
+    # toppra's tolerances are absolute. A length of the path and a unit of time scale both s̈ and ṡ²
+    # to order 1, whether limited by acceleration or by speed.
     length = float(np.clip(np.median(acceleration / squared_speed), 1e-2, 1e9))
     unit = float(np.median(squared_speed)) * length
-    squares = _fastest_squares(_step_programs(corners, s, length, unit))
-    if not np.all(squares[1:-1] > 0.0):
+    scaled = np.stack([corners[0] / unit, corners[1] * length / unit])
+    speeds = fastest_speeds(s * length, scaled)
+    if speeds is None:
         raise TimingError("toppra found no speed profile from rest to rest on this path")
-    return SpeedProfile(s, np.sqrt(squares) * np.sqrt(unit / length))
-
-
-def _step_programs(corners: Array, s: Array, length: float, unit: float) -> Array:
-    """Return (J, 3, 2m + 2): rows ``a s̈ + b ṡ² + c ≤ 0`` of the steps between points s (J + 1,).
-
-    The first two rows bound ṡ² at the next point. The others are the half planes of the feasible
-    polygons at both ends of the step, scaled by a length of the path and a unit of ṡ² times that.
-    """
-    along = np.diff(corners)  # counter-clockwise
-    normals = np.stack([along[1], -along[0]])
-    size = np.sqrt(np.sum(normals * normals, axis=0))
-    normals = np.where(size > 0.0, normals / np.where(size > 0.0, size, 1.0), [[[0.0]], [[1.0]]])
-    bounds = np.sum(normals * corners[..., :-1], axis=0)
-    normals[1] *= 1.0 / length
-    size = np.sqrt(np.sum(normals * normals, axis=0))
-    (first, second), bounds = normals / size, bounds / unit / size
-    twice, m = 2.0 * np.diff(s * length)[:, None], bounds.shape[1]
-    programs = np.zeros((len(twice), 3, 2 * m + 2))
-    programs[:, :2, 0] = np.append(twice, np.ones_like(twice), axis=1)
-    programs[:, :2, 1] = -programs[:, :2, 0]
-    start, end = programs[..., 2 : m + 2], programs[..., m + 2 :]
-    start[:, 0], start[:, 1], start[:, 2] = first[:-1], second[:-1], -bounds[:-1]
-    end[:, 0] = first[1:] + twice * second[1:]
-    end[:, 1], end[:, 2] = second[1:], -bounds[1:]
-    return programs
-
-
-def _fastest_squares(programs: Array) -> Array:
-    """Return the largest ṡ² (J + 1,) from rest to rest; nan if there is none.
-
-    The backward pass computes the largest ones from which rest can be reached, and writes them into
-    the programs as bounds of the next point. The forward pass is as fast as these permit.
-    """
-    steps = len(programs)
-    lower, upper = np.array([-VARIABLE_BOUND, 0.0]), np.array([VARIABLE_BOUND, VARIABLE_BOUND])
-    objective, active = np.array([-ACCELERATION_WEIGHT, 1.0, 0.0]), np.arange(2)
-    bounds = np.zeros(steps + 1)
-    for i in reversed(range(steps)):
-        a, b, c = programs[i]
-        c[0] = -bounds[i + 1]
-        solved, _, best, active[:] = solve_lp2d(objective, a, b, c, lower, upper, active)
-        if not solved:
-            return np.full(steps + 1, np.nan)
-        bounds[i] = best[1]
-    a, b, c = programs[:, 0], programs[:, 1], programs[:, 2]
-    positive = np.where(a > 0.0, a, 1.0)
-    limits, slopes = np.where(a > 0.0, -c / positive, np.inf), np.where(a > 0.0, b / positive, 0.0)
-    twice, squares, smallest = a[:, 0].tolist(), [0.0], np.minimum.reduce
-    for i, bound in enumerate(bounds[1:].tolist()):
-        after = squares[i] + twice[i] * smallest(limits[i] - slopes[i] * squares[i])
-        least = after - ROUNDING_MARGIN if after > 1e4 * ROUNDING_MARGIN else 0.9999 * after
-        squares += [0.0 if least < 0.0 else least if least < bound else bound]
-    return np.array(squares)
+    return SpeedProfile(s, speeds * np.sqrt(unit / length))
 
 
 def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
