@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Threads of OpenBLAS only wait for small matrices; the command line sets the same.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo film coverage test test-slow test-all test-kernels browser lint docs site gallery screenshots package test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film coverage test test-slow test-all test-kernels browser lint docs site gallery screenshots package smoke test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -111,15 +111,26 @@ package: $(VENV)/.tested
 	cd dist && ../$(VENV)-package/bin/hitchopt solve -q tie_carry_untie.yaml
 	rm -rf $(VENV)-package dist/tie_carry_untie*
 
-# All tests on another Python, which has to be installed as python3.12 and the like.
+# Installs the package on the newest Python that runs here, with the newest of all that it needs, and uses it once.
+smoke:
+	rm -rf $(VENV)-smoke demo/smoke && mkdir -p demo/smoke
+	"$$(bash .ci/python)" -m venv $(VENV)-smoke
+	$(VENV)-smoke/bin/python --version
+	$(VENV)-smoke/bin/python -m pip install --quiet --disable-pip-version-check .
+	cd demo/smoke && export PATH="$(abspath $(VENV)-smoke)/bin:$$PATH" && hitchopt init first.yaml && hitchopt solve -q first.yaml -o out \
+		&& hitchopt check -q out && hitchopt verify -q out && hitchopt export -q out --format csv -o files \
+		&& python -c 'import hitchopt as ho; print(ho.load("out"))'
+	rm -rf $(VENV)-smoke demo/smoke
+
+# The tests of `make test` on another Python, with the newest versions of all that it needs.
 test-3.11 test-3.12 test-3.13: test-%:
-	python$* -m venv $(VENV)-$*
-	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check -e ".[test]"
-	$(VENV)-$*/bin/python -m pytest
+	"$$(bash .ci/python $*)" -m venv $(VENV)-$*
+	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check --upgrade --upgrade-strategy eager -e ".[test]"
+	$(VENV)-$*/bin/python -m pytest -m "not slow"
 
 # All tests on Python 3.11 with the lowest versions that pyproject.toml admits.
 test-lowest: $(VENV)/.tested
-	python3.11 -m venv $(VENV)-lowest
+	"$$(bash .ci/python 3.11)" -m venv $(VENV)-lowest
 	$(BIN)/uv pip compile --quiet --python $(VENV)-lowest --resolution lowest-direct \
 		--extra test -o $(VENV)-lowest/lowest.txt pyproject.toml
 	$(VENV)-lowest/bin/python -m pip install --quiet --disable-pip-version-check \

@@ -10,6 +10,7 @@ import math
 import re
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -179,6 +180,25 @@ class UnitWarning(UserWarning):
     def within(self, parent: str) -> UnitWarning:
         """Return the warning with its key prefixed by that of the enclosing mapping ``parent``."""
         return UnitWarning(_nested_key(parent, self.key), self.words)
+
+
+class FaultWarning(UserWarning):
+    """A fault in a search for changes, a picture or a note; the result is complete without it."""
+
+
+@contextmanager
+def contained(work: str) -> Iterator[None]:
+    """Turn an error of the context into a FaultWarning of one line, so that it hides no result.
+
+    ``work`` says what fails: a search for changes, a picture, a note. Interrupts and the time limit
+    are raised.
+    """
+    try:
+        yield
+    except Exception as error:
+        kind = "" if isinstance(error, HitchoptError) else f"{type(error).__name__}: "
+        words = " ".join(f"{work} failed: {kind}{error}".split())
+        warnings.warn(FaultWarning(words), stacklevel=3)  # the line of the context
 
 
 class FileError(HitchoptError):

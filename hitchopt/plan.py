@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.distances import CLOSENESS_SPANS, Closeness, closeness
-from hitchopt.errors import FileError, InputError, OneLine, Progress, short
+from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_groups
 from hitchopt.motion.combined import combined
@@ -79,7 +79,10 @@ class Plan(OneLine):
 
         A plan without the text of its problem states a density by one above 0.
         """
-        return tuple(weightless_notes(self.motion, self.problem))
+        notes = list[str]()
+        with contained("a note"):
+            notes += weightless_notes(self.motion, self.problem)
+        return tuple(notes)
 
     def _repr_html_(self) -> str:
         """Return the summary card for notebooks: picture, phases, certificate and notes."""
@@ -154,7 +157,7 @@ class Plan(OneLine):
 
         With ``report``, ``report.html`` is written as well. Either all files are written or none,
         even if the process is killed; only files with these names are replaced. ``summary.png``
-        follows, unless ``picture`` is False.
+        follows, unless ``picture`` is False; a failure of it is a warning.
 
         Raises
         ------
@@ -176,7 +179,8 @@ class Plan(OneLine):
         pages = pages if flag("report", report) else {}
         save_plan(folder, *content, rate, pages, report_share, self.problem)
         if is_drawn:
-            self.draw(folder)
+            with contained("summary.png"):
+                self.draw(folder)
         return folder
 
     def draw(self, directory: Path | str) -> Path:

@@ -30,7 +30,14 @@ from hitchopt.cli.output import (
     span_text,
     table,
 )
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, TimeLimitError
+from hitchopt.errors import (
+    FileError,
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    TimeLimitError,
+    contained,
+)
 from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
@@ -128,11 +135,8 @@ def _draw(plan: ho.Plan, folder: Path) -> None:
     """Draw the picture of a plan that is stored, unless ``--quiet``; a failure is a warning."""
     if output().quiet:
         return
-    try:
-        with ProgressBar("drawing"):
-            plan.draw(folder)
-    except FileError as error:
-        say(f"warning: {error}", err=True)
+    with contained("summary.png"), ProgressBar("drawing"):
+        plan.draw(folder)
 
 
 def _output(option: Path | None, file: Path) -> Path:
@@ -160,8 +164,9 @@ def _plan(
     show_plan(plan.title, plan.motion, plan.certificate)
     for group in plan.motion.groups:
         _show_models(group.motion.team)
-    for note in tracking_notes(plan.motion):
-        say(f"note: {note}")
+    with contained("a note on tracking"):
+        for note in tracking_notes(plan.motion):
+            say(f"note: {note}")
     with ProgressBar("writing") as progress:
         plan.save(folder, rate, progress, report=report, picture=False)
     content = certificate_content(plan.motion, plan.certificate, folder / PLAN)

@@ -21,7 +21,7 @@ from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import certificate_of, certify
 from hitchopt.checks.tracking import TRACKING_RADIUS
-from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Progress
+from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Progress, contained
 from hitchopt.exports.contents import MANIFEST, MANIFEST_FORMAT, listed_names, read_manifest
 from hitchopt.exports.format import ExportTask, Format, format_of
 from hitchopt.exports.held_tension import held_tension, is_overridden, loop_gains, trailing_times
@@ -116,9 +116,11 @@ def export_motion(
     rate = kind.rate if options.rate is None else checked_rate(options.rate)
     _check_gains(kind, motion.team, options)
     settings = kind.settings(motion.team, options)
-    notes = (*weightless_notes(motion, problem), *_notes(kind, plan, options))
+    notes = list[str]()
+    with contained("a note"):
+        notes += [*weightless_notes(motion, problem), *_notes(kind, plan, options)]
     content = plan, title, frame, fleet, rate, options
-    task = ExportTask(*content, settings=settings, notes=notes, has_trims=kind.has_heading)
+    task = ExportTask(*content, settings=settings, notes=tuple(notes), has_trims=kind.has_heading)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
         raise FileError(f"{place}: is there already; an export is a folder, so name another")

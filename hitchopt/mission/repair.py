@@ -11,7 +11,7 @@ import math
 import re
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -25,6 +25,7 @@ from hitchopt.errors import (
     Progress,
     TimeIsUp,
     UnitWarning,
+    contained,
     time_left,
 )
 from hitchopt.geometry import ConvexPolygon, Outline
@@ -115,12 +116,14 @@ def find_suggestions(
     Each has been planned and certified. If no single change is enough, up to MAX_CHANGES are
     combined. The search is a heuristic: smaller changes may exist, and no result is no proof.
     ``error`` is that of the problem; after ``budget`` [s] no further plan is started. Unusual
-    values that are tried are not warned of.
+    values that are tried are not warned of. A fault of the search ends it with a warning; what it
+    has found until then is returned.
     """
     search = _Search(problem, error, time.monotonic() + budget, progress, MAX_CHANGES)
-    with warnings.catch_warnings():
+    with contained("the search for changes"), warnings.catch_warnings():
         warnings.simplefilter("ignore", UnitWarning)
         return search.suggestions()
+    return search.found
 
 
 class _Search:
@@ -194,6 +197,11 @@ class _Search:
             return verdict
         return frozenset() if unrepaired else Suggestion(change, math.nan)
 
+    @property
+    def found(self) -> tuple[Suggestion, ...]:
+        """The smallest of the single changes that have succeeded so far, not narrowed down."""
+        return _smallest(each for each in self._verdicts.values() if isinstance(each, Suggestion))
+
     def suggestions(self) -> tuple[Suggestion, ...]:
         """Return up to three suggestions, smallest first."""
         problem, error, broken = self._problem, self._error, self._broken
@@ -219,9 +227,7 @@ class _Search:
             suggestions = _smallest_changes(problem, sufficient, evaluate)
         if not suggestions and max_changes > (0 if changed else 1):
             suggestions = self._combinations(knobs)
-        return tuple(
-            sorted(suggestions, key=lambda s: round(s.change.size, SIZE_DECIMALS))[:MAX_SUGGESTIONS]
-        )
+        return _smallest(suggestions)
 
     def _fitted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
         """Return suggestions of cable lengths and tensions that statics suggest.
@@ -279,6 +285,12 @@ class _Search:
         limits = self._max_changes - (first.key not in changed), (*changed, first.key)
         rest = _Search(first.problem, error, self._end, self._progress, *limits).suggestions()
         return [replace(each, change=each.change.after(first)) for each in rest]
+
+
+def _smallest(suggestions: Iterable[Suggestion]) -> tuple[Suggestion, ...]:
+    """Return up to three suggestions, smallest first."""
+    by_size = sorted(suggestions, key=lambda s: round(s.change.size, SIZE_DECIMALS))
+    return tuple(by_size[:MAX_SUGGESTIONS])
 
 
 def _faults(error: InfeasibleError) -> dict[tuple[str, int], tuple[float, float]]:
@@ -362,7 +374,8 @@ def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob
     if any(knob.key == "team.tension" for knob in knobs):
         pull = min(kind.level_pull(problem.limits.tilt)[0] for kind in team.quadrotor)
         tensions = min(kind.tension for kind in team.quadrotor), PULL_SHARE * pull
-        fitted += [("team.tension", value / float(np.max(team.tension))) for value in tensions]
+        ratios = [value / float(np.max(team.tension)) for value in tensions if value > 0.0]
+        fitted += [("team.tension", ratio) for ratio in ratios]
     if any(knob.key == "team.cable_length" for knob in knobs):
         longest = float(np.max(team.cable_length))
         fitted += [("team.cable_length", value / longest) for value in fitting_cables(problem)]

@@ -93,7 +93,7 @@ def decoded(kind: Any, value: Any) -> Any:
     elif origin is tuple:
         kinds = args[:1] * len(value) if args[1:] == (...,) else args
         value = tuple(decoded(*each) for each in zip(kinds, value, strict=True))
-    elif origin is not None and issubclass(origin, Mapping):
+    elif isinstance(origin, type) and issubclass(origin, Mapping):
         value = {name: decoded(args[1], each) for name, each in value.items()}
     elif kind is Team and "drones" in value:
         kinds = decoded(tuple[Quadrotor, ...], value["quadrotor"])

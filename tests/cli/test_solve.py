@@ -208,6 +208,7 @@ def test_interrupts_are_quiet_and_leave_the_diagnosis(monkeypatch: pytest.Monkey
 DRAW = "hitchopt.view.pictures.draw_summary"
 
 
+@pytest.mark.filterwarnings("always::hitchopt.errors.FaultWarning")
 def test_a_plan_is_printed_and_stored_before_it_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
     def solved(
         *options: str, drawing: type[BaseException] | None = None, code: int = 0
@@ -231,8 +232,9 @@ def test_a_plan_is_printed_and_stored_before_it_is_drawn(monkeypatch: pytest.Mon
     assert solved(drawing=KeyboardInterrupt, code=130) == (plan, told)
     run("check", "out", code=0)
     assert solved() == ({*plan, "summary.png"}, told)
-    warning = "warning: out: cannot be written: None; free space there, or name another directory\n"
-    assert solved(drawing=OSError) == (plan, told + warning.replace("None", ""))
+    remedy = "cannot be written: ; free space there, or name another directory"
+    warning = f"warning: summary.png failed: out: {remedy}\n"
+    assert solved(drawing=OSError) == (plan, told + warning)
     assert solved("--no-picture", drawing=AssertionError) == (plan, told)
     assert solved("-q", drawing=AssertionError) == (plan, "")
 

@@ -10,10 +10,12 @@ import random
 import re
 import tracemalloc
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from types import GenericAlias
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -30,7 +32,7 @@ from hitchopt.errors import FileError
 from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import CURVES, Motion
 from hitchopt.motion.plan_file import read_plan, read_saved_plan, write_plan
-from hitchopt.motion.request import check_request, request_of
+from hitchopt.motion.request import check_request, decoded, encoded, request_of
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, consistency, read
@@ -471,6 +473,29 @@ def header(shape: tuple[int, ...]) -> bytes:
 
 
 BOMB = 70 * 2**20  # [bytes]
+
+
+class Alias:
+    """A generic alias of a type that is no class, as numpy.typing.NDArray is since numpy 2.5."""
+
+    def __getitem__(self, arguments: Any) -> GenericAlias:
+        return GenericAlias(cast(Any, self), arguments)
+
+
+VECTOR: Any = Alias()[float]
+
+
+@dataclass(frozen=True)
+class Annotated:
+    """A record as plan files store it, annotated by an alias."""
+
+    places: VECTOR
+    names: Mapping[str, VECTOR]
+
+
+def test_fields_are_read_whatever_their_annotations_are() -> None:
+    values = {"places": [0.0, 1.0], "names": {"q0": [2.0]}}
+    assert encoded(decoded(Annotated, values)) == values
 
 
 @pytest.mark.parametrize(
