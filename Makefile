@@ -15,7 +15,6 @@ demo: $(VENV)/.installed
 # Films plans in real time to demo/, and four times as fast and small for the pages: each from a time [s] on, and of a part of its frames.
 film: $(VENV)/.filmed
 	$(call film,carry_box,0,iw:ih:0:0,800)
-	$(call film,replace_in_flight,14,700:600:290:120,640)
 	$(call film,two_robots_drum,0,960:600:160:120,640)
 
 define film

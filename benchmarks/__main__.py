@@ -17,7 +17,6 @@ NAMES = (
     "carrying",
     "flights",
     "laying",
-    "joining",
     "recordings",
     "real",
     "statics",

@@ -153,11 +153,9 @@ def contents(motion: Any) -> tuple[dict[str, Any], Curves]:
 
 def phase_data(phase: Any, robots: int) -> dict[str, Any]:
     """Return a phase as JSON values, with the state of every robot's cable."""
-    ring, waiting = phase.ring, {robot: str(state) for robot, state in phase.waiting}
     hold = phase.hold and [phase.hold.object, str(phase.hold.by), *phase.hold.cables]
     return {name: getattr(phase, name) for name in FIELDS} | {
-        "states": [waiting.get(robot, str(phase.state)) for robot in range(robots)],
-        "ring": ring and [*ring],
+        "states": [str(phase.state)] * robots,
         "hold": hold,
     }
 

@@ -27,7 +27,6 @@ from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import Settle
-from hitchopt.steps.ring_change import Join, Replace, Withdraw
 from hitchopt.steps.step import Stage, Step
 from hitchopt.steps.straddling import Tie
 from hitchopt.storage.yaml_file import read_text
@@ -289,7 +288,7 @@ STEP_FUNCTIONS = tuple(
     for kind in STEPS
     if (kind.stages is None or kind.stages[0] is Stage.FREE)
     and "object" not in keys_of(kind)
-    and kind not in (Settle, Join, Withdraw, Replace, Tie)
+    and kind not in (Settle, Tie)
 )
 """Kinds of steps that are functions too: those that need neither an object nor an idle robot, and
 whose name is free (``hitchopt.settle`` computes the static equilibrium with compliant drones)."""

@@ -63,11 +63,11 @@ CROSSINGS = {"on the ground": 0, "hanging free": 0, "being drawn taut": 0}
 CROSSINGS |= {"being tightened": 1, "hitched": 1}  # of both cables of a clasp
 LAID, ROLLING = "being laid", "rolling"  # single taut cables; pairs between crossing and clasp
 CLASPING, TIGHTENED = "clasping", "being tightened"
-LYING, UNLINKED = "lying across", {"on the ground", "hanging free"}  # weight transfer; no links
+UNLINKED = {"on the ground", "hanging free"}  # no links
 DRAWN, BENT = "being drawn taut", "bent around an object"  # single cables, the latter with edges
 OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, "hitched"}  # states of two cables that clasp twice
 EARLIER_FORMATS = ("hitchopt-plan/1", "hitchopt-plan/2")
-STATES = {*CROSSINGS, "clasping", LAID, ROLLING, LYING, BENT, "none"}
+STATES = {*CROSSINGS, "clasping", LAID, ROLLING, BENT, "none"}
 SAME = 1e-9  # [m], [N] largest difference of contacts from midpoints, of pulls from tensions
 MAX_COEFFS = 61  # coefficients of a curve
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
@@ -91,7 +91,7 @@ TYPES = {
     "arena": "lower:number[3] upper:number[3]",
     "prism": "polygon:number[2][] lower:number upper:number",
     "phase": "name:text step:count start:number end:number remark:text state:text tension:+[2]? "
-    "hold:hold? ring:count[]? waiting:any[2][]",
+    "hold:hold?",
     "hold": "object:text by:text cables:count[]",
     "roles": "robots:count[] flipped:flag[]",
     "body": "section:section lower:number upper:number mass:+ friction:0+ at:number[3] yaw:number "
@@ -696,30 +696,21 @@ class Plan:
     the midpoint for a straight edge. Cable k runs from q_k via vertices begin[k] and end[k] to r_k.
     The i-th leg starts at point anchor[i] and pulls at point pull_point[i]. If cables bend on their
     own, further points are the inner ends of legs: their own ones then, and vertices otherwise.
-
-    If robots join and leave, ``chapters`` are runs of pieces with one ring: the plan of that ring,
-    ``ring_plan``, and one of every robot that waits, from ``start`` to ``stop``. Otherwise the plan
-    is its only chapter. ``changing`` has the robots that join or leave at its start and end, or -1.
     """
 
-    def __init__(self, file: Any, head: dict[str, Any], folder: str = "", robots: Any = ()) -> None:
+    def __init__(self, file: Any, head: dict[str, Any], folder: str = "") -> None:
         self.file, self.folder, records = file, folder, head["records"]
         self.label = f"{head['name']}." if head["name"] else ""
         self.settings = {**records, **records["requirements"]}
-        self.arrays, self.robots, self.changing = dict[str, Array](), np.array(robots), [-1, -1]
-        self.start, self.stop, self.ring_plan = -math.inf, math.inf, self
         team, roles = records["team"], records["assignment"]
         check_type("team", team, "team" if "robots" in team else "single")
         self._read(self.settings)
         if roles and (sorted(roles["robots"]), len(roles["flipped"])) != ([*range(self.n)], self.n):
             raise ValueError(f"{self.label}assignment is no permutation")
-        changes = any(phase["ring"] is not None for phase in self.phases)
-        self.chapters = chapters(self) if changes else [[self]]
 
     def _array(self, name: str, *shape: int, bound: float = 1e5) -> Array:
         """Return an array of the file; a polynomial if its shape has several numbers."""
         x: Array = self.file[self.folder + name]
-        self.arrays[name] = x
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
         fits &= x.shape[-1] > 0 and [*self.file].count(self.folder + name) == 1
         fits &= not shape[1:] or x.shape[-1] <= MAX_COEFFS
@@ -758,9 +749,8 @@ class Plan:
         if m < 1 or not np.all(self.h > 0.0):
             raise ValueError(f"{label}breaks do not increase")
         self._array("breaks", m + 1, bound=BIG)
-        too_few = n < 2 and not len(self.robots)
         self.two = self.closed and n == 2  # both cables clasp each other twice, around an object
-        if n and (team["topology"] not in ("closed", "open") or too_few):
+        if n and (team["topology"] not in ("closed", "open") or n < 2):
             raise ValueError("team has too few robots, or a topology other than closed or open")
         if self.limits["reserve"] > 1.0 or self.limits["tilt"] >= 0.5 * math.pi:
             raise ValueError("limits.reserve is above 1, or limits.tilt is not below 90 degrees")
@@ -768,10 +758,9 @@ class Plan:
         if np.any(np.array(box["lower"]) >= box["upper"]):
             raise ValueError("arena has a lower bound that is not below its upper bound")
         self._read_quadrotors(team)
-        self.robots = self.robots if len(self.robots) else np.arange(n)
-        self.names = [f"{label}{end}{k}" for k in self.robots for end in "qr"]
+        self.names = [f"{label}{end}{k}" for k in range(n) for end in "qr"]
         self.names += [f"{label}d{i}" for i in range(N - 2 * n)]
-        self.cables = [f"{label}cable {k}" for k in self.robots]
+        self.cables = [f"{label}cable {k}" for k in range(n)]
         self.labels = [*self.names, *(f"{label}p{j}" for j in range(P)), *np.repeat(self.cables, 2)]
         self.floor = 0.0 if self.arena is None else float(self.arena["lower"][2])
         self.arena_row = "ground m min" if self.arena is None else "arena m min"
@@ -812,8 +801,7 @@ class Plan:
     def _set_states(self) -> None:
         """Set states of pieces, and masks of those with a hitch, and with taut parts of cables."""
         self.state = np.array([phase["state"] for phase in self.phases])[self.phase]
-        self.merged_state = np.where(self.state == LYING, ROLLING, self.state)
-        self.formed = np.isin(self.state, ("hitched", ROLLING, LYING))
+        self.formed = np.isin(self.state, ("hitched", ROLLING))
         self.bent = self.state == BENT
         self.taut = self.formed | self.bent
         self.free = ~self.taut & (self.n > 0)
@@ -821,17 +809,12 @@ class Plan:
     def _check_phases(self) -> None:
         """Raise ValueError unless phases are consecutive and consistent."""
         end, before = self.breaks[0], dict[str, Any]()
-        objects, team = self.settings["objects"], self.settings["team"]
-        changes = any(phase["ring"] is not None for phase in self.phases)
+        objects = self.settings["objects"]
         for i, phase in enumerate(self.phases):
             start, state, range_, hold = (phase[x] for x in ("start", "state", "tension", "hold"))
             follows, end = abs(start - end) <= POS_TOL and start < phase["end"], phase["end"]
-            same = all(phase[x] == before.get(x) for x in ("state", "ring", "waiting"))
+            same = state == before.get("state")
             at_break, before = same or np.min(np.abs(self.breaks - start)) <= POS_TOL, phase
-            ring, waiting = phase["ring"], phase["waiting"]
-            complete = sorted([*(ring or ()), *(k for k, _ in waiting)]) == [*range(self.n)]
-            complete &= len(ring or ()) > 2 and self.closed and not (any(team["load"]) or hold)
-            complete &= {*UNLINKED, LAID}.issuperset(x for _, x in waiting)
             known = not hold or (hold["object"] in objects and hold["by"] in ("rest", "grip"))
             known &= {*range(self.n)}.issuperset(hold["cables"] if hold else ())
             known &= not (self.two and hold) or (hold["by"], len({*hold["cables"]})) == ("grip", 2)
@@ -839,7 +822,6 @@ class Plan:
             for valid, text in (
                 (follows, "does not start at the end of the previous phase"),
                 (at_break, "changes the state within a piece"),
-                (complete if changes else not waiting, "has invalid rings or waiting robots"),
                 (state in states and (state == "none") is (self.n == 0), f"has the state {state}"),
                 (range_ is None or range_[0] <= range_[1], "has an empty range of tensions"),
                 (known, "holds an unknown object, or with unknown cables"),
@@ -922,7 +904,7 @@ class Plan:
         rows = [(self.anchor[on], on, on // 2, own.ravel()[on], own.ravel()[on])]
         rows += [(a, b, k, self.begin, self.end) for a, b in pairwise(ends)]
         self.segments = np.concatenate([np.stack(row, -1) for row in rows])
-        leg_names = [f"{self.label}{'qr'[j % 2]}-leg {self.robots[j // 2]}" for j in on]
+        leg_names = [f"{self.label}{'qr'[j % 2]}-leg {j // 2}" for j in on]
         self.segment_names = leg_names + [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
         return on_cables
 
@@ -976,53 +958,6 @@ def differ(c: Array, d: Array) -> bool:
     """Return whether polynomials differ by more than SAME."""
     count = max(c.shape[-1], d.shape[-1])
     return bool(np.any(np.abs(elevate(c, count) - elevate(d, count)) > SAME))
-
-
-def chapters(p: Plan) -> list[list[Plan]]:
-    """Return the plans of rings, each with those of the waiting robots."""
-    if p.has_contacts or np.any(p.active):
-        raise ValueError("objects move, or edges bend around them, while robots join or leave")
-    chapters, first = list[list[Plan]](), 0
-    for ring, run in groupby(p.phases[i]["ring"] for i in p.phase):
-        pieces = slice(first, first := first + len([*run]))
-        waiting = [[k] for k in range(p.n) if k not in ring]
-        chapters.append([chapter(p, pieces, robots) for robots in (ring, *waiting)])
-        if np.any(p.arrays["vertices"][pieces, len(ring) :]):
-            raise ValueError("vertices has more of them than a ring")
-        for x in chapters[-1]:
-            x.ring_plan = chapters[-1][0]
-    for one, other in pairwise(chapters):
-        time, changed = float(other[0].breaks[0]), {*one[0].robots} ^ {*other[0].robots}
-        for x in one + other:
-            x.start, x.stop = (x.start, time) if x in one else (time, x.stop)
-            if len(changed) == 1 and changed <= {*x.robots}:
-                x.changing[x in one] = x.robots.tolist().index(*changed)
-    return chapters
-
-
-def chapter(p: Plan, pieces: slice, robots: list[int]) -> Plan:
-    """Return the plan of a ring, or of a waiting robot, on a run of pieces."""
-    arrays, n = dict[str, Array](), len(robots)
-    ends, vertices = [2 * k + end for k in robots for end in (0, 1)], [*range(max(n, 2))]
-    rows: dict[str, Any] = {"drones": ends, "vertices": vertices}
-    rows |= dict.fromkeys(("poses", "load_share"), slice(None))
-    for name, x in p.arrays.items():
-        arrays[p.folder + name] = x[pieces, rows.get(name, robots)] if x.ndim > 1 else x
-    arrays[f"{p.folder}breaks"] = p.breaks[pieces.start : pieces.stop + 1]
-    arrays[f"{p.folder}contacts"] = midpoints(arrays[f"{p.folder}vertices"], n)
-    clasps, topology = (n, "closed") if n > 1 else (0, "open")
-    team = p.settings["team"] | {"robots": n, "topology": topology, "load": [0.0] * clasps}
-    for key in ("cable_length", "tension", "quadrotor"):
-        by_drone = key == "quadrotor" and len(team[key]) == p.N
-        team[key] = [team[key][k] for k in (ends if by_drone else robots)]
-    phases = list[dict[str, Any]]()
-    for i in dict.fromkeys(p.phase[pieces].tolist()):
-        phase = p.phases[i] | {"ring": None, "waiting": []}
-        waiting = dict(p.phases[i]["waiting"])
-        phases.append(phase if n > 1 else phase | {"state": waiting[robots[0]], "tension": None})
-    records = {key: p.settings[key] for key in ("requirements", "assignment")}
-    records |= {"team": team, "phases": phases, "assignment": None}
-    return Plan(arrays, {"name": p.label[:-1], "records": records}, p.folder, robots=robots)
 
 
 def elevate(c: Array, count: int) -> Array:
@@ -1208,9 +1143,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     own = np.where(p.leg, np.arange(p.N), p.anchor)  # other end of the segment at each drone
     foreign = np.argwhere(np.all(p.segments[:, :2] != own[:, None, None], axis=2))
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
-    both, crossed = np.argwhere(np.triu(~shared, 1)), crossing_legs(p).values()
-    touching = [mask[:, None] & np.all(both == sorted(legs), axis=1) for mask, legs, _ in crossed]
-    pairs = p.spans(on[:, None] & ~sum(touching, ~p.all_pieces[:, None]), both, names, names)
+    pairs = p.spans(on, np.argwhere(np.triu(~shared, 1)), names, names)
 
     def turn_margin(s: Spans, _: Index) -> Line:
         """Return the margin of the total turn to more than one turn, or to one for a chain."""
@@ -1263,44 +1196,6 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         yield prove("grip bend max", 2 * WRAP_TOL, straight, bend)
 
 
-def crossing_legs(p: Plan) -> dict[int, tuple[Mask, list[int], float]]:
-    """Return the crossing legs beyond the edge of a robot that has joined (0), or leaves (1).
-
-    Values: mask of pieces on which they may touch, as cables lie across each other and roll before
-    or after; r-leg of the cable behind and q-leg of the one ahead; 1 if the latter is above, or -1.
-    """
-    crossings = dict[int, tuple[Mask, list[int], float]]()
-    for end, k in enumerate(p.changing):
-        order = slice(None, None, 1 - 2 * end)
-        lying = np.logical_and.accumulate(p.state[order] == LYING)
-        if k >= 0 and lying[0] and p.n > 1:
-            after = p.phase[order][np.append(lying, False).argmin() :][:1]
-            mask = (lying | np.isin(p.phase[order], after) & (p.state[order] == ROLLING))[order]
-            legs = [2 * ((k - 1) % p.n) + 1, 2 * ((k + 1) % p.n)]
-            s = p.spans(mask, [legs])
-            x = np.concatenate([height_over(s.subspan(x), *legs).v for x in (-1.0, 0.0, 1.0)])
-            crossings[end] = mask, legs, float(np.sign(x.flat[np.argmax(np.abs(x))]))
-    return crossings
-
-
-def height_over(s: Spans, i: Index, j: Index) -> Line:
-    """Return heights of legs j over legs i: the signed distance of their lines."""
-    n = s.leg(i).cross(s.leg(j)).unit()
-    return (s.point(s.plan.anchor[j]) - s.point(s.plan.anchor[i])).dot(n)
-
-
-def crossing_leg_heights(p: Plan) -> Iterator[Row]:
-    """Prove that the upper one of crossing legs stays above the lower one until they separate."""
-
-    def above(s: Spans, i: Index, j: Index, sign: float) -> Line:
-        a, b = ([s.point(k), s.point(p.anchor[k])] for k in (i, j))
-        return maximum(height_over(s, i, j) * sign, distance(a, b) - SAG_TOL - p.crossing_limit[1])
-
-    for mask, legs, sign in crossing_legs(p).values():
-        s = p.spans(mask, [legs], p.names, p.names)
-        yield prove("laid m min", -SAG_TOL, s, partial(above, sign=sign))
-
-
 def capstan(s: Spans, i: Index) -> Line:
     """Return ``e^{μθ}`` for the angle θ between leg and edge at the clasps of drones i."""
     leaving, arriving = s.edge(i // 2)
@@ -1323,9 +1218,7 @@ def length_error(s: Spans, k: Index) -> Line:
     for b in range(len(p.bodies)):
         share = p.load_share.on(s, b)
         excess = excess - share * share * p.length_loss[b, s.piece, k, None]
-    error = maximum(excess.norm(), *errors) * (1.0 / p.length[k])
-    lying = p.state[s.piece] == LYING
-    return error.where(~lying) + (error - p.sag[k]).where(lying)
+    return maximum(excess.norm(), *errors) * (1.0 / p.length[k])
 
 
 def wrapped_length(s: Spans, k: Index) -> Line:
@@ -1403,16 +1296,10 @@ def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line]
 
 
 def force_residual(s: Spans, c: Index) -> Line:
-    """Return the force residual of a clasp, over the smaller tension of its cables.
-
-    Weights of cables that lie across each other may be supported elsewhere.
-    """
+    """Return the force residual of a clasp, over the smaller tension of its cables."""
     u, P, (a, b), body_force = clasp_forces(s, c)
     total = u[0] * P[0] + u[1] * P[1] + u[2] * P[2] - u[3] * P[3] - a - b + body_force
-    p, lying, both = s.plan, s.plan.state[s.piece] == LYING, s.plan.pair[:, c]
-    residual = total.norm() * maximum(minimum(P[1], P[3]), MIN_TENSION).inverse()
-    weight: Array = p.weight * np.sum(p.length[both], axis=0) / np.min(p.team[both], axis=0)
-    return residual.where(~lying) + (residual - weight).where(lying)
+    return total.norm() * maximum(minimum(P[1], P[3]), MIN_TENSION).inverse()
 
 
 def roll_angle(s: Spans, c: Index) -> Line:
@@ -1433,17 +1320,14 @@ def past_roll(s: Spans, c: Index, sense: Array) -> Line:
     """Return 0 where pairs certainly do not roll past lying across; otherwise negative values.
 
     From lying across, at -180° times its sense, a pair rolls to its clasp, and may pass it by a
-    right angle. While weight is passed, pairs lie within 5° of lying across on either side.
+    right angle.
     """
-    k, j, lies = s.plan.clasps[c], s.plan.behind[c], s.plan.state[s.piece] == LYING
+    k, j = s.plan.clasps[c], s.plan.behind[c]
     q, r = (s.leg_chord(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
     axis, bisector = (q + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
     sine = axis.cross(bisector).dot(q - r) * sense[s.piece, c, None]
     cosine = axis.dot(bisector) * axis.dot(q - r) - bisector.dot(q - r)
-    slack = cosine * np.tan(np.where(lies, 180.0 - OPEN_ROLL, PAST_ROLL) / DEGREES)[:, None]
-    side = sine + slack
-    side = side.where(~lies) + minimum(side, slack - sine).where(lies)
-    x = maximum(side, -cosine).where(has_tension(s, k, j))
+    x = maximum(sine + cosine * math.tan(PAST_ROLL / DEGREES), -cosine).where(has_tension(s, k, j))
     return Line(np.minimum(x.v, 0.0), s.zero.g, np.where(x.low >= 0.0, 0.0, BIG), s.t)
 
 
@@ -1757,35 +1641,6 @@ def crossing_heights(p: Plan, q: int, end: int) -> Array:
     return cable_heights(s, p.clasps, x) - cable_heights(s, p.behind, y)
 
 
-def laid_contacts(alone: Plan) -> dict[int, tuple[Mask, Items, Array, Array, Array]]:
-    """Return contacts of a robot's cable that is lifted after leaving (0), or laid to join (1).
-
-    Values: mask of pieces on which it moves vertically from or to edges of a resting ring; crossed
-    edges (k,), positions of crossings (k, 2), heights of its q at contact (k,), and 1 above or -1
-    below the edge (k,). It lies on the edges at one end, and is clear of all at the other end.
-    """
-    ring, contacts = alone.ring_plan, dict[int, Any]()
-    rest = np.max(np.ptp(ring.points.c[0][:, : ring.V.stop], axis=-1), axis=(1, 2)) <= POS_TOL
-    valid = (alone.state == LAID) & alone.vertical & ring.formed & rest
-    for end in (end for end in (0, 1) if alone.changing[end] >= 0 and valid[-end]):
-        order = slice(None, None, 1 - 2 * end)
-        run = np.logical_and.accumulate(valid[order])[order]
-        c, points = (each.points.c[0][-end, ..., -end] for each in (alone, ring))
-        a, edge = points[ring.begin], points[ring.end] - points[ring.begin]
-        x, y = intersections(c[:1], c[1:2] - c[:1], a, edge)
-        k = np.flatnonzero(~np.isnan(x))
-        a, edge, y = a[k], edge[k], y[k]
-        sag = 0.5 * ring.weight / ring.team[k, 0] * y * (1.0 - y) * norm(edge) ** 2
-        s = alone.spans(np.arange(len(run)) == -end % len(run), 0 * k).subspan(2.0 * end - 1.0)
-        gaps = cable_heights(s, 0 * k, x[k]) + sag - a[:, 2] - y * edge[:, 2]
-        clear = gaps + alone.points.c[0][np.flatnonzero(run)[end - 1], 0, 2, end - 1] - c[0, 2]
-        side, places = np.sign(clear), a[:, :2] + y[:, None] * edge[:, :2]
-        touching = (side * gaps >= -POS_TOL) & (np.abs(gaps) <= SAG_TOL) & (side == side[:1])
-        if np.all(touching & (np.abs(clear) >= alone.crossing_limit[1])):
-            contacts[end] = run, k, places, c[0, 2] - gaps, side
-    return contacts
-
-
 def roll_changes(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
     """Return rolls at the start of a run, their changes (c,) [deg], and a mask of valid changes.
 
@@ -1840,7 +1695,7 @@ def replay(
     """
     m, count, faults = len(p.h), len(p.clasps), list[Fault]()
     sign, least, (sense, order) = np.zeros((m, count)), np.full((m, count), -BIG), links
-    runs = [(str(s), np.array([*q])) for s, q in groupby(range(m), lambda q: p.merged_state[q])]
+    runs = [(str(s), np.array([*q])) for s, q in groupby(range(m), lambda q: p.state[q])]
     names = [around[0], *(s for s, _ in runs), around[1]]
     i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
 
@@ -2140,7 +1995,7 @@ class Pair(Plan):
     ) -> None:
         self.plans, self.size = (p, q), max(p.size, q.size)
         breaks = np.concatenate([p.breaks, q.breaks])
-        self.breaks = np.unique(breaks.clip(max(p.start, q.start), min(p.stop, q.stop)))
+        self.breaks = np.unique(breaks)
         self.h = np.diff(self.breaks)
         self._set_distances(separation, tube)
 
@@ -2183,10 +2038,9 @@ def between_plans(pair: Pair) -> Iterator[Row]:
     """Prove distances between drones and cables of two plans.
 
     Upright regions contain cables without a hitch. Distances to them are horizontal or vertical
-    ones. A cable that is laid on edges or lifted from them must not pass through them.
+    ones.
     """
     p, q = pair.plans
-    contacts = [*laid_contacts(q).values()] if q.ring_plan is p else []
 
     def ratio(a: list[Line], b: list[Line]) -> Line:
         return ((a[0] - b[0]) * pair.scale).norm()
@@ -2207,19 +2061,9 @@ def between_plans(pair: Pair) -> Iterator[Row]:
         limit, s = pair.cable_limit if 0 in (i, j) else pair.crossing_limit, pair.items(one, two)
         if i == j == 0:
             measure, limit = partial(ratio), ("separation ratio min", 1.0)
-        if (i, j) == (1, 3):
-            for run, edges, *_ in contacts:
-                s = s.select(~(run[s.piece] & np.isin(s.item[:, 0], 2 * p.n + edges)))
         yield prove(*limit, s, partial(gap, of=(one, two), measure=measure))
         if {i, j} == {0, 1} and p.folder != q.folder:
             yield prove("downwash ratio min", 1.0, s, partial(gap, of=(one, two), measure=below))
-    for run, edges, _, height, side in contacts:
-
-        def above(s: Spans, k: Index, height: Array = height, side: Array = side) -> Line:
-            return (s.point(0 * k)[2] - height[k, None]) * side[k, None]
-
-        s = q.spans(run, range(len(edges)), [p.segment_names[2 * p.n + k] for k in edges])
-        yield prove("laid m min", -POS_TOL, s, above)
 
 
 def object_distances(pair: Pair) -> Iterator[Row]:
@@ -2290,9 +2134,7 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
     At changes of the ring, thrusts may jump by the weights of cables that lie on each other. With
     ``rests``, the plan must be at rest at its ends.
     """
-    parts, bodies = [*chain(*p.chapters)], [body.name for body in p.bodies]
-    same = ~np.isin(p.breaks[1:-1], [x.start for x in parts])[:, None]
-    both = (p.taut[1:] & p.taut[:-1])[:, None] & same
+    bodies, both = [body.name for body in p.bodies], (p.taut[1:] & p.taut[:-1])[:, None]
 
     def jump(
         c: Array, names: Sequence[str], on: Any = True, slack: Any = 0.0, fold: Any = np.max
@@ -2321,45 +2163,35 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
     yield worst_row("continuity", "m", 1e-6, values)
     if not p.n:
         return
-    f = np.zeros((len(p.h), p.n, 2, 3, 2))  # thrusts at both ends of pieces
-    for x in parts:
-        s, pieces = x.spans(x.all_pieces, range(x.N)), np.isin(p.breaks[:-1], x.breaks[:-1])
-        with np.errstate(all="ignore"):
-            ends = [s.subspan(end).thrust(s.item[:, 0]).v for end in (-1.0, 1.0)]
-        f[np.ix_(pieces, x.robots)] = np.stack(ends, -1).reshape(-1, x.n, 2, 3, 2)
-    on, slack = p.taut[:, None, None, None], p.weight * np.repeat(p.length[:, 0], 2) * ~same
-    values = [*jump(f.reshape(-1, p.N, 3, 2), p.names, slack=slack)]
-    values += [*jump(p.tensions.c[0] * on, p.cables, same), *jump(p.pulls.c[0] * on, p.names, same)]
+    drones = p.spans(p.all_pieces, range(p.N))
+    with np.errstate(all="ignore"):
+        ends = [drones.subspan(end).thrust(drones.item[:, 0]).v for end in (-1.0, 1.0)]
+    on = p.taut[:, None, None, None]
+    values = [*jump(np.stack(ends, -1).reshape(-1, p.N, 3, 2), p.names)]
+    values += [*jump(p.tensions.c[0] * on, p.cables), *jump(p.pulls.c[0] * on, p.names)]
     # At both ends of a range, tensions are the team's unless an object is held there
-    for x in (rings[0] for rings in p.chapters):
-        held, ranged = np.pad(np.any(x.held, axis=0), 1, "edge"), np.append(x.range_phase, -1)
-        for q, end in product(np.flatnonzero(x.formed & (x.range_phase >= 0)), (0, -1)):
-            o = q - 1 - 2 * end  # without a range, but with the same hold, beyond the plan
-            if ranged[o] != ranged[q] and not (held[q + 1] and held[o + 1]):
-                error = np.max(np.abs(x.tensions.c[0][q, :, :, end] - x.team))
-                values.append((float(error), float(x.breaks[q - end]), "range"))
+    held, ranged = np.pad(np.any(p.held, axis=0), 1, "edge"), np.append(p.range_phase, -1)
+    for q, end in product(np.flatnonzero(p.formed & (p.range_phase >= 0)), (0, -1)):
+        o = q - 1 - 2 * end  # without a range, but with the same hold, beyond the plan
+        if ranged[o] != ranged[q] and not (held[q + 1] and held[o + 1]):
+            error = np.max(np.abs(p.tensions.c[0][q, :, :, end] - p.team))
+            values.append((float(error), float(p.breaks[q - end]), "range"))
     yield worst_row("tension", "N", 1e-4, values)
 
 
 def interlacing(p: Plan) -> Iterator[Row]:
     """Check the crossings of all pairs of cables against the states of phases."""
-    faults, rings, first = list[Fault](), [chapter[0] for chapter in p.chapters], 0
-    links = np.zeros((3, p.n, p.n))  # crossings, senses, and height orders, [behind, ahead]
-    links[:2, *rings[0].robots[rings[0].pair]] = float(p.formed[0])
+    links = np.zeros((3, len(p.clasps)))  # crossings, senses, and height orders
+    links[:2] = float(p.formed[0])
     links[0] *= 1 + p.two
     later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # free now or later
-    names = ["", "", *(x.merged_state[end] for x in rings for end in (0, -1)), "", ""]
-    for at, ring in enumerate(rings):
-        loose = later_free[first : (first := first + len(ring.h))]
-        faults += link_faults(ring, links, loose, names[2 * at + 1 : 2 * at + 5 : 3])
-        if ring is not rings[-1]:
-            faults += seam_faults(p.chapters[at], p.chapters[at + 1], links)
-    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, LYING, BENT))):
+    faults = [*link_faults(p, links, later_free)]
+    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, BENT))):
         yield fault_row("interlacing", faults)
 
 
-def link_faults(p: Plan, links: Array, loose: Mask, around: Sequence[str]) -> Iterator[Fault]:
-    """Count crossings of chords on the ``loose`` pieces of a chapter, and update all links.
+def link_faults(p: Plan, own: Array, loose: Mask) -> Iterator[Fault]:
+    """Count crossings of chords on the ``loose`` pieces of a plan, and update all links.
 
     A hitch keeps its links: chords are followed through it if cables are released later. On spans
     on which chords may touch, each must provably cross the other, projected along their common
@@ -2388,25 +2220,21 @@ def link_faults(p: Plan, links: Array, loose: Mask, around: Sequence[str]) -> It
         np.add.at(half_crossings, (*s.item.T, s.piece + 1), step)
         return Line(s.zero.v, s.zero.g, np.where(apart | crosses, 0.0, BIG), s.t)
 
-    # replay checks laid or rolling neighbours; crossing_legs, those beyond a changing robot's edge
-    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, LYING, BENT))
+    # replay checks laid or rolling neighbours
+    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, BENT))
     loose = loose[:, None] & ~(laid[:, None] & p.clasped[both])
-    for mask, legs, _ in crossing_legs(p).values():
-        loose[mask] &= np.any(np.stack(both, -1) != sorted(k // 2 for k in legs), axis=1)
     pairs = p.spans(loose, np.column_stack(both), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
-    i, j, own = np.minimum(*p.pair), np.maximum(*p.pair), links[:, *p.robots[p.pair]]
+    i, j = np.minimum(*p.pair), np.maximum(*p.pair)
     half_crossings[i, j, 0] = own[0]
     if np.any(laid):
-        faults, sense, _ = replay(p, half_crossings, own[1:], around)
-        s = p.spans(np.isin(p.state, (ROLLING, LYING)), range(len(p.clasps)), p.labels[p.V])
+        faults, sense, _ = replay(p, half_crossings, own[1:], ("", ""))
+        s = p.spans(p.state == ROLLING, range(len(p.clasps)), p.labels[p.V])
         row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=sense))
         past = row.verdict != "proven", f"the pair at {row.where} rolls past lying across"
         yield from (*faults, (row.time, *past))
     count = np.cumsum(half_crossings, axis=-1)
-    own[0] = count[i, j, -1]
-    links[:, *p.robots[p.pair]] = own
     numbers = np.array([CROSSINGS.get(state, -1) for state in p.state]) * (1 + p.two)
     expected = np.where(p.clasped[..., None], numbers, 0)
     same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
@@ -2415,48 +2243,6 @@ def link_faults(p: Plan, links: Array, loose: Mask, around: Sequence[str]) -> It
     wrong[..., -1] |= (count[..., -1] != 0.0) & ~p.formed[-1]
     for k, o, q in np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None]):
         yield float(p.breaks[q]), True, f"{p.cables[k]}, {p.cables[o]}"
-
-
-def seam_faults(one: list[Plan], other: list[Plan], links: Array) -> Iterator[Fault]:
-    """Carry links over to the next chapter, whose ring has one robot more or less.
-
-    This robot moves vertically onto both neighbours, which lie across each other, from above or
-    from below, and leaves likewise; the height order at their corner remains. Rings of unlinked
-    cables may change freely.
-    """
-    a, b, time = one[0], other[0], float(other[0].breaks[0])
-    if UNLINKED.issuperset((a.state[-1], b.state[0])):
-        links[:] = 0.0
-        laid = [*(x.state[-1] for x in one), *(x.state[0] for x in other)]
-        yield time, LAID in laid, "a waiting robot is laid next to free cables"
-        return
-    joins = b.n > a.n
-    small, large, end = (a, b, -1) if joins else (b, a, 0)
-    k = large.changing[not joins]
-    robot, *rest = np.roll(large.robots, -k).tolist()
-    rotations = [np.roll(small.robots, x).tolist() for x in range(small.n)]
-    passes = large.state[-1 - end] == LYING and small.state[end] == ROLLING
-    if k < 0 or not passes or rest not in rotations:
-        yield time, True, "rings differ by more than a robot between neighbours that lie across"
-        return
-    behind, ahead, alone = rest[-1], rest[0], (one if joins else other)[1:]
-    contacts = laid_contacts(next(x for x in alone if x.robots == robot)).get(int(joins))
-    corner, side = crossing_legs(large)[int(not joins)][2], 0.0
-    if contacts is not None:
-        _, edges, places, _, above = contacts
-        vertices = large.points.c[0][-1 - end, [large.begin[k], large.end[k]], :2, -1 - end]
-        near = norm(places - vertices[1 * (small.robots[edges] == ahead)]) <= SAG_TOL
-        if {*small.robots[edges].tolist()} == {behind, ahead}:
-            side = float(above[0] * np.all(near))
-    lost, new = {(behind, ahead): corner}, {(behind, robot): side, (robot, ahead): -side}
-    lost, new = (lost, new) if joins else (new, lost)
-    for pair, order in (lost | new).items():
-        wrong = order == 0.0 or (pair in lost and links[2, *pair] != order)
-        yield time, wrong, f"cables {pair[0]} and {pair[1]} do not touch as a robot joins or leaves"
-        links[:, *pair] = 0.0, 0.0, order * (pair in new)
-    (x, last), (y, first) = ((r.robots[r.pair].T, r.points.c[0][:, r.begin]) for r in (a, b))
-    moved = norm(last[-1, :, None, :, -1] - first[0, None, :, :, 0]) > POS_TOL
-    yield time, bool(np.any(moved & np.all(x[:, None] == y, axis=-1))), "a vertex moves"
 
 
 def consistency(p: Plan) -> Iterator[Row]:
@@ -2477,11 +2263,11 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
         yield at, pulls, "tensions or legs without a hitch"
         if state == LAID:
             yield at, varies((c[:, 1::2] - c[:, 0::2])[on]), "cables turn while they are laid"
-        if state in (ROLLING, LYING) and np.any(on):
+        if state == ROLLING and np.any(on):
             legs = p.legs.c[0][on]  # change as they sag, or as weight passes
             lowest = np.min(p.min_tension[on], axis=0)
             sag = (p.weight / lowest) ** 2 / 24.0 * np.max(legs, (0, -1)).reshape(p.n, 2) ** 3
-            drift = SAG_TOL if state == LYING else (sag + 1e-4).reshape(legs.shape[1:-1])
+            drift = (sag + 1e-4).reshape(legs.shape[1:-1])
             rolls = varies(p.points.c[0][on][:, p.V]) or varies(legs, drift)
             yield at, rolls, "vertices or legs move while pairs roll"
             T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
@@ -2491,10 +2277,6 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
             start, change, _ = roll_changes(p, np.flatnonzero(on))
             shut = np.abs([start, start + change]) < OPEN_ROLL
             yield at, bool(np.all(shut)), "no pair rolls or lies across"
-            passing = [mask for mask, *_ in crossing_legs(p).values()]
-            ends = np.all(np.any([*passing, ~on], axis=0))
-            ends = ends and np.max(np.abs(change)) < 180 - OPEN_ROLL
-            yield at, state == LYING and not ends, "weight passes without a robot that changes"
         if state == DRAWN and np.any(on):
             yield at, varies(c[on][:, :, 2]), "drones change their heights as cables are drawn taut"
         if p.two and np.any(on & p.formed):
@@ -2544,13 +2326,12 @@ def object_faults(p: Plan) -> Iterator[Fault]:
 
 def plan_rows(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks, several for some limits."""
-    for part in chain(*p.chapters):
-        taut = (taut_cables, crossing_leg_heights) if np.any(part.taut) else ()
-        bent = (bent_cables,) if np.any(part.bent) else ()
-        for check in (consistency, drones, *taut, *bent, *((free_cables,) if p.n else ())):
-            yield from check(part)
-        for check_of, b in product((resting, gripped, hinged, clear_objects), range(len(p.bodies))):
-            yield from check_of(part, b)
+    taut = (taut_cables,) if np.any(p.taut) else ()
+    bent = (bent_cables,) if np.any(p.bent) else ()
+    for check in (consistency, drones, *taut, *bent, *((free_cables,) if p.n else ())):
+        yield from check(p)
+    for check_of, b in product((resting, gripped, hinged, clear_objects), range(len(p.bodies))):
+        yield from check_of(p, b)
     yield from (*jumps(p), *interlacing(p))
 
 
@@ -2622,12 +2403,11 @@ def verify(path: str | Path) -> Iterator[Row]:
     if len(own) + len(others) > 1:
         rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
         rows += (row for row in rests if row.name == "continuity")
-    parts, besides = ([x for p in plans for x in chain(*p.chapters)] for plans in (own, others))
     keys = own[0].settings["separation"]
     off = max(p.tube[0] for p in own), max(p.tube[1] for p in own)
     wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
-    for p, q in combinations([*parts, *besides], 2):
-        if p in parts and max(p.start, q.start) < min(p.stop, q.stop):
+    for p, q in combinations([*own, *others], 2):
+        if p in own:
             one, two = Pair(p, q, wide, off), Pair(q, p, wide, off)
             rows += [*between_plans(one), *object_distances(one), *object_distances(two)]
     rows = [row for row in rows if row.samples]

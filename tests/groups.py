@@ -1,4 +1,4 @@
-"""Motions of several groups, beside others, and with robots that join, for tests."""
+"""Motions of several groups, and beside others, for tests."""
 
 from __future__ import annotations
 
@@ -51,18 +51,6 @@ def part(motion: Motion, first: str, last: str) -> Motion:
     on = np.flatnonzero(np.isin(motion.phase_of_piece, range(start, stop)))
     cut = motion.slice_pieces(slice(on[0], on[-1] + 1), motion.phases[start:stop])
     return shifted(cut, -float(cut.drones.breaks[0]))
-
-
-@cache
-def joining() -> Motion:
-    """Return the part of a plan in which a ring is laid, and a fourth robot joins it."""
-    return part(planned("join_a_fourth").motion, "draw taut", "hold")
-
-
-@cache
-def leaving() -> Motion:
-    """Return the same until that robot has left again."""
-    return part(planned("join_a_fourth").motion, "draw taut", "leave")
 
 
 @cache

@@ -15,7 +15,7 @@ from hitchopt.motion.plan_file import write_plan
 
 Rows = Callable[..., Iterator[second.Row]]
 OF_WHOLE: set[Rows] = {second.jumps, second.interlacing}
-OF_TAUT: set[Rows] = {second.taut_cables, second.crossing_leg_heights}
+OF_TAUT: set[Rows] = {second.taut_cables}
 OF_BENT: set[Rows] = {second.bent_cables}
 OF_BODIES: set[Rows] = {second.resting, second.gripped, second.hinged, second.clear_objects}
 OF_PAIRS: set[Rows] = {second.between_plans, second.object_distances}
@@ -25,10 +25,7 @@ ROWS: dict[str, tuple[Rows, ...]] = {
     "interlacing": (second.interlacing,),
     "continuity": (second.jumps,),
     "consistency": (second.consistency,),
-    "laid": (
-        *(second.bent_cables, second.crossing_leg_heights, second.laid_cables),
-        second.between_plans,
-    ),
+    "laid": (second.bent_cables, second.laid_cables),
     **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
     "crossing": (*TAUT, second.between_plans),
     "tension": (second.jumps, second.taut_cables),
@@ -46,24 +43,23 @@ def opinion_of(motion: Motion, folder: Path, *functions: Rows) -> Iterator[secon
 
 
 def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
-    """Yield the rows of functions for what they take: plans, their parts, bodies or pairs."""
+    """Yield the rows of functions for what they take: plans, bodies or pairs."""
     own, others = second.read(path)
-    parts, besides = ([x for p in plans for x in chain(*p.chapters)] for plans in (own, others))
     for rows in functions:
         if rows in OF_WHOLE:
             yield from chain(*map(rows, own))
         elif rows in OF_TAUT:
-            yield from chain(*(rows(part) for part in parts if np.any(part.taut)))
+            yield from chain(*(rows(p) for p in own if np.any(p.taut)))
         elif rows in OF_BENT:
-            yield from chain(*(rows(part) for part in parts if np.any(part.bent)))
+            yield from chain(*(rows(p) for p in own if np.any(p.bent)))
         elif rows in OF_BODIES:
-            yield from chain(*(rows(part, b) for part in parts for b in range(len(part.bodies))))
+            yield from chain(*(rows(p, b) for p in own for b in range(len(p.bodies))))
         elif rows in OF_PAIRS:
-            for p, q in combinations([*parts, *besides], 2):
-                if p in parts and max(p.start, q.start) < min(p.stop, q.stop):
+            for p, q in combinations([*own, *others], 2):
+                if p in own:
                     yield from chain(*map(rows, _pairs(p, q, own, rows)))
         else:
-            yield from chain(*map(rows, parts))
+            yield from chain(*map(rows, own))
 
 
 def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[second.Pair]:

@@ -254,7 +254,7 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
             "height",
             "Hitch.spread() has no argument 'height'; did you mean altitude?",
         ),
-        (ho.Mission.join, "vertex", "missing a required argument: 'robot'"),
+        (ho.Mission.move_edge, "by", "missing a required argument: 'edge'"),
         (ho.hold, "time", "hold() has no argument 'time'; did you mean seconds?"),
         (ho.Mission.morph, "points", "morph() has no argument 'points'; did you mean polygon?"),
     ],

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 import hitchopt as ho
 from hitchopt.api import Mission
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import PartTeam
 from hitchopt.motion.request import decoded, encoded
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import MoveStep
@@ -44,7 +43,7 @@ def examples() -> list[Any]:
     steps = [ho.Morph(ho.ConvexPolygon([[0.0, 0.7], *TRIANGLE[1:]])), ho.Hold(1.0)]
     swarm = ho.Swarm(2, quadrotor="crazyflie_2.1")
     return [
-        *(team, ho.Team(3, 2.0, topology="open"), swarm, PartTeam.of(team, [2, 0, 1])),
+        *(team, ho.Team(3, 2.0, topology="open"), swarm),
         *(start, ho.ConvexPolygon(TRIANGLE), ho.ConvexArc(ARC)),
         *(limits, ho.Tube(0.08, 0.2), ho.Separation(0.2), arena, prism),
         Requirements(keep_out=(prism,), **required),

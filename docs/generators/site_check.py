@@ -29,7 +29,6 @@ SEARCHES = {
     "crazyflie": "how_to/crazyflie",
     "takeoff": "how_to/faq",
     "obstacle": "how_to/get_past_an_obstacle",
-    "battery": "tutorials/change_a_battery",
     "thread": "how_to/describe_your_drones",
     "delay": "how_to/before_you_fly",
     "trim": "how_to/calibrate",

@@ -36,9 +36,8 @@ from hitchopt.checks.distances import (
 )
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
 from hitchopt.checks.objects import placed_corners
-from hitchopt.checks.ring_change import vertical_passes
 from hitchopt.checks.rule import CheckRule, WorstCase
-from hitchopt.checks.spans import ROUNDING, cable_names, cable_parts, cached, magnitude
+from hitchopt.checks.spans import ROUNDING, cable_names, cached, magnitude
 from hitchopt.checks.tracking import Ellipsoid, ellipsoid_axes
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
@@ -171,21 +170,10 @@ def drones_and_cables(run: Run) -> Iterator[Moving]:
 
 
 def cable_pairs(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of cables.
-
-    Edges that a robot's taut cable passes vertically are excluded meanwhile: they are compared as
-    it joins (``checks.ring_change``).
-    """
+    """Yield the pairs of cables."""
     first, second = (cables_of(each, parts=True) for each in (run.first, run.second))
-    if first is None or second is None:
-        return
-    one, other = run.first.motion, run.second.motion
-    active = np.ones(first.corners.shape[:2], dtype=np.bool_)
-    if other.team.robots == 1 and one.formed[0]:
-        part = cable_parts(one)[1]
-        for each in vertical_passes(one, other):
-            active[each.pieces, np.isin(part, 3 * each.edges + 1)] = False
-    yield run.moving(first, second, active=None if np.all(active) else active)
+    if first is not None and second is not None:
+        yield run.moving(first, second)
 
 
 def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclosed]]:
@@ -219,12 +207,7 @@ def drones_above_cables(run: Run) -> Iterator[Moving]:
 
 
 def drones_above(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and what their downwash would move of the other.
-
-    Parts of one team, which have no names, are excepted.
-    """
-    if run.first.group.name == run.second.group.name:
-        return
+    """Yield the pairs of drones of one group and what their downwash would move of the other."""
     yield from drones_above_cables(run)
     for one, other in run.both:
         drones = one.drones

@@ -52,7 +52,6 @@ EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres
 TENSION_LIMIT = 1e-4
 SAG_SHARE = 0.2  # largest error of the chord of a laid cable, relative to its sag
 RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
-LYING = frozenset({CableState.LYING})
 
 
 _saved_lengths = cached(saved_lengths)
@@ -117,22 +116,13 @@ def _parts(motion: Motion, whole: bool = False) -> Array:
 
 
 def _length_error(spans: Cables) -> Bound:
-    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs.
-
-    While cables pass weight to each other, the sag of a whole cable, ``(ρ g L / T)² / 24``, is
-    subtracted.
-    """
+    """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs."""
     has_weight = spans.source.team.cable_density > 0.0
     excess = spans.excess + spans.sag if has_weight else spans.excess
     stored = Enclosed(spans.read(spans.source.legs.coefficients)[:, :, None]) * spans.scale[:, None]
     errors = (stored - select(spans.parts.norm, [0, 1])).norm_upper
     each = [Bound(errors.value[:, i], errors.x[:, i]) for i in (0, 1)]
-    largest = largest_of([excess.norm_upper, *each])
-    if spans.source.cable_states.isdisjoint(LYING):
-        return largest
-    team, lies = spans.source.team, spans.source.in_states(LYING)[spans.piece]
-    sag = (sag_factors(team, team.tension) * team.cable_length**2)[spans.item]
-    return Bound(largest.value - np.where(lies, sag, 0.0), largest.x)
+    return largest_of([excess.norm_upper, *each])
 
 
 def _shortfall(spans: Cables) -> Bound:

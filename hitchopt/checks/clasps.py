@@ -10,9 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import permutations
 from operator import attrgetter
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,8 +50,7 @@ MAX_PAST_ROLL = math.degrees(2.0 * math.asin(0.5 * BALANCE_LIMIT))
 BALANCE_LIMIT of their tension, as much as forces may be out of balance."""
 
 MAX_HALVINGS = 12  # of pieces on which rolls are not yet bounded
-OPEN_STATES = frozenset({CableState.ROLLING, CableState.LYING})
-LYING = frozenset({CableState.LYING})
+OPEN_STATES = frozenset({CableState.ROLLING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
 Flags = NDArray[np.bool_]
 LEG_ENDS = np.array([0, 1])  # Legs at a clasp: q of the cable ahead, r of the cable behind
@@ -270,15 +268,10 @@ def _balance(spans: Clasps) -> Bound:
     """Return the norm of the residual over the smaller tension; infinite where a clasp is open.
 
     Rolling pairs may be open: ``roll_changes`` follows their angles. Near 180°, the weight that
-    cables transfer to each other exceeds their contact force. While they pass weight to each other,
-    the weight of both cables may be carried elsewhere.
+    cables transfer to each other exceeds their contact force.
     """
     residual, motion = _relative(spans.residual, spans), spans.source
     value, x = residual.value, residual.x
-    if not motion.cable_states.isdisjoint(LYING):
-        lies, team = motion.in_states(LYING)[spans.piece], motion.team
-        weight = GRAVITY * team.cable_density * np.sum(team.cable_length[spans.cables], axis=1)
-        value = value - np.where(lies, weight / np.min(team.tension[spans.cables], axis=1), 0.0)
     if spans.closed is None or not np.logical_and.reduce(spans.closed):
         opening = _opening(spans)
         if has_loads(motion):
@@ -369,55 +362,6 @@ def _past(spans: Clasps, senses: Array, tolerance: float) -> Array:
     turned = sine * whole.norm * (math.cos(angle) * senses[spans.item, None])
     beyond = turned + cosine * math.sin(angle)
     return np.minimum(beyond.upper.value, -cosine.lower.value)
-
-
-class Corner(NamedTuple):
-    """A corner that a new robot's edge cuts off: its neighbours' legs cross there.
-
-    On ``pieces`` these legs may touch: the ``first`` ones, after the robot has joined until one leg
-    has rolled away, or the last ones, before it leaves. ``clasps`` are those of the robot with the
-    cables ``behind`` and ``ahead``.
-    """
-
-    pieces: slice
-    first: bool
-    clasps: tuple[int, int]
-    behind: int
-    ahead: int
-
-
-def cut_corners(motion: Motion) -> tuple[Corner, ...]:
-    """Return the corners cut off by a robot that has joined or is about to leave."""
-    if motion.cable_states.isdisjoint(LYING):
-        return ()
-    lying, rolling = motion.in_states(LYING), motion.in_states(OPEN_STATES - LYING)
-    return _corners_cut(motion, tuple(lying.tolist()), tuple(rolling.tolist()))
-
-
-@cached
-def _corners_cut(
-    motion: Motion, lying: Sequence[bool], rolling: Sequence[bool]
-) -> tuple[Corner, ...]:
-    corners, count, layout = list[Corner](), len(lying), motion.team.layout
-    for first in (True, False):
-        order = slice(None, None, 1 if first else -1)
-        passing, index = np.logical_and.accumulate(lying[order]), motion.phase_of_piece[order]
-        if not (number := int(np.sum(passing))):
-            continue
-        after = np.isin(index, index[number : number + 1]) & np.array(rolling[order])
-        touching = int(np.sum(np.logical_and.accumulate(passing | after)))
-        span, pieces = (
-            slice(0, size) if first else slice(count - size, count) for size in (number, touching)
-        )
-        rolls = roll_changes(motion.slice_pieces(span, motion.phases))[0]
-        open_ = np.flatnonzero(np.abs(rolls) >= OPEN_ROLL).tolist()
-        pairs = [(j, k) for j, k in permutations(open_, 2) if layout.ahead[j] == layout.behind[k]]
-        if len(open_) == 2 and len(pairs) == 1:
-            ((j, k),) = pairs
-            corners.append(
-                Corner(pieces, first, (j, k), int(layout.behind[j]), int(layout.ahead[k]))
-            )
-    return tuple(corners)
 
 
 def _worst_residual(motion: Motion, limit: float) -> WorstCase:

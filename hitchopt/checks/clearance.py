@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.bodies import cable_sheets, clasped_cables, drones_of, taut_cables
-from hitchopt.checks.certificate import Check, with_tolerance, worst_of
+from hitchopt.checks.certificate import Check, with_tolerance
 from hitchopt.checks.distances import (
     GROUND,
     OTHER_LEGS,
@@ -69,7 +69,6 @@ from hitchopt.hitch.catenary import (
 )
 from hitchopt.hitch.pairs import CABLE, DISTANCES, TautBodies
 from hitchopt.hitch.requirements import Arena
-from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import (
     CLASPED_STATES,
@@ -714,6 +713,5 @@ def below_ground(motion: Motion) -> Check | None:
         return None
     open_ = Arena([-UNBOUNDED, -UNBOUNDED, 0.0], [UNBOUNDED, UNBOUNDED, UNBOUNDED])
     needed = replace(motion.requirements, arena=open_)
-    parts = [each.motion for each in parts_of(motion)] if motion.has_ring_changes else [motion]
-    check = worst_of(ARENA.check(part.replaced(requirements=needed)) for part in parts)
+    check = ARENA.check(motion.replaced(requirements=needed))
     return None if check is None or check.bound >= -CONTACT_GAP else check

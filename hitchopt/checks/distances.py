@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bodies import Bodies, clasped_cables, taut_parts
 from hitchopt.checks.certificate import Check, with_tolerance
-from hitchopt.checks.clasps import cut_corners
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     UPWARD,
@@ -569,9 +568,8 @@ def cable_ends(drones: Array) -> Array:
 def _taut_parts(motion: Motion) -> Iterator[Moving]:
     """Yield the pairs of parts that share no clasp.
 
-    These include the two legs of one cable, which may cross. Legs that cross at a cut-off corner
-    are excluded while they may touch. Bent cables share no clasp; an object that they hold keeps
-    them apart, as the check ``interlacing`` verifies.
+    These include the two legs of one cable, which may cross. Bent cables share no clasp; an object
+    that they hold keeps them apart, as the check ``interlacing`` verifies.
     """
     parts, table = taut_parts(motion), TautBodies.of(motion.team.layout)
     part, body = parts.part, table.of_parts(parts.part)
@@ -580,20 +578,7 @@ def _taut_parts(motion: Motion) -> Iterator[Moving]:
         flags: Flags = table.kind(body[i], body[j]) == CROSSING_PAIR
         return flags
 
-    corners_cut = cut_corners(motion)
-    active = np.ones(parts.corners.shape[:2], dtype=np.bool_)
-    for corner in corners_cut:
-        active[corner.pieces] = False
-        meeting = 3 * corner.behind + 2, 3 * corner.ahead
-
-        def others(i: Indices, j: Indices, meeting: tuple[int, int] = meeting) -> Flags:
-            both = np.isin(part[i], meeting) & np.isin(part[j], meeting)
-            return crossing(i, j) & ~both
-
-        near_corner = np.zeros_like(active)
-        near_corner[corner.pieces] = True
-        yield Moving.between(motion, parts, allowed=others, active=near_corner)
-    yield Moving.between(motion, parts, allowed=crossing, active=active if corners_cut else None)
+    yield Moving.between(motion, parts, allowed=crossing)
     if motion.has_bent_cables:
         held = np.array([phase.hold is not None for phase in motion.phases])[motion.phase_of_piece]
         bodies = replace(parts, pieces=motion.in_states(frozenset({CableState.BENT})) & ~held)

@@ -30,7 +30,6 @@ import numpy as np
 
 from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
 from hitchopt.checks.clasps import (
-    LYING,
     MAX_PAST_ROLL,
     OPEN_ROLL,
     OPEN_STATES,
@@ -243,7 +242,6 @@ LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}  # followed by 
 MAX_NAMED = 12  # maximum number of pairs in ``where``
 MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
 MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
-MAX_LEG_CHANGE = 0.02  # [m] Largest change of legs as crossing cables pass weight to each other
 MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
 PROBES = np.linspace(0.0, 1.0, 9)  # points of a piece, one of which shows that cables are slack
@@ -308,10 +306,7 @@ DURATION = CheckRule(
 def _interlacing_errors(motion: Motion, _: float) -> WorstCase:
     """Return the number of pairs of cables, or cables, that contradict the state of their phase."""
     first, index_of = dict[int, tuple[float, int]](), motion.phases.index
-    lying = [each for each in motion.phases if each.state is CableState.LYING]  # no robot joins
-    singles = range(0, motion.team.robots**2, motion.team.robots + 1)
-    errors = [*wrong_cables(motion, Ties.at_start(motion))]
-    for phase, pair, time in (*errors, *((each, k, each.start) for each in lying for k in singles)):
+    for phase, pair, time in wrong_cables(motion, Ties.at_start(motion)):
         first[pair] = min(first.get(pair, (np.inf, 0)), (time, index_of(phase)))
     if not first:
         return WorstCase(0.0, float(motion.drones.breaks[-1]))
@@ -322,30 +317,24 @@ def _interlacing_errors(motion: Motion, _: float) -> WorstCase:
     return WorstCase(float(len(first)), time, tuple(where))
 
 
-def wrong_cables(
-    motion: Motion, ties: Ties, before: CableState | None = None, after: CableState | None = None
-) -> Iterator[tuple[Phase, int, float]]:
+def wrong_cables(motion: Motion, ties: Ties) -> Iterator[tuple[Phase, int, float]]:
     """Yield phases, cables ``i n + i`` or pairs ``i n + j`` that contradict them, and times [s].
 
-    ``ties`` are those at the start, and are updated to those at the end. ``before`` and ``after``
-    are the states of cables before and after the motion, or None.
+    ``ties`` are those at the start, and are updated to those at the end.
     """
-    for phase, pairs, times in _errors(motion, ties, before, after):
+    for phase, pairs, times in _errors(motion, ties):
         for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
             yield phase, pair, float(time)
 
 
-def _errors(
-    motion: Motion, ties: Ties, before: CableState | None, after: CableState | None
-) -> Iterator[tuple[Phase, Indices, Array | float]]:
+def _errors(motion: Motion, ties: Ties) -> Iterator[tuple[Phase, Indices, Array | float]]:
     """Yield phases with their contradicting pairs and times."""
     layout, numbers = motion.team.layout, ties.numbers
     clasped = np.sort(clasped_pairs(layout))
     runs = [
-        (state, list(run))
-        for state, run in groupby(phase_parts(motion), lambda p: _followed(p.phase))
+        (state, list(run)) for state, run in groupby(phase_parts(motion), lambda p: p.phase.state)
     ]
-    neighbour_states = [before, *(state for state, _ in runs), after]
+    neighbour_states = [None, *(state for state, _ in runs), None]
     for i, (state, parts) in enumerate(runs):
         first, last, is_hitched = parts[0], parts[-1], state is CableState.HITCHED
         ends = [float(part.motion.drones.breaks[-1]) for part in parts]
@@ -399,11 +388,6 @@ def _laid_errors(parts: Sequence[PhasePart], ties: Ties) -> Iterator[tuple[Phase
         yield part.phase, _contradictions(part.motion), start
         if part.phase.state in OPEN_STATES:
             yield part.phase, clasped[ties.past(part.motion)], start
-
-
-def _followed(phase: Phase) -> CableState:
-    """Return the state that a phase is followed as: lying across is a part of rolling."""
-    return CableState.ROLLING if phase.state is CableState.LYING else phase.state
 
 
 @dataclass(frozen=True, eq=False)
@@ -526,16 +510,9 @@ class Ties:
         return wrong
 
     def past(self, motion: Motion) -> Flags:
-        """Return pairs that roll past lying across on a motion of one state (clasps,).
-
-        While cables pass weight to each other, no pair rolls, and the weight presses on pairs that
-        lie across by more than these would have to pull.
-        """
+        """Return pairs that roll past lying across on a motion of one state (clasps,)."""
         senses = np.empty(len(self.order))
         senses[self.order] = self.senses
-        if motion.cable_states <= LYING:
-            sides = (roll_past(motion, x, 180.0 - OPEN_ROLL) for x in (senses, -senses))
-            return np.asarray(np.any([*sides], axis=0)[self.order])
         return roll_past(motion, senses, MAX_PAST_ROLL)[self.order]
 
 
@@ -716,15 +693,13 @@ def _contradictions(motion: Motion) -> Indices:
         loaded = bool(np.any(carried_objects(motion)) or np.any(motion.team.load))
         loaded |= any(p.hold is not None and p.hold.by is HoldBy.REST for p in motion.phases)
         moves = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > MAX_SIDEWAYS
-        lying, legs = state is CableState.LYING, motion.legs.coefficients
+        legs = motion.legs.coefficients
         lowest = np.min(stated_tensions(motion)[..., 0], axis=0)
         sags = sag_factors(motion.team, lowest)[:, None] * np.max(legs, (0, -1)) ** 3
-        drift = MAX_LEG_CHANGE if lying else sags + MAX_LEG_DRIFT
-        moves |= bool(np.any(np.ptp(legs, axis=(0, -1)) > drift))
+        moves |= bool(np.any(np.ptp(legs, axis=(0, -1)) > sags + MAX_LEG_DRIFT))
         moves |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
         start, change = roll_changes(motion)
         moves |= not np.any(np.abs([start, start + change]) >= OPEN_ROLL)  # no open clasp
-        moves |= lying and bool(np.any(np.abs(change) >= 180.0 - OPEN_ROLL))
         if moves or loaded or np.ptp(motion.team.tension) > 0.0:
             invalid.append(single)
     elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:

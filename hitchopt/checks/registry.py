@@ -13,11 +13,9 @@ from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.distances import GROUND
 from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
-from hitchopt.checks.ring_change import interlacing, jumps, jumps_of_thrust
 from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA
-from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import Group, Motion
 from hitchopt.motion.retiming import padded
 from hitchopt.values import check_instance, nonnegative, sequence
@@ -57,9 +55,6 @@ REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
 
 MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
 """Reports of a joined motion that follow from those of its parts."""
-
-SEAM_CASES = {"continuity": jumps, "tension": jumps_of_thrust}
-"""Worst cases at joints where a robot joins or leaves, by the names of checks."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
@@ -119,19 +114,15 @@ def certify(
                 tell(part, rule)
                 own[rule.name] = rule.span_results(part)
     with value_cache():
-        across = {
-            chapter: {rule.name: _across(rule, chapter) for rule in RULES}
-            for chapter in chapters(motion)
-            if len(chapter.all_groups) > 1
-        }
+        several = len(motion.all_groups) > 1
+        across = {rule.name: _across(rule, motion) for rule in RULES} if several else {}
         checks = list[Check | None]()
         for rule in RULES:
             alone = [
                 _label(worst_of(span.check for span in results[part][rule.name]), group)
                 for part, group in parts.items()
             ]
-            between = [each[rule.name] for each in across.values()]
-            checks.append(_of_parts(rule, motion, [*alone, *between]))
+            checks.append(worst_of([*alone, across.get(rule.name)]))
 
     def reported(report: ReportRule) -> Check | None:
         """Return the check of a report."""
@@ -144,13 +135,12 @@ def certify(
             for part, group in parts.items():
                 tell(part, report)
                 values.append(_label(report.check(part, results[part], gamma), group))
-            for chapter, every in across.items():
-                flat = tracking.flattened(chapter)
-                between = (
-                    every if flat is chapter else {x: _across(RULE_OF[x], flat) for x in every}
-                )
+            if across:
+                flat = tracking.flattened(motion)
+                same = flat is motion
+                between = across if same else {x: _across(RULE_OF[x], flat) for x in across}
                 radius = radius_across(flat, between.values(), gamma)
-                values.append(radius.check(report, report.limit(chapter), gamma))
+                values.append(radius.check(report, report.limit(motion), gamma))
         return worst_of(values)
 
     checks += map(reported, limited)
@@ -161,28 +151,11 @@ def certify(
 
 
 def _parts(motion: Motion) -> dict[Motion, Group]:
-    """Return the motions that are checked alone, one per chapter and group, with their groups."""
-    parts = dict[Motion, Group]()
-    for chapter in chapters(motion):
-        several = len(chapter.all_groups) > 1
-        for each in chapter.groups:
-            parts[each.motion.replaced(others=()) if several else each.motion] = each
-    return parts
-
-
-def _of_parts(rule: CheckRule, motion: Motion, checks: Sequence[Check | None]) -> Check | None:
-    """Return the check of a rule from those of all parts, and between the groups of chapters."""
-    if not motion.has_ring_changes:
-        return worst_of(checks)
-    if rule is DURATION:
-        return rule.check(motion)
-    if rule is INTERLACING:
-        return interlacing(chapters(motion)).check(rule, 0.0)
-    limit = rule.limit_of(motion)
-    if rule.name not in SEAM_CASES or limit is None:
-        return worst_of(checks)
-    at_seams = SEAM_CASES[rule.name](motion, chapters(motion)).check(rule, limit)
-    return worst_of([*checks, at_seams])
+    """Return the motions that are checked alone, with their groups."""
+    several = len(motion.all_groups) > 1
+    return {
+        each.motion.replaced(others=()) if several else each.motion: each for each in motion.groups
+    }
 
 
 def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
@@ -190,8 +163,7 @@ def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Chec
     checks = [
         _label(rule.check(part, exported=exported), group) for part, group in _parts(motion).items()
     ]
-    across = [_across(rule, each) for each in chapters(motion) if len(each.all_groups) > 1]
-    return _of_parts(rule, motion, [*checks, *across])
+    return worst_of([*checks, _across(rule, motion) if len(motion.all_groups) > 1 else None])
 
 
 def _across(rule: CheckRule, motion: Motion) -> Check | None:
@@ -250,7 +222,7 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     parts: their certificates; checks of duration in them are not used.
     """
     limit = tracking.TRACKING_RADIUS.limit(motion)
-    if motion.has_ring_changes or motion.others or limit is not None:
+    if motion.others or limit is not None:
         return certify(motion)  # parts are certified against wider distances
     by_name = _by_name(motion, parts, [part.limited for part in parts])
     joints, checks = len(parts) > 1, list[Check | None]()

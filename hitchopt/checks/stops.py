@@ -41,7 +41,6 @@ from hitchopt.checks.spans import (
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
-from hitchopt.motion.chapters import parts_of
 from hitchopt.motion.loads import centre_path, held_pieces, supports_of
 from hitchopt.motion.motion import HoldBy, Motion
 from hitchopt.motion.retiming import REST_RATE
@@ -215,7 +214,7 @@ class ClockLimits:
     """Limits of a motion's parts that bound clocks; ``carried`` are those of carried objects."""
 
     def __init__(self, motion: Motion) -> None:
-        groups = [group.motion for group in parts_of(motion)]
+        groups = [group.motion for group in motion.groups]
         with value_cache():
             self.carried = [
                 _inertia(path, slack) for each in groups for path, slack in carried_paths(each)

@@ -14,7 +14,6 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, optional_module
-from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import States, iterate_states, sample_times, states_at
@@ -200,18 +199,15 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
 
     The tension of the last point of an open chain is empty. Vertices of several groups have names
-    such as ``b.p2``, one group after the other. If a hitch changes its robots, vertices and
-    tensions are numbered along the current ring.
+    such as ``b.p2``, one group after the other.
     """
     times = sample_times(motion.duration, rate)
 
     def blocks(part: Motion, t: Array, points: int) -> Iterator[tuple[Array, Array]]:
         breaks, size = part.drones.breaks, max(1, ROWS // points)
-        start = breaks[0] - motion.drones.breaks[0]
-        t = np.maximum(t - start, 0.0)
         plan_times = np.minimum(breaks[0] + t, breaks[-1])
         formed = part.formed[np.searchsorted(breaks[1:-1], plan_times, side="right")]
-        t, plan_times = start + t[formed], plan_times[formed]
+        t, plan_times = t[formed], plan_times[formed]
         for block in (slice(first, first + size) for first in range(0, len(t), size)):
             values = np.full((len(t[block]), points, 4), np.nan)
             values[..., :3] = part.vertices.at(plan_times[block])
@@ -220,10 +216,9 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
 
     tables = []
     for each in motion.groups:
-        for part, index, _ in parts_at(each.motion, times):
-            if points := part.team.layout.points:
-                names = [each.label(f"p{k}") if each.name else str(k) for k in range(points)]
-                tables.append((names, blocks(part, times[index], points)))
+        if points := each.motion.team.layout.points:
+            names = [each.label(f"p{k}") if each.name else str(k) for k in range(points)]
+            tables.append((names, blocks(each.motion, times, points)))
     write_rows(path, VERTICES_HEADER, *tables)
 
 

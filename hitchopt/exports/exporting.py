@@ -304,11 +304,11 @@ def _slack_reason(kind: Format, task: ExportTask) -> str:
     """Return why the drones of an upload lose the tension, or an empty string."""
     if not _needs_stiffness(kind, task):
         return ""
-    teams, needs_offsets = _hitch_teams(task.motion), _needs_offsets(kind, task)
-    if needs_offsets and any(map(is_overridden, teams)):
+    teams = _hitch_teams(task.motion)
+    if _needs_offsets(kind, task) and any(map(is_overridden, teams)):
         return INTEGRAL
     is_known = all(_is_known(team, task.options) for team in teams)
-    return "" if is_known and not (needs_offsets and task.motion.has_ring_changes) else SLACK
+    return "" if is_known else SLACK
 
 
 def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) -> str:

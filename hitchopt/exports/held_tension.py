@@ -81,8 +81,6 @@ def held_tension(
     integral, which would move drones toward their set points, and InfeasibleError if forces change
     too fast.
     """
-    if motion.has_ring_changes:
-        motion.require_one_team("hold_tension=True")
     if not motion.has_cables:
         raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
     if len(motion.groups) == 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -354,45 +354,6 @@ class Team(ByValue):
 @lru_cache(maxsize=64)
 def _names(kinds: str, labels: Sequence[int]) -> tuple[str, ...]:
     return tuple(f"{kind}{k}" for k in labels for kind in kinds)
-
-
-@dataclass(frozen=True, eq=False)
-class PartTeam(Team):
-    """Some robots of a team, with their numbers: a ring in this order, or a single robot."""
-
-    members: tuple[int, ...] = ()
-    min_open_robots: ClassVar[int] = 1
-
-    def __init__(
-        self,
-        robots: int,
-        cable_length: float | Sequence[float] | ArrayLike,
-        *,
-        members: Sequence[int],
-        **values: Any,
-    ) -> None:
-        super().__init__(robots, cable_length, **values)
-        object.__setattr__(self, "members", tuple(members))
-
-    @classmethod
-    def of(cls, whole: Team, members: Sequence[int]) -> PartTeam:
-        """Return the team of the members at some indices of another team."""
-        order = list(members)
-        return cls(
-            len(order),
-            whole.cable_length[order],
-            topology=CLOSED if len(order) > 1 else OPEN,
-            cable_density=whole.cable_density,
-            cable_friction=whole.cable_friction,
-            tension=whole.tension[order],
-            quadrotor=[kind for k in order for kind in whole.kinds[2 * k : 2 * k + 2]],
-            members=[whole.labels[k] for k in order],
-        )
-
-    @property
-    def labels(self) -> tuple[int, ...]:
-        """(n,): numbers of the robots in the whole team."""
-        return self.members
 
 
 MAX_DRONES = 2 * MAX_ROBOTS  # Largest number of drones, checked before any memory is allocated

@@ -28,7 +28,6 @@ from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.request import objects_at
@@ -42,7 +41,6 @@ from hitchopt.motion.retiming import (
 )
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import REST_DRIFT, in_world
-from hitchopt.planners.forming.ring_change import landing_motion
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.step import RestState, StepTask
@@ -246,8 +244,6 @@ def _refusal(when: str, remedy: str = "abort earlier or later") -> InfeasibleErr
 
 def _with_landing(whole: Motion, *, untie: bool) -> Motion:
     """Return a plan at rest with a landing, after untying the hitch if ``untie`` is set."""
-    if whole.has_ring_changes:
-        return append_motion(whole, _landing_of_chapter(whole, untie=untie))
     if not whole.phases[-1].formed:
         return _extended(whole, straight_down(whole))
     hitch = _hitch_at_end(whole)
@@ -258,26 +254,6 @@ def _with_landing(whole: Motion, *, untie: bool) -> Motion:
         released = _extended(whole, Release().plan(task).motion)
         return _extended(released, straight_down(released))
     return _extended(whole, _descent(hitch, need, task.index))
-
-
-def _landing_of_chapter(whole: Motion, *, untie: bool) -> Motion:
-    """Return the landing of the last ring of a plan, still tied, and of the idle robots.
-
-    Only the plan's certificate records the topology of its clasps, so the ring cannot be untied.
-    """
-    ring, need = chapters(whole)[-1].groups[0].motion, whole.requirements
-    index, formed = whole.phases[-1].step + 1, ring.phases[-1].formed
-    if untie and formed:
-        reason = f"at t = {whole.duration:.4g} s: a hitch whose robots change is not untied"
-        raise _refusal(reason, "choose land, hold or back")
-    if formed:
-        hitch = _hitch_at_end(ring)
-        descent = _descent(hitch, need.with_reserve, index)
-    else:
-        descent = straight_down(ring)
-    end = whole.drones.coefficients[-1, ..., -1].reshape(-1, 2, 3)
-    waiting = {robot: end[robot] for robot, _ in whole.phases[-1].waiting}
-    return landing_motion(descent, whole.team, waiting, need)
 
 
 def _descent(hitch: Hitch, requirements: Requirements, index: int) -> Motion:

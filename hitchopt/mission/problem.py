@@ -24,7 +24,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, PartTeam
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
 from hitchopt.motion.motion import HoldBy
@@ -70,7 +70,7 @@ from hitchopt.values.fields import (
 )
 from hitchopt.values.units import ALTITUDE, warn_of_unit
 
-ROLLING = {"open_vertex", "close_vertex", "join", "withdraw", "replace"}
+ROLLING = {"open_vertex", "close_vertex"}
 """Steps in which pairs roll, as in laying."""
 
 
@@ -85,8 +85,8 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     outline, the held object or the next step.
     """
     whole, steps, objects = mission.team, mission.steps, mission.requirements.objects
-    outline, ring = mission.start_outline, whole.labels
-    resolved, stage, changes = list[Step](), _ObjectStage(), False
+    outline = mission.start_outline
+    resolved, stage = list[Step](), _ObjectStage()
     reason = "start has no hitch" if outline is None else "start is a hitch"
     for i, unresolved in enumerate(steps):
         try:
@@ -94,15 +94,13 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
                 kind, *_, bound, _ = _words(whole)
                 remedy = f"{mission.name or 'this'} is {kind}"
                 raise InputError("", "a step", bound, remedy)
-            team, ring = team_and_ring(whole, unresolved, ring)
-            changes |= ring != whole.labels
             if whole.layout.closed and whole.robots == 2 and unresolved.name not in OF_TWO:
                 bound = f"one of {', '.join(OF_TWO)}, the steps of two robots"
                 remedy = "two cables hold nothing but an object: tie them around it"
                 raise InputError("", "a step of three robots or more", bound, remedy)
-            step = unresolved.resolved_for(team)
+            step = unresolved.resolved_for(whole)
             stage = stage.after(step, objects)
-            before, outline = outline, step.checked_polygon_after(team, outline, reason)
+            before, outline = outline, step.checked_polygon_after(whole, outline, reason)
             if step.name in ROLLING or (isinstance(step, Form) and step.by == "laying"):
                 check_rollable(f"step {i} ({step.name})", whole, mission.requirements)
             if (before is None) is not (outline is None):
@@ -111,11 +109,6 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
         except InputError as error:
             raise error.within(f"mission[{i}].{unresolved.name}") from None
         resolved.append(step)
-    for i, step in enumerate(resolved):
-        if changes and hasattr(step, "object"):
-            bound = "left out in missions in which robots wait, join or leave"
-            key, remedy = f"mission[{i}].{step.name}.object", "carry in a mission of all robots"
-            raise InputError(key, step.object, bound, remedy)
     return tuple(resolved)
 
 
@@ -126,13 +119,6 @@ def _words(team: Team) -> tuple[str, str, str, str, str]:
         return kind, "a hitch, or drones q and r", start, f"a step of {kind}", "hold: {seconds: 1}"
     start, step = "a list of places [x, y, z], one per drone", "fly, the only step of single drones"
     return "single drones", start, "[[x, y, z], …]", step, "fly: {goal: …}"
-
-
-def team_and_ring(whole: Team, step: Step, ring: tuple[int, ...]) -> tuple[Team, tuple[int, ...]]:
-    """Return the team of a step, and the ring after it; ``form`` has the team that it forms."""
-    after = step.ring_after(ring, whole)
-    members = after if isinstance(step, Form) else ring
-    return whole if members == whole.labels else PartTeam.of(whole, members), after
 
 
 @dataclass(frozen=True)
@@ -291,20 +277,6 @@ class TeamMission:
         return request_fields(self.team, self.requirements, start, [*_requested_steps(self)])
 
     @property
-    def rings(self) -> tuple[tuple[int, ...], ...]:
-        """Robots that hold the edges after each step, in order; all robots if none changes."""
-        rings, ring = list[tuple[int, ...]](), self.team.labels
-        for step in self.steps:
-            ring = step.ring_after(ring, self.team)
-            rings.append(ring)
-        return tuple(rings)
-
-    @property
-    def changes(self) -> bool:
-        """Whether some robots are not in the hitch at some time."""
-        return any(ring != self.team.labels for ring in self.rings)
-
-    @property
     def start_outline(self) -> Outline | None:
         """Outline at the start; None for free cables and single drones."""
         return self.start.polygon if isinstance(self.start, HitchStart | Hitch) else None
@@ -320,11 +292,10 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
 
     Planners choose outlines around objects, and their altitudes.
     """
-    requirements, ring = mission.requirements, mission.team.labels
+    requirements, team = mission.requirements, mission.team
     outline, stage, hold, tension_range = mission.start_outline, _ObjectStage(), None, None
     altitude = getattr(mission.start, "altitude", None)  # None if the planner chooses it
     for step in mission.steps:
-        team, ring = team_and_ring(mission.team, step, ring)
         name, objects = getattr(step, "object", stage.name), {**requirements.objects}
         if isinstance(step, TensionStep):
             tensions = [team.tension, team.tension if step.tension is None else step.tension]
@@ -357,8 +328,6 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
             request["polygon"] = outline.vertices
         if outline is not None and altitude is not None:
             request["altitude"] = altitude
-        if mission.changes:
-            request["ring"] = ring
         if step.prescribed_duration is not None:
             request["seconds"] = step.prescribed_duration
         if stage.stage in (Stage.FREE, Stage.AROUND):

@@ -395,7 +395,7 @@ def fitting_cables(problem: Problem) -> list[float]:
     """
     mission, team = problem.teams[""], problem.team
     requirements, outline = mission.requirements.with_reserve, mission.start_outline
-    if mission.changes or team.robots == 2:
+    if team.robots == 2:
         return []
     outlines, lengths = [] if outline is None else [outline], list[float]()
     for step in mission.steps:

@@ -129,8 +129,6 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     start, plans, motions = state.hitch, list[StepPlan](), list[Motion]()
     for first, group in _groups(steps):
         report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
-        if isinstance(group[0], Form):
-            state = state.regrouped(mission.rings[first])
         task = StepTask(state, first, state.with_objects(with_reserve), optimiser)
         try:
             plan = _plan_group(group, task, report)
@@ -146,7 +144,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
             note = f"{UNPLANNED}{', '.join(rest)}" if rest else ""
             raise InfeasibleError(named.violations, f"{named.note}\n{note}".strip()) from None
         plans.append(plan)
-        motions.append(state.with_waiting(plan.motion, with_reserve))
+        motions.append(plan.motion)
         state = plan.after
     motion = concatenated(motions)
     motion = replace(motion, requirements=requirements, assignment=assignment)
@@ -195,19 +193,16 @@ def _start_state(
 ) -> tuple[RestState, Assignment | None]:
     """Return the state at the start and, if cables are free, the assignment of robots to edges."""
     team, start = mission.team, mission.start
-    whole = team if mission.changes else None
     if isinstance(start, HitchStart):
         report("splitting the slack at the start")
         hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        return RestState(team, hitch.drones, hitch, whole=whole), None
+        return RestState(team, hitch.drones, hitch), None
     if isinstance(start, Hitch):
-        return RestState(team, start.drones, start, whole=whole), None
+        return RestState(team, start.drones, start), None
     if not team.has_cables:
         return RestState(team, start), None
-    state = RestState(team, start.drones, whole=whole)  # with the file's order of robots
+    state = RestState(team, start.drones)  # with the file's order of robots
     check_start(StepTask(state, 0, requirements))
-    if whole is not None:
-        return state, None
     assignment = Assignment.fixed(team.robots)
     form = next((step for step in mission.steps if isinstance(step, Form)), None)
     if form is not None and form.assign == "auto":

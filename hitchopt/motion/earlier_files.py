@@ -80,8 +80,7 @@ def _group(path: Path, folder: str, own: Mapping[str, Any]) -> tuple[dict[str, A
         arrays |= {name: np.zeros((count, *shape, 1)) for name, shape in shapes.items()}
     requirements = {key: own[key] for key in ("separation", "arena", "keep_out")}
     requirements |= {"limits": encoded(Limits(**own["limits"])), "objects": own.get("objects", {})}
-    phases = [{"ring": None, "waiting": [], **phase} for phase in own["phases"]]
-    records = {"team": encoded(team), "requirements": requirements, "phases": phases}
+    records = {"team": encoded(team), "requirements": requirements, "phases": own["phases"]}
     return records | {"assignment": own.get("assignment")}, arrays
 
 

@@ -40,8 +40,6 @@ class CableState(StrEnum):
     - ``LAYING``: each cable is taut on its own and moves without turning.
     - ``ROLLING``: pairs of cables cross without a clasp, or roll between crossing and clasp, with
       all vertices at rest.
-    - ``LYING``: crossing cables pass weight to each other after a robot has joined, or before one
-      leaves.
     - ``DRAWN``: a hanging cable's drones move apart, at rest in height, until it is straight.
     - ``BENT``: each cable is taut on its own and bends around one side of an object.
     """
@@ -53,13 +51,12 @@ class CableState(StrEnum):
     CLASPING = "clasping"
     TIGHTENING = "being tightened"
     LAYING = "being laid"
-    LYING = "lying across"
     ROLLING = "rolling"
     BENT = "bent around an object"
     HITCHED = "hitched"
 
 
-HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING, CableState.LYING})
+HITCHED_STATE = frozenset({CableState.HITCHED, CableState.ROLLING})
 """States in which the hitch exists: vertices, legs and tensions have a meaning."""
 
 TAUT_STATES = HITCHED_STATE | {CableState.BENT}
@@ -107,9 +104,6 @@ class Phase(OneLine):
         team's tensions. Part of the problem: the check ``tension`` requires this range, and the
         team's tensions at both ends.
     hold: the object that the hitch holds; None without one.
-    ring: robots that hold the edges, in order; None for all robots in the order of their indices.
-        Vertices are numbered along the ring.
-    waiting: the other robots, each with the state of its cable.
     """
 
     name: str
@@ -120,8 +114,6 @@ class Phase(OneLine):
     state: CableState = CableState.HITCHED
     tension: tuple[float, float] | None = None
     hold: PhaseHold | None = None
-    ring: tuple[int, ...] | None = None
-    waiting: tuple[tuple[int, CableState], ...] = ()
 
     @property
     def formed(self) -> bool:
@@ -164,9 +156,11 @@ class Group:
         return f"{self.name}.{name}" if self.name else name
 
 
-RING_CURVES = ("drones", "vertices", "legs", "tensions", "leg_tensions")
-CURVES = (*RING_CURVES, "poses", "load_share", "contacts", "anchors")
-"""Polynomial fields of every motion, first those of the robots in a ring."""
+CURVES = (
+    *("drones", "vertices", "legs", "tensions", "leg_tensions"),
+    *("poses", "load_share", "contacts", "anchors"),
+)
+"""Polynomial fields of every motion."""
 
 SOURCES: dict[str, frozenset[str]] = {
     "leg_tensions": frozenset({"tensions"}),
@@ -368,11 +362,6 @@ class Motion(OneLine):
             phases = [replace(phase, state=CableState.NONE) for phase in phases]
         return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
 
-    @lazy
-    def has_ring_changes(self) -> bool:
-        """Whether robots join or leave the ring (``motion.chapters``)."""
-        return any(phase.ring is not None for phase in self.phases)
-
     @property
     def groups(self) -> tuple[Group, ...]:
         """The combined motions; the motion itself if it is a single one."""
@@ -388,11 +377,6 @@ class Motion(OneLine):
         return change(self)
 
     @property
-    def has_objects_at_rest(self) -> bool:
-        """Whether all objects stand where requirements place them, and cables carry none."""
-        return self._is_plain("poses") and self._is_plain("load_share")
-
-    @property
     def has_cables(self) -> bool:
         """Whether any of its teams has cables."""
         return any(each.motion.team.has_cables for each in self.groups)
@@ -400,11 +384,8 @@ class Motion(OneLine):
     def require_one_team(self, feature: str, *, others: bool = True) -> None:
         """Raise UnsupportedError for motions that a feature for one hitch does not support.
 
-        These are several groups, external plans if ``others``, and rings that change.
+        These are several groups, and external plans if ``others``.
         """
-        if self.has_ring_changes:
-            message = f"{feature} needs a hitch with the same robots at all times"
-            raise UnsupportedError(f"{message}; plan the part before or after in a separate file")
         flying = self.all_groups if others else self.groups
         if len(flying) > 1:
             names = ", ".join(each.name or "the team" for each in flying)

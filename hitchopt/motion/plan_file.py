@@ -22,7 +22,6 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.chapters import check_rings
 from hitchopt.motion.combined import combined
 from hitchopt.motion.earlier_files import converted
 from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Group, Motion, Phase
@@ -246,8 +245,6 @@ def _check_phases(motion: Motion) -> None:
     if not spans or max(abs(spans[0][0] - first), abs(spans[-1][1] - last)) > JOINT:
         words = f"one after the other from {first:g} to {last:g} s"
         raise InputError("phases", spans, words, REMEDY)
-    if motion.has_ring_changes or any(phase.waiting for phase in motion.phases):
-        check_rings(motion)
     objects, cables = motion.requirements.objects, range(motion.team.robots)
     for phase in motion.phases:
         if not 0 <= phase.step < MAX_STEPS:

@@ -166,8 +166,7 @@ def request_of(motion: Motion) -> dict[str, Any]:
             first, team = inverse.drones(first), inverse.team(team)
         start = {"drones": {"q": first[0::2], "r": first[1::2]}}
         if motion.formed[0]:
-            points = len(motion.phases[0].ring or motion.team.point_names)
-            x, y, z = motion.vertices.coefficients[0, :points, ..., 0].T
+            x, y, z = motion.vertices.coefficients[0, ..., 0].T
             start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
     return request_fields(team, requirements, start, mission_of(motion))
 
@@ -215,8 +214,7 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
         last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
         ranges = [phase.tension for phase in phases if phase.tension is not None]
         holds = [(phase.hold.object, phase.hold.by) for phase in phases if phase.hold is not None]
-        ring = phases[-1].ring
-        places = motion.vertices.coefficients[last, : None if ring is None else len(ring), ..., -1]
+        places = motion.vertices.coefficients[last, ..., -1]
         poses = motion.poses.coefficients[last, ..., -1]
         step: dict[str, Any] = {
             "tension": [np.min(ranges), np.max(ranges)] if ranges else None,
@@ -225,8 +223,6 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
             "altitude": float(np.mean(places[:, 2])) if motion.formed[last] else None,
             "objects": dict(zip(names, poses, strict=True)),
         }
-        if ring is not None:
-            step["ring"] = ring
         if not motion.team.has_cables:
             step = {"drones": motion.drones.coefficients[last, ..., -1], "objects": step["objects"]}
         results.append(step)

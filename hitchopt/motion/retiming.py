@@ -105,9 +105,7 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
-    rings = [motion.phases[i].ring for i in motion.phase_of_piece[pieces].tolist()]
-    seams = times[1:-1][[a != b for a, b in pairwise(rings)]]  # rows change their robots there
-    edges = np.union1d(np.concatenate([[0.0], np.cumsum(clock.duration)]), seams)
+    edges = np.concatenate([[0.0], np.cumsum(clock.duration)])
     breaks = _subdivide(times, edges)
     sides = []
     for ends, inward in ((breaks[:-1], 1e-12), (breaks[1:], -1e-12)):

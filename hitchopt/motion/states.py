@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.hitch import GRAVITY, Hitch, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
-from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array, as_array, nonnegative, positive
@@ -207,8 +206,7 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[States]:
     """Yield the states at ``times`` (samples,) [s] in blocks of at most ``block_size``.
 
-    Several groups are combined; their cables are evaluated group by group. If a ring changes, its
-    vertices are numbered along the current ring.
+    Several groups are combined; their cables are evaluated group by group.
     """
     if len(motion.groups) > 1:
         each = [iterate_states(group.motion, times, block_size) for group in motion.groups]
@@ -222,18 +220,6 @@ def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[St
                 common[name] = getattr(motion, name).at(motion.drones.breaks[0] + t)
             common["object_poses"], formed = common.pop("poses"), np.zeros(len(t), np.bool_)
             yield States(t=t, formed=formed, vertex_velocities=common["vertices"], **common)
-        return
-    if motion.has_ring_changes:
-        phases = [replace(phase, ring=None, waiting=()) for phase in motion.phases]
-        whole = motion.replaced(phases=tuple(phases))
-        for block in iterate_states(whole, times, block_size):
-            for part, index, robots in parts_at(motion, block.t):
-                local_times = motion.drones.breaks[0] - part.drones.breaks[0] + block.t[index]
-                (part_states,) = iterate_states(part, np.maximum(local_times, 0.0), len(index))
-                rows = np.add.outer(2 * robots, [0, 1]).ravel()
-                for name in ("cable_forces", "cable_force_rates"):
-                    getattr(block, name)[np.ix_(index, rows)] = getattr(part_states, name)
-            yield block
         return
     pulls, taut = map(motion.drones.replaced, (leg_tensions(motion), tautness(motion)))
     parts = motion.drones, motion.pull_points, pulls, taut
@@ -271,8 +257,6 @@ def final_hitch(motion: Motion) -> Hitch:
     """
     if len(motion.groups) > 1:
         raise UnsupportedError("several teams: continue with one of plan.motion.groups")
-    if motion.has_ring_changes:
-        motion.require_one_team("continuing from a plan's end", others=False)
     if not (motion.team.has_cables and motion.formed[-1]):
         remedy = "form one, or continue with the drones at plan.at(plan.duration)"
         raise InputError("end", "free cables", "a hitch", remedy)

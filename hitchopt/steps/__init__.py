@@ -1,14 +1,21 @@
 """Steps of a mission: classes with their keys, planning and knobs, in one list."""
 
-from hitchopt.steps import carrying, moving, ring_change, straddling, tying
+from hitchopt.steps import carrying, moving, straddling, tying
 from hitchopt.steps.step import Step as Step
 from hitchopt.values.fields import documented
 
 STEPS: tuple[type[Step], ...] = (
     *(moving.Morph, moving.Hold, moving.MoveVertex, moving.MoveEdge, moving.Adjust),
     *(moving.FollowVertex, moving.Transport, moving.Settle, tying.Form, tying.OpenVertex),
-    *(tying.CloseVertex, ring_change.Join, ring_change.Withdraw, ring_change.Replace),
-    *(tying.Release, tying.Land, carrying.Enclose, carrying.Grasp, carrying.Lift, carrying.Carry),
+    *(
+        tying.CloseVertex,
+        tying.Release,
+        tying.Land,
+        carrying.Enclose,
+        carrying.Grasp,
+        carrying.Lift,
+        carrying.Carry,
+    ),
     *(carrying.SetDown, carrying.Loosen, carrying.Leave, carrying.TransportObject),
     *(straddling.Tie, straddling.Untie),
 )

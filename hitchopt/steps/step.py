@@ -21,7 +21,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import MAX_ROBOTS, PartTeam
+from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
@@ -247,9 +247,6 @@ class RestState:
     levels: Indices | None = None
     # (clasps,) roll [rad] with an open vertex; ``hitch`` then has the roll of the closed hitch
     open_roll: Array | None = None
-    # all robots, and the drones (2, 3) [m] of waiting robots by index, if the ring changes
-    whole: Team | None = None
-    waiting: Mapping[int, Array] = field(default_factory=dict)
     # the enclosed or held object; ``hitch`` is then without the object's weight
     grasp: GraspState | None = None
     # objects at their current places; None for those of the problem
@@ -263,40 +260,9 @@ class RestState:
         return self.hitch
 
     @property
-    def whole_team(self) -> Team:
-        """All robots."""
-        return self.team if self.whole is None else self.whole
-
-    @property
     def assumed_senses(self) -> Array:
         """Turning senses (clasps,) of the pairs; an initial hitch has ones."""
         return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
-
-    def part(self, ring: Sequence[int]) -> PartTeam:
-        """Return the team of some robots."""
-        return PartTeam.of(self.whole_team, ring)
-
-    def regrouped(self, ring: Sequence[int]) -> RestState:
-        """Return the state on free cables before the robots of ``ring`` form a hitch."""
-        if self.whole is None or self.team.labels == tuple(ring):
-            return self
-        own = zip(self.team.labels, self.drones.reshape(-1, 2, 3), strict=True)
-        pairs = {**self.waiting, **dict(own)}
-        drones = np.concatenate([pairs.pop(robot) for robot in ring])
-        return replace(self, team=self.part(ring), drones=drones, waiting=pairs)
-
-    def with_waiting(self, motion: Motion, requirements: Requirements) -> Motion:
-        """Return a motion from this state with the waiting robots added."""
-        from hitchopt.motion.chapters import with_waiting
-        from hitchopt.planners.forming.ring_change import waiting_robot
-
-        if self.whole is None or motion.has_ring_changes:
-            return motion
-        waiting = {
-            robot: waiting_robot(self.part((robot,)), places, requirements)
-            for robot, places in self.waiting.items()
-        }
-        return with_waiting(motion, self.whole, waiting, motion.requirements)
 
     def with_objects(self, requirements: Requirements) -> Requirements:
         """Return requirements with the objects of this state."""
@@ -365,7 +331,7 @@ def plan_in_sequence(
     state, motions = task.before, list[Motion]()
     for planner in planners:
         plan = planner(task.within(state.with_objects(task.requirements), state))
-        motions.append(state.with_waiting(plan.motion, task.requirements))
+        motions.append(plan.motion)
         state = plan.after
     return StepPlan(concatenated(motions), state)
 
@@ -440,13 +406,6 @@ class Step(Record, ABC):
     def settling(self) -> float | Literal["auto", False]:
         """Duration of the swings at its end [s], ``auto``, or False for none."""
         return getattr(self, "settle", False)
-
-    def ring_after(self, ring: tuple[int, ...], team: Team) -> tuple[int, ...]:  # noqa: ARG002
-        """Return the robots that hold the edges after the step, in order.
-
-        Raises InputError for robots that do not fit the ring.
-        """
-        return ring
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team: polygon as an outline, legs as an array."""

@@ -11,7 +11,7 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import MAX_ROBOTS, OPEN
+from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.certified_motions import (
@@ -91,25 +91,7 @@ class Form(Step):
         Array | Literal["auto"],
         Key(either(words("auto"), list_of(INDEX, 3, MAX_ROBOTS)), ORDER_TEXT),
     ] = AUTO
-    robots: Annotated[
-        Array | None,
-        Key(
-            list_of(INDEX, 3, MAX_ROBOTS),
-            "Robots that hold the edges, in order; the others wait, and may join; null: all",
-        ),
-    ] = None
     duration: Seconds = None
-
-    def ring_after(self, ring: tuple[int, ...], team: Team) -> tuple[int, ...]:  # noqa: ARG002
-        """Return the robots that form the hitch."""
-        if self.robots is None:
-            return team.labels
-        robots = tuple(np.asarray(self.robots).tolist())
-        distinct = {*robots}
-        if len(distinct) != len(robots) or distinct - {*team.labels} or team.topology == OPEN:
-            bound = f"some of 0 to {team.robots - 1}, each once, of a closed hitch"
-            raise InputError("robots", robots, bound, "leave it out for all")
-        return robots
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team; raise InputError if the order is not one of its robots."""
@@ -133,7 +115,7 @@ class Form(Step):
         team, levels = before.team, None
         if self.by == "laying":
             robots = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
-            levels = levels_of(team.layout, robots and [team.labels.index(k) for k in robots])
+            levels = levels_of(team.layout, robots)
         goal = self._goal(team, levels, requirements)
         check_at_rest(goal, requirements, f"at the end of step {i} (form)")
         tying: Laying | PreHitch
@@ -395,10 +377,4 @@ class Land(Step):
         flight = straight_lines(before.team, requirements.limits, before.drones, down)
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
         after = replace(before, drones=down)
-        if before.waiting:
-            from hitchopt.planners.forming.ring_change import landing_motion
-
-            motion = landing_motion(motion, before.whole_team, before.waiting, requirements)
-            lying = {robot: places * flat + floor for robot, places in before.waiting.items()}
-            after = replace(after, waiting=lying)
         return StepPlan(self.with_duration(task, motion), after)

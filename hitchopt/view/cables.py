@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.motion.chapters import parts_at, parts_of
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
@@ -57,17 +56,10 @@ def cable_curves(
     """
     n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
     radius = float(np.clip(thickness * extent, MIN_RADIUS, MAX_RADIUS))
-    points = np.zeros((len(states.t), n, POINTS, 3))
     if n == 0:
-        return points, radius
-    pairs = states.positions.reshape(-1, n, 2, 3)
-    senses: Senses = {}
-    for chapter in parts_of(motion):
-        senses |= clasp_senses(chapter.motion)
-    for part, samples, robots in parts_at(motion, states.t):
-        drones = pairs[np.ix_(samples, robots)].reshape(len(samples), -1, 3)
-        t = motion.drones.breaks[0] + states.t[samples]
-        points[np.ix_(samples, robots)], radius = _part_curves(part, t, drones, radius, senses)
+        return np.zeros((len(states.t), n, POINTS, 3)), radius
+    t, senses = motion.drones.breaks[0] + states.t, clasp_senses(motion)
+    points, radius = _part_curves(motion, t, states.positions, radius, senses)
     floor = motion.requirements.floor + radius
     points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(states.positions[..., 2])))
     return points, radius

@@ -22,7 +22,7 @@ from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputErro
 from hitchopt.geometry import Outline
 from hitchopt.mission.changes import with_edits_in
 from hitchopt.mission.loading import parse_problem
-from hitchopt.mission.problem import Problem, TeamMission, team_and_ring
+from hitchopt.mission.problem import Problem, TeamMission
 from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion
@@ -132,10 +132,9 @@ def step_key(data: Plain, index: int) -> str:
 
 def outlines(mission: TeamMission) -> list[Outline | None]:
     """Return the outlines at the start and after each step; None for free cables."""
-    polygons, ring = [mission.start_outline], mission.team.labels
+    polygons = [mission.start_outline]
     for step in mission.steps:
-        team, ring = team_and_ring(mission.team, step, ring)
-        polygons.append(step.checked_polygon_after(team, polygons[-1]))
+        polygons.append(step.checked_polygon_after(mission.team, polygons[-1]))
     return polygons
 
 
@@ -143,9 +142,7 @@ def height_after(motion: Motion, index: int) -> float:
     """Return the height of the hitch at the end of a step, or at the start [m]."""
     phases = [phase for phase in motion.phases if phase.step == index] or motion.phases[-1:]
     state = states_at(motion, 0.0 if index == START else phases[-1].end)
-    ring = (motion.phases[0] if index == START else phases[-1]).ring
-    points = state.vertices if ring is None else state.vertices[: len(ring)]
-    return float(np.mean(points[:, 2])) if bool(state.formed) else DEFAULT_HEIGHT
+    return float(np.mean(state.vertices[:, 2])) if bool(state.formed) else DEFAULT_HEIGHT
 
 
 def new_step(problem: Problem, index: int, kind: str, height: float) -> dict[str, Plain]:

@@ -410,7 +410,7 @@ def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
         each = zip(drawn.drones, drawn.drone_colours, range(len(ends)), strict=True)
         groups = tuple(GroupName(name, colour, slice(i, i + 1)) for name, colour, i in each)
     painter.write_groups(axes, groups, ends, motion.requirements.separation.radius)
-    names = team.point_names[: len(motion.phases[-1].ring or team.point_names)]
+    names = team.point_names
     if groups or len(names) > MAX_NAMED or not (team.has_cables and motion.formed[-1]):
         return
     look: Any = {"va": "center", "zorder": 6}

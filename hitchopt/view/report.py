@@ -20,7 +20,6 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError, Progress
-from hitchopt.motion.chapters import parts_at
 from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import CableState, Group, Motion
 from hitchopt.storage.files import digest
@@ -221,17 +220,12 @@ def _tensions(group: Group) -> Iterator[dict[str, Any]]:
     if motion.team.has_cables and np.any(motion.formed):
         states = sample_states(motion)
         curves = np.full((2, len(states.t)), np.nan)
-        for part, index, robots in parts_at(motion, states.t):
-            if not np.any(part.formed):
-                continue
-            formed = index[states.formed[index]]
-            tensions = states.tensions[np.ix_(formed, robots)]
-            curves[:, formed] = np.min(tensions, axis=1), np.max(tensions, axis=1)
-            ranges = stated_tensions(part)
-            steps = np.repeat(part.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
-            for bounds in (np.min(ranges[..., 0], axis=1), np.max(ranges[..., 1], axis=1)):
-                values = np.repeat(np.where(part.formed, bounds, np.nan), 2)
-                limits.append((steps, values, ""))
+        tensions = states.tensions[states.formed]
+        curves[:, states.formed] = np.min(tensions, axis=1), np.max(tensions, axis=1)
+        ranges = stated_tensions(motion)
+        steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
+        for bounds in (np.min(ranges[..., 0], axis=1), np.max(ranges[..., 1], axis=1)):
+            limits.append((steps, np.repeat(np.where(motion.formed, bounds, np.nan), 2), ""))
         yield _plot(
             f"{group.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
         )

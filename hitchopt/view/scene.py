@@ -279,9 +279,7 @@ class Appearance:
             pairs = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
             groups.append(GroupName(group.name, looks[len(groups)][0][0], slice(first, len(names))))
             clasps += [
-                Clasp(group.label(team.point_names[p]), vertices + p, cables + k)
-                for p, k in pairs
-                if not group.motion.has_ring_changes
+                Clasp(group.label(team.point_names[p]), vertices + p, cables + k) for p, k in pairs
             ]
             vertices, cables = vertices + layout.points, cables + team.robots
         for other in motion.others:

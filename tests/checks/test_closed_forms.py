@@ -27,7 +27,6 @@ from motions import (
     still,
     triangle,
 )
-from plans import planned
 from refusals import assert_refused
 
 from hitchopt.checks.certificate import Check
@@ -377,7 +376,6 @@ def test_heights_below_ground_are_reported_without_an_arena() -> None:
     arena = Arena([-9, -9, -1], [9, 9, 9])
     walled = replace(motion.requirements, arena=arena)
     assert below_ground(motion.replaced(requirements=walled, **parts)) is None
-    assert below_ground(planned("join_a_fourth").motion) is None  # it has no vertices 3 at first
 
 
 @pytest.mark.parametrize(

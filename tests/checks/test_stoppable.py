@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from motions import replaced
-from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
@@ -134,18 +133,6 @@ def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait()
         waits.append(start + duration - time)
     longest = certify(motion)["stoppable"].bound
     assert 0.9 * longest <= max(waits) <= longest + 1e-9
-
-
-def test_stops_keep_limits_while_a_robot_joins() -> None:
-    plan = planned("join_a_fourth")
-    table = stop_table(plan.motion)
-    result = np.flatnonzero(np.isfinite(table.durations))
-    assert len(result) > 0.5 * len(table.starts)
-    for i in result[::20].tolist():
-        shares = flown(plan.motion, stop(table.starts[i], table.durations[i]))
-        del shares["turning"]
-        assert max(shares.values()) <= 1.0 + 1e-9
-    assert plan.certificate["stoppable"].bound == pytest.approx(np.max(table.longest[0]), rel=1e-9)
 
 
 @pytest.mark.parametrize(("reserve", "everywhere"), [(0.8, True), (1.0, False)])

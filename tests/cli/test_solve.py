@@ -11,12 +11,10 @@ from typing import Any
 import pytest
 from baseline import SWARMS, differences
 from commands import TRIANGLE, refused, run
-from groups import joining
 from matplotlib.figure import Figure
 from plans import GOOD, INFEASIBLE, ROOT, header, planned
 
 import hitchopt as ho
-from hitchopt.checks import certify
 from hitchopt.mission import repair
 from hitchopt.storage.yaml_file import read_yaml
 
@@ -32,7 +30,7 @@ def diagnosis() -> Any:
 
 # Problems that take longest
 LONG = {
-    "carry_box", "carry_tray", "change_all_batteries", "crazyflie_triangle", "form_thirty_gon",
+    "carry_box", "carry_tray", "crazyflie_triangle", "form_thirty_gon",
     "form_with_friction", "grip_drum", "lay_twelve", "paper_experiment_1", "past_a_star_tip",
     "roll_32_gon", "tie_carry_untie", "two_robots_drum", "two_robots_lip", "weight_form_and_carry",
 }  # fmt: skip
@@ -57,7 +55,7 @@ def test_swarms_are_planned_as_before(path: Path) -> None:
     assert not differences(planned(f"swarms/{path.stem}").certificate.to_dict(), path)
 
 
-LONG_REFUSALS = {"join_legs_too_short", "same_goal"}
+LONG_REFUSALS = {"same_goal"}
 
 
 @pytest.mark.parametrize(
@@ -121,23 +119,6 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert "gamma = -1" in run("check", "mine.npz", "--gamma", "-1", code=2).stderr
     assert note in run("export", "out/plan.npz", "--format", "csv", code=0).stdout.splitlines()
     assert (place / "out-csv").is_dir()
-
-
-def test_joining_robots_are_checked_and_commands_for_one_ring_refused() -> None:
-    plan = ho.Plan(joining(), certify(joining(), reports=()), "A fourth robot joins")
-    plan.save("out", rate=5.0, picture=False)
-    told = run("check", "out", "--closest", code=0)
-    assert told.stderr == ""  # no drone is below the ground
-    assert "q3, r3" in told.stdout
-    same = "needs a hitch with the same robots at all times"
-    for words, *command in (
-        ("settle", "statics", "out"),
-        ("tolerance", "statics", "out", "--tolerance"),
-        ("a reaction to a lost drone", "check", "out", "--survivable"),
-        ("evaluate", "evaluate", "--plan", "out", "--markers"),
-        ("--hold-tension", "export", "out", "--format", "csv", "--hold-tension"),
-    ):
-        assert f"{words} {same}" in " ".join(refused(*command, code=3).split())
 
 
 def test_a_limit_ends_solve_and_search_with_a_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from exported_plans import Array, exported, hitch_plan, swarm_plan, task_of
 from format_readers import READERS, bag_messages, glb_animation, vector
-from groups import joining
 from matplotlib.colors import to_rgb
 from plans import planned
 from ruamel.yaml import YAML
@@ -119,22 +118,6 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
 def test_refitted_problems_lose_nothing(stem: str, name: str, tmp_path: Path) -> None:
     (part,) = exported(planned(stem).motion, name, tmp_path)
     assert part.verdict.violated == ()
-
-
-@pytest.mark.parametrize(
-    "name", [pytest.param("crazyswarm2", marks=pytest.mark.slow), "parquet", "gltf"]
-)
-def test_a_robot_that_joins_is_exported_over_the_whole_time(name: str, tmp_path: Path) -> None:
-    motion, slower = joining(), 1.02 if name == "crazyswarm2" else 1.0
-    parts = exported(motion, name, tmp_path, stretch=slower)  # 31 pieces take some speed
-    for part in parts:
-        assert part.verdict.violated == ()
-        assert len(read_manifest(part.folder)["drones"]) == 8
-    assert "crossing" in {check.name for part in parts for check in part.verdict.checks}
-    assert parts[-1].begins + parts[-1].verdict.duration == pytest.approx(
-        slower * motion.duration, abs=0.05
-    )
-    assert all(report.sound for report in lint(tmp_path)) or name == "gltf"
 
 
 def test_an_export_that_enters_a_prism_is_refused(tmp_path: Path) -> None:

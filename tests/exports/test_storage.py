@@ -9,17 +9,14 @@ import os
 import stat
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace as with_changes
 from pathlib import Path
 from typing import Any, NoReturn
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 from exported_plans import hitch_plan
-from plans import planned
 
 from hitchopt.checks.certificate import CertificateError, Check
 from hitchopt.checks.registry import certificate_of
@@ -33,7 +30,6 @@ from hitchopt.exports.directory import (
 )
 from hitchopt.exports.lint import lint
 from hitchopt.lab.simulation.task import read_task
-from hitchopt.motion.chapters import chapters
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.files import Writer, replace_files
@@ -181,24 +177,6 @@ def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path
     with pytest.raises(CertificateError, match="legs"):
         save_plan(tmp_path / "other", motion, failing)
     assert names(tmp_path) == {"out"}
-
-
-def test_vertices_are_counted_along_the_ring_of_the_time(tmp_path: Path) -> None:
-    plan = planned("join_a_fourth")
-    save_plan(tmp_path, plan.motion, plan.certificate, rate=10.0)
-    rows = [line.split(",") for line in (tmp_path / "vertices.csv").read_text().splitlines()[1:]]
-    joins = [part.drones.breaks[0] for part in chapters(plan.motion)]
-    tied = next(phase.start for phase in plan.phases if phase.formed)
-    times = sample_times(plan.motion.duration, 10.0)
-    counts = [4 if joins[1] <= t < joins[2] else 3 for t in times.tolist() if t >= tied]
-    assert [*Counter(row[0] for row in rows).values()] == counts
-    t, vertex, *place, tension = rows[-1]
-    assert vertex == "2"
-    assert float(t) == pytest.approx(plan.motion.duration)
-    np.testing.assert_allclose(np.array(place, float), [-0.7, -0.404, 1.5], atol=1e-6)
-    assert float(tension) == pytest.approx(0.7)
-    back = read_saved_plan(tmp_path / "plan.npz").motion
-    assert back.has_ring_changes
 
 
 def test_others_files_in_previous_stay(tmp_path: Path) -> None:

@@ -11,13 +11,12 @@ import pytest
 from plans import planned
 from scipy.spatial.transform import Rotation
 
-from hitchopt.errors import InputError, UnsupportedError
+from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.chapters import chapters
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
-from hitchopt.motion.states import final_hitch, states_at
+from hitchopt.motion.states import states_at
 from hitchopt.planners.timing.flight import in_duration
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -144,7 +143,7 @@ def rotation_of(quaternions: Array) -> Rotation:
     return Rotation.from_quat(quaternions.reshape(-1, 4), scalar_first=True)
 
 
-@pytest.mark.parametrize("stem", ["weight_hexagon", "form_hanging_to_the_floor", "join_a_fourth"])
+@pytest.mark.parametrize("stem", ["weight_hexagon", "form_hanging_to_the_floor"])
 def test_states_rotate_at_their_body_rates(stem: str) -> None:
     """Check a morph, and cables with weight that hang, are tightened and hitched."""
     motion = planned(stem).motion
@@ -163,32 +162,6 @@ def test_states_rotate_at_their_body_rates(stem: str) -> None:
     thrusts = now.thrusts(motion.team).reshape(-1, 3)
     third = rotation_of(now.quaternions).apply(np.linalg.norm(thrusts, axis=1)[:, None] * [0, 0, 1])
     np.testing.assert_allclose(third, thrusts, atol=1e-12)
-
-
-def test_forces_on_a_hitch_and_a_robot_that_joins_it_carry_all_cables() -> None:
-    motion = planned("join_a_fourth").motion
-    times = np.linspace(0.0, motion.duration, 100)
-    lies = [p for p in motion.phases if p.state is CableState.LYING]  # cables pass weight
-    times = times[[all(not p.start <= t <= p.end for p in lies) for t in times]]
-    states = states_at(motion, times)
-    weight = [0.0, 0.0, -np.sum(motion.team.cable_weight)]
-    total = np.sum(states.cable_forces, axis=1)
-    np.testing.assert_allclose(total, np.tile(weight, (len(times), 1)), atol=5e-4)
-    starts = [chapter.drones.breaks[0] for chapter in chapters(motion)]
-    names = motion.team.drone_names
-    for start, chapter in zip(starts, chapters(motion), strict=True):
-        t = np.linspace(0.0, 0.99 * chapter.duration, 9)
-        whole = states_at(motion, start + t)
-        for part in (group.motion for group in chapter.groups):
-            rows, own = [names.index(name) for name in part.team.drone_names], states_at(part, t)
-            np.testing.assert_allclose(
-                whole.cable_forces[:, rows], own.cable_forces, rtol=0.0, atol=1e-9
-            )
-        assert whole.formed.tolist() == states_at(chapter.groups[0].motion, t).formed.tolist()
-    after = states_at(motion, motion.duration + 1.0)
-    np.testing.assert_allclose(after.cable_forces, states.cable_forces[-1], atol=1e-12)
-    with pytest.raises(UnsupportedError, match="continuing from a plan's end needs a hitch"):
-        final_hitch(motion)
 
 
 def test_parts_have_the_states_of_the_whole_and_ended_motions_rest() -> None:

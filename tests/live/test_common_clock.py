@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from groups import (
     alone,
     beside,
     hitch_and_swarm,
-    joining,
-    leaving,
     moved,
     two_hitches,
 )
@@ -19,10 +15,8 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
-from hitchopt.live.abort import Aborts, AbortTable, until_stop
+from hitchopt.live.abort import Aborts, AbortTable
 from hitchopt.live.fly import CommandedPlan
-from hitchopt.live.lost import Reactions
-from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
@@ -117,46 +111,6 @@ def test_a_fleet_flies_by_commands() -> None:
         if plan.landed:
             break
     assert plan.landed
-
-
-def test_features_for_one_ring_are_refused_by_name() -> None:
-    joins, same = planned("join_a_fourth"), "needs a hitch with the same robots at all times; plan"
-    for refused, words in (
-        (lambda: Reactions(joins.motion), "a reaction to a lost drone"),
-        (lambda: ho.Feedback(joins), "feedback"),
-        (lambda: ho.Replanner(joins.motion.team, joins), "a replanner"),
-        (lambda: joins.end, "continuing from a plan's end"),
-        (lambda: ho.combine(joins, joins), "a plan of several teams"),
-    ):
-        with pytest.raises(ho.UnsupportedError, match=f"{words} {same}"):
-            refused()
-
-
-@pytest.mark.parametrize(("plan", "time"), [(joining, 10.0), (joining, 20.0), (leaving, 29.5)])
-def test_a_plan_stopped_while_a_robot_joins_or_leaves_keeps_its_rings(
-    plan: Callable[[], Motion], time: float
-) -> None:
-    motion = plan()
-    stopped = until_stop(motion, time, stop=True)
-    ring = next(phase.ring for phase in motion.phases if phase.end > stopped.rest)
-    assert stopped.motion.phases[-1].ring == ring
-    assert certify(stopped.motion, reports=()).certified
-
-
-@pytest.mark.parametrize(
-    ("time", "how", "last"),
-    [
-        pytest.param(21.0, "hold", "roll", marks=pytest.mark.slow),
-        (18.0, "land", "land"),
-        pytest.param(12.0, "back", "draw taut", marks=pytest.mark.slow),
-        pytest.param(21.0, "back", "draw taut", marks=pytest.mark.slow),
-    ],
-)
-def test_aborts_as_a_robot_joins_end_safely(time: float, how: str, last: str) -> None:
-    """Stopped amid a roll; landed as a ring of four; and back as three before and after joining."""
-    abort = Aborts(joining()).plan(time, how)
-    assert abort.certificate.certified
-    assert abort.motion.phases[-1].name == last
 
 
 def test_a_laid_hitch_flies_back_to_where_its_cables_hang() -> None:

@@ -45,7 +45,7 @@ ROWS = {
 """Functions of ``verify`` that find it."""
 FIGURES = Path(__file__).with_name("stored_plans.json")
 
-SLOW = {"joined", "rest", "grip"}  # Plans that take longer to prove than a test should
+SLOW = {"rest", "grip"}  # Plans that take longer to prove than a test should
 # Largest difference of a figure, relative and in its unit, and of ``stoppable``, which is searched
 # in steps (``tests/cli/baseline.py``)
 CLOSE, SEARCHED = 1e-6, 0.25

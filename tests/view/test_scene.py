@@ -30,7 +30,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import states_at
 from hitchopt.objects.placing import in_world
-from hitchopt.view.cables import CLASPS, POINTS, cable_curves, clasp_senses, wrapped_edges
+from hitchopt.view.cables import CLASPS, cable_curves, clasp_senses, wrapped_edges
 from hitchopt.view.film import frames, save_film
 from hitchopt.view.painter import (
     AZIMUTH,
@@ -40,7 +40,7 @@ from hitchopt.view.painter import (
     choose_shots,
     draw_plan_storyboard,
 )
-from hitchopt.view.pictures import draw_summary, panels, plot_from_above, sample_states
+from hitchopt.view.pictures import draw_summary
 from hitchopt.view.scene import (
     Scene,
     ghost_scene,
@@ -141,26 +141,6 @@ def test_cables_of_an_open_clasp_run_straight_the_one_that_was_laid_on_top_above
         steps = np.diff(opened[cable, bend - 6 : bend + 7], axis=0)
         along = steps / np.linalg.norm(steps, axis=1)[:, None]
         assert np.min(along @ along[0]) > np.cos(0.5)  # it is lifted over the other, by a radius
-
-
-def test_a_robot_that_joins_lies_on_top_and_is_linked_to_its_neighbours() -> None:
-    motion = planned("join_a_fourth").motion
-    times = [next(p.end for p in motion.phases if p.name == name) for name in ("lower", "hold")]
-    scene = scene_at(motion, np.array([*times, motion.duration]))
-    states = states_at(motion, scene.t)
-    np.testing.assert_allclose(scene.cables[:, :, 0], scene.drones[:, 0::2], atol=1e-9)
-    np.testing.assert_allclose(scene.cables[:, :, -1], scene.drones[:, 1::2], atol=1e-9)
-    lying, joined, withdrawn = scene.cables
-    for vertex, bend in zip(states.vertices[0, :2], CLASPS, strict=True):
-        assert lying[3, bend, 2] == pytest.approx(vertex[2] + scene.radius, abs=0.1 * scene.radius)
-    ring = np.zeros((4, 4), int)
-    for one, other in ((3, 0), (0, 1), (1, 2), (2, 3)):
-        ring[one, other] = ring[other, one] = 1
-    np.testing.assert_array_equal(np.abs(linking_matrix(list(joined))), ring)
-    triangle = 1 - np.eye(4, dtype=int)
-    triangle[3] = triangle[:, 3] = 0
-    np.testing.assert_array_equal(np.abs(linking_matrix(list(withdrawn))), triangle)
-    assert withdrawn[3, POINTS // 2, 2] < scene.drones[-1, 6:, 2].min() - 0.1  # it hangs free
 
 
 def test_edges_around_a_circle_are_its_tangents_and_arc() -> None:
@@ -410,28 +390,6 @@ def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
     )
     pixels = figure.axes[1].transData.transform(projected[:, :2])
     assert all(figure.axes[1].bbox.contains(*place) for place in pixels)
-
-
-def test_a_robot_that_joins_is_shown_in_pictures_and_reports(tmp_path: Path) -> None:
-    plan = planned("join_a_fourth")
-    words = [shot.words for shot in choose_shots(plan.motion)]
-    assert words == ["start", "roll", "lower", "roll", "unroll", "close"]
-    quantities = panels(plan.motion, sample_states(plan.motion))
-    worst = {check.name: check.bound for check in plan.certificate.checks}
-    for panel in quantities[1:]:  # of speed and thrust: never beyond what the certificate found
-        assert 0.95 * worst[panel.name] < np.max(panel.values) < worst[panel.name] + 1e-9
-    plan.view(save=tmp_path / "plan.html")
-    text = (tmp_path / "plan.html").read_text(encoding="utf-8")
-    data = json.loads(next(iter(re.findall(r"<script[^>]*json[^>]*>(\{.*?)</script>", text, re.S))))
-    assert data["names"][-1] == "r3"
-    assert data["clasps"] == []  # every ring has its own
-    (tension,) = [plot for plot in data["plots"] if plot["label"].startswith("tension")]
-    smallest = [value for value in tension["curves"][0] if value is not None]
-    assert smallest[-1] == pytest.approx(0.7)  # of the ring: the robot that waits has none
-    axes = draw_summary(plan.motion, plan.certificate).axes
-    assert len(axes) == len(words) + len(quantities)
-    above = plot_from_above(plan.motion, new_figure((5.0, 5.0)).add_subplot())
-    assert {text.get_text() for text in above.texts} == {"p0", "p1", "p2"}
 
 
 def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:

@@ -60,9 +60,8 @@ def resolved(task: Task, settings: Settings) -> Settings:
                 estimator = HELD
             if upload is None:
                 # Exported files would hold the tension by offsets
-                can_upload = task.motion is not None and not task.motion.has_ring_changes
                 teams = (flown_team(part.team, settings) for part in task.parts)
-                upload = can_upload and not settings.feedback
+                upload = task.motion is not None and not settings.feedback
                 upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
     estimator = None if estimator == IDEAL else estimator
     if settings.latency is not None and estimator is None:

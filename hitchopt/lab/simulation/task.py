@@ -14,7 +14,6 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.chapters import chapters
 from hitchopt.motion.combined import CombinedSwarm
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Group, Motion
@@ -214,12 +213,9 @@ class Task:
         tied = [group for group in motion.groups if group.motion.team.has_cables]
         single = [group for group in motion.groups if not group.motion.team.has_cables]
         passing = Passing.of([*single, *motion.others], float(motion.drones.breaks[0]), t)
-        if motion.has_ring_changes:
-            tied, parts = cls._of_rings(motion, t)
-        elif len(motion.groups) == 1:
+        if len(motion.groups) == 1:
             return replace(cls._alone(motion, t), passing=passing)
-        else:
-            parts = tuple(cls._alone(group.motion, t) for group in tied)
+        parts = tuple(cls._alone(group.motion, t) for group in tied)
 
         def joined(records: list[Any], names: Iterable[str]) -> dict[str, Any]:
             rows = {name: [getattr(record, name) for record in records] for name in names}
@@ -229,34 +225,8 @@ class Task:
         formed = np.any([states.formed for states in each], axis=0)
         states = replace(each[0], formed=formed, **joined(each, JOINED_FIELDS))
         task = cls(Crew(tied), states, motion=motion, groups=parts, passing=passing)
-        if motion.has_ring_changes:
-            return task
         cargo = Cargo.joined(motion, tied, t)
         return replace(task, cargo=cargo, **joined(list(parts), ["taut"]))
-
-    @classmethod
-    def _of_rings(cls, motion: Motion, t: Array) -> tuple[list[Group], tuple[Task, ...]]:
-        """Return the groups of a plan's last chapter, and their tasks over the whole plan.
-
-        Hitches of earlier chapters are not evaluated: a task has no hitch before its last ring.
-        """
-        last, states = chapters(motion)[-1], states_at(motion, t)
-        if states.formed[0]:
-            problem = "with robots that join or leave, simulations begin with free cables"
-            raise UnsupportedError(f"{problem}; form the hitch in the plan")
-        started, parts = t >= last.drones.breaks[0] - motion.drones.breaks[0], list[Task]()
-        for team in (group.motion.team for group in last.groups):
-            rows, closed = list(team.labels), team.layout.closed
-            drones = np.repeat(2 * np.array(rows), 2) + np.tile([0, 1], len(rows))
-            own = replace(
-                states,
-                formed=states.formed & started & closed,
-                vertices=states.vertices[:, : team.layout.points],
-                tensions=states.tensions[:, rows],
-                **{name: getattr(states, name)[:, drones] for name in DRONE_FIELDS},
-            )
-            parts.append(cls(team, own, motion=motion))
-        return list(last.groups), tuple(parts)
 
     @classmethod
     def _alone(cls, motion: Motion, t: Array) -> Task:
