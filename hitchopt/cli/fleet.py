@@ -16,7 +16,7 @@ import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import PATH, command, completing, option, plan_path
 from hitchopt.cli.output import ProgressBar, certificate_table, record, say, table
-from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.exports.options import HOMES, ROS_DISTROS, STORAGES
 
 if TYPE_CHECKING:
@@ -315,6 +315,11 @@ def fly(
     from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.values import positive
 
+    if not hasattr(signal, "SIGHUP"):
+        raise UnsupportedError(
+            "fly needs Linux or macOS: other systems do not tell a program that its terminal "
+            "closed, nor wait for keys; on Windows use WSL"
+        )
     rate, patience = positive("rate", rate), positive("patience", patience)
     with ProgressBar("certifying"):
         plan = ho.load(plan_path(directory).parent)

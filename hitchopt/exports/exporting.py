@@ -186,40 +186,45 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
     """Return the task with the check of distances of drones that follow positions alone.
 
     They trail by v kd/kp at a steady speed v, and by ``trailing_times`` at most. That and the
-    format's error add to the plan's tracking errors. InfeasibleError if distances do not allow for
-    it, with a remedy.
+    format's error add to the drones' own errors. InfeasibleError if distances do not allow for it,
+    with a remedy.
     """
     if not task.options.positions_only:
         return task
     planned, lags = task.without_offsets or task.motion, _lags(task.motion, task.options)
     speed = largest_rate(task.motion.drones, 1).worst
+    own = Tube.enclosing(_own_errors(each.motion) for each in planned.groups) or Tube.of(None)
 
-    def check_at(stretch: float) -> tuple[Tube, Check]:
-        """Return the largest errors of any group and the check, flown slower by a factor."""
-        more = [kind.accuracy + speed * lag / stretch for lag in lags]
-        tubes = list[Tube]()
+    def with_trailing(tube: Tube, fastest: float) -> Tube:
+        """Return the errors of drones that fly up to a speed [m/s]."""
+        level, height = (kind.accuracy + fastest * lag for lag in lags)
+        return Tube(tube.level + level, tube.height + height)
+
+    def check_at(stretch: float) -> Check:
+        """Return the check of a plan that is flown slower by a factor."""
 
         def widened(motion: Motion) -> Motion:
-            limits = motion.requirements.limits
-            tubes.append(Tube(limits.tube.level + more[0], limits.tube.height + more[1]))
-            wider = replace(limits, tracking=tubes[-1])
+            tube = with_trailing(_own_errors(motion), speed / stretch)
+            wider = replace(motion.requirements.limits, tracking=tube)
             return motion.replaced(requirements=replace(motion.requirements, limits=wider))
 
-        check = certify(planned.each_group(widened))[TRACKING_RADIUS.name]
-        return Tube.enclosing(tubes) or Tube(0.0, 0.0), check
+        return certify(planned.each_group(widened))[TRACKING_RADIUS.name]
 
-    tube, check = check_at(1.0)
+    check = check_at(1.0)
     size = f"trail them by v kd/kp, up to {speed * max(lags):.2g} m at {speed:.2g} m/s"
     if check.holds:
         note = f"distances allow for drones that follow positions alone and {size}"
         return replace(task, trailing=check, notes=(*task.notes, note))
-    room = check.bound - tube.level + speed * lags[0]  # for trailing, of errors level
+    room = check.bound - own.level - kind.accuracy  # for trailing, of errors level
     first = math.ceil(101.0 * speed * lags[0] / room) / 100.0 if room > 0.0 else math.inf
-    level, height = (math.ceil(100.0 * x) / 100.0 for x in (tube.level, tube.height))
-    needed = f"{{level: {level:g}, height: {height:g}}}" if height > level else f"{level:g}"
-    remedy = f"Plan with a lower limits.speed or limits.tracking: {needed}"
+    needed = with_trailing(own, max(speed, planned.requirements.limits.speed))  # of another plan
+    needed = Tube(*(math.ceil(100.0 * x) / 100.0 for x in (needed.level, needed.height)))
+    remedy = (
+        f"Plan with limits.tracking: {_in_files(needed)} and team.quadrotor.tracking: "
+        f"{_in_files(own)}, their errors with full setpoints"
+    )
     for factor in STRETCH_FACTORS:
-        if first * factor <= MAX_STRETCH and check_at(first * factor)[1].holds:
+        if first * factor <= MAX_STRETCH and check_at(first * factor).holds:
             remedy = f"Add stretch={task.options.stretch * first * factor:.4g}"
             break
     message = (
@@ -227,6 +232,21 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
         f"it. {remedy}, or fly full setpoints, which do not trail: leave out positions_only."
     )
     raise InfeasibleError([check.violation("", TRAILING_REMEDY)], message)
+
+
+def _own_errors(motion: Motion) -> Tube:
+    """Return the tracking errors of a group's drones: as stated for each, else as allowed for."""
+    stated = [kind.tracking for kind in motion.team.quadrotor if kind.tracking is not None]
+    if len(stated) < len(motion.team.quadrotor):
+        return motion.requirements.limits.tube
+    return Tube.enclosing(map(Tube.of, stated)) or Tube.of(None)
+
+
+def _in_files(tube: Tube) -> str:
+    """Return tracking errors as a value in a problem file."""
+    if tube.height <= tube.level:
+        return f"{tube.level:g}"
+    return f"{{level: {tube.level:g}, height: {tube.height:g}}}"
 
 
 def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:

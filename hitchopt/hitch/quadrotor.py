@@ -158,7 +158,7 @@ class Quadrotor(OneLine):
         Key(
             units.LATENCY,
             "Delay of motion capture and commands, for which the controller's gains must be low "
-            "enough; null: at most 0.02",
+            "enough; null: below 0.02",
         ),
     ] = None
     model: Annotated[

@@ -30,6 +30,7 @@ LEAD = 0.2  # time by which setpoints are computed ahead, and commands delayed [
 DRONE_TIMEOUT, OPERATOR_TIMEOUT = 0.5, 1.0  # time without messages after which links are lost [s]
 MAX_ERROR = 0.3  # error of drones up to which a plan continues from rest [m]
 RETRY_DELAY = 0.25  # delay before a rejected hold is requested again [s]
+FLOOR_TIME = 0.3  # duration of setpoints without cable forces after a landing [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,13 +73,17 @@ class CommandedPlan:
         return self.descending or bool(np.all(heights <= motion.requirements.floor + JOINT))
 
     def step(self, seconds: float) -> FleetSetpoints:
-        """Advance the time [s] and return the setpoints to send."""
+        """Advance the time [s] and return the setpoints to send.
+
+        Those of drones that have landed have no cable forces: on the floor they would tip drones.
+        """
         if self._landing is not None and self._player.resting:
             self._player, self._landing = self._landing, None
             self.descending = True
         motion, setpoints = self._player.motion, self._player.step(seconds)
         states = states_at(motion, [setpoints.time])
         mass, gain = motion.team.mass[:, None], motion.team.pull_gain
+        gain = 0.0 * gain if self.landed else gain
         forward = setpoints.accelerations - gain * states.cable_forces[0] / mass
         return FleetSetpoints(
             setpoints,
@@ -196,6 +201,8 @@ class StreamedFlight:
             if self._job is not None or self._plan.landed:
                 break
             self._buffer.append(self._plan.step(1.0 / self._rate))
+            if self._plan.landed:
+                self._buffer.extend([self._buffer[-1]] * round(FLOOR_TIME * self._rate))
         self._send(now)
         return not (self.landed or self._quit)
 

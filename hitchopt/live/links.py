@@ -12,6 +12,7 @@ import os
 import select
 import socket
 import sys
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -39,6 +40,12 @@ OWN_SYSTEM = 245  # MAVLink system of this sender, above usual fleets and below 
 HEARTBEAT_PERIOD = 1.0  # autopilots consider a sender lost after some seconds [s]
 SETPOINT_VALIDITY = 500  # validity of a Crazyflie's last setpoint, which its firmware ignores [ms]
 LANDING_TIME, LANDING_SPEED = 1.0, 0.4  # of the firmware's landing: least time [s], mean [m/s]
+
+LANDINGS, LANDING_PERIOD = 2, 0.2
+"""Number of times that Crazyflies are told to land, and the time between them [s].
+
+A setpoint that a drone receives after the command takes control from its high-level commander, and
+half a second later the firmware stops the motors: a second command lands it."""
 
 # Commands by key; ``toggle`` is pause or resume, ``quit`` ends a flight before its start. Signals
 # add ``end``, which is land or quit
@@ -364,10 +371,14 @@ class CrazyflieOutlet:
     def close(self, *, landed: bool) -> None:
         """Return control to the drones' high-level commander, which lands them.
 
-        Without a command it would stop the motors of drones in the air at once.
+        Without a command it would stop the motors of drones in the air at once. Commands are
+        repeated, for setpoints that are still on their way.
         """
-        for robot, height in zip(self._robots, self._heights.tolist(), strict=True):
-            robot.notifySetpointsStop(SETPOINT_VALIDITY)
-            if landed or height > LANDED:
-                robot.land(LANDED, max(LANDING_TIME, (height - LANDED) / LANDING_SPEED))
-        self._spin_once()
+        for attempt in range(LANDINGS):
+            if attempt:
+                time.sleep(LANDING_PERIOD)
+            for robot, height in zip(self._robots, self._heights.tolist(), strict=True):
+                robot.notifySetpointsStop(SETPOINT_VALIDITY)
+                if landed or height > LANDED:
+                    robot.land(LANDED, max(LANDING_TIME, (height - LANDED) / LANDING_SPEED))
+            self._spin_once()

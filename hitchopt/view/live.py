@@ -19,6 +19,7 @@ from hitchopt.errors import optional_module
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.values import Array
 from hitchopt.view.live_scene import SWITCHES, LiveScene
+from hitchopt.view.own_pages import own_pages_only
 from hitchopt.view.scene import Highlight, Scene, highlight_of, scene_of
 from hitchopt.view.style import COLOURS, LIMIT_COLOUR, MARK_COLOUR, facts, verdict
 
@@ -49,11 +50,12 @@ ASPECT = 0.7  # Width over height of the visible part of a small window
 def open_server(host: str = HOST, port: int = PORT) -> Any:
     """Return a viser server with an empty page; raise UnsupportedError if viser is missing.
 
-    Light comes from the sky, the ground and one side, without shadows: software rendering takes
-    seconds to prepare viser's environment map.
+    It refuses WebSockets of pages of other servers. Light comes from the sky, the ground and one
+    side, without shadows: software rendering takes seconds to prepare viser's environment map.
     """
     viser = optional_module("viser", "the live view needs", "view")
-    server: Any = viser.ViserServer(host, port, label="hitchopt", verbose=False)
+    with own_pages_only(host):
+        server: Any = viser.ViserServer(host, port, label="hitchopt", verbose=False)
     scene, gui = server.scene, server.gui
     scene.set_up_direction("+z")
     scene.configure_environment_map(None)

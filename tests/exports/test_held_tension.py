@@ -266,7 +266,7 @@ def test_positions_alone_are_refused_where_distances_do_not_allow_for_the_lag(
     plan: ho.Plan, tmp_path: Path
 ) -> None:
     """The stretch that a refusal names suffices, and a smaller one does not."""
-    limits, radius = plan.motion.requirements.limits, plan.certificate["tracking_radius"].bound
+    limits = plan.motion.requirements.limits
 
     def export(tracking: float | ho.Tube, **options: Any) -> None:
         wider = replace(limits, tracking=tracking)
@@ -285,12 +285,36 @@ def test_positions_alone_are_refused_where_distances_do_not_allow_for_the_lag(
         assert 1.02 < factor < 3.0
         export(tube, stretch=factor)
         refusal(tube, stretch=1.0 + 0.8 * (factor - 1.0))
-    assert "limits.tracking: 0.4, or fly full setpoints" in refusal(radius - 2e-3)
     refusal(0.12, allow_slack=True)
     with pytest.raises(ho.InputError, match="left out for gltf"):
         plan.export("gltf", tmp_path, positions_only=True)
     with pytest.raises(ho.InfeasibleError, match=r"such as stiffness=4\.75"):
         of_kind(plan, ho.Quadrotor()).export("csv", tmp_path, positions_only=True)
+
+
+@pytest.mark.parametrize("own", [0.02, ho.Tube(0.02, 0.03)])
+def test_errors_to_plan_with_are_those_that_positions_alone_need(
+    plan: ho.Plan, tmp_path: Path, own: float | ho.Tube
+) -> None:
+    """They count the trailing once: a plan that keeps distances by less is refused."""
+    radius = plan.certificate["tracking_radius"].bound
+
+    def export(tracking: float | ho.Tube, stated: float | ho.Tube | None) -> None:
+        need = plan.motion.requirements
+        need = replace(need, limits=replace(need.limits, tracking=tracking))
+        kinds = tuple(replace(kind, tracking=stated) for kind in plan.motion.team.quadrotor)
+        motion = plan.motion.replaced(
+            requirements=need, team=replace(plan.motion.team, quadrotor=kinds)
+        )
+        replace(plan, motion=motion).export("skybrush", tmp_path, positions_only=True)
+
+    with pytest.raises(ho.InfeasibleError) as caught:
+        export(radius - 2e-3, None)
+    words = str(caught.value)
+    told = float(words.partition("limits.tracking: ")[2].partition(" ")[0])
+    assert f"team.quadrotor.tracking: {radius - 2e-3:g}, their errors with full" in words
+    assert told > radius  # what the remedy says to plan with
+    export(min(told, radius - 1e-6), own)
 
 
 @pytest.mark.parametrize("ratio", [0.2, 0.44, 0.63, 5.0 / 6.0, 0.999, 1.0, 2.0])

@@ -90,13 +90,13 @@ def test_gains_reach_their_drones_and_axes() -> None:
     assert ho.Team(3, 2.4).tracking is None
 
 
-@given(st.sampled_from(["mellinger", "lee"]), st.floats(0.03, 0.5), st.floats(0.021, 0.2))
+@given(st.sampled_from(["mellinger", "lee"]), st.floats(0.03, 0.5), st.floats(0.016, 0.2))
 def test_gains_for_a_delay_are_accepted_and_stiffer_ones_refused(
     name: str, mass: float, latency: float
 ) -> None:
     gains = stiffest_gains(mass, latency, name)
     found = ho.Quadrotor(mass, 20.0 * mass, controller=name, gains=gains, latency=latency).loop
-    scale = 0.06 / (latency + 0.04)
+    scale = 0.055 / (latency + 0.04)
     usual = stiffest_gains(mass, None, name)
     assert found.kp[0] == pytest.approx(scale**2 * usual["kp"], rel=0.01)
     assert found.kd[0] == pytest.approx(scale * usual["kd"], rel=0.01)
@@ -110,7 +110,7 @@ def test_gains_for_a_delay_are_accepted_and_stiffer_ones_refused(
 def test_models_of_drones_have_gains_for_the_stated_delay() -> None:
     kind = ho.Quadrotor(model="crazyflie_2.1_brushless", latency=0.04)
     assert kind.gains == Gains.of(stiffest_gains(kind.mass, 0.04))
-    assert kind.loop.kp[0] == pytest.approx(0.5625 * 36.0 * kind.mass, rel=0.005)
+    assert kind.loop.kp[0] == pytest.approx((0.055 / 0.08) ** 2 * 36.0 * kind.mass, rel=0.005)
 
 
 @pytest.mark.parametrize(

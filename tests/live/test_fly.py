@@ -221,11 +221,17 @@ class Rig:
         return float(np.max(np.abs(self.sent[-1].setpoints.velocities)))
 
     def check(self, *, landed: bool) -> None:
-        """All that was sent keeps the limits, and follows from the setpoint before."""
+        """All that was sent keeps the limits, and follows from the setpoint before.
+
+        Drones that have landed, tied or not, are for some time asked to do nothing but stand.
+        """
         series = [flown.setpoints for flown in self.sent]
         check_setpoints(series, self.plan.motion.requirements.limits, 1.0 / self.rate)
         assert self.flight.landed == landed
         assert not landed or abs(np.min(series[-1].positions[:, 2])) <= 1e-9
+        for flown in self.sent[-round(0.3 * self.rate) :] if landed else ():
+            np.testing.assert_allclose(flown.feed_forward, 0.0, atol=1e-9)
+            np.testing.assert_allclose(flown.thrusts[:, :2], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize("swarm", [False, True])

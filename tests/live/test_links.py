@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import signal
 import socket
 import sys
 from collections.abc import Iterator
@@ -174,7 +175,10 @@ def test_crazyflies_receive_full_states(node: Mock) -> None:
 @pytest.mark.parametrize("landed", [True, False])
 @pytest.mark.parametrize("height", [0.02, 0.2, 1.5])
 def test_crazyflies_land_when_the_stream_ends(node: Mock, height: float, *, landed: bool) -> None:
-    """Also after an exception, at 0.4 m/s down; those that stand before the start stay there."""
+    """Also after an exception, at 0.4 m/s down; those that stand before the start stay there.
+
+    A setpoint that arrives after the first command to land takes control back, so all are repeated.
+    """
     outlet = CrazyflieOutlet(NAMES, ROBOTS, FRAME, wanted_parameters())
     setpoints = moving().setpoints
     level = setpoints.positions * [1.0, 1.0, 0.0] + [0.0, 0.0, height - PLACE[0][2]]
@@ -182,10 +186,10 @@ def test_crazyflies_land_when_the_stream_ends(node: Mock, height: float, *, land
     robot = node.crazyfliesByName["cf3"]
     robot.reset_mock()
     outlet.close(landed=landed)
-    notified, *landing = robot.mock_calls
-    assert notified == call.notifySetpointsStop(500)  # the firmware may ignore these milliseconds
+    notified = call.notifySetpointsStop(500)  # the firmware may ignore these milliseconds
     seconds = pytest.approx(max(1.0, (height - 0.04) / 0.4))
-    assert landing == ([call.land(0.04, seconds)] if landed or height > 0.04 else [])
+    landing = [call.land(0.04, seconds)] if landed or height > 0.04 else []
+    assert robot.mock_calls == 2 * [notified, *landing]
 
 
 def test_crazyflies_that_would_fly_otherwise_are_refused(node: Mock) -> None:
@@ -245,6 +249,18 @@ def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Pa
     wrong = runner.invoke(main, ["fly", str(tmp_path / "plan"), *options, "--to", f"{host}:9"])
     assert wrong.exit_code == 2
     assert "--to = 2: must be given once, or 6 times" in wrong.output
+
+
+def test_the_command_says_at_once_that_it_needs_signals_of_terminals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Windows has none: no plan is read, and nothing is sent."""
+    monkeypatch.delattr(signal, "SIGHUP")
+    (tmp_path / "plan").mkdir()
+    done = CliRunner().invoke(main, ["fly", str(tmp_path / "plan"), "--over", "json"])
+    assert done.exit_code == 3, done.output
+    (line,) = " ".join(done.output.split()).split("error: ")[1:]
+    assert line.startswith("fly needs Linux or macOS")
 
 
 @pytest.mark.parametrize(

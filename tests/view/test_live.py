@@ -15,14 +15,18 @@ from typing import Any
 
 import numpy as np
 import pytest
+import viser
+import websockets
 from click.testing import CliRunner
 from pictured import made_certificate, make_motion
+from websockets.sync.client import connect
 
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.values import Array
 from hitchopt.view.live import ASPECT, Buttons, LiveView, open_server
 from hitchopt.view.live_scene import TRAIL_DURATION
+from hitchopt.view.own_pages import is_own_page
 from hitchopt.view.report import plots_of, write_report
 from hitchopt.view.scene import scene_of
 
@@ -54,6 +58,51 @@ def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time
     ends = sent["/plan/cables"].points.reshape(4, -1, 2, 3)
     np.testing.assert_allclose(ends[:, 0, 0], drones[0::2], atol=2e-3)
     np.testing.assert_allclose(ends[:, -1, 1], drones[1::2], atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("origin", "is_own"),
+    [
+        ("http://127.0.0.1:{port}", True),
+        ("http://evil.example", False),
+        ("http://127.0.0.1", False),
+        ("http://localhost:{port}", False),  # another origin than the address that it calls
+        ("null", False),
+        (None, False),
+    ],
+)
+def test_only_pages_of_the_view_itself_may_connect(
+    live: LiveView, origin: str | None, *, is_own: bool
+) -> None:
+    port = live.server.get_port()
+    where = None if origin is None else websockets.Origin(origin.format(port=port))
+    version = websockets.Subprotocol(f"viser-v{viser.__version__}")
+    address = f"ws://127.0.0.1:{port}"
+    if is_own:
+        with connect(address, origin=where, subprotocols=[version]) as page:
+            assert page.recv(timeout=60.0)
+    else:
+        with pytest.raises(websockets.InvalidStatus, match="403"):
+            connect(address, origin=where, subprotocols=[version])
+
+
+@pytest.mark.parametrize(
+    ("host", "is_own"),
+    [
+        ("127.0.0.1:8080", True),
+        ("[::1]:8080", True),
+        ("192.168.0.7:8080", True),
+        ("localhost", True),
+        ("Lab.Example:8080", True),
+        ("evil.example:8080", False),
+        ("127.0.0.1.evil.example:8080", False),
+        ("[::1:8080", False),
+        ("", False),
+    ],
+)
+def test_names_of_others_that_lead_here_are_not_the_view(host: str, *, is_own: bool) -> None:
+    headers = {"Host": host, "Origin": f"http://{host}"}
+    assert is_own_page(headers, "lab.example") == is_own
 
 
 def test_the_camera_sees_all_paths_from_near() -> None:

@@ -54,7 +54,7 @@ from hitchopt.exports.refit import (
     round_points,
 )
 from hitchopt.hitch import Team
-from hitchopt.hitch.flight_controller import LATENCY
+from hitchopt.hitch.flight_controller import UNSTATED_LATENCY
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import cut, rest_breaks
 from hitchopt.storage.archive import reading
@@ -286,8 +286,8 @@ def pilot_checklist(motion: Motion) -> str:
     """Return the pilot's checklist before arming."""
     texts = json.loads(_template("crazyswarm2.json"))
     look = texts["look"] + (texts["look_at_cables"] if motion.has_cables else [])
-    latency = max(kind.latency or LATENCY for kind in motion.team.quadrotor)
-    return "\n".join(look).format(latency=1e3 * max(latency, LATENCY))
+    latency = max(kind.latency or UNSTATED_LATENCY for kind in motion.team.quadrotor)
+    return "\n".join(look).format(latency=1e3 * max(latency, UNSTATED_LATENCY))
 
 
 def start_files(task: ExportTask, first: Array, last: Array, duration: float) -> dict[str, str]:
@@ -408,6 +408,12 @@ SEGMENT = PieceKind(DEGREE, 3, MILLI, max_duration=65.535)
 EQUAL_ERRORS = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors of equal weight
 
 
+CLIENT = (
+    "no script is written, as crazyflie_py cannot upload these bytes: use cflib, whose memory of "
+    "trajectories takes them as they are (docs/how_to/crazyflie.md)"
+)
+
+
 class CompressedBytes(CrazyflieFormat):
     """Bytes for Crazyflies, one file per drone, with the frame in its name."""
 
@@ -440,7 +446,7 @@ class CompressedBytes(CrazyflieFormat):
         if size > BYTES:
             raise self.refusal(task.motion)
         note = f"up to {size} of {BYTES} bytes of each drone's memory; velocity jumps at joints"
-        return FormatOutput(files, (note, *parameter_notes(task)))
+        return FormatOutput(files, (note, CLIENT, *parameter_notes(task)))
 
     def upload(self, path: Path) -> Trajectory:
         """Return one drone's trajectory up to the end marker, or the end of the bytes."""
