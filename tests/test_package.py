@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import os
 import pickle
-import platform
 import re
 import subprocess
 import sys
@@ -156,24 +155,3 @@ def test_documents_name_files_that_exist() -> None:
 def test_mutations_are_of_lines_that_stand() -> None:
     for each in MUTATIONS:
         assert each.old in (PACKAGE / each.path).read_text("utf-8"), each
-
-
-PROBE = """
-import resource
-import numpy as np
-import hitchopt.trajectory
-def pages():
-    for _ in range(3):
-        begun = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-        each = [np.ones(250_000) for _ in range(6)]  # 2 MB, 489 pages of 4 KB
-        del each
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - begun
-print(pages())
-"""
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="other C libraries do as they do")
-def test_arrays_are_made_where_others_were_freed() -> None:
-    own = {k: v for k, v in os.environ.items() if "MALLOC" not in k and k != "GLIBC_TUNABLES"}
-    told = subprocess.check_output([sys.executable, "-c", PROBE], text=True, env=own)
-    assert int(told) < 100  # of 2934

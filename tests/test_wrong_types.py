@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
@@ -245,7 +246,19 @@ def test_the_unusual_is_warned_of_at_the_line_that_gave_it(
 ) -> None:
     with pytest.warns(ho.UnitWarning, match=words) as caught:
         make()
-    assert {warning.filename for warning in caught} == {__file__}
+    if sys.version_info >= (3, 12):
+        assert {warning.filename for warning in caught} == {__file__}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [lambda: ho.Limits(speed=800), lambda: ho.Limits(tilt_deg=0.785), lambda: ho.Hold(2e5)],
+)
+def test_a_record_is_warned_of_at_the_line_that_makes_it(make: Callable[[], object]) -> None:
+    """Also with Python 3.11, which skips a number of frames, not the files of a package."""
+    with pytest.warns(ho.UnitWarning) as caught:
+        make()
+    assert [warning.filename for warning in caught] == [__file__]
 
 
 @pytest.mark.parametrize("refusal", REFUSED)
@@ -253,11 +266,9 @@ def test_what_nothing_has_that_flies_is_refused(refusal: Refusal) -> None:
     assert_refused(*refusal)
 
 
-def test_copies_warn_where_a_user_makes_them_only() -> None:
+def test_copies_warn_as_records_do() -> None:
     with pytest.warns(ho.UnitWarning, match="^speed: 800"):
         limits = ho.Limits(speed=800)
-    start = ho.Hitch(ho.Team(3, 2.4), TRIANGLE, 1.0, [0.3, 0.8, 0.25])
-    assert ho.hold(start, 1.0, limits=limits).certificate.certified  # which copies the limits
     with pytest.warns(ho.UnitWarning, match="^speed: 800"):
         replace(limits, jerk=10.0)
 
@@ -277,8 +288,9 @@ def test_cables_that_are_too_heavy_are_not_to_be_longer() -> None:
 def test_angles_in_degrees_are_those_in_radians() -> None:
     limits = ho.Limits(tilt_deg=30, body_rate_deg=200)
     assert limits == ho.Limits(tilt=math.radians(30), body_rate=math.radians(200))
-    assert getattr(limits, "tilt_deg") == pytest.approx(30)  # noqa: B009
     assert ho.Limits(tilt_deg=45) == ho.Limits()
+    assert replace(limits, jerk=9.0) == ho.Limits(jerk=9.0, tilt_deg=30, body_rate_deg=200)
+    assert replace(limits, tilt=0.4).tilt == 0.4
 
 
 def test_the_command_line_warns_on_stderr_once(tmp_path: Path) -> None:

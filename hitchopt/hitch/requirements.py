@@ -17,13 +17,12 @@ from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.values import Array, ByValue, check_instance, sequence, units
 from hitchopt.values.fields import (
-    InDegrees,
     Key,
     Record,
     documented,
     points,
     store,
-    store_with_degrees,
+    store_degrees,
 )
 
 ROUNDING_FACTOR = 1.0 + 2e-9
@@ -37,7 +36,8 @@ MAX_CORNERS = 1000  # Largest number of corners of one outline in a file
 class Limits(OneLine):
     """Limits of motion; all norms are Euclidean.
 
-    Angles may be given in degrees instead, as ``tilt_deg`` and ``body_rate_deg``.
+    Angles may be given in degrees instead, as ``tilt_deg`` and ``body_rate_deg``; they are stored
+    and read in radians.
 
     Raises
     ------
@@ -79,11 +79,12 @@ class Limits(OneLine):
             "height; null: as far as the team's calibrated drones or named flight controllers need",
         ),
     ] = None
-    tilt_deg: InitVar[float | None] = field(default=InDegrees("tilt"), kw_only=True)
-    body_rate_deg: InitVar[float | None] = field(default=InDegrees("body_rate"), kw_only=True)
+    tilt_deg: InitVar[float | None] = field(default=None, kw_only=True)
+    body_rate_deg: InitVar[float | None] = field(default=None, kw_only=True)
 
     def __post_init__(self, tilt_deg: float | None, body_rate_deg: float | None) -> None:
-        store_with_degrees(self, tilt=tilt_deg, body_rate=body_rate_deg)
+        store(self, **vars(self))
+        store_degrees(self, tilt=tilt_deg, body_rate=body_rate_deg)
 
     @property
     def tube(self) -> Tube:

@@ -1,8 +1,8 @@
 """Let Ctrl-C and SIGTERM end a command with its cleanup.
 
 Both raise SystemExit: click turns a KeyboardInterrupt while it parses arguments into "Aborted!" and
-exit code 1. Signals are deferred during imports, as compiled modules turn the exception into an
-ImportError or print a traceback.
+exit code 1. Compiled modules that are being imported turn SystemExit into an ImportError; the
+context then ends with SystemExit all the same.
 """
 
 from __future__ import annotations
@@ -22,13 +22,6 @@ _DEFAULTS: dict[int, Callable[[int, FrameType | None], None] | signal.Handlers] 
 }
 """Handlers to replace; other handlers and ignored signals (nohup) are left alone."""
 
-RESEND_DELAY = 0.02  # Delay before a deferred signal is sent again [s]
-
-_IMPORT_FILES = "<frozen importlib._bootstrap"
-"""Prefix of names of files within which signals are deferred."""
-
-_received: list[int] = []  # Signals handled within the outermost context
-
 
 def how_to_end() -> str:
     """Return how a user ends a command that runs until then, as words for a message."""
@@ -47,35 +40,21 @@ def exit_on_signals(*, final: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    received: list[int] = []
+
+    def exit_with_code(number: int, _: FrameType | None) -> None:
+        received.append(number)
+        raise SystemExit(128 + number) from None
+
     signals = [n for n, default in _DEFAULTS.items() if signal.getsignal(n) is default]
-    if signals:
-        _received.clear()
     for number in signals:
-        signal.signal(number, _exit)
+        signal.signal(number, exit_with_code)
     try:
         yield
     except Exception:
-        if _received:  # compiled code has turned SystemExit into another error
-            raise SystemExit(128 + _received[0]) from None
+        if received:  # compiled code has turned SystemExit into another error
+            raise SystemExit(128 + received[0]) from None
         raise
     finally:
         for number in signals:
             signal.signal(number, signal.SIG_DFL if final else _DEFAULTS[number])
-
-
-def _exit(number: int, frame: FrameType | None) -> None:
-    if _is_deferred(frame):
-        resend = threading.Timer(RESEND_DELAY, os.kill, (os.getpid(), number))
-        resend.daemon = True
-        resend.start()
-    else:
-        _received.append(number)
-        raise SystemExit(128 + number) from None
-
-
-def _is_deferred(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_code.co_filename.startswith(_IMPORT_FILES):
-            return True
-        frame = frame.f_back
-    return False

@@ -146,40 +146,15 @@ class Record(ByValue):
         store(self, **vars(self))
 
 
-class InDegrees:
-    """Argument of a record for an angle in degrees; an attribute that reads the stored angle.
-
-    ``dataclasses.replace`` passes the value that it reads; ``store_with_degrees`` ignores it.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __get__(self, record: object | None, owner: type) -> float | None:
-        angle = None if record is None else getattr(record, self.name)
-        return None if angle is None else _StoredDegrees(math.degrees(angle))
-
-    def __repr__(self) -> str:
-        return "None"  # the default that signatures show
-
-
-class _StoredDegrees(float):
-    """An angle in degrees read from a record."""
-
-
-def store_with_degrees(record: Any, **degrees: float | None) -> None:
-    """Check and set a record's fields as ``store`` does; take some angles in degrees.
+def store_degrees(record: object, **degrees: float | None) -> None:
+    """Check and set angles of a frozen record that are given in degrees [°]; None for the others.
 
     Raises InputError for an angle in both radians and degrees.
     """
     keys = keys_of(type(record))
-    angles = {
-        name: angle
-        for name, angle in degrees.items()
-        if not isinstance(angle, _StoredDegrees | InDegrees | None)
-    }
-    store(record, **{name: value for name, value in vars(record).items() if name not in angles})
-    for name, angle in angles.items():
+    for name, angle in degrees.items():
+        if angle is None:
+            continue
         key = keys[name]
         if getattr(record, name) != key.default:
             bound = f"left out where {name} is given"

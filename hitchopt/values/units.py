@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 import warnings
-from dataclasses import replace
+from pathlib import Path
 
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.values import MAX_COORDINATE, SCALAR, finite
 from hitchopt.values.fields import Kind
 
-INTERNAL_PACKAGES = frozenset({"hitchopt", "contextlib", "dataclasses"})
-"""Packages whose frames lie between a user's line and the check of a value."""
+SKIPPED_FILES = (
+    str(Path(__file__).parents[1]),
+    str(Path(dataclasses.__file__).with_suffix("")),
+    "<string",
+)
+"""Prefixes of the names of files between a user's line and the check of a value: of this package,
+and of dataclasses with the methods that it generates. A whole name does not match itself."""
+
+RECORD_DEPTH = 7
+"""Depth of the stack from ``warn_of_unit`` to the line that makes a record: between them are
+``check``, ``store``, ``__post_init__``, ``__init__`` and the function that suggests keywords."""
 
 Range = tuple[float, float]
 
@@ -147,15 +157,12 @@ def check_lift(mass: float, max_thrust: float, gravity: float) -> None:
 
 
 def warn_of_unit(warning: UnitWarning) -> None:
-    """Issue the warning at the user's line that passed the value, unless a record is copied."""
-    level, frame = 1, sys._getframe(0)
-    is_copy = False
-    while frame.f_back:
-        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
-        if package not in INTERNAL_PACKAGES:
-            break
-        if is_copy and package == "hitchopt":
-            return
-        is_copy = frame.f_code is replace.__code__
-        level, frame = level + 1, frame.f_back
-    warnings.warn(warning, stacklevel=level)
+    """Issue the warning at the line that passed the value to this package.
+
+    Python 3.11 finds it for records that check their fields by ``store``; for others, such as lists
+    in records, the line is one of this package.
+    """
+    if sys.version_info >= (3, 12):
+        warnings.warn(warning, skip_file_prefixes=SKIPPED_FILES)
+    else:
+        warnings.warn(warning, stacklevel=RECORD_DEPTH)

@@ -288,18 +288,30 @@ def test_missing_packages_are_reported_before_planning(
 
 SCRIPT = """
 import hitchopt as ho
-print(len(ho.run_sweep({study!r}, "out", workers=2)), __name__)
+if {condition}:
+    print(len(ho.run_sweep({study!r}, "out", workers=2)))
 """
 
 
-@pytest.mark.slow
-def test_a_script_needs_no_guard(tmp_path: Path) -> None:
-    (tmp_path / "study.py").write_text(SCRIPT.format(study=STUDY))
-    done = subprocess.run(
-        [sys.executable, "study.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120,
+def ran(directory: Path, condition: str) -> subprocess.CompletedProcess[str]:
+    (directory / "study.py").write_text(SCRIPT.format(condition=condition, study=STUDY))
+    return subprocess.run(
+        [sys.executable, "study.py"], cwd=directory, capture_output=True, text=True, timeout=120,
         check=False,
     )  # fmt: skip
-    assert (done.returncode, done.stdout, done.stderr) == (0, "6 __main__\n", "")
+
+
+@pytest.mark.slow
+def test_a_script_with_the_usual_guard_runs_a_sweep(tmp_path: Path) -> None:
+    done = ran(tmp_path, "__name__ == '__main__'")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "6\n", "")
+
+
+@pytest.mark.slow
+def test_a_script_without_guard_ends_with_one_error_that_names_it(tmp_path: Path) -> None:
+    done = ran(tmp_path, "True")
+    assert (done.returncode, done.stdout, done.stderr.count("Traceback")) == (1, "", 1)
+    assert 'call it under `if __name__ == "__main__":`' in done.stderr.splitlines()[-1]
 
 
 def test_a_time_limit_is_a_row() -> None:

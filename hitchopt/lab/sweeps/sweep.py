@@ -11,14 +11,13 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import multiprocessing
 import os
-import sys
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 from hitchopt.errors import (
@@ -94,7 +93,8 @@ def run_sweep(
 
     Raises
     ------
-    InputError, FileError: the study is invalid, or the directory is not writable.
+    InputError, FileError: the study is invalid, the directory is not writable, or a script calls
+        this without ``if __name__ == "__main__":``, so that workers cannot import it.
     SweepError: the scheduler was lost.
     UnsupportedError: dask.distributed or pandas is not installed, or mujoco for simulated flights.
     """
@@ -412,18 +412,34 @@ def run_tasks(
             )
 
 
-@contextlib.contextmanager
-def _hidden_main() -> Iterator[None]:
-    """Let new processes not import the calling script, which needs no ``__name__`` guard then.
+def _is_imported_by_worker() -> bool:
+    """Return whether a script runs only because a new worker process imports it.
 
-    Workers run functions of this package alone.
+    Such a process already has its own name, but no parent until it has imported the script.
     """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
+    is_named = multiprocessing.current_process().name != "MainProcess"
+    return is_named and multiprocessing.parent_process() is None
+
+
+@contextlib.contextmanager
+def _cluster(workers: int) -> Iterator[str]:
+    """Yield the address of the scheduler of a temporary cluster on this machine."""
+    import distributed
+
+    if _is_imported_by_worker():  # the script calls without a guard, as the process above reports
+        raise SystemExit(1)
     try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
+        cluster = distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True,
+            dashboard_address="127.0.0.1:0", host="127.0.0.1",
+        )  # fmt: skip
+    except RuntimeError as error:
+        guard = 'if __name__ == "__main__":'
+        remedy = f"in a script, call it under `{guard}`, because workers import the script"
+        bound = f"processes that can be started ({error})"
+        raise InputError("workers", workers, bound, remedy) from None
+    with cluster:
+        yield cluster.scheduler_address
 
 
 @contextlib.contextmanager
@@ -434,14 +450,7 @@ def _client(workers: int, scheduler: str | None) -> Iterator[Any]:
     for name in ("distributed", "distributed.scheduler", "distributed.nanny", "distributed.worker"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
     with dask.config.set(SETTINGS), contextlib.ExitStack() as stack:
-        address = scheduler
-        if address is None:
-            stack.enter_context(_hidden_main())
-            cluster = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True,
-                dashboard_address="127.0.0.1:0", host="127.0.0.1",
-            )  # fmt: skip
-            address = stack.enter_context(cluster).scheduler_address
+        address = scheduler if scheduler else stack.enter_context(_cluster(workers))
         try:
             client = distributed.Client(address, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
