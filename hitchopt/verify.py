@@ -66,7 +66,6 @@ CLASPING, TIGHTENED = "clasping", "being tightened"
 UNLINKED = {"on the ground", "hanging free"}  # no links
 DRAWN, BENT = "being drawn taut", "bent around an object"  # single cables, the latter with edges
 OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, "hitched"}  # states of two cables that clasp twice
-EARLIER_FORMATS = ("hitchopt-plan/1", "hitchopt-plan/2")
 STATES = {*CROSSINGS, "clasping", LAID, ROLLING, BENT, "none"}
 SAME = 1e-9  # [m], [N] largest difference of contacts from midpoints, of pulls from tensions
 MAX_COEFFS = 61  # coefficients of a curve
@@ -2341,10 +2340,8 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             check_members([x.orig_filename for x in file.zip.infolist()])
-            if form in EARLIER_FORMATS:
-                raise ValueError(f"format is {form}, which the command `hitchopt verify` reads")
-            if form != "hitchopt-plan/3":
-                raise ValueError("format is not hitchopt-plan/3")
+            if form != "hitchopt-flight/1":
+                raise ValueError(f"format is {form!r:.60}, not hitchopt-flight/1")
             return plans_of_groups(file, s)
     except Exception as error:  # malformed files raise many kinds
         words = " ".join(f"{type(error).__name__}: {error}".split())

@@ -7,7 +7,6 @@ import json
 import math
 import os
 import re
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, replace
@@ -344,26 +343,20 @@ def verify(directory: Path) -> None:
 def _show_verified(path: Path) -> None:
     """Prove and report the limits of a plan.npz; exit with 3 unless all are proven.
 
-    The plan is compared with its problem's text before. A file of an earlier format is verified as
-    written in this one.
+    The plan is compared with its problem's text before.
     """
-    from hitchopt.motion.plan_file import write_plan
     from hitchopt.plan import read_requested_plan
-    from hitchopt.storage.archive import PLAN, read_arrays
-    from hitchopt.verify import EARLIER_FORMATS, PASSING, UnreadableError, cells, verdict, verify
+    from hitchopt.verify import PASSING, UnreadableError, cells, verdict, verify
 
-    rows, saved = [], read_requested_plan(path)
-    with tempfile.TemporaryDirectory() as folder:
-        read = path
-        if str(read_arrays(path, ["format"])["format"]) in EARLIER_FORMATS:
-            write_plan(read := Path(folder) / PLAN, *saved)
-        try:
-            with ProgressBar("proving") as progress:
-                for row in verify(read):
-                    rows.append(row)
-                    progress(f"proven or not: {row.name}")
-        except UnreadableError as error:
-            raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
+    read_requested_plan(path)
+    rows = []
+    try:
+        with ProgressBar("proving") as progress:
+            for row in verify(path):
+                rows.append(row)
+                progress(f"proven or not: {row.name}")
+    except UnreadableError as error:
+        raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
     heads = ["check", "worst", "limit", "unit", "where", "when"]
     heads += ["verdict"] * any(row.verdict != "proven" for row in rows)
     content = [dict(zip(heads, cells(row), strict=False)) for row in rows]

@@ -3,8 +3,7 @@
 Polynomials are Bernstein coefficients (pieces, *shape, degree + 1) over ``breaks``, in a folder for
 each team and each external plan. Everything else is JSON in ``settings``: the records of motions
 by the names of their fields, and the text of the problem, which states what was requested.
-Constructors check what is read, as they check what a user passes. Files of formats 1 and 2 are
-converted (``hitchopt.motion.earlier_files``).
+Constructors check what is read, as they check what a user passes.
 """
 
 from __future__ import annotations
@@ -23,7 +22,6 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.combined import combined
-from hitchopt.motion.earlier_files import converted
 from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Group, Motion, Phase
 from hitchopt.motion.request import PLANNER_ONLY, REMEDY, check_same, decoded, encoded, objects_at
 from hitchopt.motion.retiming import shifted
@@ -33,7 +31,7 @@ from hitchopt.storage.files import digest
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import text
 
-FORMAT = "hitchopt-plan/3"
+FORMAT = "hitchopt-flight/1"
 
 GROUPS, OTHERS = "groups", "others"
 """Keys of the settings, and folders of the arrays, of teams and of external plans."""
@@ -149,30 +147,12 @@ def is_of(other: Group, path: Path) -> bool:
 def read_saved_plan(path: Path) -> SavedPlan:
     """Return the contents of a plan file.
 
-    Raises FileError if it cannot be read, or is not a plan.
+    Raises FileError if it cannot be read, is not a plan, or is one of another format.
     """
     try:
-        head = read_arrays(path, ("format", "settings"))
-        version, settings = str(head["format"]), json.loads(str(head["settings"]))
-        if not isinstance(settings, dict):
-            raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
+        version = str(read_arrays(path, ["format"])["format"])
         if version == FORMAT:
-            arrays = dict[str, Any]({GROUPS: [], OTHERS: []})
-            for key, i, each in ((k, *x) for k in arrays for x in enumerate(settings[k])):
-                names = _stored([phase["state"] for phase in each["records"]["phases"]])
-                stored = read_arrays(path, [f"{key}/{i}/{name}" for name in names])
-                arrays[key].append(dict(zip(names, stored.values(), strict=True)))
-        else:
-            settings, arrays = converted(version, settings, path)
-        groups, others = (
-            [_group(key, *each) for each in zip(settings[key], arrays[key], strict=True)]
-            for key in (GROUPS, OTHERS)
-        )
-        _check_groups(groups)
-        title, problem = text("title", settings["title"]), text("problem", settings["problem"])
-        motion = combined(groups, others)
-        check_same("", _settings(motion, title, problem), settings, "as plans are written")
-        return SavedPlan(motion, title, problem)
+            return _saved_plan(path)
     except READ_ERRORS as error:
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
@@ -185,10 +165,30 @@ def read_saved_plan(path: Path) -> SavedPlan:
             reason = f"cannot be read: {error.strerror}"
         reason = " ".join(reason.split())  # arrays are printed over several lines
         raise FileError(f"{path}: {reason}; solve the problem again") from error
+    raise FileError(f"{path}: its format is {version!r:.60}, not {FORMAT}; solve the problem again")
 
 
-def _group(key: str, head: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Group:
-    """Return a team or an external plan from its head and its arrays; curves may be missing."""
+def _saved_plan(path: Path) -> SavedPlan:
+    """Return the contents of a file of this format; READ_ERRORS if it is damaged."""
+    settings = json.loads(str(read_arrays(path, ["settings"])["settings"]))
+    if not isinstance(settings, dict):
+        raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
+    groups, others = (
+        [_group(path, key, i, head) for i, head in enumerate(settings[key])]
+        for key in (GROUPS, OTHERS)
+    )
+    _check_groups(groups)
+    title, problem = text("title", settings["title"]), text("problem", settings["problem"])
+    motion = combined(groups, others)
+    check_same("", _settings(motion, title, problem), settings, "as plans are written")
+    return SavedPlan(motion, title, problem)
+
+
+def _group(path: Path, key: str, index: int, head: Mapping[str, Any]) -> Group:
+    """Return a team or an external plan from its head and its arrays."""
+    names = _stored([phase["state"] for phase in head["records"]["phases"]])
+    stored = read_arrays(path, [f"{key}/{index}/{label}" for label in names])
+    arrays = dict(zip(names, stored.values(), strict=True))
     name = text("name", head["name"])
     try:
         for label, array in arrays.items():

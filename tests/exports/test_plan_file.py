@@ -154,8 +154,11 @@ def walled() -> Motion:
     [
         *(hitch_plan, swarm_plan, controlled, calibrated, walled, with_swarm),
         *("open_arc", "form_triangle", "triangle", "two_teams", "beside_a_show"),
-        "two_robots_drum",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in ("carry_tray", "swarms/head_on")),
+        *("two_robots_drum", "friction"),
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("carry_tray", "grip_drum", "swarms/head_on")
+        ),
     ],
 )
 def test_a_plan_is_restored_bit_by_bit_with_its_request(
@@ -206,7 +209,6 @@ ARRAYS = ("format", "settings", *(GROUP + name for name in ("breaks", *STORED)))
 SPANS = "e = a['breaks'][-1]; r['phases'] = [p | {'start': e * x, 'end': e * y} for x, y in %s]"
 
 LIES = [
-    ("a['format'] = np.array('hitchopt-plan/9')", "hitchopt-plan/9"),
     ("a['drones'][1, 2, 0, 3] = np.nan", ""),
     ("a['breaks'][-1] = np.inf", ""),
     ("a['breaks'] = a['breaks'][::-1]", ""),
