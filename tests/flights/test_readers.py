@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,6 +30,10 @@ FORMATS: dict[str, Write] = {
     "Motive CSV 1,23": partial(w.write_motive, separator=";"),
     "Vicon CSV": w.write_vicon,
     "C3D": w.write_c3d,
+    "Qualisys TSV": w.write_qualisys,
+    "Qualisys TSV without titles": partial(w.write_qualisys, titles=False),
+    "Qualisys TSV of bodies": partial(w.write_qualisys, bodies=True),
+    "Qualisys TSV of bodies without titles": partial(w.write_qualisys, bodies=True, titles=False),
     "table": w.write_csv,
     "table with semicolons": partial(w.write_csv, separator=";"),
     "ROS 2 bag": w.write_bag,
@@ -50,7 +55,10 @@ FORMATS: dict[str, Write] = {
     "Crazyflie uSD log, 1": partial(w.write_usd, version=1),
     "Crazyflie uSD log of floats": partial(w.write_usd, group="stateEstimate."),
     "Crazyflie uSD log of motion capture": partial(w.write_usd, group="locSrv."),
+    "Crazyflie uSD log of the filter": partial(w.write_usd, group="kalman.state", axes="XYZ"),
     "PX4 ulog": w.write_ulog,
+    "PX4 ulog of motion capture": partial(w.write_ulog, topic="vehicle_mocap_odometry"),
+    "PX4 ulog of a simulator": partial(w.write_ulog, topic="vehicle_local_position_groundtruth"),
     "PX4 ulog of positions": partial(w.write_ulog, topic="vehicle_local_position"),
 }
 VARIANTS = ("Motive CSV 1.22", "Motive CSV 1.24", *(x for x in FORMATS if x[:10] == "ROS 2 bag "))
@@ -80,7 +88,9 @@ def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
     pairs = [(x, flight.tracks[body]) for body, x in result.tracks.items()]
     pairs += [(x, flight.setpoints[body]) for body, x in result.setpoints.items()]
     clouds = [result.markers, flight.markers]
-    if name == "C3D":  # its cloud contains all points
+    if "of bodies" in name:
+        clouds[1] = NO_MARKERS
+    elif name.startswith(("C3D", "Qualisys")):  # their cloud contains all points
         bodies = [np.column_stack([x.t, x.positions]) for x in flight.tracks.values()]
         cloud = np.column_stack([clouds[1].t, clouds[1].positions])
         rows = np.concatenate([cloud, *bodies])
@@ -130,6 +140,17 @@ def write_two_bags(path: Path, flight: ho.RecordedFlight) -> Path:
     return path
 
 
+def write_c3d(**options: Any) -> Write:
+    """Return a writer of C3D whose path gets the suffix that ezc3d needs."""
+    return lambda path, flight: w.write_c3d(path.with_suffix(".c3d"), flight, **options)
+
+
+def write_c3d_without_rate(path: Path, flight: ho.RecordedFlight) -> Path:
+    file, rate = write_c3d(rate=123.0)(path, flight), struct.pack("<f", 123.0)
+    file.write_bytes(file.read_bytes().replace(rate, struct.pack("<f", 0.0)))
+    return file
+
+
 REFUSED: dict[str, tuple[Write, str]] = {
     "no format": (text_file("hello, world\n"), "give a table of Motive with its header, of Vicon"),
     "empty": (text_file(""), "has no line of columns' names"),
@@ -170,12 +191,30 @@ REFUSED: dict[str, tuple[Write, str]] = {
         lambda path, flight: w.write_bag(path, replace(flight, tracks={})),
         "holds none of motion_capture_tracking_interfaces/msg/NamedPoseArray",
     ),
+    "C3D without a unit": (
+        write_c3d(units=()), "states no unit of length; state it: unit='mm'",
+    ),
+    "C3D with a blank unit": (write_c3d(units=("  ",)), "states no unit of length"),
+    "C3D without a rate": (write_c3d_without_rate, "states a rate of 0 Hz; export it again"),
+    "C3D without points": (
+        lambda path, flight: write_c3d()(path, replace(flight, tracks={}, markers=NO_MARKERS)),
+        "holds no points; export the markers' or the bodies' positions",
+    ),
+    "Qualisys without names": (
+        edit(lambda text: text.replace("MARKER_NAMES", "NAMES"), w.write_qualisys),
+        "has no line MARKER_NAMES or BODY_NAMES; export it with its header",
+    ),
+    "Qualisys without a frequency": (
+        edit(lambda text: text.replace("FREQUENCY\t100", "FREQUENCY\t0"), w.write_qualisys),
+        "has a FREQUENCY of 0 Hz",
+    ),
     "log of version 3": (partial(w.write_usd, version=3), "is of version 3; 1 and 2 are supported"),
     "log without positions": (
         partial(w.write_usd, group="stabilizer."), "logs none of stateEstimate.x, stateEstimateZ.x",
     ),
     "ulog without positions": (
-        partial(w.write_ulog, topic="vehicle_gps_odometry"), "logs none of vehicle_visual_odometry",
+        partial(w.write_ulog, topic="vehicle_gps_odometry"),
+        "logs none of vehicle_local_position_groundtruth, vehicle_mocap_odometry",
     ),
 }  # fmt: skip
 
@@ -225,6 +264,50 @@ def test_a_stated_unit_is_applied(name: str, factor: float, tmp_path: Path) -> N
         np.testing.assert_allclose(result.tracks[body].positions, expected, rtol=1e-6)
 
 
+def test_points_of_c3d_without_labels_are_markers(tmp_path: Path) -> None:
+    flight = w.sample()
+    whole = w.write_c3d(tmp_path / "take.c3d", flight)
+    unlabelled = tmp_path / "unlabelled.c3d"
+    unlabelled.write_bytes(whole.read_bytes().replace(b"LABELS", b"NOTHIN"))
+    with pytest.raises(ho.FileError, match="holds no position of a body; record the drones"):
+        ho.read_flight(unlabelled)
+
+
+def numbered(flight: ho.RecordedFlight, count: int, arm: float, sway: float) -> ho.RecordedFlight:
+    """Return a flight with markers ``NAME_1`` … about each drone, which sway to and fro."""
+    tracks = dict[str, ho.Track]()
+    for name, track in flight.tracks.items():
+        for k in range(count):
+            angle = 2.0 * np.pi * k / count
+            around = arm * np.array([np.cos(angle), np.sin(angle), 0.0])
+            off = around * (1.0 + sway * np.sin(5.0 * track.t[:, None] + k))
+            tracks[f"{name}_{k + 1}"] = ho.Track(track.t, track.positions + off)
+    return replace(flight, tracks=tracks, markers=NO_MARKERS)
+
+
+@pytest.mark.parametrize(
+    ("count", "arm", "sway", "is_body"),
+    [
+        (4, 0.05, 0.0, True),
+        (3, 0.2, 0.01, True),
+        (2, 0.05, 0.0, False),  # Two markers are no rigid body
+        (4, 0.25, 0.5, False),  # Drones that fly close together
+        (4, 0.6, 0.0, False),
+    ],
+)
+@pytest.mark.parametrize("write", [w.write_c3d, w.write_qualisys])
+def test_numbered_markers_of_a_rigid_body_are_one(
+    write: Write, count: int, arm: float, sway: float, is_body: bool, tmp_path: Path
+) -> None:
+    flight = w.sample(visible_share=1.0)
+    markers = numbered(flight, count, arm, sway)
+    result = ho.read_flight(write(tmp_path / "take.c3d", markers))
+    assert list(result.tracks) == list(flight.tracks if is_body else markers.tracks)
+    expected = flight.tracks if is_body and not sway else {}
+    for name, track in expected.items():
+        np.testing.assert_allclose(result.tracks[name].positions, track.positions, atol=1e-6)
+
+
 def test_bodies_of_c3d_are_means_of_subjects(tmp_path: Path) -> None:
     """A body exists while all markers of its subject are visible; unnamed markers are no body."""
     t = np.arange(50) / 100.0
@@ -258,6 +341,50 @@ def test_repairs_are_notes(tmp_path: Path) -> None:
     flight = ho.read_flight(other(tmp_path / "rated", w.sample()))
     assert flight.notes == ("times are as printed: they differ from frames at 120 Hz",)
     assert flight.tracks["cf3"].t[-1] == pytest.approx(0.59)
+
+
+def test_positions_that_px4_does_not_trust_are_left_out(tmp_path: Path) -> None:
+    """Before the estimate converges, x and y are 0 and ``xy_valid`` is."""
+    flight = w.sample(visible_share=1.0)
+    for number, (xy, z) in enumerate([(0, 1), (1, 0), (0, 0)]):
+        flags = {name: np.ones((60, 2), np.uint8) for name in flight.tracks}
+        for own in flags.values():
+            own[:20] = xy, z
+        logs = w.write_ulog(tmp_path / f"{number}", flight, "vehicle_local_position", flags)
+        result = ho.read_flight(logs)
+        for name, track in flight.tracks.items():
+            np.testing.assert_allclose(result.tracks[name].t, track.t[20:], atol=1e-6)
+            np.testing.assert_allclose(
+                result.tracks[name].positions, track.positions[20:], atol=1e-6
+            )
+        assert any("left out while it is not valid" in note for note in result.notes)
+    never = {name: np.zeros((60, 2), np.uint8) for name in flight.tracks}
+    logs = w.write_ulog(tmp_path / "never", flight, "vehicle_local_position", never)
+    with pytest.raises(ho.FileError, match="never has a valid position in vehicle_local_position"):
+        ho.read_flight(logs)
+
+
+@pytest.mark.parametrize(
+    ("measured", "less"),
+    [
+        ("vehicle_mocap_odometry", ()),
+        ("vehicle_visual_odometry", ()),
+        ("vehicle_local_position_groundtruth", ()),
+        ("vehicle_mocap_odometry", ("vehicle_visual_odometry",)),
+        ("vehicle_local_position_groundtruth", ("vehicle_visual_odometry",)),
+    ],
+)
+def test_px4_positions_are_the_measured_ones(
+    measured: str, less: tuple[str, ...], tmp_path: Path
+) -> None:
+    flight = w.sample(visible_share=1.0)
+    others = ("vehicle_local_position", *less)
+    moved_topics = {topic: moved(flight, 0.2 * (i + 1)) for i, topic in enumerate(others)}
+    logs = w.write_ulog(tmp_path / "logs", flight, measured, others=moved_topics)
+    result = ho.read_flight(logs)
+    assert_same(result, flight)
+    assert any(f"positions are of {measured} (measured)" in note for note in result.notes)
+    assert_same(ho.read_flight(logs, topic=others[0]), moved(flight, 0.2))
 
 
 def test_a_truncated_log_is_read_to_its_last_record(tmp_path: Path) -> None:

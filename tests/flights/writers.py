@@ -120,17 +120,51 @@ def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> P
     return path
 
 
-def write_c3d(path: Path, flight: ho.RecordedFlight) -> Path:
+def write_c3d(
+    path: Path, flight: ho.RecordedFlight, units: Sequence[str] = ("mm",), rate: float = 100.0
+) -> Path:
     """Write a C3D file in millimetres, with one point for each body."""
     t, file = frames_of(flight), ezc3d.c3d()
     columns = {name: dense(t, track) for name, track in flight.tracks.items()}
     columns |= {f"*{name}": places for name, places in columns_of(t, flight.markers).items()}
     point = file["parameters"]["POINT"]
-    point["RATE"]["value"], point["UNITS"]["value"] = [100.0], ["mm"]
+    point["RATE"]["value"], point["UNITS"]["value"] = [rate], list(units)
     point["LABELS"]["value"] = list(columns)
-    places = 1e3 * np.stack(list(columns.values()), axis=0).transpose(2, 0, 1)
+    places = np.zeros((3, 0, 1))
+    if columns:
+        places = 1e3 * np.stack(list(columns.values()), axis=0).transpose(2, 0, 1)
     file["data"]["points"] = np.concatenate([places, np.ones((1, *places.shape[1:]))])
     file.write(str(path))
+    return path
+
+
+def write_qualisys(
+    path: Path, flight: ho.RecordedFlight, *, bodies: bool = False, titles: bool = True
+) -> Path:
+    """Write a TSV table of markers, or of rigid bodies, in millimetres; missing ones are zero."""
+    t = frames_of(flight)
+    columns = {name: dense(t, track) for name, track in flight.tracks.items()}
+    if not bodies:
+        columns |= {f"unlabeled {x}": places for x, places in columns_of(t, flight.markers).items()}
+    kind = "BODY_NAMES" if bodies else "MARKER_NAMES"
+    turns = ["Roll", "Pitch", "Yaw", "Residual", *(f"Rot[{i}]" for i in range(9))] * bodies
+    head = [
+        ["NO_OF_FRAMES", str(len(t))], ["NO_OF_CAMERAS", "8"], ["NO_OF_ITEMS", str(len(columns))],
+        ["FREQUENCY", "100"], ["NO_OF_ANALOG", "0"], ["ANALOG_FREQUENCY", "0"],
+        ["DESCRIPTION", "--"], ["TIME_STAMP", "2026-11-28, 10:31:02.415", "1234.56789012"],
+        ["DATA_INCLUDED", "6D" if bodies else "3D"], [kind, *columns],
+    ]  # fmt: skip
+    if not bodies:
+        head.append(["TRAJECTORY_TYPES", *["Measured"] * len(columns)])
+    if titles:
+        head.append(["Frame", "Time", *(f"{x} {c}" for x in columns for c in [*"XYZ", *turns])])
+    lines = ["\t".join(cells) for cells in head]
+    for i, time in enumerate(t):
+        cells = [str(i + 1), f"{time:.5f}"] if titles else []
+        for places in columns.values():
+            cells += [*texts(1e3 * places[i], "0.000"), *["0.000"] * len(turns)]
+        lines.append("\t".join(cells))
+    path.write_text("\r\n".join(lines) + "\r\n", encoding="utf-8", newline="")
     return path
 
 
@@ -251,10 +285,12 @@ def write_usd(
     version: int = 2,
     group: str = "stateEstimateZ.",
     others: Mapping[str, ho.RecordedFlight] | None = None,
+    axes: str = "xyz",
 ) -> Path:
     """Write a log for every drone, with other events between positions.
 
-    Variables are those of ``group``, of set points, and of ``others``, which have the same times.
+    Variables are those of ``group`` with ``axes``, of set points, and of ``others``, which have the
+    same times.
     """
     folder.mkdir()
     head, ticks = ("<HI", 1e3) if version == 1 else ("<HQ", 1e6)
@@ -263,7 +299,12 @@ def write_usd(
         groups |= {"ctrltargetZ.": flight.setpoints[name]} if name in flight.setpoints else {}
         groups |= {prefix: other.tracks[name] for prefix, other in (others or {}).items()}
         kinds = ["h" if "Z." in prefix else "f" for prefix in groups]
-        variables = [f"{x}{c}({k})" for x, k in zip(groups, kinds, strict=True) for c in "xyz"]
+        axes_of = [axes if prefix == group else "xyz" for prefix in groups]
+        variables = [
+            f"{prefix}{axis}({kind})"
+            for prefix, kind, own_axes in zip(groups, kinds, axes_of, strict=True)
+            for axis in own_axes
+        ]
         data = struct.pack("<BHH", 0xBC, version, 2)
         for number, names in ((0xFFFF, variables), (7, ["source(B)", "d(e)"])):
             data += struct.pack("<H", number) + b"event\0" + struct.pack("<H", len(names))
@@ -281,17 +322,33 @@ def write_usd(
 
 
 def write_ulog(
-    folder: Path, flight: ho.RecordedFlight, topic: str = "vehicle_visual_odometry"
+    folder: Path,
+    flight: ho.RecordedFlight,
+    topic: str = "vehicle_visual_odometry",
+    valid: Mapping[str, Any] | None = None,
+    others: Mapping[str, ho.RecordedFlight] | None = None,
 ) -> Path:
-    """Write a ulog for every drone, in axes north, east, down."""
+    """Write a ulog for every drone, in axes north, east, down.
+
+    ``valid`` are flags of level position and height by drone (m, 2), ``others`` flights by topic.
+    """
     folder.mkdir()
-    fields = "float[3] position;" if topic.endswith("odometry") else "float x;float y;float z;"
-    for name, track in flight.tracks.items():
-        messages = [(b"B", bytes(40)), (b"F", f"{topic}:uint64_t timestamp;{fields}".encode())]
-        messages.append((b"A", struct.pack("<BH", 0, 1) + topic.encode()))
-        for t, (x, y, z) in zip(track.t, track.positions, strict=True):
-            messages.append((b"D", struct.pack("<HQfff", 1, round(1e6 * t), y, x, -z)))
-        messages.append((b"O", struct.pack("<H", 250)))
+    flags_format = "bool xy_valid;bool z_valid;" if valid else ""
+    for name in flight.tracks:
+        topics = {topic: flight, **(others or {})}
+        heads, samples = [(b"B", bytes(40))], list[tuple[bytes, bytes]]()
+        for number, (own_topic, source) in enumerate(topics.items(), 1):
+            is_odometry = own_topic.endswith("odometry")
+            axes = "float[3] position;" if is_odometry else "float x;float y;float z;"
+            fields = f"{own_topic}:uint64_t timestamp;{axes}{flags_format}"
+            heads.append((b"F", fields.encode()))
+            samples.append((b"A", struct.pack("<BH", 0, number) + own_topic.encode()))
+            track = source.tracks[name]
+            for i, (t, (x, y, z)) in enumerate(zip(track.t, track.positions, strict=True)):
+                flags = bytes(valid[name][i].tolist()) if valid else b""
+                place = struct.pack("<HQfff", number, round(1e6 * t), y, x, -z)
+                samples.append((b"D", place + flags))
+        messages = [*heads, *samples, (b"O", struct.pack("<H", 250))]
         data = b"".join(struct.pack("<Hc", len(x), kind) + x for kind, x in messages)
         header = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
         (folder / f"{name}.ulg").write_bytes(header + data)

@@ -322,7 +322,7 @@ class _Trial:
                 "the plan that was flown, or record more of it"
             )
         if len(fits) > 1 and self.score(fits[1]) < AMBIGUITY_RATIO**2 * self.score(fit):
-            raise FileError("two assignments fit equally well: give names=, or frame='plan'")
+            raise FileError(_ambiguity(fit, fits[1], self._task.team.drone_names))
         parts = {
             "clock": self._timed,
             "rate": fit.rate != 1.0,
@@ -333,6 +333,15 @@ class _Trial:
         fitted = tuple(name for name, is_fitted in parts.items() if is_fitted)
         values: Any = {"rotation": R, "shift": p, "rms": rms, "fitted": fitted}
         return replace(fit, offsets=fit.offsets - fit.rate * origins, **values)
+
+
+def _ambiguity(fit: Alignment, other: Alignment, drones: Sequence[str]) -> str:
+    """Return the words for two assignments that fit equally well, and the remedy."""
+    pairs = zip(drones, fit.names, other.names, strict=True)
+    drone, *bodies = next(pair for pair in pairs if pair[1] != pair[2])
+    words = f"two assignments fit equally well: {bodies[0]} or {bodies[1]} is {drone}"
+    remedy = " or frame='plan'" if fit.frame == "fit" else ""
+    return f"{words}; give names=, such as {bodies[0]}={drone},{remedy}".rstrip(",")
 
 
 def _centred(values: Array, use: NDArray[np.bool_]) -> Array:

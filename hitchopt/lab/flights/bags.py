@@ -7,14 +7,15 @@ starts at its boot: it is set by the positions in the log, else by the smallest 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.lab.flights.bag_files import METADATA, opened_bag
 from hitchopt.lab.flights.recordings import (
     MARKER,
     QUANTITIES,
@@ -22,7 +23,6 @@ from hitchopt.lab.flights.recordings import (
     RecordedFlight,
     fitted_shift,
     flight_of,
-    library,
     positions_of,
 )
 from hitchopt.lab.flights.topics import (
@@ -65,8 +65,8 @@ Samples = list[tuple[str, Any, _Parts]]
 """Frame, header and quantities of each body in a message."""
 
 
-def _xyz(v: Any) -> tuple[float, float, float]:
-    return v.x, v.y, v.z
+def _xyz(vector: Any) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def _pose(pose: Any) -> _Parts:
@@ -123,166 +123,204 @@ MESSAGE_TYPES: dict[str, tuple[bool, Callable[[Any], Samples]]] = {
 CLOUD = "sensor_msgs/msg/PointCloud2"
 
 
-@dataclass
+@dataclass(frozen=True, eq=False)
 class _Stream:
-    """Samples of a frame in a topic: times of stamps and of arrival (m,) [s], and quantities."""
+    """Samples of a frame in a topic.
 
+    Attributes
+    ----------
+    topic: the topic that has the frame.
+    parent: frame of the positions.
+    t, received: times of stamps and of arrival (m,) [s].
+    parts: quantities (m, k) by name.
+    """
+
+    topic: Topic
     parent: str
     t: Array
     received: Array
     parts: dict[str, Array]
 
     def rows(self, part: str, shift: float = 0.0) -> Array:
+        """Return rows of time [s] and a quantity, on a clock that is shifted [s]."""
         return np.column_stack([self.t + shift, self.parts[part]])
 
     @property
     def delay(self) -> float:
+        """Median delay between stamp and arrival [s]."""
         return float(np.median(self.received - self.t))
 
+    @property
+    def smallest_delay(self) -> float:
+        """Smallest delay between stamp and arrival [s]."""
+        return float(np.min(self.received - self.t))
 
-_Streams = dict[str, dict[str, _Stream]]
-"""Streams by topic and frame."""
+    @property
+    def has_positions(self) -> bool:
+        return "position" in self.parts
 
-_Bodies = dict[str, tuple[Topic, _Stream]]
-"""Topics and streams of positions by body."""
+    @property
+    def turns(self) -> bool:
+        """Whether the attitude is measured: that of one marker does not change."""
+        ranges = np.ptp(self.parts["attitude"], axis=0)
+        return bool(np.nanmax(ranges, initial=0.0) >= MIN_TURN)
 
 
-def single_file(paths: Sequence[Path]) -> Path:
-    """Return the only file of a recording; FileError if a directory has several."""
-    if len(paths) > 1:
-        listed = ", ".join(path.name for path in paths[:5])
-        raise FileError(f"holds {len(paths)} recordings, {listed}: give one file")
-    return paths[0]
+_Frames = dict[str, _Stream]
+"""Streams of a topic by frame."""
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """The clock of a drone's logs.
+
+    Attributes
+    ----------
+    shift: time of the positions' clock minus that of the logs [s].
+    residual: remaining distance of the logged positions [m]; infinite if ``shift`` is not fitted
+        to positions.
+    """
+
+    shift: float
+    residual: float = np.inf
+
+    @property
+    def is_fitted(self) -> bool:
+        return bool(np.isfinite(self.residual))
+
+
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """Streams of a drone or a load.
+
+    Attributes
+    ----------
+    track: stream of its positions.
+    is_load: whether it is a load.
+    others: streams of other quantities.
+    """
+
+    track: _Stream
+    is_load: bool = False
+    others: list[_Stream] = field(default_factory=list)
+
+    def clock(self) -> _Clock | None:
+        """Return the clock of its logs; None if all streams are on the clock of the positions."""
+        logs = [each for each in self.others if self._is_log(each)]
+        if not logs:
+            return None
+        for log in logs:
+            if log.has_positions:
+                guess = log.smallest_delay - self.track.delay
+                span = (guess + ARRIVALS[0], guess + ARRIVALS[1])
+                fit = fitted_shift(log.rows("position"), self.track.rows("position"), span)
+                if fit is not None:
+                    return _Clock(*fit)
+        return _Clock(logs[0].smallest_delay - self.track.delay)
+
+    def quantities(self, clock: _Clock | None) -> dict[str, Logged]:
+        """Return its quantities, each from the first stream that has it."""
+        quantities = {"position": Logged(self.track.rows("position"), self.track.topic.family)}
+        for stream in (self.track, *self.others):
+            shift = clock.shift if clock is not None and self._is_log(stream) else 0.0
+            for part in stream.parts:
+                quantity = quantity_name(stream.topic.kind, part)
+                if quantity in quantities or quantity not in QUANTITIES:
+                    continue
+                if part == "attitude" and not stream.turns:
+                    continue
+                quantities[quantity] = Logged(stream.rows(part, shift), stream.topic.family)
+        return quantities
+
+    def _is_log(self, stream: _Stream) -> bool:
+        """Return whether a stream is on another clock than the positions."""
+        return abs(stream.delay - self.track.delay) >= MAX_DELAY
 
 
 def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
     """Return the flight in a bag of ROS 1 or 2, with or without definitions of its types."""
-    highlevel, typesys = library("rosbags.highlevel"), library("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    for kind, text in MESSAGES.items():
-        store.register(typesys.get_types_from_msg(text, kind))
-    path = paths[0].parent
-    path = path if (path / "metadata.yaml").is_file() else single_file(paths)
-    with (  # Exceptions of rosbags have no common base
-        reading(path, "bag", Exception),
-        highlevel.AnyReader([path], default_typestore=store) as bag,
-    ):
-        kinds = {c.topic: c.msgtype for c in bag.connections if c.msgcount}
-        read = {x: kind for x, kind in kinds.items() if kind in MESSAGE_TYPES and x != STATIC}
-        clouds = sorted(name for name, kind in kinds.items() if kind == CLOUD)
-        names = {*read, *clouds[:1]}
-        used = [c for c in bag.connections if c.topic in names]
-        messages = defaultdict[str, list[tuple[float, Any]]](list)
-        for connection, received, data in bag.messages(used) if used else ():
-            message = bag.deserialize(data, connection.msgtype)
-            messages[connection.topic].append((1e-9 * received, message))
-        markers = [_points(*each) for name in clouds[:1] for each in messages.pop(name, ())]
-        streams = {name: _streams(name, kinds[name], each) for name, each in messages.items()}
-        source = f"ROS {'2' if bag.is2 else '1'} bag"
-    positions = {
-        name: kind
-        for name, kind in read.items()
-        if any("position" in each.parts for each in streams.get(name, {}).values())
-    }
-    if not positions:
-        held = ", ".join(sorted(set(kinds.values())))
+    directory = paths[0].parent
+    place = directory if len(paths) > 1 or (directory / METADATA).is_file() else paths[0]
+    # Exceptions of rosbags have no common base
+    with reading(place, "bag", Exception), opened_bag(paths, MESSAGES) as bag:
+        topics = _topics_of(bag.types)
+        clouds = sorted(name for name, kind in bag.types.items() if kind == CLOUD)
+        messages = bag.messages([*(each.name for each in topics), *clouds[:1]])
+        frames = {
+            each.name: _streams(each, bag.types[each.name], messages[each.name]) for each in topics
+        }
+        markers = [_points(*arrived) for name in clouds[:1] for arrived in messages[name]]
+    with_positions = [
+        each
+        for each in topics
+        if any(stream.has_positions for stream in frames[each.name].values())
+    ]
+    if not with_positions:
+        held = ", ".join(sorted(set(bag.types.values())))
         raise FileError(f"holds none of {', '.join(MESSAGE_TYPES)}, but {held}")
-    preferences = {kind: names_bodies for kind, (names_bodies, _) in MESSAGE_TYPES.items()}
-    topics = {each.name: each for each in bag_topics(read, preferences)}
-    taken, notes = taken_topics([topics[name] for name in positions], topic)
-    bodies, frame_notes = _bodies_of_frames(streams, taken)
-    notes += frame_notes
-    notes += [f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}"] if clouds[1:] else []
-    loads = {name for name in bodies if is_load(name) and topic is None}
-    if len(loads) == len(bodies):
-        loads = set()
-    others = [each for each in topics.values() if each not in taken]
-    found = _found(bodies, loads, sorted(others, key=lambda x: x.preference), streams)
-    contents = dict[str, dict[str, Logged]]()
-    shifts, residuals = dict[str, float](), dict[str, float]()
-    for name, own in found.items():
-        contents[name], shift, residual = _content(own)
-        if shift is not None:
-            shifts[name], residuals[name] = shift, residual
-    carried = {name: contents.pop(name) for name in found if name in loads}
+    taken, topic_notes = taken_topics(with_positions, topic)
+    tracks, frame_notes = _tracks_by_body(frames, taken)
+    bodies = _bodies(tracks, loads=_loads_among(tracks) if topic is None else set())
+    others = sorted((each for each in topics if each not in taken), key=lambda x: x.preference)
+    _add_streams(bodies, [stream for each in others for stream in frames[each.name].items()])
+    clocks = {name: clock for name, body in bodies.items() if (clock := body.clock()) is not None}
+    contents = {name: body.quantities(clocks.get(name)) for name, body in bodies.items()}
     cloud = positions_of({MARKER: np.concatenate(markers)} if markers else {})
+    drones = {name: own for name, own in contents.items() if not bodies[name].is_load}
+    cloud_notes = list[str]()
+    if clouds[1:]:
+        cloud_notes.append(f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}")
     return flight_of(
-        source,
-        {**contents, **cloud},
+        bag.source,
+        {**drones, **cloud},
         unit or "m",
-        loads=carried,
-        notes=[*notes, *_clock_notes(residuals)],
-        clock_shifts=shifts,
+        loads={name: own for name, own in contents.items() if bodies[name].is_load},
+        notes=[*bag.notes, *topic_notes, *frame_notes, *cloud_notes, *_clock_notes(clocks)],
+        clock_shifts={name: clock.shift for name, clock in clocks.items()},
         as_sent=True,
     )
 
 
-def _found(
-    bodies: _Bodies, loads: set[str], topics: Sequence[Topic], streams: _Streams
-) -> dict[str, list[tuple[Topic, _Stream]]]:
-    """Return the topics and streams of all bodies, those of their positions first.
+def _topics_of(types: Mapping[str, str]) -> list[Topic]:
+    """Return the topics that are read, from message types by topic."""
+    read = {name: kind for name, kind in types.items() if kind in MESSAGE_TYPES and name != STATIC}
+    return bag_topics(read, {kind: named for kind, (named, _) in MESSAGE_TYPES.items()})
 
-    Loads in ``topics`` are added to ``loads``.
+
+def _streams(topic: Topic, kind: str, messages: Sequence[tuple[float, Any]]) -> _Frames:
+    """Return the streams of a topic by frame, from times of arrival [s] and messages."""
+    samples = defaultdict[str, list[tuple[str, float, float, _Parts]]](list)
+    last_part = topic.name.rpartition("/")[2].casefold()
+    logged_quantity, logged_count, logged_unit = LOGGED.get(last_part, ("", 0, 1.0))
+    samples_of = MESSAGE_TYPES[kind][1]
+    for received, message in messages:
+        for frame, header, parts in samples_of(message):
+            values = parts.pop("values", ())
+            if len(values) == logged_count > 0:
+                parts[logged_quantity] = logged_unit * np.asarray(values)
+            # Logs of crazyswarm2 are stamped from the drone's boot [ms]
+            boot_time = getattr(message, "timestamp", None)
+            t = _time(header) if boot_time is None else 1e-3 * boot_time
+            if parts:
+                parent = header.frame_id.strip("/")
+                samples[frame.strip("/")].append((parent, t, received, parts))
+    return {frame: _stream(topic, own) for frame, own in samples.items()}
+
+
+def _stream(topic: Topic, samples: Sequence[tuple[str, float, float, _Parts]]) -> _Stream:
+    """Return a stream of the parent, stamp [s], arrival [s] and quantities of each sample.
+
+    Messages without any stamp have the times of their arrival.
     """
-    found = {name: [own] for name, own in bodies.items()}
-    drones = set(bodies) - loads
-    for topic in topics:
-        for frame, stream in streams.get(topic.name, {}).items():
-            # A part of the names of topic and frame may be a drone's
-            parts = [topic.body, *topic.name.split("/"), *frame.split("/")]
-            name = next((part for part in parts if part in drones), "")
-            if topic.kind == LOAD and "position" in stream.parts:
-                name = topic.body if topic.body and is_load(topic.body) else LOAD
-                if name in found:
-                    continue
-                loads.add(name)
-            if name:
-                found.setdefault(name, []).append((topic, stream))
-    return found
-
-
-def _clock_notes(residuals: Mapping[str, float]) -> Iterator[str]:
-    """Yield sentences on clocks, by the distances [m] that remain; infinite without a fit."""
-    words = "their logs' clocks are set by"
-    fitted = {name: x for name, x in residuals.items() if np.isfinite(x)}
-    if fitted:
-        error = f"{1e3 * max(fitted.values()):.0f} mm"
-        yield f"{', '.join(fitted)}: {words} positions, which then agree to {error}"
-    if others := [name for name in residuals if name not in fitted]:
-        delay = "the smallest delay of arrival, which may be seconds"
-        yield f"{', '.join(others)}: {words} {delay}"
-
-
-def _content(
-    own: Sequence[tuple[Topic, _Stream]],
-) -> tuple[dict[str, Logged], float | None, float]:
-    """Return the quantities of a body from its streams, the first of which has its positions.
-
-    Then follow the shift of the clock of its logs [s], None if they have none, and the distance of
-    their positions that remains [m], infinite if the shift is not fitted to positions.
-    """
-    topic, track = own[0]
-    content = {"position": Logged(track.rows("position"), topic.family)}
-    apart = [stream for _, stream in own if abs(stream.delay - track.delay) >= MAX_DELAY]
-    shift, residual = None, np.inf
-    if apart:
-        shift = float(np.min(apart[0].received - apart[0].t)) - track.delay
-    for stream in (stream for stream in apart if "position" in stream.parts):
-        guess = float(np.min(stream.received - stream.t)) - track.delay
-        span = (guess + ARRIVALS[0], guess + ARRIVALS[1])
-        if (fit := fitted_shift(stream.rows("position"), track.rows("position"), span)) is not None:
-            shift, residual = fit
-            break
-    for topic, stream in own:
-        moved = 0.0 if shift is None or abs(stream.delay - track.delay) < MAX_DELAY else shift
-        for part, values in stream.parts.items():
-            quantity = quantity_name(topic.kind, part)
-            if quantity in content or quantity not in QUANTITIES:
-                continue
-            if part == "attitude" and np.nanmax(np.ptp(values, axis=0), initial=0.0) < MIN_TURN:
-                continue  # Of one marker
-            content[quantity] = Logged(stream.rows(part, moved), topic.family)
-    return content, shift, residual
+    parents, stamps, arrivals, parts = zip(*samples, strict=True)
+    common = set.intersection(*map(set, parts))
+    return _Stream(
+        topic,
+        parents[-1],
+        np.array(stamps if any(stamps) else arrivals),
+        np.array(arrivals),
+        {name: np.array([own[name] for own in parts], np.float64) for name in common},
+    )
 
 
 def _time(header: Any) -> float:
@@ -290,64 +328,89 @@ def _time(header: Any) -> float:
     return float(header.stamp.sec + 1e-9 * header.stamp.nanosec)
 
 
-def _streams(topic: str, kind: str, messages: Sequence[tuple[float, Any]]) -> dict[str, _Stream]:
-    """Return the streams of a topic by frame, from times of arrival [s] and messages."""
-    samples = defaultdict[str, list[tuple[str, float, float, _Parts]]](list)
-    quantity, count, scale = LOGGED.get(topic.rpartition("/")[2].casefold(), ("", 0, 1.0))
-    for received, message in messages:
-        for frame, header, parts in MESSAGE_TYPES[kind][1](message):
-            if len(values := parts.pop("values", ())) == count > 0:
-                parts[quantity] = scale * np.asarray(values)
-            # Logs of crazyswarm2 are stamped from the drone's boot [ms]
-            t = 1e-3 * message.timestamp if hasattr(message, "timestamp") else _time(header)
-            if parts:
-                parent = header.frame_id.strip("/")
-                samples[frame.strip("/")].append((parent, t, received, parts))
-    streams = dict[str, _Stream]()
-    for frame, each in samples.items():
-        parents, times, arrivals, fields = zip(*each, strict=True)
-        names = set.intersection(*map(set, fields))
-        streams[frame] = _Stream(
-            parents[-1],
-            np.array(times if any(times) else arrivals),
-            np.array(arrivals),
-            {name: np.array([x[name] for x in fields], np.float64) for name in names},
-        )
-    return streams
-
-
-def _bodies_of_frames(streams: _Streams, topics: Sequence[Topic]) -> tuple[_Bodies, list[str]]:
-    """Return topics and streams by body, and notes.
-
-    Frames with a moving parent are omitted. Raises FileError if two topics have the same body.
-    """
-    bodies, omitted = _Bodies(), list[str]()
-    for topic in topics:
-        frames = streams[topic.name]
-        names = {frame: name or frame for frame, (name, _) in body_names(list(frames)).items()}
-        counts = Counter(names.values())
-        names = {frame: name if counts[name] == 1 else frame for frame, name in names.items()}
-        if len(frames) == 1 and topic.body:
-            names = dict.fromkeys(frames, topic.body)
-        for frame, name in names.items():
-            parent = frames.get(frames[frame].parent)
-            if parent is not None and np.max(np.ptp(parent.parts["position"], axis=0)) > MAX_FIXED:
-                omitted.append(frame)
-                continue
-            body = name or topic.name.strip("/")
-            if body in bodies:
-                both = " and ".join(sorted((bodies[body][0].family, topic.family)))
-                raise FileError(f"{body} has positions in {both}: choose one with topic=")
-            bodies[body] = topic, frames[frame]
-    relative = [f"{', '.join(omitted)} omitted: positions in frames that move"] if omitted else []
-    return bodies, relative
-
-
 def _points(received: float, cloud: Any) -> Array:
     """Return rows (m, 4) of time [s] and position of the points of a cloud of float32."""
     float32 = 7
-    offsets = {x.name: x.offset for x in cloud.fields if x.datatype == float32}
+    offsets = {each.name: each.offset for each in cloud.fields if each.datatype == float32}
     data = cloud.data.reshape(cloud.width * cloud.height, cloud.point_step)
-    axes = [np.ascontiguousarray(data[:, offsets[x] : offsets[x] + 4]).view("<f4") for x in "xyz"]
+    axes = [
+        np.ascontiguousarray(data[:, offsets[axis] : offsets[axis] + 4]).view("<f4")
+        for axis in "xyz"
+    ]
     t = np.full((len(data), 1), _time(cloud.header) or received)
     return np.concatenate([t, *axes], axis=1)
+
+
+def _tracks_by_body(
+    frames_of: Mapping[str, _Frames], topics: Sequence[Topic]
+) -> tuple[dict[str, _Stream], list[str]]:
+    """Return the streams of positions by body, and notes.
+
+    Frames with a moving parent are omitted. Raises FileError if two topics have the same body.
+    """
+    tracks, omitted = dict[str, _Stream](), list[str]()
+    for topic in topics:
+        frames = frames_of[topic.name]
+        for frame, name in _names_by_frame(topic, list(frames)).items():
+            parent = frames.get(frames[frame].parent)
+            if parent is not None and _moves(parent):
+                omitted.append(frame)
+                continue
+            body = name or topic.name.strip("/")
+            if body in tracks:
+                both = " and ".join(sorted((tracks[body].topic.family, topic.family)))
+                raise FileError(f"{body} has positions in {both}: choose one with topic=")
+            tracks[body] = frames[frame]
+    notes = [f"{', '.join(omitted)} omitted: positions in frames that move"] if omitted else []
+    return tracks, notes
+
+
+def _names_by_frame(topic: Topic, frames: Sequence[str]) -> dict[str, str]:
+    """Return names of bodies by frame: the part of frames that differs, if it is unique."""
+    if len(frames) == 1 and topic.body:
+        return dict.fromkeys(frames, topic.body)
+    names = {frame: name or frame for frame, (name, _) in body_names(frames).items()}
+    counts = Counter(names.values())
+    return {frame: name if counts[name] == 1 else frame for frame, name in names.items()}
+
+
+def _moves(stream: _Stream) -> bool:
+    return bool(np.max(np.ptp(stream.parts["position"], axis=0)) > MAX_FIXED)
+
+
+def _loads_among(bodies: Collection[str]) -> set[str]:
+    """Return the bodies that are named as loads, unless all are."""
+    loads = set(filter(is_load, bodies))
+    return loads if len(loads) < len(bodies) else set()
+
+
+def _bodies(tracks: Mapping[str, _Stream], loads: Collection[str]) -> dict[str, _Body]:
+    return {name: _Body(track, name in loads) for name, track in tracks.items()}
+
+
+def _add_streams(bodies: dict[str, _Body], streams: Sequence[tuple[str, _Stream]]) -> None:
+    """Add other streams, each with its frame, to their bodies; loads among them are new bodies."""
+    drones = {name for name, body in bodies.items() if not body.is_load}
+    for frame, stream in streams:
+        topic = stream.topic
+        if topic.kind == LOAD and stream.has_positions:
+            name = topic.body if is_load(topic.body) else LOAD
+            bodies.setdefault(name, _Body(stream, is_load=True))
+            continue
+        # A part of the names of topic and frame may be a drone's
+        parts = [topic.body, *topic.name.split("/"), *frame.split("/")]
+        name = next((part for part in parts if part in drones), "")
+        if name:
+            bodies[name].others.append(stream)
+
+
+def _clock_notes(clocks: Mapping[str, _Clock]) -> Iterator[str]:
+    """Yield sentences on the clocks of logs by body."""
+    words = "their logs' clocks are set by"
+    residuals = {name: clock.residual for name, clock in clocks.items() if clock.is_fitted}
+    if residuals:
+        error = f"{1e3 * max(residuals.values()):.0f} mm"
+        yield f"{', '.join(residuals)}: {words} positions, which then agree to {error}"
+    if by_arrival := [name for name, clock in clocks.items() if not clock.is_fitted]:
+        delay = "the smallest delay of arrival, which may be seconds"
+        yield f"{', '.join(by_arrival)}: {words} {delay}"

@@ -490,7 +490,8 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     last = figure.add_subplot(above)
     _draw_from_above(last, evaluation, colours)
     if width is None:
-        last.legend(fontsize="small", frameon=False)
+        if last.get_legend_handles_labels()[0]:  # None without vertices and markers
+            last.legend(fontsize="small", frameon=False)
         words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
         style.headline(figure, evaluation.flight.source, words)
     else:

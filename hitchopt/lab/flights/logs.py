@@ -11,7 +11,6 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,21 +32,20 @@ from hitchopt.lab.flights.topics import (
     FLIPPED,
     LOAD,
     LOG_TOPICS,
+    ULOG_POSITIONS,
     ULOG_QUANTITIES,
+    USD_POSITIONS,
     USD_QUANTITIES,
     Topic,
+    UlogVariables,
     quantity_name,
     taken_topics,
 )
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
-# Topic of a uSD log that repeats the last position, or zeros, until the next; scales [m], else 1
-HELD = "locSrv"
-USD_SCALES = {"ctrltargetZ": 1e-3, "stateEstimateZ": 1e-3, "stateEstimateZ.p": 1e-3}
-# Topics with the drone's positions in logs
-USD_POSITIONS = ("stateEstimate", "stateEstimateZ", "locSrv")
-ULOG_POSITIONS = ("vehicle_visual_odometry", "vehicle_local_position")
+HELD = "locSrv"  # Topic of a uSD log that repeats the last position, or zeros, until the next
+USD_DRONES = ("stateEstimate", "stateEstimateZ", "kalman", HELD)  # Topics of drones' positions
 TIE_SPAN = 5.0  # Largest difference between the starts of two logs of a flight [s]
 
 # North, east, down to x east, y north, z up; forward, right, down to forward, left, up
@@ -165,31 +163,42 @@ def _tied(names: Sequence[str], loads: Mapping[str, Array]) -> tuple[dict[str, f
 def read_usd(path: Path) -> Log:
     """Return the content of a log of a Crazyflie's uSD card."""
     events, notes = usd_events(path.read_bytes())
-    rows, quantities = dict[str, Array](), dict[str, Logged]()
-    for topic, event in product(LOG_TOPICS, events):
-        prefix = topic if topic.endswith(".p") else f"{topic}."
-        axes = [f"{prefix}{axis}" for axis in "xyz"]
-        if topic not in rows and set(axes) <= set(event):
-            positions = [USD_SCALES.get(topic, 1.0) * event[axis] for axis in axes]
-            samples = np.stack([event["t"], *positions], axis=1)
-            if topic == HELD:
-                steps = np.diff(samples[:, 1:], axis=0, prepend=0.0)
-                samples = samples[np.any(steps != 0.0, axis=1)]
-            rows |= {topic: samples} if len(samples) else {}
-    if not rows.keys() & set(USD_POSITIONS):
+    positions, quantities = dict[str, Array](), dict[str, Logged]()
+    for topic, (variables, unit) in USD_POSITIONS.items():
+        if (samples := _usd_samples(events, variables)) is None:
+            continue
+        samples[:, 1:] *= unit
+        if topic == HELD:
+            samples = samples[np.any(np.diff(samples[:, 1:], axis=0, prepend=0.0) != 0.0, axis=1)]
+        if len(samples):
+            positions[topic] = samples
+    if not positions.keys() & set(USD_DRONES):
         available = ", ".join(sorted({name for event in events for name in event}))
-        expected = ", ".join(f"{each}.x" for each in USD_POSITIONS)
+        expected = ", ".join(_usd_names(USD_POSITIONS[topic][0])[0] for topic in USD_DRONES)
         raise FileError(f"logs none of {expected}, but {available[:200]}")
     for quantity, options in USD_QUANTITIES.items():
-        for (variables, scale), event in product(options, events):
-            group, _, parts = variables.partition(".")
-            names = [f"{group}.{part}" for part in parts.split()]
-            if quantity not in quantities and set(names) <= set(event):
-                signs = [-scale if name == FLIPPED else scale for name in names]
-                values = np.stack([event[name] for name in names], axis=1) * signs
-                samples = np.column_stack([event["t"], _usd_values(quantity, values)])
-                quantities[quantity] = Logged(samples, f"{group}.{parts.split()[0]}")
-    return Log(rows, quantities, notes)
+        for variables, unit in options:
+            if (samples := _usd_samples(events, variables)) is not None:
+                names = _usd_names(variables)
+                signs = [-1.0 if name == FLIPPED else 1.0 for name in names]
+                values = _usd_values(quantity, samples[:, 1:] * unit * signs)
+                rows = np.column_stack([samples[:, 0], values])
+                quantities[quantity] = Logged(rows, names[0])
+                break
+    return Log(positions, quantities, notes)
+
+
+def _usd_names(variables: str) -> list[str]:
+    """Return the names of variables such as ``group.x y z``."""
+    group, _, parts = variables.partition(".")
+    return [f"{group}.{part}" for part in parts.split()]
+
+
+def _usd_samples(events: Sequence[Mapping[str, Array]], variables: str) -> Array | None:
+    """Return rows of time [s] and variables of the first event that has all; None if none has."""
+    names = _usd_names(variables)
+    event = next((each for each in events if set(names) <= set(each)), None)
+    return None if event is None else np.stack([event[x] for x in ("t", *names)], axis=1)
 
 
 def _usd_values(quantity: str, values: Array) -> Array:
@@ -265,37 +274,67 @@ def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
 
 def read_ulog(path: Path) -> Log:
     """Return the content of a PX4 ulog, converted from north, east, down."""
-    names = list(dict.fromkeys([*ULOG_POSITIONS, *(x for x, _, _ in ULOG_QUANTITIES.values())]))
+    options = [*ULOG_POSITIONS.values(), *ULOG_QUANTITIES.values()]
+    names = list(dict.fromkeys(each.topic for variables in options for each in variables))
     with path.open("rb") as file:
         log = library("pyulog").ULog(file, names)
-    topics = {topic.name: topic.data for topic in log.data_list[::-1]}
-    rows, quantities = dict[str, Array](), dict[str, Logged]()
-    for name in [name for name in topics if name in ULOG_POSITIONS]:
-        axes = list("xyz") if "x" in topics[name] else [f"position[{i}]" for i in range(3)]
-        rows[name] = _ulog_rows(topics[name], axes, "world")
-    if not rows:
+    topics = {topic.name: topic.data for topic in log.data_list[::-1]}  # Of each the first instance
+    logged, quantities = dict[str, Array](), dict[str, Logged]()
+    for topic, variables in ULOG_POSITIONS.items():
+        if (own := _logged_variables(topics, variables)) is not None:
+            logged[topic] = _ulog_rows(topics[topic], own)
+    if not logged:
         raise FileError(f"logs none of {', '.join(ULOG_POSITIONS)}")
-    for quantity, (name, variables, frame) in ULOG_QUANTITIES.items():
-        if set(variables.split()) <= set(topics.get(name, ())):
-            samples = _ulog_rows(topics[name], variables.split(), frame)
-            quantities[quantity] = Logged(samples, name)
+    positions = {topic: rows for topic, rows in logged.items() if len(rows)}
+    if not positions:
+        raise FileError(f"never has a valid position in {', '.join(logged)}")
+    for quantity, variables in ULOG_QUANTITIES.items():
+        own = _logged_variables(topics, variables)
+        if own is not None and len(rows := _ulog_rows(topics[own.topic], own)):
+            quantities[quantity] = Logged(rows, own.topic)
     if "commanded_position" in quantities:
-        rows["trajectory_setpoint"] = quantities.pop("commanded_position").rows
-    lost = sum(gap.duration for gap in log.dropouts)
-    return Log(rows, quantities, [f"{1e-3 * lost:.1f} s were not logged"] * bool(lost))
+        positions["trajectory_setpoint"] = quantities.pop("commanded_position").rows
+    notes = [
+        f"{topic} is left out while it is not valid"
+        for topic, rows in logged.items()
+        if len(rows) < len(topics[topic]["timestamp"])
+    ]
+    if lost := sum(gap.duration for gap in log.dropouts):
+        notes.append(f"{1e-3 * lost:.1f} s were not logged")
+    return Log(positions, quantities, notes)
 
 
-def _ulog_rows(topic: Mapping[str, Any], variables: Sequence[str], frame: str) -> Array:
-    """Return rows of time and values, in the axes of this package."""
-    values = np.stack([topic[name].astype(np.float64) for name in variables], axis=1)
-    if frame == "world":
-        values = values @ WORLD.T
-    elif frame == "body":
-        values = values @ BODY.T
-    elif frame == "attitude":
-        finite = np.isfinite(values).all(axis=1) & np.any(values != 0.0, axis=1)
-        attitudes = Rotation.from_quat(values[finite][:, [1, 2, 3, 0]]).as_matrix()
-        values[finite] = Rotation.from_matrix(WORLD @ attitudes @ BODY).as_quat()
-        values[~finite] = np.nan
+def _logged_variables(
+    topics: Mapping[str, Mapping[str, Any]], options: Sequence[UlogVariables]
+) -> UlogVariables | None:
+    """Return the first variables that are logged."""
+    logged = (
+        each for each in options if set(each.names.split()) <= set(topics.get(each.topic, ()))
+    )
+    return next(logged, None)
+
+
+def _ulog_rows(topic: Mapping[str, Any], variables: UlogVariables) -> Array:
+    """Return rows of time [s] and values, in the axes of this package, while they are valid."""
+    names = variables.names.split()
+    values = np.stack([topic[name].astype(np.float64) for name in names], axis=1)
+    match variables.axes:
+        case "world":
+            values = values @ WORLD.T
+        case "body":
+            values = values @ BODY.T
+        case "attitude":
+            values = _ulog_attitudes(values)
     t = 1e-6 * topic.get("timestamp_sample", topic["timestamp"]).astype(np.float64)
-    return np.column_stack([t, values])
+    flags = [topic[name] != 0 for name in variables.valid.split() if name in topic]
+    is_valid = np.all([np.ones(len(t), np.bool_), *flags], axis=0)
+    return np.column_stack([t, values])[is_valid]
+
+
+def _ulog_attitudes(values: Array) -> Array:
+    """Return quaternions x, y, z, w from those w, x, y, z of PX4; nan if they are none."""
+    is_known = np.isfinite(values).all(axis=1) & np.any(values != 0.0, axis=1)
+    attitudes = Rotation.from_quat(values[is_known][:, [1, 2, 3, 0]]).as_matrix()
+    quaternions = np.full_like(values, np.nan)
+    quaternions[is_known] = Rotation.from_matrix(WORLD @ attitudes @ BODY).as_quat()
+    return quaternions

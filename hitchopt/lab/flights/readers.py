@@ -21,7 +21,8 @@ import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.flights.bags import read_bag, single_file
+from hitchopt.lab.flights.bag_files import single_file
+from hitchopt.lab.flights.bags import read_bag
 from hitchopt.lab.flights.logs import read_logs, read_ulog, read_usd
 from hitchopt.lab.flights.recordings import (
     MARKER,
@@ -54,9 +55,14 @@ TABLES, SUMMARY = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}
 
 MOTIVE, VICON = "Format Version", ("Segments", "Objects", "Trajectories")
 UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # Prefixes of labels without a subject
-MAX_HEADER_LINES = 50  # Lines in which the titles of a Motive table are searched
+MAX_HEADER_LINES = 50  # Lines in which the titles of a table are searched
+# Lines of a Qualisys header that name markers or bodies, and numbers of each of them in a row
+QUALISYS_COLUMNS = {"MARKER_NAMES": 3, "BODY_NAMES": 16}
 TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
 BODY_RADIUS = 0.3  # Largest distance of markers from the middle of their body [m]
+# Names of markers with numbers, and of a body with such markers their smallest number, and largest
+# standard deviation of a distance between two of them [m]
+NUMBERED, MIN_MARKERS, RIGID = re.compile(r"(.+?)(?:_| - )(\d{1,3})"), 3, 5e-3
 BLANK = ' ",;\t'  # Characters of a line without content
 
 
@@ -219,30 +225,80 @@ def rows_of(
     their own, with the names of the markers.
     """
     rows, markers, notes = dict[str, Array](), [np.zeros((0, 4))], list[str]()
-    subjects = defaultdict[str, dict[str, Array]](dict)
+    subjects = _subjects([label for label in labels if label not in bodies])
+    by_subject = defaultdict[str, dict[str, Array]](dict)
     for k, point in points.items():
+        label = labels[k]
         samples = np.column_stack([t[point[:, 0].astype(np.intp)], point[:, 1:]])
-        label, subject = labels[k], labels[k].partition(":")[0]
         if label in bodies:
             rows[label] = samples
-        else:
-            markers.append(samples)
-            if subject not in bodies and not label.casefold().startswith(UNLABELED):
-                subjects[subject][label] = samples
-    for subject, each in subjects.items():
-        common = reduce(np.intersect1d, [samples[:, 0] for samples in each.values()])
-        group = np.stack([samples[np.isin(samples[:, 0], common)] for samples in each.values()])
+            continue
+        markers.append(samples)
+        subject = subjects[label]
+        if subject not in bodies and not label.casefold().startswith(UNLABELED):
+            by_subject[subject][label] = samples
+    for subject, samples_by_label in by_subject.items():
+        common = reduce(np.intersect1d, [samples[:, 0] for samples in samples_by_label.values()])
+        group = np.stack(
+            [samples[np.isin(samples[:, 0], common)] for samples in samples_by_label.values()]
+        )
         middle = np.mean(group, axis=0)
-        distances = np.max(np.linalg.norm((group - middle)[..., 1:], axis=-1), axis=0)
-        radius = scale_of(unit) * float(np.median(distances)) if len(common) else 0.0
-        if radius > BODY_RADIUS:
-            own = {label: label.partition(":")[2] for label in each}
-            rows |= {name if name not in rows else x: each[x] for x, name in own.items()}
+        radius = scale_of(unit) * _median_radius(group[..., 1:])
+        is_numbered = ":" not in next(iter(samples_by_label))
+        is_rigid = scale_of(unit) * _largest_strain(group[..., 1:]) <= RIGID
+        if radius <= BODY_RADIUS and (is_rigid or not is_numbered):
+            rows[subject] = middle
+        elif is_numbered:  # Drones with numbers
+            rows |= samples_by_label
+        else:
+            own_names = {label: label.partition(":")[2] for label in samples_by_label}
+            rows |= {
+                name if name not in rows else label: samples_by_label[label]
+                for label, name in own_names.items()
+            }
             far = f"up to {radius:.2g} m from their middle"
             notes.append(f"markers of {subject} are bodies of their own: they are {far}")
-        else:
-            rows[subject] = middle
     return rows | {MARKER: np.concatenate(markers)}, notes
+
+
+def _subjects(labels: Sequence[str]) -> dict[str, str]:
+    """Return the subjects of markers: ``NAME:…``, or ``NAME_1``, ``NAME_2``, … of at least three.
+
+    Other markers are subjects of their own.
+    """
+    numbers = defaultdict[str, set[int]](set)
+    for label in labels:
+        if match := NUMBERED.fullmatch(label):
+            numbers[match[1]].add(int(match[2]))
+    numbered = {
+        name
+        for name, own in numbers.items()
+        if own == set(range(1, max(MIN_MARKERS, len(own)) + 1))
+    }
+    subjects = dict[str, str]()
+    for label in labels:
+        match = NUMBERED.fullmatch(label)
+        subjects[label] = match[1] if match and match[1] in numbered else label.partition(":")[0]
+    return subjects
+
+
+def _median_radius(group: Array) -> float:
+    """Return the median over time of the largest distance from the middle of (markers, times, 3).
+
+    Zero without times.
+    """
+    if not group.shape[1]:
+        return 0.0
+    from_middle = length(group - np.mean(group, axis=0))
+    return float(np.median(np.max(from_middle, axis=0)))
+
+
+def _largest_strain(group: Array) -> float:
+    """Return the largest standard deviation over time of a distance within (markers, times, 3)."""
+    if not group.shape[1]:
+        return 0.0
+    distances = length(group[:, None] - group[None])
+    return float(np.max(np.std(distances, axis=2)))
 
 
 def read_motive(path: Path, unit: str | None) -> RecordedFlight:
@@ -309,24 +365,69 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
     return flight_of("Vicon CSV", positions_of(samples), unit or length_unit, notes=notes)
 
 
+def read_qualisys(path: Path, unit: str | None) -> RecordedFlight:
+    """Return the flight in a TSV table of Qualisys Track Manager, of markers or of rigid bodies.
+
+    Times follow from the frequency: the header's time stamp is not that of the first frame.
+    """
+    lines, header = text_lines(path), dict[str, list[str]]()
+    for line in islice(lines, MAX_HEADER_LINES):
+        key, *values = line.strip(BLANK).split("\t")
+        header[key] = values
+        if key in QUALISYS_COLUMNS:
+            break
+    else:
+        raise FileError(f"has no line {' or '.join(QUALISYS_COLUMNS)}; export it with its header")
+    hertz = float(header.get("FREQUENCY", ["nan"])[0].replace(",", "."))
+    if not hertz > 0.0:
+        raise FileError(f"has a FREQUENCY of {hertz:g} Hz; export it again")
+    names, width = header[key], QUALISYS_COLUMNS[key]
+    titles, first = list[str](), ""
+    for line in lines:
+        if re.match(r"\s*[-+.\d]", line):
+            first = line
+            break
+        if line.startswith(("Frame", "Time")) or line.rstrip("\t").endswith(("Z", "]")):
+            titles = [title.strip() for title in line.split("\t")]
+    columns = [j for j, title in enumerate(titles) if title.split(" ")[-1] == "X"]
+    if len(columns) != len(names):  # No titles: at most the frame and its time come first
+        before = len(first.strip("\t\n").split("\t")) - width * len(names)
+        columns = [max(before, 0) + width * k for k in range(len(names))]
+    rows, points = table_of(chain([first], lines), "\t", columns)
+    points = {k: x[np.any(x[:, 1:] != 0.0, axis=1)] for k, x in points.items()}  # Gaps are 0
+    t, length_unit = np.arange(len(rows)) / hertz, unit or "mm"
+    bodies = names if key == "BODY_NAMES" else ()
+    samples, notes = rows_of(t, points, names, length_unit, bodies)
+    return flight_of("Qualisys TSV", positions_of(samples), length_unit, notes=notes)
+
+
 def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a C3D file, with a body per subject."""
     with reading(path, "C3D file", Exception):
         content = library("ezc3d").c3d(str(path))
-        parameters = content["parameters"]["POINT"]
+        parameters = content["parameters"].get("POINT", {})
         point = {name: each["value"] for name, each in parameters.items() if "value" in each}
-        labels = [label for i in ("", *range(2, 99)) for label in point.get(f"LABELS{i}", ())]
         positions = np.asarray(content["data"]["points"], np.float64)[:3].T  # (frames, points, 3)
+        frames, count, _ = positions.shape
+        if not count or not frames:
+            raise FileError("holds no points; export the markers' or the bodies' positions")
+        if not (hertz := float(next(iter(point.get("RATE", ())), 0.0))) > 0.0:
+            raise FileError(f"states a rate of {hertz:g} Hz; export it again")
+        length_unit = unit or next(iter(point.get("UNITS", ())), "").strip()
+        if not length_unit:
+            raise FileError("states no unit of length; state it: unit='mm', 'cm' or 'm'")
+        labels = [label for i in ("", *range(2, 99)) for label in point.get(f"LABELS{i}", ())]
+        labels += [f"*{k}" for k in range(len(labels), count)]
         visible = np.isfinite(positions).all(axis=2) & np.any(positions != 0.0, axis=2)
         samples = [
-            np.column_stack([np.flatnonzero(x), y[x]])
-            for x, y in zip(visible.T, positions.swapaxes(0, 1), strict=True)
+            np.column_stack([np.flatnonzero(is_seen), places[is_seen]])
+            for is_seen, places in zip(visible.T, positions.swapaxes(0, 1), strict=True)
         ]
-        first, last = struct.unpack_from("<2H", path.read_bytes(), 6)  # As stated in the file
-        frames, total = len(positions), last - first + 1
+        with path.open("rb") as file:
+            first, last = struct.unpack_from("<2H", file.read(10), 6)  # As stated in the file
+        total = last - first + 1
         notes = [f"truncated: read to frame {frames} of {total}"] if frames < total else []
-        t = np.arange(frames) / float(point["RATE"][0])
-        length_unit = unit or point["UNITS"][0]
+        t = np.arange(frames) / hertz
         rows, row_notes = rows_of(t, dict(enumerate(samples)), labels, length_unit)
         return flight_of("C3D", positions_of(rows), length_unit, notes=[*notes, *row_notes])
 
@@ -339,11 +440,12 @@ Formats = dict[bytes, tuple[str, Callable[..., RecordedFlight]]]
 TABLE_FORMATS: Formats = {
     TEXT + MOTIVE.encode(): ("a table of Motive with its header", read_motive),
     TEXT + rb"(Segments|Objects|Trajectories)[\",;\s]": ("of Vicon", read_vicon),
+    TEXT + rb"(FILE_VERSION|NO_OF_FRAMES)\t": ("of Qualisys", read_qualisys),
     rb"^[\x01-\x1f]P": ("C3D", read_c3d),
 }
 # Formats with topics, of which all files of a directory are read
 TOPIC_FORMATS: Formats = {
-    rb"^(SQLite format 3|\x89MCAP0\r\n|#ROSBAG V2\.0)": ("a ROS bag", read_bag),
+    rb"^(SQLite format 3|\x89MCAP0\r\n|#ROSBAG V2\.0|\x28\xb5\x2f\xfd)": ("a ROS bag", read_bag),
     rb"^\xbc": ("Crazyflie uSD logs", partial(read_logs, "Crazyflie uSD log", read_usd)),
     rb"^ULog\x01\x12\x35": ("PX4 ulogs", partial(read_logs, "PX4 ulog", read_ulog)),
 }

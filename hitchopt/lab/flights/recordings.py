@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
@@ -267,6 +268,30 @@ def positions_of(rows: Mapping[str, Array]) -> Content:
     return {name: {"position": Logged(samples)} for name, samples in rows.items()}
 
 
+@dataclass(frozen=True)
+class _Units:
+    """Conversion of a file's rows to metres and to times from the recording's start.
+
+    Attributes
+    ----------
+    length: the file's unit of length [m].
+    epoch: the file's time at which times are 0 [s].
+    """
+
+    length: float
+    epoch: float
+
+    def track(self, rows: Array) -> Track:
+        """Return positions from rows (m, 4) with distinct ascending times."""
+        return Track(rows[:, 0] - self.epoch, self.length * rows[:, 1:])
+
+    def signal(self, quantity: str, rows: Array) -> Signal:
+        """Return one of QUANTITIES from rows (m, 1 + k) with distinct ascending times."""
+        _, has_length = QUANTITIES[quantity]
+        unit = self.length if has_length else 1.0
+        return Signal(rows[:, 0] - self.epoch, unit * rows[:, 1:])
+
+
 def flight_of(
     source: str,
     bodies: Content,
@@ -282,73 +307,92 @@ def flight_of(
     without a value and rows that repeat a time are omitted. Raises FileError for an unknown unit or
     descending times.
     """
-    scale, epoch, loads = scale_of(unit), 0.0, loads or {}
-    cloud = bodies.get(MARKER, {"position": Logged(np.zeros((0, 4)))})["position"].rows
-    bodies = {name: own for name, own in bodies.items() if name != MARKER}
-    rows = {name: x for name, own in bodies.items() if len(x := own["position"].rows)}
-    start = min((float(samples[0, 0]) for samples in rows.values()), default=0.0)
-    if fields.get("one_clock", True) and abs(start) >= MIN_EPOCH:
-        epoch, clock = start, f"at {start:.3f} s of the recording's clock"
-        notes = [*notes, f"times count from the first position, {clock}"]
-
-    def track(samples: Array) -> Track:
-        if not np.isfinite(samples[:, 0]).all():
-            raise FileError("a time is not finite; leave out rows without a time")
-        samples = samples[np.isfinite(samples).all(axis=1)]
-        steps = np.diff(samples[:, 0], prepend=-np.inf)
-        if np.any(steps < 0.0):
-            a, b = samples[(i := int(np.argmax(steps < 0.0))) - 1 : i + 1, 0]
-            digits = next((n for n in range(9, 17) if f"{a:.{n}g}" != f"{b:.{n}g}"), 17)
-            problem = f"times do not ascend: {a:.{digits}g} s is followed by {b:.{digits}g} s"
-            raise FileError(f"{problem}; give one flight, in the order in which it was recorded")
-        return Track(samples[steps > 0.0, 0] - epoch, scale * samples[steps > 0.0, 1:])
-
-    def ordered(samples: Array) -> Array:
-        samples = samples[np.isfinite(samples).all(axis=1)]
-        samples = samples[np.argsort(samples[:, 0], kind="stable")]
-        return samples[np.diff(samples[:, 0], prepend=-np.inf) > 0.0]
-
-    def tracks_of(content: Content, quantity: str) -> dict[str, Track]:
-        known = {name: own[quantity].rows for name, own in content.items() if quantity in own}
-        return {name: track(x) for name, each in known.items() if len(x := ordered(each))}
-
-    def signal(quantity: str, samples: Array) -> Signal:
-        factor = scale if QUANTITIES[quantity][1] else 1.0
-        return Signal(samples[:, 0] - epoch, factor * samples[:, 1:])
-
-    def signals_of(content: Content, *apart: str) -> dict[str, dict[str, Signal]]:
-        signals = {
-            name: {
-                quantity: signal(quantity, x)
-                for quantity, each in own.items()
-                if quantity not in apart and len(x := ordered(each.rows))
-            }
-            for name, own in content.items()
-        }
-        return {name: own for name, own in signals.items() if own}
-
-    tracks = {name: track(samples) for name, samples in rows.items()}
-    count = sum(map(len, rows.values()))
-    if omitted := count - sum(len(one.t) for one in tracks.values()):
-        notes = [*notes, f"{omitted} of {count} rows omitted: no position, or a repeated time"]
-    cloud = cloud[np.isfinite(cloud).all(axis=1)]
-    cloud = cloud[np.argsort(cloud[:, 0], kind="stable")]
-    topics = {
-        name: {quantity: x.topic for quantity, x in own.items() if x.topic}
-        for name, own in {**bodies, **loads}.items()
+    loads, notes = loads or {}, list(notes)
+    drones = {name: own for name, own in bodies.items() if name != MARKER}
+    recorded = {name: own["position"].rows for name, own in drones.items()}
+    recorded = {name: rows for name, rows in recorded.items() if len(rows)}
+    units = _Units(scale_of(unit), _epoch(recorded) if fields.get("one_clock", True) else 0.0)
+    if units.epoch:
+        clock = f"at {units.epoch:.3f} s of the recording's clock"
+        notes.append(f"times count from the first position, {clock}")
+    tracks = {name: units.track(_in_recorded_order(rows)) for name, rows in recorded.items()}
+    count = sum(map(len, recorded.values()))
+    if omitted := count - sum(len(track.t) for track in tracks.values()):
+        notes.append(f"{omitted} of {count} rows omitted: no position, or a repeated time")
+    cloud = bodies[MARKER]["position"].rows if MARKER in bodies else np.zeros((0, 4))
+    signals = _signals(drones, units, apart=("position", "commanded_position"))
+    sources = {
+        name: topics for name, own in {**drones, **loads}.items() if (topics := _topics(own))
     }
     return RecordedFlight(
         source,
-        {name: one for name, one in tracks.items() if len(one.t)},
-        Track(cloud[:, 0] - epoch, scale * cloud[:, 1:]),
-        tracks_of(bodies, "commanded_position"),
-        signals_of(bodies, "position", "commanded_position") | signals_of(loads, "position"),
-        tracks_of(loads, "position"),
-        {name: own for name, own in topics.items() if own},
-        epoch=epoch,
+        {name: track for name, track in tracks.items() if len(track.t)},
+        units.track(_sorted(cloud)),
+        _tracks(drones, "commanded_position", units),
+        signals | _signals(loads, units, apart=("position",)),
+        _tracks(loads, "position", units),
+        sources,
+        epoch=units.epoch,
         notes=tuple(notes),
         **fields,
     )
+
+
+def _epoch(recorded: Mapping[str, Array]) -> float:
+    """Return the first time [s] if times count from a date or from a computer's start, else 0."""
+    start = min((float(rows[0, 0]) for rows in recorded.values()), default=0.0)
+    return start if abs(start) >= MIN_EPOCH else 0.0
+
+
+def _tracks(content: Content, quantity: str, units: _Units) -> dict[str, Track]:
+    """Return tracks by body from positions in any order."""
+    rows = {name: _ordered(own[quantity].rows) for name, own in content.items() if quantity in own}
+    return {name: units.track(own) for name, own in rows.items() if len(own)}
+
+
+def _signals(
+    content: Content, units: _Units, apart: Collection[str]
+) -> dict[str, dict[str, Signal]]:
+    """Return signals by body and quantity, but for quantities that are ``apart``."""
+    signals = defaultdict[str, dict[str, Signal]](dict)
+    for name, own in content.items():
+        for quantity, logged in own.items():
+            if quantity not in apart and len(rows := _ordered(logged.rows)):
+                signals[name][quantity] = units.signal(quantity, rows)
+    return dict(signals)
+
+
+def _topics(own: Mapping[str, Logged]) -> dict[str, str]:
+    """Return the topics of a body's quantities that have one."""
+    return {quantity: logged.topic for quantity, logged in own.items() if logged.topic}
+
+
+def _in_recorded_order(rows: Array) -> Array:
+    """Return rows with a value and a new time; FileError for times that descend."""
+    if not np.isfinite(rows[:, 0]).all():
+        raise FileError("a time is not finite; leave out rows without a time")
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    steps = np.diff(rows[:, 0], prepend=-np.inf)
+    if np.any(steps < 0.0):
+        descent = int(np.argmax(steps < 0.0))
+        earlier, later = rows[descent - 1, 0], rows[descent, 0]
+        digits = next((n for n in range(9, 17) if f"{earlier:.{n}g}" != f"{later:.{n}g}"), 17)
+        times = f"{earlier:.{digits}g} s is followed by {later:.{digits}g} s"
+        remedy = "give one flight, in the order in which it was recorded"
+        raise FileError(f"times do not ascend: {times}; {remedy}")
+    return rows[steps > 0.0]
+
+
+def _sorted(rows: Array) -> Array:
+    """Return finite rows in order of time."""
+    rows = rows[np.isfinite(rows).all(axis=1)]
+    return rows[np.argsort(rows[:, 0], kind="stable")]
+
+
+def _ordered(rows: Array) -> Array:
+    """Return finite rows in order of time, the first of each time."""
+    rows = _sorted(rows)
+    return rows[np.diff(rows[:, 0], prepend=-np.inf) > 0.0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import NamedTuple
 
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
@@ -48,11 +49,14 @@ STRUCTURE = (
 LOG_TOPICS = {
     "stateEstimate": "estimated",
     "stateEstimateZ": "estimated",
+    "kalman": "estimated",
     "locSrv": "measured",  # Motion capture, as the drone received it
     "ctrltarget": "commanded",
     "ctrltargetZ": "commanded",
     "stateEstimateZ.p": "load",
-    "vehicle_visual_odometry": "measured",  # Motion capture, as PX4 received it
+    "vehicle_local_position_groundtruth": "measured",  # Of the simulator
+    "vehicle_mocap_odometry": "measured",  # Motion capture, as PX4 received it
+    "vehicle_visual_odometry": "measured",  # The same, in most installations
     "vehicle_local_position": "estimated",
     "trajectory_setpoint": "commanded",
 }
@@ -72,6 +76,17 @@ LOGGED: dict[str, tuple[str, int, float]] = {
     "motors": ("motors", 4, PWM),
 }
 
+# Variables of uSD logs with positions by topic, with their unit
+USD_POSITIONS: dict[str, tuple[str, float]] = {
+    "stateEstimate": ("stateEstimate.x y z", 1.0),
+    "stateEstimateZ": ("stateEstimateZ.x y z", 1e-3),
+    "kalman": ("kalman.stateX stateY stateZ", 1.0),
+    "locSrv": ("locSrv.x y z", 1.0),
+    "ctrltarget": ("ctrltarget.x y z", 1.0),
+    "ctrltargetZ": ("ctrltargetZ.x y z", 1e-3),
+    "stateEstimateZ.p": ("stateEstimateZ.px py pz", 1e-3),
+}
+
 # Variables of uSD logs by quantity, with their unit; of each quantity the first that is logged
 USD_QUANTITIES: dict[str, tuple[tuple[str, float], ...]] = {
     "attitude": (("locSrv.qx qy qz qw", 1.0),),
@@ -82,6 +97,7 @@ USD_QUANTITIES: dict[str, tuple[tuple[str, float], ...]] = {
     "estimated_attitude": (
         ("stateEstimate.qx qy qz qw", 1.0),
         ("stateEstimateZ.quat", 1.0),  # Compressed into 32 bits
+        ("kalman.q1 q2 q3 q0", 1.0),
         ("ctrlLeeP.rpyx rpyy rpyz", 1.0),
         ("ctrlLee.rpyx rpyy rpyz", 1.0),
         ("stateEstimate.roll pitch yaw", DEGREE),
@@ -105,26 +121,68 @@ USD_QUANTITIES: dict[str, tuple[tuple[str, float], ...]] = {
 }
 FLIPPED = "stateEstimate.pitch"  # Has the opposite sign of the attitude's
 
-# Topics of ulogs by quantity, with their variables, in the axes north, east, down or, with "body",
-# forward, right, down; "attitude" and "plain" are quaternions w, x, y, z, and numbers without axes
-ULOG_QUANTITIES: dict[str, tuple[str, str, str]] = {
-    "attitude": ("vehicle_visual_odometry", "q[0] q[1] q[2] q[3]", "attitude"),
-    "estimated_velocity": ("vehicle_local_position", "vx vy vz", "world"),
-    "estimated_attitude": ("vehicle_attitude", "q[0] q[1] q[2] q[3]", "attitude"),
-    "rates": ("sensor_combined", "gyro_rad[0] gyro_rad[1] gyro_rad[2]", "body"),
+
+class UlogVariables(NamedTuple):
+    """Variables of a topic of ulogs.
+
+    Attributes
+    ----------
+    topic: the topic's name.
+    names: the variables' names, separated by blanks.
+    axes: ``world`` for north, east, down; ``body`` for forward, right, down; ``attitude`` for
+        quaternions w, x, y, z; ``plain`` for numbers without axes.
+    valid: names of variables that are 0 while the others are not valid.
+    """
+
+    topic: str
+    names: str
+    axes: str
+    valid: str = ""
+
+
+ULOG_ODOMETRY = ("vehicle_mocap_odometry", "vehicle_visual_odometry")
+ULOG_ESTIMATE, ULOG_TRUTH = "vehicle_local_position", "vehicle_local_position_groundtruth"
+
+# Positions in ulogs by topic; older odometry has x, y and z
+ULOG_POSITIONS: dict[str, tuple[UlogVariables, ...]] = {
+    ULOG_TRUTH: (UlogVariables(ULOG_TRUTH, "x y z", "world"),),
+    **{
+        topic: (
+            UlogVariables(topic, "x y z", "world"),
+            UlogVariables(topic, "position[0] position[1] position[2]", "world"),
+        )
+        for topic in ULOG_ODOMETRY
+    },
+    ULOG_ESTIMATE: (UlogVariables(ULOG_ESTIMATE, "x y z", "world", "xy_valid z_valid"),),
+}
+
+# Variables of ulogs by quantity; of each quantity the first that is logged
+ULOG_QUANTITIES: dict[str, tuple[UlogVariables, ...]] = {
+    "attitude": tuple(
+        UlogVariables(topic, "q[0] q[1] q[2] q[3]", "attitude")
+        for topic in ("vehicle_attitude_groundtruth", *ULOG_ODOMETRY)
+    ),
+    "estimated_velocity": (
+        UlogVariables(ULOG_ESTIMATE, "vx vy vz", "world", "v_xy_valid v_z_valid"),
+    ),
+    "estimated_attitude": (UlogVariables("vehicle_attitude", "q[0] q[1] q[2] q[3]", "attitude"),),
+    "rates": (UlogVariables("sensor_combined", "gyro_rad[0] gyro_rad[1] gyro_rad[2]", "body"),),
     "specific_force": (
-        "sensor_combined",
-        "accelerometer_m_s2[0] accelerometer_m_s2[1] accelerometer_m_s2[2]",
-        "body",
+        UlogVariables(
+            "sensor_combined",
+            "accelerometer_m_s2[0] accelerometer_m_s2[1] accelerometer_m_s2[2]",
+            "body",
+        ),
     ),
-    "commanded_position": ("trajectory_setpoint", "position[0] position[1] position[2]", "world"),
-    "commanded_velocity": ("trajectory_setpoint", "velocity[0] velocity[1] velocity[2]", "world"),
-    "commanded_acceleration": (
-        "trajectory_setpoint",
-        "acceleration[0] acceleration[1] acceleration[2]",
-        "world",
+    **{
+        f"commanded_{name}": (
+            UlogVariables("trajectory_setpoint", f"{name}[0] {name}[1] {name}[2]", "world"),
+        )
+        for name in ("position", "velocity", "acceleration")
+    },
+    "motors": (
+        UlogVariables("actuator_motors", "control[0] control[1] control[2] control[3]", "plain"),
     ),
-    "motors": ("actuator_motors", "control[0] control[1] control[2] control[3]", "plain"),
 }
 MAX_LISTED = 5  # Most topics that a message lists
 
