@@ -623,9 +623,9 @@ class Slab:
         core = None if self.round else self.core * by[:2]
         return Slab(core, self.radius * by[0], self.lower * by[2], self.upper * by[2])
 
-    def below(self, x: Line) -> Line:
-        """Return the distance to a point, large where the slab is above it."""
-        return self.gap(x).unless(-x[2] + self.lower)
+    def below(self, x: Line, lead: float) -> Line:
+        """Return the distance to a point, large where the slab is above it by a ``lead``."""
+        return self.gap(x).unless(-x[2] + self.lower - lead)
 
     def gap(self, *points: Line, ratio: float = 1.0) -> Line:
         """Return the distance to the convex hull of points, by its edges.
@@ -697,6 +697,8 @@ class Plan:
     own, further points are the inner ends of legs: their own ones then, and vertices otherwise.
     """
 
+    erring_bodies = 1  # of drones and what is below them: objects that stand have no errors
+
     def __init__(self, file: Any, head: dict[str, Any], folder: str = "") -> None:
         self.file, self.folder, records = file, folder, head["records"]
         self.label = f"{head['name']}." if head["name"] else ""
@@ -725,16 +727,24 @@ class Plan:
         """
         self.sep, self.tube, (error, height) = dict(separation), tube, tube
         self.tracking, self.ratio = error, max(1.0, height / error) if error else 1.0
-        # Ellipsoid that contains the sum of an ellipsoid and a ball, with the smallest radius
-        wide, high = self.sep["radius"], self.sep["height"] / self.ratio
-        high = math.sqrt((high**2 + wide * error) * (1.0 + error / wide))
-        self.sep["height"] = high * self.ratio
+        self.scale = 0.5 / self._semi_axes(separation, error)
         for key, factor in (("radius", 1.0), ("cable", 2.0), ("crossing", 2.0), ("object", 1.0)):
             self.sep[key] += factor * error
-        self.scale = 0.5 / np.array([self.sep["radius"], self.sep["radius"], self.sep["height"]])
+        errors = error * self.erring_bodies
+        self.wash = 1.0 / self._semi_axes(separation, errors)
+        self.wash_lead = errors * self.ratio * float(self.wash[2])
         names = "cable_clearance", "crossing", "object_clearance"
         limits = ((f"{x} m min", max(float(self.sep[x.split("_")[0]]), MIN_GAP)) for x in names)
         self.cable_limit, self.crossing_limit, self.object_limit = limits
+
+    def _semi_axes(self, separation: dict[str, float], error: float) -> Array:
+        """Return those of the ellipsoid that contains a drone's one and a ball of errors.
+
+        It has the smallest radius.
+        """
+        wide, high = separation["radius"], separation["height"] / self.ratio
+        high = math.sqrt((high**2 + wide * error) * (1.0 + error / wide))
+        return np.array([wide + error, wide + error, high * self.ratio])
 
     def _read(self, s: dict[str, Any]) -> None:
         team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
@@ -1092,7 +1102,7 @@ def drones(p: Plan) -> Iterator[Row]:
         return slab.gap(s.local(b, s.point(i)), ratio=p.ratio)
 
     def over_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
-        return slab.below(s.local(b, s.point(i)) * half)
+        return slab.below(s.local(b, s.point(i)) * p.wash, p.wash_lead)
 
     ratio = "separation ratio min", 1.0
     yield prove(*ratio, pairs, lambda s, i, j: ((s.point(i) - s.point(j)) * p.scale).norm())
@@ -1109,10 +1119,9 @@ def drones(p: Plan) -> Iterator[Row]:
     for b, slab in [*p.slabs, *p.walls]:
         gap = partial(to_slab, b=b, slab=slab)
         yield prove(*keep_out, s, gap)
-    half = 2.0 * p.scale
     for b, slab in [] if p.n else p.slabs:
         if moves(p, p.bodies[b]):
-            over = partial(over_slab, b=b, slab=slab.scaled(half))
+            over = partial(over_slab, b=b, slab=slab.scaled(p.wash))
             yield prove("downwash ratio min", 1.0, s, over)
 
 
@@ -1989,6 +1998,8 @@ class Pair(Plan):
     Items of its spans are pairs of items. Minimum distances are the largest of all teams.
     """
 
+    erring_bodies = 2
+
     def __init__(
         self, p: Plan, q: Plan, separation: dict[str, float], tube: tuple[float, float]
     ) -> None:
@@ -2039,18 +2050,21 @@ def between_plans(pair: Pair) -> Iterator[Row]:
     Upright regions contain cables without a hitch. Distances to them are horizontal or vertical
     ones.
     """
-    p, q = pair.plans
 
     def ratio(a: list[Line], b: list[Line]) -> Line:
         return ((a[0] - b[0]) * pair.scale).norm()
 
     def below(a: list[Line], b: list[Line]) -> Line:
-        """Return the distance over half an ellipsoid, large for cables above the drone."""
+        """Return the distance over half an ellipsoid, large for cables above the drone.
+
+        A point is as far from a strip as the chord above from the points up to the strip's depth
+        over that point.
+        """
         drone, cable = (a[0], b) if len(a) == 1 else (b[0], a)
-        rise = minimum(*(x[2] for x in cable)) - drone[2]
-        one, other = ([x * (2.0 * pair.scale) for x in c] for c in ([drone], cable))
-        scaled = distance(one, other)
-        return scaled.unless(rise)
+        drone, *cable = (x * pair.wash for x in (drone, *cable))
+        rise = minimum(*(x[2] for x in cable)) - drone[2] - pair.wash_lead
+        over = [drone + (cable[0] - cable[2])] if cable[2:] else []
+        return distance([drone, *over], cable[:2]).unless(rise)
 
     def gap(s: Spans, *items: Index, of: Sequence[Solid], measure: Callable[..., Line]) -> Line:
         return measure(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
@@ -2061,7 +2075,7 @@ def between_plans(pair: Pair) -> Iterator[Row]:
         if i == j == 0:
             measure, limit = partial(ratio), ("separation ratio min", 1.0)
         yield prove(*limit, s, partial(gap, of=(one, two), measure=measure))
-        if {i, j} == {0, 1} and p.folder != q.folder:
+        if {i, j} in ({0, 1}, {0, 3}):  # cables are taut, or laid
             yield prove("downwash ratio min", 1.0, s, partial(gap, of=(one, two), measure=below))
 
 
@@ -2090,7 +2104,7 @@ def object_distances(pair: Pair) -> Iterator[Row]:
 
     def height_ratio(s: Spans, i: Index, _: Index, b: int, slab: Slab) -> Line:
         mine, theirs = pair.both(s)
-        return slab.below(theirs.local(b, mine.point(i)) * (2.0 * pair.scale))
+        return slab.below(theirs.local(b, mine.point(i)) * pair.wash, pair.wash_lead)
 
     def object_gap(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
         mine, theirs = pair.both(s)
@@ -2105,7 +2119,7 @@ def object_distances(pair: Pair) -> Iterator[Row]:
             yield prove(*limit, pair.items(one, body), partial(gap, b=b, slab=tall, corners=one[2]))
         if np.any(q.moving[b]) or moves(p, q.bodies[b]):
             drones = solids(p)[0]
-            over = partial(height_ratio, b=b, slab=slab.scaled(2.0 * pair.scale))
+            over = partial(height_ratio, b=b, slab=slab.scaled(pair.wash))
             yield prove("downwash ratio min", 1.0, pair.items(drones, body), over)
         for o, block, other in own_objects(p, q):
             gaps = partial(object_gap, b=b, slab=slab, o=o, block=block)

@@ -29,26 +29,30 @@ from hitchopt.checks.bodies import (
 )
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import Solid, from_above, pairs_with_shape
-from hitchopt.checks.distances import (
-    Moving,
-    nearest,
-    smallest,
-)
+from hitchopt.checks.distances import Moving, Shape, nearest, smallest
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cached, magnitude
-from hitchopt.checks.tracking import Ellipsoid, ellipsoid_axes
+from hitchopt.checks.tracking import (
+    OF_PAIRS,
+    PARTS,
+    Ellipsoid,
+    downwash_radius,
+    ellipsoid_axes,
+)
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import moved_objects, same_object
-from hitchopt.motion.motion import CLASPED_STATES, Group, Motion
+from hitchopt.motion.motion import CLASPED_STATES, CableState, Group, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import REST_DRIFT
-from hitchopt.trajectory.enclosed import Enclosed
+from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
+
+LAID = frozenset({CableState.LAYING})
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,34 +199,55 @@ def drones_and_objects(run: Run) -> Iterator[Moving]:
                 yield run.around(drones.corners, drones.names, name, Solid(slab), pose)
 
 
-def drones_above_cables(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and taut cables of the other, scaled for downwash."""
-    scale = half_axes(run.separation)
+def taut_or_laid(side: Side) -> Bodies | None:
+    """Return the cables of a group that are under tension: parts, or strips while they are laid."""
+    cables, laid = cables_of(side, parts=True), side.motion.in_states(LAID)
+    if cables is None or not cables.outline:
+        return cables
+    return replace(cables, outline=0, pieces=laid) if np.any(laid) else None
+
+
+def drones_above_cables(
+    run: Run,
+    scale: Array,
+    *,
+    formula: Callable[..., Bound] = below,
+    shape: Callable[[Slab | None], Shape] | None = None,
+) -> Iterator[Moving]:
+    """Yield the pairs of drones of one group and taut cables of the other, in scaled coordinates.
+
+    Options are those of ``pairs_with_slab``; the shape is that without a slab.
+    """
     for one, other in run.both:
-        cables = cables_of(other, parts=True)
-        if cables is not None and not cables.outline:
+        if (cables := taut_or_laid(other)) is not None:
             margin = run.margin * float(np.max(scale))
             bodies = one.drones.scaled(scale), cables.scaled(scale)
-            yield run.moving(*bodies, margin=margin, formula=below)
+            options: dict[str, Any] = {} if shape is None else {"shape": shape(None)}
+            yield run.moving(*bodies, margin=margin, formula=formula, **options)
 
 
-def drones_above(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and what their downwash would move of the other."""
-    yield from drones_above_cables(run)
+def drones_above(run: Run, scale: Array, **options: Any) -> Iterator[Moving]:
+    """Yield the pairs of drones of one group and what their downwash would move of the other.
+
+    Coordinates are scaled; ``options`` are those of ``pairs_with_slab``.
+    """
+    yield from drones_above_cables(run, scale, **options)
     for one, other in run.both:
-        drones = one.drones
+        drones, breaks = one.drones, one.motion.drones.breaks
         for name, body, pose in _objects(other, one):
             counts = name in other.carried or moves(body, one.motion.team)
+            placed: dict[str, Any] = {
+                "margin": run.margin,
+                "breaks": breaks,
+                "names": (drones.names, (name,)),
+            }
             for slab in body.slabs if counts else ():
-                yield pairs_with_slab(
-                    drones.corners,
-                    pose,
-                    slab,
-                    run.separation,
-                    breaks=one.motion.drones.breaks,
-                    margin=run.margin,
-                    names=(drones.names, (name,)),
-                )
+                yield pairs_with_slab(drones.corners, pose, slab, scale, **placed, **options)
+
+
+def _drones_above(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of ``drones_above`` in coordinates in which ellipsoids have the radius 1."""
+    yield from drones_above(run, half_axes(run.separation))
 
 
 def cables_and_objects(run: Run) -> Iterator[Moving]:
@@ -261,7 +286,7 @@ ACROSS: dict[str, Callable[[Run], Iterable[Moving]]] = {
     "cable_clearance": drones_and_cables,
     "crossing": cable_pairs,
     "keep_out": drones_and_objects,
-    "downwash": drones_above,
+    "downwash": _drones_above,
     "object_clearance": cables_and_objects,
 }
 """Pairs between groups, by check of DISTANCES."""
@@ -283,12 +308,18 @@ def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) 
     """Return the largest tracking error with which groups keep their distances [m]."""
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
     axes, height_ratio = ellipsoid_axes(motion.requirements), motion.requirements.height_ratio
-    smallest_axis = 0.5 * float(np.min(axes))  # [m]
     for check in filter(None, checks):
-        if check.name in DISTANCES and check.name != "separation":  # drones: below, exactly
+        if check.name in DISTANCES and PARTS[check.name] is not OF_PAIRS:
             slack = max(check.bound - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
-            slack *= smallest_axis if check.unit == "ratio" else 1.0
             terms.append(WorstCase(slack, check.time, check.where))
+
+    def above(scale: Array, **options: Any) -> Iterator[Moving]:
+        """Yield what is below drones of all pairs of groups."""
+        for run in runs(motion):
+            yield from drones_above(run, scale, **options)
+
+    factor = DISTANCES["downwash"].approach(ratio)
+    terms.append(downwash_radius(above, motion.requirements, factor))
     tightest = min(terms, key=lambda term: term.worst)
     for run in runs(motion):
         moving = run.moving(run.first.drones, run.second.drones).flattened(height_ratio)

@@ -13,7 +13,7 @@ move.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.clearance import Solid
-from hitchopt.checks.distances import Moving, PairSpans, gap, nearest
+from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, nearest
 from hitchopt.checks.objects import in_object_frame
 from hitchopt.checks.rule import CheckRule, Evaluator
 from hitchopt.checks.spans import ROUNDING, magnitude
@@ -50,17 +50,33 @@ def below(spans: PairSpans, floor: float | None = None) -> Bound:
 
     Bodies are the second ones of pairs, or a slab with a ``floor``.
     """
+    distances, above = gap(spans), lead(spans, floor) >= 0.0
+    return Bound(np.where(above, np.inf, distances.value), distances.x)
+
+
+def lead(spans: PairSpans, floor: float | None) -> Array:
+    """Return by how much bodies are above drones (spans,), less the rounding error."""
     drone, body = spans.ends
     heights = body[:, :, 2] if floor is None else np.full_like(drone[:, :, 2], floor)
-    distances, rise = gap(spans), np.min(heights - drone[:, :1, 2], axis=(1, 2))
-    return Bound(np.where(rise >= spans.source.margin, np.inf, distances.value), distances.x)
+    rise: Array = np.min(heights - drone[:, :1, 2], axis=(1, 2))
+    return rise - spans.source.margin
 
 
 def pairs_with_slab(
-    points: Array, pose: Enclosed, slab: Slab, separation: Separation, **options: Any
+    points: Array,
+    pose: Enclosed,
+    slab: Slab,
+    scale: Array,
+    *,
+    formula: Callable[..., Bound] = below,
+    shape: Callable[[Slab], Shape] = Solid,
+    **options: Any,
 ) -> Moving:
-    """Return the pairs of drones (pieces, N, 1, 3, degree + 1) [m] and a slab that moves."""
-    scale = half_axes(separation)
+    """Return the pairs of drones (pieces, N, 1, 3, degree + 1) [m] and a slab that moves.
+
+    Coordinates are multiplied by ``scale`` (3,), the first two alike. The formula takes the slab's
+    ``floor``, and the shape is that of the slab.
+    """
     local, (across, _, upward) = in_object_frame(pose, Enclosed(points)), scale
     section = slab.section
     outline = None if section.outline is None else across * section.outline
@@ -72,27 +88,29 @@ def pairs_with_slab(
         local.c * scale[:, None],
         np.zeros((len(points), 1, 1, 3, 1)),
         margin=margin * float(np.max(scale)),
-        shape=Solid(scaled),
-        formula=partial(below, floor=scaled.lower),
+        shape=shape(scaled),
+        formula=partial(formula, floor=scaled.lower),
         **options,
     )
 
 
-def _drones_above_objects(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of single drones and objects that stand in their way."""
-    poses, separation = motion.poses.coefficients, motion.requirements.separation
-    drones = drones_of(motion)
-    margin = ROUNDING * magnitude(motion)
+def drones_above_objects(motion: Motion, scale: Array, **options: Any) -> Iterator[Moving]:
+    """Yield pairs of single drones and objects that stand in their way, in scaled coordinates.
+
+    ``options`` are those of ``pairs_with_slab``.
+    """
+    poses, drones = motion.poses.coefficients, drones_of(motion)
+    options = options | {"margin": ROUNDING * magnitude(motion), "breaks": motion.drones.breaks}
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         for slab in body.slabs if moves(body, motion.team) else ():
-            options = {
-                "margin": margin,
-                "breaks": motion.drones.breaks,
-                "names": (drones.names, (name,)),
-            }
-            yield pairs_with_slab(
-                drones.corners, Enclosed(poses[:, index]), slab, separation, **options
-            )
+            names = drones.names, (name,)
+            pose = Enclosed(poses[:, index])
+            yield pairs_with_slab(drones.corners, pose, slab, scale, names=names, **options)
+
+
+def _scaled_cases(motion: Motion) -> Iterator[Moving]:
+    """Yield the pairs of a motion, in coordinates in which ellipsoids have the radius 1."""
+    yield from drones_above_objects(motion, half_axes(motion.requirements.separation))
 
 
 def _limit(motion: Motion) -> float | None:
@@ -106,7 +124,7 @@ DOWNWASH = CheckRule(
     "ratio",
     "min",
     _limit,
-    (Evaluator(nearest(_drones_above_objects, scaled=True), exported=True, formulas=(below,)),),
+    (Evaluator(nearest(_scaled_cases, scaled=True), exported=True, formulas=(below,)),),
     "fly higher over what the downwash would move, or beside it, or lower separation.height",
 )
 """Lower halves of drones' ellipsoids meet no object that they would move, and no taut cable of

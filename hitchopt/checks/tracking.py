@@ -14,14 +14,15 @@ makes the ellipsoid a ball and lengthens no distance, so all of the above applie
 ``limits.tracking``, if stated, is the limit; then the distances of cables and carried objects from
 other objects count, too.
 
-It follows from the bounds of the checks, which hold for all t. Only pairs of drones at different
-heights, and hanging cables, are bounded separately.
+It follows from the bounds of the checks, which hold for all t; ``PARTS`` has each check's part.
+Only pairs of drones at different heights, hanging cables, and what is below drones are bounded
+separately.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -36,22 +37,78 @@ from hitchopt.checks.clearance import (
     approach_of,
     drone_wall_gap,
 )
-from hitchopt.checks.distances import CROSSING, Moving, Shape, smallest
+from hitchopt.checks.distances import CROSSING, Moving, PairSpans, Shape, gap, smallest
+from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import LEGS, Drones
 from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
-from hitchopt.geometry.vectors import unit
+from hitchopt.geometry.vectors import shortest_offset, unit
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
+from hitchopt.objects import Slab
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 GAMMA = 1.0  # default ratio of vertex errors to drone errors
+RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)  # with slacks
 HANGING_CHECKS = ("cable_clearance", "object_clearance")  # distances of cables that hang
-RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)  # of distances
 HALVINGS = 40  # bisection steps for the radius of hanging cables
 NEWTON = 12  # iterations for the nearest point; an inexact normal only costs tightness
+PROJECTIONS = 24  # alternating ones onto an ellipsoid and a body, to the same effect
+
+
+@dataclass(frozen=True)
+class Part:
+    """The part of a check in the radius, by its slack, or by an evaluation of its own.
+
+    Parameters
+    ----------
+    hitched, free: approach of two bodies per radius, with a hitch and without, by γ; None if the
+        radius is evaluated for the pairs of bodies.
+    """
+
+    hitched: Callable[[float], float] | None = None
+    free: Callable[[float], float] | None = None
+
+
+def _largest(gamma: float) -> float:
+    """Return the largest error of a body per radius: drones have 1, vertices γ."""
+    return max(1.0, gamma)
+
+
+OF_PAIRS = Part()
+RATES = "constant errors change no rate"
+FORCES = "forces of displaced hitches are not bounded"
+PARTS: dict[str, Part | str] = {
+    "separation": OF_PAIRS,
+    "cable_clearance": Part(lambda gamma: 1.0 + _largest(gamma), lambda _: 2.0),
+    "crossing": Part(lambda gamma: 2.0 * _largest(gamma), lambda _: 2.0),
+    "legs": Part(lambda gamma: 1.0 + gamma, lambda _: 1.0),
+    "span": OF_PAIRS,
+    "arena": Part(_largest, lambda _: 1.0),
+    "keep_out": Part(lambda _: 1.0, lambda _: 1.0),
+    "downwash": OF_PAIRS,
+    "object_clearance": Part(_largest, _largest),  # if ``limits.tracking`` is stated
+    "speed": RATES,
+    "acceleration": RATES,
+    "jerk": RATES,
+    "vertex_speed": RATES,
+    "body_rate": RATES,
+    "continuity": RATES,
+    "duration": RATES,
+    "thrust": FORCES,
+    "tilt": FORCES,
+    "tension": FORCES,
+    "cable_length": FORCES,
+    "equilibrium": FORCES,
+    "grip": FORCES,
+    "support": FORCES,
+    "convexity": "shapes of displaced polygons are not bounded",
+    "interlacing": "cables that keep their distances do not pass through each other",
+    "hinge": "its limit contains limits.tracking",
+}
+"""Each check's part in the radius, or the reason why it has none."""
 
 
 def flattened(motion: Motion) -> Motion:
@@ -64,23 +121,27 @@ def flattened(motion: Motion) -> Motion:
 
 def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
     """Return the radius [m]; infinite if no distance is checked."""
+    parts = {name: part for name, part in PARTS.items() if isinstance(part, Part)}
     if (flat := flattened(motion)) is not motion:
-        again = {
-            rule.name: rule.span_results(flat) for rule in RULES if rule.limit_of(flat) is not None
-        }
+        rules = [rule for rule in RULES if rule.limit_of(flat) is not None]
+        again = {rule.name: rule.span_results(flat) for rule in rules}
         motion, results = flat, {**results, **again}
-    ratio, terms = max(1.0, gamma), [WorstCase(math.inf, 0.0)]
-    # Approach of bodies per radius, with a hitch and without.
-    approach = {"cable_clearance": (1.0 + ratio, 2.0), "crossing": (2.0 * ratio, 2.0)}
-    approach |= {"legs": (1.0 + gamma, 1.0), "arena": (ratio, 1.0), "keep_out": (1.0, 1.0)}
-    if motion.requirements.limits.tube.level:
-        approach["object_clearance"] = (ratio, ratio)
-    for name, factors in approach.items():
+    terms = [WorstCase(math.inf, 0.0)]
+    limited = bool(motion.requirements.limits.tube.level)
+    for name, part in parts.items():
+        if part.hitched is None or part.free is None:
+            continue
+        if name == OBJECT_CLEARANCE.name and not limited:
+            continue
         for each in results[name]:
-            on_floor = name == "arena" and each.states != TAUT_STATES
+            approach = part.free if each.states <= FREE_STATES else part.hitched
+            on_floor = name == ARENA.name and each.states != TAUT_STATES
             if not (on_floor or (name in HANGING_CHECKS and _is_hanging(each))):
-                slack = _slack(each.check) / factors[each.states <= FREE_STATES]
+                slack = _slack(each.check) / approach(gamma)
                 terms.append(WorstCase(slack, each.check.time, each.check.where))
+    if results[DOWNWASH.name]:
+        above = partial(drones_above_objects, motion)
+        terms.append(downwash_radius(above, motion.requirements, 1.0))
     if motion.requirements.arena is not None:  # without drones at rest on its floor
         wall = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
         where = (motion.team.drone_names[wall.item],)
@@ -207,6 +268,76 @@ class Ellipsoid(Shape):
             slope = 2.0 * (x * x / (t + a * a) + z * z / (t + b * b))
             t = t + np.where(outside, (x * x + z * z - 1.0) / np.where(outside, slope, 1.0), 0.0)
         return unit(np.where(outside[..., None], offsets / (t[..., None] + self.axes**2), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class Wash(Shape):
+    """A drone's ellipsoid and a slab, or none: their sum, from which drones keep off.
+
+    Semi-axes of the ellipsoid are ``axes`` (3,) [m], the first two equal.
+    """
+
+    slab: Slab | None
+    axes: Array
+
+    def support(self, directions: Array) -> Array:
+        """Return the support function (…) [m] along directions (…, 3)."""
+        reach = Ellipsoid(self.axes).support(directions)
+        return reach if self.slab is None else np.asarray(reach + self.slab.support(directions))
+
+    def normals(self, corners: Array) -> Array:
+        """Return outward normals (…, 3) nearest to hulls (…, corners, 3), by projections in turn.
+
+        With a slab, hulls are points.
+        """
+        ellipsoid, inner = Ellipsoid(self.axes), np.zeros_like(corners[..., 0, :])
+        for _ in range(PROJECTIONS):
+            offsets = self._offsets(corners - inner[..., None, :]) + inner
+            normals = ellipsoid.normals(offsets[..., None, :])
+            # The ellipsoid's point with that normal; the offset itself inside
+            on_surface = normals * self.axes**2 / _lengths(normals * self.axes)
+            inner = np.where(np.any(normals != 0.0, axis=-1)[..., None], on_surface, offsets)
+        return normals
+
+    def _offsets(self, corners: Array) -> Array:
+        """Return the shortest vectors (…, 3) to hulls from the slab, or from the origin."""
+        if self.slab is None:
+            return shortest_offset(corners)
+        clearance = self.slab.clearance(corners[..., 0, :])
+        return clearance.normals * np.maximum(clearance.distance, 0.0)[..., None]
+
+
+def _lengths(vectors: Array) -> Array:
+    """Return lengths (…, 1) of vectors (…, 3), 1 for zero vectors."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(lengths > 0.0, lengths, 1.0)
+
+
+def _error(spans: PairSpans, floor: float | None = None) -> Bound:
+    """Return the sum of errors [m] with which drones meet no body within their ellipsoids.
+
+    A body that is above a drone as planned remains there up to an error by their heights.
+    """
+    distances = gap(spans)
+    return Bound(np.maximum(distances.value, lead(spans, floor)), distances.x)
+
+
+def downwash_radius(
+    pairs: Callable[..., Iterable[Moving]], requirements: Requirements, approach: float
+) -> WorstCase:
+    """Return the largest error [m] with which drones keep off what their downwash would move.
+
+    ``pairs`` yields the pairs of bodies for a scale of coordinates, a formula and a shape. These
+    approach each other by ``approach`` times the error.
+    """
+    scale = np.array([1.0, 1.0, 1.0 / requirements.height_ratio])
+    axes, worst = 0.5 * ellipsoid_axes(requirements), WorstCase(math.inf, 0.0)
+    for moving in pairs(scale, formula=_error, shape=partial(Wash, axes=axes)):
+        pair = smallest(moving, incumbent=worst.worst * approach)
+        radius = max(pair.worst, 0.0) / approach
+        if pair.item >= 0 and radius < worst.worst:
+            worst = WorstCase(radius, pair.time, moving.pair_names(pair.item))
+    return worst
 
 
 TRACKING_RADIUS = ReportRule(

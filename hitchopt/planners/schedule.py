@@ -24,7 +24,7 @@ from hitchopt.geometry import differences, hull_distance, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.motion import Group
+from hitchopt.motion.motion import CableState, Group
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
@@ -61,6 +61,12 @@ class SampledPath:
         return len(self.times)
 
     @cached_property
+    def _pieces(self) -> Indices:
+        """Pieces of the motion at all times (samples,)."""
+        inner = self.group.motion.drones.breaks[1:-1]
+        return np.searchsorted(inner, self.times, side="right")
+
+    @cached_property
     def drones(self) -> SampledBodies:
         """All drones."""
         motion, upright = self.group.motion, np.zeros(len(self), np.bool_)
@@ -77,7 +83,7 @@ class SampledPath:
             return SampledBodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
         breaks = motion.drones.breaks
         ends = PiecewisePolynomial(breaks, taut_parts(motion).corners).at(self.times)
-        formed = motion.formed[np.searchsorted(breaks[1:-1], self.times, side="right")]
+        formed = motion.formed[self._pieces]
         cable = np.arange(ends.shape[1]) % n  # regions fill the array repeatedly
         sheets = PiecewisePolynomial(breaks, cable_sheets(motion).corners).at(self.times)[:, cable]
         outlines, is_taut = sheets[:, :, :-2], formed[:, None, None]
@@ -92,9 +98,10 @@ class SampledPath:
 
     @cached_property
     def taut(self) -> SampledBodies:
-        """Parts of taut cables, far away while there is no hitch."""
-        cables = self.cables
-        offset = np.where(cables.upright, FAR, 0.0)[:, None, None]
+        """Parts of taut cables, and regions of those that are laid; far away at other times."""
+        cables, motion = self.cables, self.group.motion
+        laid = motion.in_states(frozenset({CableState.LAYING}))[self._pieces]
+        offset = np.where(cables.upright & ~laid, FAR, 0.0)[:, None, None]
         corners = cables.corners + offset[..., None]
         return cables._replace(corners=corners, heights=cables.heights + offset)
 

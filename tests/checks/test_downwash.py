@@ -7,13 +7,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_hand import cable_points
+from groups import moved, part
 from motions import TRIANGLE, lines, random_motion, row, still
 from plans import planned
 
 import hitchopt as ho
 from hitchopt import verify
-from hitchopt.checks import certify
-from hitchopt.checks.across import check_across
+from hitchopt.checks import Check, certify
+from hitchopt.checks.across import ACROSS, check_across, radius_across
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.combined import combined, moved_objects
@@ -95,6 +97,93 @@ def test_no_sample_of_a_cable_below_a_drone_exceeds_the_bound(seed: int, tmp_pat
     assert (rows[0].verdict == "proven") is (check.bound >= 1.0)
 
 
+def turned(motion: Motion, angle: float, shift: Array) -> Motion:
+    """Return a motion without objects, turned about the vertical axis and shifted."""
+    c, s = np.cos(angle), np.sin(angle)
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    parts = {name: getattr(motion, name) for name in ("drones", "vertices")}
+    return motion.replaced(
+        **{
+            name: part.replaced(rotation @ part.coefficients + shift[:, None])
+            for name, part in parts.items()
+        }
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_cables_that_are_laid_are_below_drones_too(seed: int, tmp_path: Path) -> None:
+    """They hang as catenaries, and are taut."""
+    rng = np.random.default_rng(seed)
+    laid = part(planned("lay_triangle").motion, "slide in", "lay")
+    laid = turned(laid, rng.uniform(0.0, 6.0), np.array([3.0, -7.0, 0.4]))
+    laid = laid.replaced(requirements=replace(laid.requirements, separation=SEPARATION))
+    end, k = laid.duration, int(rng.integers(3))
+    ends = laid.drones.at(rng.uniform(0.0, end))[2 * k : 2 * k + 2]
+    place = ends[0] + rng.uniform(0.2, 0.8) * (ends[1] - ends[0])
+    places = place + rng.uniform(-0.1, 0.1, (2, 1, 3)) + [0.0, 0.0, rng.uniform(0.1, 0.5)]
+    drone = lines(*places, seconds=end, separation=SEPARATION)
+    motion = combined([Group("a", laid), Group("s", drone)])
+    check = check_across(RULE_OF["downwash"], motion)
+    assert check is not None
+    times = np.linspace(0.0, end, 201)
+    points = cable_points(laid.team.cable_length, laid.drones.at(times))
+    offset = points.reshape(len(times), -1, 3) - drone.drones.at(times)
+    ratio = np.linalg.norm(offset / [0.11, 0.11, 0.29], axis=-1)
+    worst = float(np.min(np.where(offset[..., 2] <= 0.0, ratio, np.inf)))
+    chords = laid.drones.at(times).reshape(len(times), -1, 2, 3)
+    middle = np.mean(chords, axis=2)[..., 2] - points[:, :, points.shape[2] // 2, 2]
+    assert worst - 1.1 * np.max(middle) / 0.11 <= check.bound <= worst
+    assert check.where[1].startswith("a.cable")
+    write_plan(tmp_path / "plan.npz", motion)
+    (found,) = (each for each in verify.verify(tmp_path) if each.name == "downwash")
+    assert (found.verdict == "proven") is (check.bound >= 1.0)
+
+
+@pytest.mark.parametrize("laid", [True, False])
+@pytest.mark.parametrize("height", [0.05, 0.35, 0.7])
+def test_errors_up_to_the_radius_bring_no_drone_over_a_cable(laid: bool, height: float) -> None:
+    whole = planned("lay_triangle").motion
+    below = part(whole, "lay", "lay") if laid else part(whole, "hold", "hold")
+    below = held(turned(below, 0.7, np.array([3.0, -7.0, 0.4])))
+    q, r = below.drones.at(0.0)[2:4] if laid else below.vertices.at(0.0)[:2]
+    place = 0.45 * q + 0.55 * r + [0.0, 0.0, height]
+    radius = group_radius(below, place)
+    assert (radius > 0.0) is (height > 0.3)
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(30, 2, 3)) + [[0.0, 0.0, -2.0], [0.0, 0.0, 2.0]]
+    ways /= np.linalg.norm(ways, axis=-1, keepdims=True)
+    for drone, cable in 0.999 * radius * ways:
+        check = across_check(moved(below, *cable), place + drone, "downwash")
+        assert radius == 0.0 or check is None or check.bound >= 1.0
+
+
+def held(motion: Motion) -> Motion:
+    """Return a motion that stays at its start, in its first state."""
+    parts = ("drones", "vertices", "legs", "tensions")
+    at_start = {
+        name: getattr(motion, name).replaced(
+            np.repeat(getattr(motion, name).coefficients[..., :1], 2, axis=-1)
+        )
+        for name in parts
+    }
+    still = motion.replaced(**at_start)
+    return still.slice_pieces(slice(0, 1), still.phases[:1])
+
+
+def across_check(below: Motion, place: Array, name: str) -> Check | None:
+    """Return the check between a group and a drone that hovers."""
+    drone = lines(place[None], place[None], seconds=below.duration)
+    return check_across(RULE_OF[name], combined([Group("a", below), Group("s", drone)]))
+
+
+def group_radius(below: Motion, place: Array) -> float:
+    """Return the tracking radius of what is between a group and a drone that hovers."""
+    drone = lines(place[None], place[None], seconds=below.duration)
+    motion = combined([Group("a", below), Group("s", drone)])
+    checks = [check_across(RULE_OF[name], motion) for name in ACROSS]
+    return radius_across(motion, checks, 1.0).worst
+
+
 def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:
     box = ho.SolidObject(BOX, 0.0, 0.6, at=[1.0, 0.0, 0.0])
     start, goal = np.array([[0.0, 0.0, 0.8]]), np.array([[2.2, 0.0, 0.8]])
@@ -146,3 +235,13 @@ def test_schedules_keep_drones_off_what_is_below_them() -> None:
                 assert slack[0, 0] == pytest.approx((height / 0.29 - 1.0) * 0.11)
             else:
                 assert slack[0, 0] > 0.05
+
+
+@pytest.mark.parametrize("name", ["draw taut", "lay"])
+def test_schedules_keep_drones_off_cables_that_are_laid_below_them(name: str) -> None:
+    below = part(planned("lay_triangle").motion, name, name)
+    below = held(turned(below, 0.7, np.array([3.0, -7.0, 0.4])))
+    place = np.mean(below.drones.at(0.0)[2:4], axis=0) + [0.0, 0.0, 0.2]
+    hover = SampledPath(Group("s", lines(place[None], place[None], separation=SEPARATION)))
+    slack = slacks(SampledPath(Group("a", below)), hover, SEPARATION)
+    assert bool(slack[0, 0] < 0.0) is (name == "lay")

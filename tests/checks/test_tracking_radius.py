@@ -26,10 +26,12 @@ from plans import planned
 from refusals import assert_refused
 
 import hitchopt as ho
-from hitchopt.checks import Check, certify
+from hitchopt.checks import Check, certify, tracking
 from hitchopt.checks.distances import closeness
-from hitchopt.checks.registry import MERGEABLE_REPORTS
+from hitchopt.checks.registry import MERGEABLE_REPORTS, RULES
+from hitchopt.checks.tracking import PARTS, Part
 from hitchopt.hitch import Team
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
@@ -220,6 +222,59 @@ def test_binding_distances_are_named() -> None:
             assert radius_of(near, gamma).bound == pytest.approx(1e-3 / number, rel=1e-3), name
     low = keeping(arena=Arena([-9, -9, 0.999], [9, 9, 3]))
     assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_every_check_has_a_part_or_a_reason() -> None:
+    assert PARTS.keys() == {rule.name for rule in RULES}
+    by_slack = {name for name, each in PARTS.items() if isinstance(each, Part) and each.free}
+    assert by_slack == {rule.name for rule in tracking.RULES}
+    positions = {rule.name for rule in RULES if rule.name in DISTANCES}
+    assert positions <= {name for name, each in PARTS.items() if isinstance(each, Part)}
+
+
+OBSTACLES = {
+    "box": ho.Section([[0.0, 0.1], [0.3, 0.15], [0.3, -0.1], [0.0, -0.1]]),
+    "disc": ho.Section(radius=0.2),
+}
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
+@pytest.mark.parametrize("section", OBSTACLES)
+@pytest.mark.parametrize(
+    "at", [[0.1, 0.0, 0.6], [0.1, 0.0, -0.4], [0.45, 0.1, 0.3], [0.1, 0.45, 0.25], [0.5, 0.5, 0.02]]
+)
+def test_single_drones_keep_all_distances_up_to_the_radius(
+    at: list[float], section: str, ratio: float
+) -> None:
+    """Also where errors bring a drone above a thin plate that it passes below; and not much more.
+
+    The plate hovers off the origin, turned.
+    """
+    plate = ho.SolidObject(
+        OBSTACLES[section], 1.0, 1.02, 0.02, 0.3, at=[2.0, -1.0, 0.0], yaw=0.8, fixed=False
+    )
+    turn = np.array([[np.cos(0.8), -np.sin(0.8), 0.0], [np.sin(0.8), np.cos(0.8), 0.0], [0, 0, 1]])
+    place = np.array([2.0, -1.0, 1.02]) + turn @ at
+
+    def motion(place: Array) -> Motion:
+        hover = lines(place[None], place[None], objects={"plate": plate}, separation=WIDE)
+        return with_tracking(hover, ho.Tube(0.01, 0.01 * ratio))
+
+    radius = radius_of(motion(place)).bound
+    assert 0.0 < radius < 1.0
+    rng = np.random.default_rng(3)
+    ways = rng.normal(size=(150, 3))
+    ways = np.concatenate([ways, np.eye(3), -np.eye(3), plate.at + [0.1, 0.0, 1.02] - place + ways])
+    ways /= np.linalg.norm(ways / [1.0, 1.0, ratio], axis=-1, keepdims=True)
+
+    def holds(place: Array) -> bool:
+        return all(row(motion(place), name).holds for name in ("downwash", "keep_out"))
+
+    assert all(holds(place + 0.999 * radius * way) for way in ways)
+    assert ratio > 1.0 or not all(holds(place + (1.25 * radius + 0.01) * way) for way in ways)
+
+
+WIDE = Separation(radius=0.12, height=0.3)
 
 
 def test_the_floor_is_ignored_for_standing_drones() -> None:
