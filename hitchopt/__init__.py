@@ -1,38 +1,113 @@
 """hitchopt plans how teams of quadrotors tie and reshape polygonal cable hitches in midair.
 
-``__init__.pyi`` lists the public names. They are imported when they are first used: ``import
-hitchopt`` stays light.
+The public names are imported when they are first used: ``import hitchopt`` stays light.
 """
 
 from __future__ import annotations
 
-import ast
 from importlib import import_module
-from pathlib import Path
 
-_STUB = ast.parse(Path(__file__).with_suffix(".pyi").read_text("utf-8")).body
-
-_MODULES = {
-    name.name: str(line.module)
-    for line in _STUB
-    if isinstance(line, ast.ImportFrom) and str(line.module).startswith("hitchopt.")
-    for name in line.names
-    if name.asname == name.name
-} | {
-    line.name: "hitchopt.api" for line in _STUB if isinstance(line, ast.ClassDef | ast.FunctionDef)
+PUBLIC_NAMES = {
+    "api": ("Mission", "export", "repair", "separate", "solve", "suggestions"),
+    "checks": ("Certificate", "CertificateError", "Check", "certify"),
+    "checks.distances": ("Closeness",),
+    "errors": (
+        "FileError",
+        "HitchoptError",
+        "InfeasibleError",
+        "InputError",
+        "TimeLimitError",
+        "UnitWarning",
+        "UnsupportedError",
+        "Violation",
+    ),
+    "exports.lint": ("lint",),
+    "geometry": ("ConvexArc", "ConvexPolygon", "regular_polygon"),
+    "hitch": ("Hitch", "Quadrotor", "Swarm", "Team"),
+    "hitch.catenary": ("hanging_cable",),
+    "hitch.flight_controller": ("FlightController", "Gains", "Tube"),
+    "hitch.holding": ("Capacity", "Grip"),
+    "hitch.requirements": ("Arena", "Limits", "Prism", "Separation"),
+    "hitch.team": ("Assignment",),
+    "lab.feedback": ("Feedback",),
+    "lab.flights.alignment": ("Alignment",),
+    "lab.flights.evaluation": ("Evaluation", "evaluate"),
+    "lab.flights.hover": ("DroneHover", "HoverCalibration", "calibrate_hover"),
+    "lab.flights.readers": ("read_flight",),
+    "lab.flights.recordings": ("RecordedFlight", "Recording", "Signal", "Track"),
+    "lab.flights.replay": ("ReplayedFilter", "replay_filters"),
+    "lab.simulation.report": ("simulate",),
+    "lab.statics.calibrate": ("Calibration", "Estimate", "calibrate"),
+    "lab.statics.fit": ("Fit", "Holding", "fit"),
+    "lab.statics.settle": ("Settled", "settle"),
+    "lab.statics.tolerance": ("ErrorSize", "Tolerance", "tolerance"),
+    "lab.sweeps.study": ("Study",),
+    "lab.sweeps.sweep": ("SweepError", "load_sweep", "run_sweep"),
+    "live.player": ("Player", "Setpoints"),
+    "live.replanner": ("Replanner", "Retarget"),
+    "mission.changes": ("Change",),
+    "mission.loading": ("load_problem", "problem_from_dict"),
+    "mission.others": ("Other",),
+    "mission.problem": ("DronesStart", "HitchStart", "Problem"),
+    "mission.repair": ("Suggestion",),
+    "mission.solving": ("forget",),
+    "motion.motion": ("Motion", "Phase"),
+    "motion.states": ("States",),
+    "objects": ("Rim", "Section", "SolidObject"),
+    "plan": ("Plan", "closest", "combine", "load"),
+    "planners.forming": ("SwapSettings",),
+    "single_steps": (
+        "adjust",
+        "follow_vertex",
+        "form",
+        "hold",
+        "land",
+        "morph",
+        "move_edge",
+        "move_vertex",
+        "open_vertex",
+        "release",
+        "transport",
+    ),
+    "steps.carrying": (
+        "Carry",
+        "Enclose",
+        "Grasp",
+        "Leave",
+        "Lift",
+        "Loosen",
+        "SetDown",
+        "TransportObject",
+    ),
+    "steps.flying": ("Fly",),
+    "steps.moving": (
+        "Adjust",
+        "FollowVertex",
+        "Hold",
+        "Morph",
+        "MoveEdge",
+        "MoveVertex",
+        "Settle",
+        "Transport",
+    ),
+    "steps.straddling": ("Tie", "Untie"),
+    "steps.tying": ("CloseVertex", "Form", "Land", "OpenVertex", "Release"),
+    "trajectory": ("PiecewisePolynomial",),
 }
-"""Module of every public name."""
+"""Public names by the module of this package that defines them; ``__init__.pyi`` has the same."""
 
-__all__ = sorted(_MODULES)  # noqa: PLE0605, there is one list of names
+_MODULES = {name: f"hitchopt.{module}" for module, names in PUBLIC_NAMES.items() for name in names}
+
+__all__ = sorted(_MODULES)  # noqa: PLE0605, the names above
 
 
 def __getattr__(name: str) -> object:
+    """Import a public name from its module."""
     if name == "__version__":
         return import_module("importlib.metadata").version("hitchopt")
     if name not in _MODULES:
         raise AttributeError(f"module 'hitchopt' has no attribute '{name}'")
     value: object = getattr(import_module(_MODULES[name]), name)
-    globals()[name] = value
     return value
 
 

@@ -1,40 +1,62 @@
-"""The Python interface: plan problems, missions and single steps; export plans.
+"""The Python interface: plan problems and missions, repair problems, export plans.
 
 ``solve`` plans problems and problem files. ``Mission`` builds a problem step by step, with a method
-for each kind of step. Kinds of steps without an object are functions too: ``morph``, ``form``, ….
-Methods and functions are generated from ``hitchopt.steps.STEPS``, with the arguments and docstrings
-of the steps' records; ``__init__.pyi`` lists them for type checkers and completion.
+for each kind of step. ``single_steps.py`` has functions that plan one step.
 """
 
 from __future__ import annotations
 
-import inspect
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypedDict
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
-from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.requirements import Arena, Limits, Separation
-from hitchopt.mission.problem import DronesStart, Problem, Start
+from hitchopt.geometry import Outline
+from hitchopt.mission.problem import Problem
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.request import check_request
 from hitchopt.plan import Plan, load
-from hitchopt.steps import STEPS
-from hitchopt.steps.moving import Settle
-from hitchopt.steps.step import Stage, Step
-from hitchopt.steps.straddling import Tie
+from hitchopt.planners.forming import SwapSettings
+from hitchopt.steps.carrying import (
+    Carry,
+    Enclose,
+    Grasp,
+    HoldMethod,
+    Leave,
+    Lift,
+    Loosen,
+    SetDown,
+    TransportObject,
+)
+from hitchopt.steps.moving import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    Settle,
+    Transport,
+)
+from hitchopt.steps.step import Step
+from hitchopt.steps.straddling import Tie, Untie
+from hitchopt.steps.tying import Assign, CloseVertex, Form, Land, OpenVertex, Release
 from hitchopt.storage.yaml_file import read_text
 from hitchopt.values import check_instance, path, positive, text
-from hitchopt.values.fields import EMPTY, check_keywords, keys_of, parameter_docs
+from hitchopt.values.fields import suggest_keywords
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
+
+Polygon = Outline | ArrayLike
+"""Vertices [x, y] [m] of a hitch, clockwise seen from above."""
+
+SettleTime = float | Literal["auto", False]
+"""Duration [s] of the swings that end a step of cables with friction."""
 
 Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
 """Legs as an argument: a mode, (n,) ``d_k`` [m], or a mapping with sharing and roll_deg."""
@@ -154,9 +176,8 @@ def _loaded(given: Any, kind: Literal["hitch", "swarm"] | None = None) -> Proble
 class Mission(Problem):
     """A problem that is built step by step; every method returns a mission with one more step.
 
-    There is a method for each kind of step, with the arguments of its record: ``form``, ``morph``,
-    ``move_vertex``, …. It raises InputError if a step is invalid. The other arguments are those of
-    a Problem.
+    There is a method for each kind of step, with the arguments of its record. It raises InputError
+    if the step is invalid or does not fit. The arguments of a mission are those of a Problem.
     """
 
     complete: ClassVar[bool] = False
@@ -183,119 +204,475 @@ class Mission(Problem):
         """Return the certified plan; arguments and errors are those of ``hitchopt.solve``."""
         return solve(self.problem, progress, limit=limit)
 
+    @suggest_keywords
+    def morph(
+        self,
+        polygon: Polygon,
+        legs: Legs | None = None,
+        duration: float | None = None,
+        blend: bool = False,
+        optimize: bool = False,
+        tension: tuple[float, float] | None = None,
+        settle: SettleTime = "auto",
+    ) -> Self:
+        """Change the polygon: every vertex moves to its place.
 
-class Required(TypedDict, total=False):
-    """Keywords of every step function: requirements of the plan, and the time limit."""
+        Parameters
+        ----------
+        polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot;
+            one more of the convex arc of an open chain.
+        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
+            as sharing, with a roll_deg, at the step's end.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        blend: go on into the next step without a stop.
+        optimize: look for a faster route even where the straight one satisfies all limits.
+        tension: range of tensions meanwhile [N].
+        settle: where cables have friction and slid, duration of the swings that end the step, as by
+            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        """
+        return self.then(
+            new_step(
+                Morph,
+                polygon=polygon,
+                legs=legs,
+                duration=duration,
+                blend=blend,
+                optimize=optimize,
+                tension=tension,
+                settle=settle,
+            )
+        )
 
-    limits: Limits | None
-    separation: Separation | None
-    arena: Arena | None
-    limit: float | None
+    @suggest_keywords
+    def hold(self, seconds: float) -> Self:
+        """Keep everything at rest.
+
+        Parameters
+        ----------
+        seconds: how long [s].
+        """
+        return self.then(new_step(Hold, seconds=seconds))
+
+    @suggest_keywords
+    def move_vertex(
+        self,
+        vertex: int,
+        to: ArrayLike | None = None,
+        by: ArrayLike | None = None,
+        legs: Legs | None = None,
+        duration: float | None = None,
+        blend: bool = False,
+        settle: SettleTime = "auto",
+    ) -> Self:
+        """Move one vertex.
+
+        Only the four drones move that the paper names; where a limit binds, further drones slide
+        along their cables as well.
+
+        Parameters
+        ----------
+        vertex: which, from 0.
+        to: where to, [x, y] [m].
+        by: by how much, [dx, dy] [m], in place of to.
+        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
+            as sharing, with a roll_deg, at the step's end.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        blend: go on into the next step without a stop.
+        settle: where cables have friction and slid, duration of the swings that end the step, as by
+            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        """
+        return self.then(
+            new_step(
+                MoveVertex,
+                vertex=vertex,
+                to=to,
+                by=by,
+                legs=legs,
+                duration=duration,
+                blend=blend,
+                settle=settle,
+            )
+        )
+
+    @suggest_keywords
+    def move_edge(
+        self,
+        edge: int,
+        to: ArrayLike | None = None,
+        by: ArrayLike | None = None,
+        legs: Legs | None = None,
+        duration: float | None = None,
+        blend: bool = False,
+        settle: SettleTime = "auto",
+    ) -> Self:
+        """Move both ends of one edge.
+
+        Edge k runs from vertex k to vertex k + 1. Four drones move, or six where edges turn.
+
+        Parameters
+        ----------
+        edge: which, from 0.
+        to: where its ends go, [[x, y], [x, y]] [m], its first vertex first.
+        by: by how much, [dx, dy] [m], in place of to.
+        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
+            as sharing, with a roll_deg, at the step's end.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        blend: go on into the next step without a stop.
+        settle: where cables have friction and slid, duration of the swings that end the step, as by
+            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        """
+        return self.then(
+            new_step(
+                MoveEdge,
+                edge=edge,
+                to=to,
+                by=by,
+                legs=legs,
+                duration=duration,
+                blend=blend,
+                settle=settle,
+            )
+        )
+
+    @suggest_keywords
+    def adjust(
+        self,
+        legs: Legs = "balanced",
+        duration: float | None = None,
+        blend: bool = False,
+        settle: SettleTime = "auto",
+    ) -> Self:
+        """Slide cables through their clasps; the outline stays.
+
+        Parameters
+        ----------
+        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
+            as sharing, with a roll_deg.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        blend: go on into the next step without a stop.
+        settle: where cables have friction and slid, duration of the swings that end the step, as by
+            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        """
+        return self.then(new_step(Adjust, legs=legs, duration=duration, blend=blend, settle=settle))
+
+    @suggest_keywords
+    def follow_vertex(
+        self,
+        vertex: int,
+        path: ArrayLike,
+        legs: Legs | None = None,
+        speed: float | None = None,
+        settle: SettleTime = "auto",
+    ) -> Self:
+        """Move one vertex through points, at rest before and after.
+
+        It meets timed points at their times. With a speed, points need no times: it moves at this
+        speed on a smooth path through them. It stops at points where it turns by more than a right
+        angle, and is slower where a drone's limit binds.
+
+        Parameters
+        ----------
+        vertex: which, from 0.
+        path: points [t, x, y] [s, m, m], t from the step's start, increasing; between equal points
+            that follow each other the vertex stands still; with a speed also points [x, y].
+        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
+            as sharing, with a roll_deg, at the step's end.
+        speed: largest speed of the vertex, which it keeps on its path through points [x, y] [m/s];
+            None: limits.vertex_speed.
+        settle: where cables have friction and slid, duration of the swings that end the step, as by
+            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        """
+        return self.then(
+            new_step(FollowVertex, vertex=vertex, path=path, legs=legs, speed=speed, settle=settle)
+        )
+
+    @suggest_keywords
+    def transport(self, to: ArrayLike, yaw: float = 0.0, duration: float | None = None) -> Self:
+        """Move the whole hitch and turn it about its centroid; its shape and legs stay.
+
+        Parameters
+        ----------
+        to: where its centroid goes, [x, y, z] [m].
+        yaw: by how much it turns, counter-clockwise [rad].
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Transport, to=to, yaw=yaw, duration=duration))
+
+    @suggest_keywords
+    def settle(self, seconds: float | Literal["auto"] = "auto") -> Self:
+        """Swing the drones to remove friction hysteresis at the clasps.
+
+        Drones swing about their places, by less and less; vertices stay within the plan.
+
+        Parameters
+        ----------
+        seconds: how long [s]; auto: four swings, slower where limits need that.
+        """
+        return self.then(new_step(Settle, seconds=seconds))
+
+    @suggest_keywords
+    def form(
+        self,
+        polygon: Polygon,
+        altitude: float = 1.0,
+        legs: Legs | None = None,
+        assign: Assign = "auto",
+        swap: SwapSettings | None = None,
+        settle: SettleTime = "auto",
+        by: Literal["swaps", "laying"] = "swaps",
+        order: ArrayLike | Literal["auto"] = "auto",
+        duration: float | None = None,
+    ) -> Self:
+        """Tie a hitch from drones with hanging cables, which the team's tension then pulls.
+
+        Without ``legs`` they are spread, with a margin to the cables where drones stand close to
+        them.
+
+        Parameters
+        ----------
+        polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot;
+            one more of the convex arc of an open chain.
+        altitude: height of the hitch's plane [m].
+        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
+            as sharing, with a roll_deg, at the step's end; spread without it.
+        assign: auto: which robot takes which edge, and which end is its q, is chosen; fixed: in
+            order.
+        swap: how drones turn in pairs.
+        settle: where cables have friction and slid, duration of the swings that end the step, as by
+            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        by: swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and
+            every pair rolls by half a turn.
+        order: order of laying, robots from bottom to top; auto: alternating levels.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(
+            new_step(
+                Form,
+                polygon=polygon,
+                altitude=altitude,
+                legs=legs,
+                assign=assign,
+                swap=swap or SwapSettings(),
+                settle=settle,
+                by=by,
+                order=order,
+                duration=duration,
+            )
+        )
+
+    @suggest_keywords
+    def open_vertex(self, vertex: int, duration: float | None = None) -> Self:
+        """Roll a vertex's pair until both cables run straight through and lie on one another.
+
+        What is left is a chain on the same lines: all other vertices hold.
+
+        Parameters
+        ----------
+        vertex: which, from 0.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(OpenVertex, vertex=vertex, duration=duration))
+
+    @suggest_keywords
+    def close_vertex(self, vertex: int, duration: float | None = None) -> Self:
+        """Roll the pair of an open vertex back into its clasp.
+
+        Parameters
+        ----------
+        vertex: which, from 0.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(CloseVertex, vertex=vertex, duration=duration))
+
+    @suggest_keywords
+    def release(self, duration: float | None = None) -> Self:
+        """Untie the hitch in the reverse order of tying, until its cables hang free.
+
+        Parameters
+        ----------
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Release, duration=duration))
+
+    @suggest_keywords
+    def land(self, duration: float | None = None) -> Self:
+        """Descend straight to the ground.
+
+        Parameters
+        ----------
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Land, duration=duration))
+
+    @suggest_keywords
+    def enclose(self, object: str, duration: float | None = None) -> Self:
+        """Rise above an object, take a polygon around it, and descend around it.
+
+        It ends just below the object's rim, or, without one, as high as the centre of mass.
+
+        Parameters
+        ----------
+        object: name of the object.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Enclose, object=object, duration=duration))
+
+    @suggest_keywords
+    def grasp(
+        self,
+        object: str,
+        by: HoldMethod = "rest",
+        tension: float | None = None,
+        duration: float | None = None,
+    ) -> Self:
+        """Close the hitch below the object's rim and rise to it, or close it around its body.
+
+        Parameters
+        ----------
+        object: name of the object.
+        by: rest: its rim lies on the clasps; grip: cables are wrapped around it.
+        tension: of all cables while it is held [N]; without it the team's.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Grasp, object=object, by=by, tension=tension, duration=duration))
+
+    @suggest_keywords
+    def lift(self, by: float, duration: float | None = None) -> Self:
+        """Pass the object's weight to the clasps, and lift it straight up.
+
+        Parameters
+        ----------
+        by: how far up [m].
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Lift, by=by, duration=duration))
+
+    @suggest_keywords
+    def carry(
+        self, object: str, to: ArrayLike, yaw: float = 0.0, duration: float | None = None
+    ) -> Self:
+        """Fly the object on a straight line and turn it, so gently that it stays on its supports.
+
+        Parameters
+        ----------
+        object: name of the object.
+        to: where its base goes, [x, y, z] [m].
+        yaw: by how much it turns, counter-clockwise [rad].
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Carry, object=object, to=to, yaw=yaw, duration=duration))
+
+    @suggest_keywords
+    def set_down(self, object: str, duration: float | None = None) -> Self:
+        """Lower the object until it stands, and pass its weight to its support.
+
+        Parameters
+        ----------
+        object: name of the object.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(SetDown, object=object, duration=duration))
+
+    @suggest_keywords
+    def loosen(self, object: str, duration: float | None = None) -> Self:
+        """Open the hitch around the object, below its rim, and return to the team's tension.
+
+        Parameters
+        ----------
+        object: name of the object.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Loosen, object=object, duration=duration))
+
+    @suggest_keywords
+    def leave(self, object: str, duration: float | None = None) -> Self:
+        """Rise straight up until the hitch is above all objects.
+
+        Parameters
+        ----------
+        object: name of the object.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Leave, object=object, duration=duration))
+
+    @suggest_keywords
+    def transport_object(
+        self,
+        object: str,
+        to: ArrayLike,
+        by: HoldMethod | None = None,
+        tension: float | None = None,
+        yaw: float = 0.0,
+        lift: float = 0.3,
+        via: ArrayLike | None = None,
+    ) -> Self:
+        """Take an object and set it down elsewhere, in seven steps, or more by ``via``.
+
+        Two robots tie their cables around it, and untie them.
+
+        Parameters
+        ----------
+        object: name of the object.
+        to: where its base goes, [x, y, z] [m].
+        by: rest: its rim lies on the clasps; grip: cables are wrapped around it; without it rest if
+            it has a rim.
+        tension: of all cables while it is held [N]; without it the team's.
+        yaw: by how much it turns, counter-clockwise [rad].
+        lift: how far above the higher of the two places [m].
+        via: where its base goes between, at rest there.
+        """
+        return self.then(
+            new_step(
+                TransportObject,
+                object=object,
+                to=to,
+                by=by,
+                tension=tension,
+                yaw=yaw,
+                lift=lift,
+                via=via,
+            )
+        )
+
+    @suggest_keywords
+    def tie(
+        self,
+        around: str,
+        at: float | None = None,
+        tension: float | None = None,
+        duration: float | None = None,
+    ) -> Self:
+        """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
+
+        They come down beside it, bend around it, and each pair of drones at an end turns fully.
+        Cables grip the object with the team's tension then.
+
+        Parameters
+        ----------
+        around: name of the object.
+        at: height of the clasps above its base [m]; None: at its rim, or else high.
+        tension: of all cables while they are tied [N]; None: low, as their weight permits.
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Tie, around=around, at=at, tension=tension, duration=duration))
+
+    @suggest_keywords
+    def untie(self, duration: float | None = None) -> Self:
+        """Untie the cables in the reverse order of tying, until they hang beside the object.
+
+        Parameters
+        ----------
+        duration: exactly that long [s]; without it as fast as the limits allow.
+        """
+        return self.then(new_step(Untie, duration=duration))
 
 
-START_PARAMETERS = {
-    "start": "start: the hitch at t = 0.",
-    "team": "team: the robots; the drones of robot k start at ``q[k]`` and ``r[k]``.\n"
-    "q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.",
-}
-"""Documentation of the first parameters of step functions."""
-
-REQUIREMENTS = """
-limits, separation, arena: requirements of the plan; defaults as in a problem file.
-limit: time limit [s]; None for none.
-
-Raises
-------
-InputError: an argument is invalid.
-InfeasibleError: the step cannot be planned; lists the limits that bind, where and when.
-TimeLimitError: no plan within ``limit``.
-"""
+S = TypeVar("S", bound=Step)
 
 
-def _arguments(kind: type[Step]) -> dict[str, Any]:
-    """Return the fields of a kind of step with their defaults, EMPTY for none."""
-    return {name: key.default for name, key in keys_of(kind).items()}
-
-
-def _documented(
-    function: Callable[..., Any], name: str, arguments: Mapping[str, Any], doc: str
-) -> Callable[..., Any]:
-    """Return a function with a name, a signature with default arguments, and a docstring."""
-    either, only = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
-    function.__name__, function.__qualname__ = name.rpartition(".")[2], name
-    function.__doc__ = doc
-    kinds = {key: only if key in Required.__annotations__ else either for key in arguments}
-    listed = [inspect.Parameter(k, kinds[k], default=v) for k, v in arguments.items()]
-    vars(function)["__signature__"] = inspect.Signature(listed)
-    return function
-
-
-def _method(kind: type[Step]) -> Callable[..., Mission]:
-    """Return the method of Mission that adds a step of a kind."""
-
-    def method(self: Mission, *args: Any, **kwargs: Any) -> Mission:
-        check_keywords(kind.name, [*_arguments(kind)], kwargs)
-        bound = inspect.signature(method).bind(self, *args, **kwargs).arguments
-        return self.then(kind(**{key: value for key, value in bound.items() if key != "self"}))
-
-    doc = _docstring(kind, "Return the mission with this step", parameter_docs(kind))
-    return _documented(method, f"Mission.{kind.name}", {"self": EMPTY, **_arguments(kind)}, doc)
-
-
-def _function(kind: type[Step]) -> Callable[..., Plan]:
-    """Return the function that plans a single step of a kind."""
-    fields = {key: value for key, value in _arguments(kind).items() if key != "blend"}
-    first = ("team", "q", "r") if kind.needs_hitch is False else ("start",)
-
-    def function(*args: Any, **kwargs: Any) -> Plan:
-        check_keywords(kind.name, [*arguments], kwargs)
-        bound = inspect.signature(function).bind(*args, **kwargs).arguments
-        requirements = {name: bound.pop(name, None) for name in Required.__annotations__}
-        limit = _seconds(requirements.pop("limit"))
-        start: Start
-        if kind.needs_hitch is False:
-            team, start = bound.pop("team"), DronesStart(bound.pop("q"), bound.pop("r"))
-            check_instance("team", team, Team)
-        else:
-            hitch = start = bound.pop("start")
-            check_instance("start", hitch, Hitch)
-            team = hitch.team
-        optional = {key for key, default in fields.items() if default is not EMPTY}
-        step = kind(**{k: v for k, v in bound.items() if v is not None or k not in optional})
-        resolved = step.resolved_for(team)  # invalid arguments are reported first
-        resolved.checked_polygon_after(team, start.polygon if isinstance(start, Hitch) else None)
-        specified: dict[str, Any] = {k: v for k, v in requirements.items() if v is not None}
-        try:
-            return solve(Problem(team, start, (resolved,), **specified), limit=limit)
-        except InputError as error:
-            nested = rf"^(start\.drones|mission\[0\]\.{kind.name})\b\.?"
-            raise error.renamed(lambda key: re.sub(nested, "", key) or kind.name) from None
-
-    listed = f"{START_PARAMETERS[first[0]]}\n{parameter_docs(kind, exclude='blend')}{REQUIREMENTS}"
-    doc = _docstring(kind, "Return the certified plan of this single step", listed)
-    arguments = dict.fromkeys(first, EMPTY) | fields | dict.fromkeys(Required.__annotations__)
-    return _documented(function, kind.name, arguments, doc)
-
-
-def _docstring(kind: type[Step], summary: str, listed: str) -> str:
-    """Return a docstring with the description of a kind of step and a list of parameters."""
-    description = inspect.cleandoc(kind.__doc__ or "").partition("\n\nParameters")[0]
-    return f"{summary}: {description}\n\nParameters\n----------\n{listed}"
-
-
-STEP_FUNCTIONS = tuple(
-    kind
-    for kind in STEPS
-    if (kind.stages is None or kind.stages[0] is Stage.FREE)
-    and "object" not in keys_of(kind)
-    and kind not in (Settle, Tie)
-)
-"""Kinds of steps that are functions too: those that need neither an object nor an idle robot, and
-whose name is free (``hitchopt.settle`` computes the static equilibrium with compliant drones)."""
-
-for _kind in STEPS:
-    setattr(Mission, _kind.name, _method(_kind))
-globals().update({_kind.name: _function(_kind) for _kind in STEP_FUNCTIONS})
+def new_step(kind: type[S], **arguments: Any) -> S:
+    """Return a step; its record converts and checks the arguments."""
+    return kind(**arguments)
 
 
 def export(

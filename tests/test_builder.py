@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
 import math
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,10 @@ from hypothesis import strategies as st
 from matplotlib import pyplot
 
 import hitchopt as ho
-from hitchopt.api import STEP_FUNCTIONS
+from hitchopt import api, single_steps
 from hitchopt.errors import MAX_REPR, OneLine, broken_limit, short
 from hitchopt.steps import STEPS
+from hitchopt.values.fields import EMPTY, keys_of
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
 OTHER = [[0.35, -0.7], [-0.15, 0.7], [0.7, 0.75]]
@@ -34,33 +35,55 @@ def plan() -> ho.Plan:
     return ho.Mission(start.team, start, title="Two <steps>").morph(OTHER).hold(0.5).solve()
 
 
-def stub(owner: str) -> dict[str, ast.FunctionDef]:
-    """The functions that ``__init__.pyi`` declares, or the methods of a class in it, by name."""
-    body = ast.parse(Path(ho.__file__).with_suffix(".pyi").read_text("utf-8")).body
-    if owner:
-        (body,) = (x.body for x in body if isinstance(x, ast.ClassDef) and x.name == owner)
-    return {x.name: x for x in body if isinstance(x, ast.FunctionDef)}
+REQUIRED = ["limits", "separation", "arena", "limit"]
 
 
-def test_methods_and_functions_have_the_arguments_of_their_records() -> None:
-    """The stub declares what is made: a method for every step, some functions."""
-    assert stub("Mission").keys() == {kind.name for kind in STEPS}
-    assert stub("").keys() == {kind.name for kind in STEP_FUNCTIONS}
-    for kind, owner in [(k, "Mission") for k in STEPS] + [(k, "") for k in STEP_FUNCTIONS]:
-        begun = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
-        given = [f for f in dataclasses.fields(kind) if owner or f.name != "blend"]
-        names = [*(["self"] if owner else begun), *(field.name for field in given)]
-        values = [field.default for field in given if field.default is not dataclasses.MISSING]
-        listed = stub(owner)[kind.name].args
-        function = getattr(ho.Mission if owner else ho, kind.name)
-        kept = [] if owner else ["limits", "separation", "arena", "limit"]
-        assert [argument.arg for argument in listed.args] == names
-        assert list(inspect.signature(function).parameters) == names + kept
-        assert function.__name__ == kind.name
-        described = function.__doc__.partition("Parameters\n----------\n")[2]
-        assert all(f"{name}:" in described for name in names[1:] if name not in begun)
-        plain = [entry for entry in listed.defaults if ast.unparse(entry) != "..."]
-        assert [ast.literal_eval(entry) for entry in plain] == values
+@pytest.mark.parametrize("kind", STEPS, ids=lambda kind: kind.name)
+def test_methods_and_functions_have_the_arguments_and_words_of_their_records(
+    kind: type[ho.Hold],
+) -> None:
+    keys = keys_of(kind)
+    first = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
+    wanted = [(getattr(ho.Mission, kind.name), ["self", *keys])]
+    if function := vars(single_steps).get(kind.name):
+        wanted.append((function, [*first, *(name for name in keys if name != "blend"), *REQUIRED]))
+    for function, names in wanted:
+        parameters = inspect.signature(function).parameters
+        defaults = {k: p.default for k, p in parameters.items() if p.default is not p.empty}
+        assert [*parameters] == names
+        words = " ".join(inspect.cleandoc(function.__doc__).split())
+        for name in set(names) & set(keys):
+            default = keys[name].default
+            assert defaults.get(name, EMPTY) == (None if name == "swap" else default)
+            meaning = keys[name].described(keys[name].kind).replace("null:", "None:")
+            assert f"{name}: {meaning[0].lower()}{meaning[1:]}." in words
+
+
+@pytest.mark.parametrize("kind", STEPS, ids=lambda kind: kind.name)
+def test_methods_and_functions_pass_every_argument_on(
+    kind: type[ho.Hold], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the record's field of the same name, whatever its value."""
+    given = dict[str, object]()
+
+    def noted(_: type[ho.Hold], **arguments: object) -> ho.Hold:
+        given.update(arguments)
+        raise StopIteration
+
+    for module in (api, single_steps):
+        monkeypatch.setattr(module, "new_step", noted)
+    values = {name: object() for name in keys_of(kind)}
+    functions: list[Any] = [getattr(ho.Mission(TEAM, START), kind.name)]
+    if kind.name in vars(single_steps):
+        first = (TEAM, START, START) if kind.needs_hitch is False else (START,)
+        functions.append(partial(vars(single_steps)[kind.name], *first))
+    for function in functions:
+        names = inspect.signature(function).parameters
+        passed = {name: value for name, value in values.items() if name in names}
+        given.clear()
+        with pytest.raises(StopIteration):
+            function(**passed)
+        assert given == passed
 
 
 def test_a_mission_is_the_problem_of_the_same_steps_and_objects() -> None:
@@ -254,9 +277,13 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
             "height",
             "Hitch.spread() has no argument 'height'; did you mean altitude?",
         ),
-        (ho.Mission.move_edge, "by", "missing a required argument: 'edge'"),
+        (ho.move_edge, "by", "move_edge() missing 1 required positional argument: 'edge'"),
         (ho.hold, "time", "hold() has no argument 'time'; did you mean seconds?"),
-        (ho.Mission.morph, "points", "morph() has no argument 'points'; did you mean polygon?"),
+        (
+            ho.Mission.morph,
+            "points",
+            "Mission.morph() has no argument 'points'; did you mean polygon?",
+        ),
     ],
 )
 def test_unknown_arguments_are_suggested(call: Any, given: str, words: str) -> None:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ import hitchopt
 from benchmarks.mutations import MUTATIONS
 from hitchopt.errors import Violation
 from hitchopt.lab.simulation.world import InvalidRunError
+from hitchopt.steps import STEPS
 
 PACKAGE = Path(hitchopt.__file__).parent
 
@@ -43,6 +45,17 @@ def test_public_names_have_words_and_others_are_refused() -> None:
     assert set(hitchopt.__all__) <= set(dir(hitchopt))
     with pytest.raises(AttributeError, match="no attribute 'nonsense'"):
         _ = hitchopt.nonsense  # type: ignore[attr-defined]
+
+
+def test_type_checkers_read_the_names_that_are_imported() -> None:
+    """The stub has every public name of the table, from its module, and no other."""
+    stub = ast.parse(Path(hitchopt.__file__).with_suffix(".pyi").read_text("utf-8"))
+    lines = [line for line in stub.body if isinstance(line, ast.ImportFrom)]
+    declared = [(str(line.module), name.name) for line in lines for name in line.names]
+    table = {name: getattr(hitchopt, name) for name in hitchopt.__all__}
+    assert sorted(name for _, name in declared) == hitchopt.__all__
+    for module, name in declared:
+        assert getattr(import_module(module), name) is table[name]
 
 
 HEAVY = ("casadi", "matplotlib", "toppra", "scipy", "ruamel.yaml")
@@ -118,6 +131,7 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
     texts = (str(node.value) for node in nodes if isinstance(node, ast.Constant))
+    known |= {kind.name for kind in STEPS}  # methods of Mission
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
     unused = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {name}"

@@ -11,10 +11,11 @@ from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import errors as limits
-from hitchopt.api import STEP_FUNCTIONS
+from hitchopt import single_steps
 from hitchopt.errors import Progress, TimeIsUp, check_time, time_left, time_limit
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.mission.solving import solve_problem
+from hitchopt.steps import STEPS
 
 
 class Clock:
@@ -92,7 +93,9 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("kind", STEP_FUNCTIONS, ids=lambda kind: kind.name)
+@pytest.mark.parametrize(
+    "kind", [k for k in STEPS if k.name in vars(single_steps)], ids=lambda kind: kind.name
+)
 def test_every_step_function_is_given_up(clock: Clock, kind: type[ho.Hold]) -> None:
     start = {"team": START.team, "q": Q, "r": R} if kind.needs_hitch is False else {"start": START}
     arguments = {**start, **ARGUMENTS[kind.name]}

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from refusals import Refusal, assert_refused
 
 import hitchopt as ho
-from hitchopt import api
+from hitchopt import api, single_steps
 from hitchopt.cli import main
 from hitchopt.mission.loading import parse_problem
 from hitchopt.steps import STEPS, Step
@@ -66,7 +66,7 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
         given = arguments(kind)
         if kind is ho.Settle:
             continue
-        if kind in api.STEP_FUNCTIONS:
+        if kind.name in vars(single_steps):
             free = kind.needs_hitch is False
             start = {"team": TEAM, "q": Q, "r": R} if free else {"start": START}
             alone = {name: value for name, value in given.items() if name != "blend"}
