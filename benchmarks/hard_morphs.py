@@ -13,7 +13,7 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.measuring import Table, parser
-from problems.random_morph import random_morph
+from problems.random_morph import wild_morph
 
 LIMITATIONS = (
     "one machine, one run each; processor time; every success is a certificate; morphs of which "
@@ -24,7 +24,7 @@ LIMITATIONS = (
 
 def outcome(n: int, seed: int) -> tuple[str, float, float]:
     """Return ``solved``, ``ends`` or ``failed``, the plan's duration and the processor time [s]."""
-    problem = ho.problem_from_dict(random_morph(n, seed, hard=True))
+    problem = ho.problem_from_dict(wild_morph(n, seed))
     start_time = time.process_time()
     try:
         plan = ho.solve(problem)

@@ -1,24 +1,34 @@
-"""The search for paths of a morph: guesses are optimized and refined one by one."""
+"""The search for paths of a morph: guesses are optimized and refined one by one.
+
+A guess is first moved to a path of minimum energy that keeps distances at its knots, then refined
+until it is feasible between them too, and shortened as far as it stays feasible. If no guess leads
+to a motion, guesses follow whose legs roll between the ends.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
 from hitchopt.errors import InfeasibleError
-from hitchopt.geometry import ConvexPolygon
-from hitchopt.geometry.outline import centroids
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.legs import legs_clear
-from hitchopt.planners.morph.morph import check_shapes, exterior_angles
+from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
+from hitchopt.planners.morph.morph import check_loads, check_shapes
 from hitchopt.planners.morph.path import ShapePath
+from hitchopt.planners.optimise.guesses import (
+    STRAIGHT,
+    WIDENED,
+    distance_margins,
+    is_hitch,
+    polygon_guesses,
+    rolled_guesses,
+)
 from hitchopt.planners.optimise.knots import Effort, Judge, KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.profile import (
@@ -32,9 +42,16 @@ from hitchopt.planners.timing.profile import (
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
 
-REFINEMENTS = ((1, 1.03), (2, 1.05))
-"""Rounds of refinement until the judge accepts a path: factor of the number of knots, and margin of
-distances."""
+
+class Refinement(NamedTuple):
+    """A round of refinement."""
+
+    knots: int  # factor of the number of steps between knots
+    margin: float  # of distances
+
+
+REFINEMENTS = (Refinement(1, 1.03), Refinement(2, 1.05))
+"""Rounds of refinement until the judge accepts a path."""
 
 REFINED_PARTS = 8
 """Number of parts of every step, at whose ends refinement enforces distances."""
@@ -45,13 +62,21 @@ INITIAL_STEP = SolverStep(0.17)
 REFINED_STRIDE = 0.12
 """[m] Stride of the optimizer in refinement."""
 
-MAX_INITIAL_STEPS, MAX_REFINED_STEPS, MAX_FASTEST_STEPS = 12, 5, 6
-"""Maximum numbers of steps from a guess, in a round of refinement, and toward a faster path."""
+MIN_STRIDE = 0.02
+"""[m] Stride below which a feasible path is not shortened further."""
 
-LEG_PERTURBATIONS = (0.05, 0.0)
-"""Largest changes of q-legs in guesses, over the shorter leg of their cable; one after the other is
-tried until a motion is found. Without changes all robots of regular polygons move alike up to
-saddle points, as all rows are linear."""
+MAX_INITIAL_STEPS = 12
+"""Maximum number of steps from a guess."""
+
+MAX_REFINED_STEPS = 5
+"""Maximum number of steps to a feasible path in a round of refinement."""
+
+MAX_FASTEST_STEPS = 6
+"""Maximum number of steps from a feasible path to faster ones."""
+
+LEG_PERTURBATION = 0.05
+"""Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
+robots of regular polygons move alike up to saddle points, as all rows are linear."""
 
 MIN_REFINED_PROGRESS = 0.05
 """Smallest motion of vertices in a step over its stride, below which refinement ends."""
@@ -62,9 +87,12 @@ KNOT_DISTANCE = 0.9
 MIN_STEPS, MAX_STEPS = 8, 16
 """Bounds of the number of steps between the knots of a guess."""
 
-MAX_GUESS_RATIO, MAX_ESTIMATE_RATIO = 1.3, 1.1
-"""Largest estimated durations, over the fastest path so far, of guesses that are optimized, and of
-optimized paths that are refined."""
+MAX_GUESS_RATIO = 1.3
+"""Largest estimated duration of a guess that is optimized, over that of the fastest motion so
+far."""
+
+MAX_ESTIMATE_RATIO = 1.1
+"""The same of an optimized path that is refined."""
 
 MIN_GAIN = 0.01
 """Smallest gain over the fastest path so far, as a share of its duration, for which guesses are
@@ -85,26 +113,14 @@ one is tried."""
 MIN_GUESS_MARGIN = 0.3
 """Smallest margin of distances of a preferred guess."""
 
-MIN_SHAPE_SHARE = 0.1
-"""Smallest exterior angle and edge of a guess, over those at its ends."""
-
-MAX_MARGIN = 1.1
-"""Largest margin of distances that is computed."""
+MAX_ROLLED = 4
+"""Maximum number of guesses with roll that are tried."""
 
 END_MARGIN_FACTOR = 1.0 - 1e-4
 """Factor on the margins of the ends, which they then satisfy despite rounding."""
 
 PATH_TOLERANCE = 0.05
 """[m] Difference at every knot below which paths are equal."""
-
-MIN_EDGE_SHARE = 0.3
-"""Smallest edge of a guess whose edges turn, over the shorter one of both ends."""
-
-WIDENING = 1.4
-"""Scale of the outline halfway on a widened path, on which legs pass the tips of stars."""
-
-MIN_OTHER_TURN = 0.75 * math.pi
-"""[rad] Smallest turn for which the opposite turn is a guess as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,27 +161,25 @@ class OptimisedMorph:
 
         Each differs from all others, and without ``straight`` from the straight path.
         """
-        first, last = self.start.polygon, self.end.polygon
-        if not isinstance(first, ConvexPolygon) or not isinstance(last, ConvexPolygon):
-            return {}
-        named = guesses(first, last, MIN_STEPS + 1)
-        line, distinct = named["straight"], dict[str, Array]()
-        for name, each in reversed(named.items()):
+        named = polygon_guesses(self.start.polygon, self.end.polygon, MIN_STEPS + 1)
+        line, distinct = named[STRAIGHT], dict[str, Array]()
+        for name, polygons in reversed(named.items()):
             others = [*distinct.values()] if straight else [line, *distinct.values()]
-            if not any(np.max(np.abs(each - other)) < PATH_TOLERANCE for other in others):
-                distinct[name] = each
+            if not any(np.max(np.abs(polygons - other)) < PATH_TOLERANCE for other in others):
+                distinct[name] = polygons
         paths = [KnotPath.through(name, self.start, self.end, p) for name, p in distinct.items()]
-        paths = [path for path in paths if _is_hitch(path)]
+        paths = [path for path in paths if is_hitch(path)]
         if not paths:
             return {}
-        polygons, q_legs, rolls = (
-            [getattr(path, name) for path in paths] for name in ("polygons", "q_legs", "roll")
+        margins = dict(zip(paths, distance_margins(paths, self.requirements), strict=True))
+        # Legs that pass each other on straight lines need no widened ones.
+        lines_clear = not straight or any(
+            path.name == STRAIGHT and np.min(each) >= MIN_GUESS_MARGIN
+            for path, each in margins.items()
         )
-        shapes = np.concatenate(polygons), np.concatenate(q_legs), 0.0, MAX_MARGIN
-        roll = None if rolls[0] is None else np.concatenate(rolls)
-        requirements = replace(self.requirements, arena=None)
-        task = LegTask(self.start.team, requirements, *shapes, roll=roll)
-        return dict(zip(paths, task.reference_margins().reshape(len(paths), -1), strict=True))
+        if lines_clear:
+            margins = {path: each for path, each in margins.items() if path.name != WIDENED}
+        return margins
 
     def solve(self) -> list[Candidate]:
         """Return the motions along feasible paths, the fastest first.
@@ -176,41 +190,52 @@ class OptimisedMorph:
         """
         motion = None if self.straight is None else _judged(self.straight, self.judge)
         candidates = [] if motion is None else [Candidate("", motion)]
-        fastest = math.inf if motion is None else motion.duration
-        min_duration = self.min_duration
-        if min_duration > (1.0 - MIN_GAIN) * fastest:
-            return candidates
+        if self.start.team.layout.closed:
+            candidates += self._optimised(motion)
+        if not candidates:
+            candidates += self._rolled()
+        return sorted(candidates, key=lambda candidate: candidate.motion.duration)
+
+    def _optimised(self, straight: Motion | None) -> list[Candidate]:
+        """Return the motions along optimized guesses that may be faster than the straight one."""
+        fastest = math.inf if straight is None else straight.duration
+        if self.min_duration > (1.0 - MIN_GAIN) * fastest:
+            return []
         # Tensions may vary on the straight path too.
-        margins = self.margins(straight=motion is None or self.tension is not None)
+        margins = self.margins(straight=straight is None or self.tension is not None)
         paths = [path for path, each in margins.items() if np.min(each) >= MIN_GUESS_MARGIN]
-        if motion is None:
+        if straight is None:
             paths = paths or list(margins)
         if not paths:
-            return candidates
-        first, last = (END_MARGIN_FACTOR * margins[paths[0]])[[0, -1]].tolist()
+            return []
         paths = [path.resampled(_steps(path)) for path in paths]
-        if motion is None:
+        max_effort = max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
+        if straight is None:
             max_effort = MAX_EFFORT * max(path.size for path in paths)
-        else:
-            max_effort = max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
         estimates = np.zeros(len(paths))
-        if len(paths) > 1 or candidates:
+        if len(paths) > 1 or straight is not None:
             smooth = [path.path for path in paths]
             estimates = np.array(flight_estimates(smooth, self.requirements.limits))
         order = np.argsort(estimates, kind="stable")
-        for share in LEG_PERTURBATIONS:
-            effort = Effort(max_effort)
-            search = SearchLimits(
-                self.requirements, self.judge, self.tension, (first, last), effort=effort
-            )
-            tried = [paths[k].with_perturbed_legs(share) for k in order]
-            candidates += self._near(tried, estimates[order], search, fastest)
-            if candidates:
-                break
-        return sorted(candidates, key=lambda candidate: candidate.motion.duration)
+        guesses = [paths[k].with_perturbed_legs(LEG_PERTURBATION) for k in order]
+        return self._near(guesses, estimates[order], self._limits(max_effort), fastest)
+
+    def _limits(self, max_effort: float) -> SearchLimits:
+        """Return the constraints of a search with a limit of its effort."""
+        ends = KnotPath.through("", self.start, self.end, self._end_polygons)
+        margins = END_MARGIN_FACTOR * distance_margins([ends], self.requirements)[0]
+        first, last = margins.tolist()
+        return SearchLimits(
+            self.requirements, self.judge, self.tension, (first, last), effort=Effort(max_effort)
+        )
+
+    @property
+    def _end_polygons(self) -> Array:
+        """(2, points, 2) [m]: outlines of both ends."""
+        return np.stack([self.start.polygon.vertices, self.end.polygon.vertices])
 
     def _near(
-        self, tried: list[KnotPath], estimates: Array, search: SearchLimits, fastest: float
+        self, guesses: list[KnotPath], estimates: Array, search: SearchLimits, fastest: float
     ) -> list[Candidate]:
         """Return the motions along optimized guesses, in the order of their estimates [s].
 
@@ -218,7 +243,8 @@ class OptimisedMorph:
         """
         candidates: list[Candidate] = []
         visited: list[KnotPath] = []
-        for guess, estimate in zip(tried, estimates, strict=True):
+        shortest = math.inf  # estimate of the last optimized path with a motion [s]
+        for guess, estimate in zip(guesses, estimates, strict=True):
             if estimate > MAX_GUESS_RATIO * fastest:
                 break
             path = _optimized(guess, search, visited)
@@ -226,77 +252,44 @@ class OptimisedMorph:
             if path is None:
                 continue
             visited.append(path)
-            if _estimate(path, self.requirements) > MAX_ESTIMATE_RATIO * fastest:
+            optimised = _estimate(path, self.requirements)
+            if optimised > min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * shortest):
                 continue
             motion = _refined(path, search)
             if motion is None:
                 continue
             candidates.append(Candidate(path.name, motion))
+            shortest = optimised
             fastest = min(fastest, motion.duration)
             if self.min_duration > (1.0 - MIN_GAIN) * fastest:
                 break
         return candidates
 
+    def _rolled(self) -> list[Candidate]:
+        """Return the motion along the first feasible guess with roll, optimized or as it is."""
+        guesses = rolled_guesses(self.start, self.end, self.requirements)[:MAX_ROLLED]
+        as_it_is: list[Candidate] = []
+        for guess in guesses:
+            search = self._limits(MAX_EFFORT * guess.size)
+            if self.start.team.layout.closed:
+                path = _optimized(guess.with_perturbed_legs(LEG_PERTURBATION), search, [])
+                motion = None if path is None else _refined(path, search)
+                if motion is not None:
+                    return [Candidate(guess.name, motion)]
+            if not as_it_is:
+                motion = self._flown_as_it_is(guess)
+                as_it_is = [] if motion is None else [Candidate(guess.name, motion)]
+        return as_it_is
 
-def guesses(first: ConvexPolygon, last: ConvexPolygon, count: int) -> dict[str, Array]:
-    """Return initial guesses (count, n, 2) [m] of different homotopy classes by name.
-
-    Straight lines need not be convex, and collapse to a point in a half turn. Edges that turn
-    evenly, with the nearest lengths that close, form convex polygons; so do polygons that turn
-    while their shape changes, if the shapes are similar. In a polygon that is widened halfway legs
-    can pass each other.
-    """
-    s = np.linspace(0.0, 1.0, count)
-    guesses = {"straight": _line(first.vertices, last.vertices, s)}
-    middle = guesses["straight"].mean(axis=1, keepdims=True)
-    scale = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
-    guesses["widened"] = middle + scale * (guesses["straight"] - middle)
-    start, goal = (_directions(polygon) for polygon in (first, last))
-    # The turns of edges differ by less than a full turn and are unwrapped together.
-    mean = float(np.mean(goal - start))
-    turn = mean - 2.0 * math.pi * math.ceil((mean - math.pi) / (2.0 * math.pi))
-    other = turn - math.copysign(2.0 * math.pi, turn)
-    centres = _line(first.centroid, last.centroid, s)[:, None]
-    for angle in (turn, other) if abs(turn) > MIN_OTHER_TURN else (turn,):
-        name = f"turned {math.degrees(angle):.0f}°"
-        shape = _rotated(last.vertices - last.centroid, np.array([-angle]))[0]
-        shapes = _line(first.vertices - first.centroid, shape, s)
-        guesses[name] = centres + _rotated(shapes, angle * s)
-        sides = _line(start, goal + angle - mean, s)[..., None]
-        sides = np.concatenate([np.cos(sides), np.sin(sides)], axis=-1)
-        lengths, across = _line(first.edge_lengths, last.edge_lengths, s), np.swapaxes(sides, 1, 2)
-        lengths -= (sides @ np.linalg.solve(across @ sides, across @ lengths[..., None]))[..., 0]
-        if np.all(lengths >= MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)):
-            edges = lengths[..., None] * sides
-            corners = np.cumsum(edges, axis=1) - edges
-            guesses[f"edges {name}"] = corners + centres - centroids(corners)[:, None]
-    return guesses
-
-
-def _directions(polygon: ConvexPolygon) -> Array:
-    """Return the edges' directions (n,) [rad], decreasing by the exterior angles."""
-    u = polygon.edge_directions[0]
-    start = math.atan2(u[1], u[0])
-    return start - np.append(0.0, np.cumsum(polygon.exterior_angles[1:]))
-
-
-def _line(first: Array, last: Array, s: Array) -> Array:
-    """Return linear interpolations at s (J,)."""
-    return first + np.multiply.outer(s, last - first)
-
-
-def _rotated(points: Array, angles: Array) -> Array:
-    """Return points (n, 2) or (J, n, 2) rotated by angles (J,), as (J, n, 2)."""
-    c, s = np.cos(angles), np.sin(angles)
-    rotated: Array = points @ np.moveaxis(np.array([[c, s], [-s, c]]), -1, 0)
-    return rotated
-
-
-def _is_hitch(path: KnotPath) -> bool:
-    """Return whether a guess is convex, with edges and slack, at all knots."""
-    values = exterior_angles(path.team.layout, path.edges), length(path.edges)
-    degenerate = (np.min(each) <= MIN_SHAPE_SHARE * np.min(each[[0, -1]]) for each in values)
-    return bool(np.min(path.slack) > 0.0) and not any(degenerate)
+    def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
+        """Return the motion along a guess with leg lengths that keep distances, or None."""
+        try:
+            check_shapes(guess.path)
+            path = with_legs_clear(guess.path, self.requirements)
+            check_loads(path, self.requirements.limits)
+        except InfeasibleError:
+            return None
+        return _judged(path, self.judge) if legs_clear(path, self.requirements) else None
 
 
 def _steps(path: KnotPath) -> int:
@@ -334,30 +327,59 @@ def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
     """
     steps = path.steps
     for factor, margin in REFINEMENTS:
-        path = path if factor == 1 else path.resampled(factor * steps)
-        refined, step = replace(search, margin=margin), SolverStep(REFINED_STRIDE, REFINED_PARTS)
-        unchanged = [path] if factor == 1 else []
-        moved = iterates(path, refined, step, MAX_REFINED_STEPS, MIN_REFINED_PROGRESS)
-        for path in chain(unchanged, moved):
-            if _is_feasible(path, search):
-                break
-        else:
-            continue
-        choices = [(_estimate(path, search.requirements), path)]
-        fastest, last = replace(step, fastest=True), math.inf
-        for each in iterates(path, refined, fastest, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS):
-            estimate = _estimate(each, search.requirements)
-            if _is_feasible(each, search):
-                choices.append((estimate, each))
-            if estimate > (1.0 - MIN_STEP_GAIN) * last:
-                break
-            last = estimate
-        _, best = min(choices, key=lambda choice: choice[0])
-        for choice in dict.fromkeys([best, path]):
-            motion = _judged(choice.path, search.judge)
+        tight = replace(search, margin=margin)
+        if factor > 1:
+            path = path.resampled(factor * steps)
+        if factor > 1 or not _is_feasible(path, search):
+            path, feasible = _feasible_near(path, tight)
+            if not feasible:
+                continue
+        shorter = _shortened(path, tight)
+        for each in dict.fromkeys([shorter, path]):
+            motion = _judged(each.path, search.judge)
             if motion is not None:
                 return motion
     return None
+
+
+def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool]:
+    """Return the first feasible path on the way to minimum energy, or the last one and False."""
+    step = SolverStep(REFINED_STRIDE, REFINED_PARTS)
+    moved = path
+    for moved in iterates(path, search, step, MAX_REFINED_STEPS, MIN_REFINED_PROGRESS):
+        if _is_feasible(moved, search):
+            return moved, True
+    return moved, False
+
+
+def _shortened(path: KnotPath, search: SearchLimits) -> KnotPath:
+    """Return the last feasible path of repeated steps from a feasible one to faster ones.
+
+    Steps go on from infeasible paths too, whose distances the next step restores. When they gain no
+    more, the last feasible path is kept, and the stride is halved.
+    """
+    requirements, step = (
+        search.requirements,
+        SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True),
+    )
+    best, shortest, programs = path, _estimate(path, requirements), 0
+    while step.stride >= MIN_STRIDE:
+        faster_but_infeasible, last = False, math.inf
+        for moved in iterates(best, search, step, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS):
+            programs += 1
+            estimate = _estimate(moved, requirements)
+            if estimate < shortest:
+                feasible = _is_feasible(moved, search)
+                faster_but_infeasible = not feasible
+                if feasible:
+                    best, shortest = moved, estimate
+            if estimate > (1.0 - MIN_STEP_GAIN) * last or programs >= MAX_FASTEST_STEPS:
+                break
+            last = estimate
+        if not faster_but_infeasible or programs >= MAX_FASTEST_STEPS:
+            break
+        step = replace(step, stride=0.5 * step.stride)
+    return best
 
 
 def _judged(path: ShapePath, judge: Judge) -> Motion | None:

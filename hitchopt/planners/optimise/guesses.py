@@ -1,0 +1,220 @@
+"""Initial guesses of a path between two outlines: polygons between, and legs that roll meanwhile.
+
+Guesses belong to different homotopy classes. Straight lines need not be convex, and collapse to a
+point in a half turn. Edges that turn evenly, with the nearest lengths that close, form convex
+polygons; so do polygons that turn while their shape changes, if the shapes are similar. If all legs
+rise and sink between the ends, cables pass above each other on polygons of any size; on polygons
+that are widened halfway, they pass side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from hitchopt.errors import InfeasibleError
+from hitchopt.geometry import Outline
+from hitchopt.geometry.outline import centroids
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.slack_split import LegTask
+from hitchopt.planners.morph.morph import exterior_angles
+from hitchopt.planners.optimise.knots import KnotPath
+from hitchopt.values import Array
+
+STRAIGHT, WIDENED = "straight", "widened"
+"""Names of guesses on straight lines, and on the same lines widened halfway."""
+
+MIN_OTHER_TURN = 0.75 * math.pi
+"""[rad] Smallest turn for which the opposite turn is a guess as well."""
+
+MIN_EDGE_SHARE = 0.3
+"""Smallest edge of a guess whose edges turn, over the shorter one of both ends."""
+
+WIDENING = 1.4
+"""Scale of the outline halfway on a widened path, on which legs pass the tips of stars."""
+
+MIN_SHAPE_SHARE = 0.1
+"""Smallest exterior angle and edge of a guess, over those at its ends."""
+
+MAX_MARGIN = 1.1
+"""Largest margin of distances that is computed."""
+
+ROLLS = tuple(math.radians(angle) for angle in (0.0, 15.0, 30.0, 45.0))
+"""[rad] Rolls of all legs midway; 0 keeps the linear roll between the ends."""
+
+ROLLED_STEPS = 16
+"""Number of steps between the knots of a guess that rolls, which resolve its rise."""
+
+ROLL_RAMP = 0.25
+"""Share of the path in which the roll of a guess rises, and in which it sinks."""
+
+ROLL_COST, TURN_COST = 0.3, 0.3
+"""[1/rad] Penalties of roll and of turns of a guess, in units of its margin."""
+
+
+def polygon_guesses(first: Outline, last: Outline, count: int) -> dict[str, Array]:
+    """Return the outlines (count, points, 2) [m] of guesses by name."""
+    s = np.linspace(0.0, 1.0, count)
+    guesses = {STRAIGHT: _line(first.vertices, last.vertices, s)}
+    if first.closed:
+        middle = guesses[STRAIGHT].mean(axis=1, keepdims=True)
+        scale = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
+        guesses[WIDENED] = middle + scale * (guesses[STRAIGHT] - middle)
+        for turn in turns(first, last):
+            name = _turn_name(turn)
+            guesses[name] = _turning_shapes(first, last, turn, s)
+            edges = turning_edges(first, last, turn, s)
+            if edges is not None:
+                guesses[f"edges {name}"] = edges
+    return guesses
+
+
+def _turn_name(turn: float) -> str:
+    """Return the name of a guess that turns [rad]."""
+    return f"turned {math.degrees(turn):.0f}°"
+
+
+def turns(first: Outline, last: Outline) -> tuple[float, ...]:
+    """Return the mean turn of the edges [rad], and the opposite one if both are about as large."""
+    # The turns of edges differ by less than a full turn and are unwrapped together.
+    mean = float(np.mean(_directions(last) - _directions(first)))
+    turn = mean - 2.0 * math.pi * math.ceil((mean - math.pi) / (2.0 * math.pi))
+    other = turn - math.copysign(2.0 * math.pi, turn)
+    return (turn, other) if abs(turn) > MIN_OTHER_TURN else (turn,)
+
+
+def turning_edges(first: Outline, last: Outline, turn: float, s: Array) -> Array | None:
+    """Return outlines (J, points, 2) [m] whose edges turn evenly; None if an edge vanishes.
+
+    Parameters
+    ----------
+    turn: mean turn of the edges [rad].
+    s: (J,), path parameters.
+    """
+    start, goal = _directions(first), _directions(last)
+    angles = _line(start, goal + turn - np.mean(goal - start), s)
+    sides = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    lengths = _line(first.edge_lengths, last.edge_lengths, s)
+    if first.closed:
+        across = np.swapaxes(sides, 1, 2)
+        gap = across @ lengths[..., None]
+        lengths -= (sides @ np.linalg.solve(across @ sides, gap))[..., 0]
+    if np.any(lengths < MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)):
+        return None
+    edges = lengths[..., None] * sides
+    if first.closed:
+        corners = np.cumsum(edges, axis=1) - edges
+        own, ends = centroids(corners), (first.centroid, last.centroid)
+    else:
+        corners = np.concatenate([np.zeros_like(edges[:, :1]), np.cumsum(edges, axis=1)], axis=1)
+        own, ends = corners.mean(axis=1), (first.vertices.mean(axis=0), last.vertices.mean(axis=0))
+    outlines: Array = corners + (_line(*ends, s) - own)[:, None]
+    return outlines
+
+
+def rolled_guesses(start: Hitch, end: Hitch, requirements: Requirements) -> list[KnotPath]:
+    """Return guesses whose edges turn evenly and whose legs roll, the most promising first.
+
+    The roll of all legs rises from that of the start, and sinks to that of the end. Fractions are
+    linear, or equal midway.
+    """
+    first, last = start.polygon, end.polygon
+    s = np.linspace(0.0, 1.0, ROLLED_STEPS + 1)
+    sign = -1.0 if np.sum(start.roll) + np.sum(end.roll) < 0.0 else 1.0
+    ramp = np.minimum(1.0, np.minimum(s, 1.0 - s) / ROLL_RAMP)
+    midway = (ramp * ramp * (3.0 - 2.0 * ramp))[:, None]
+    ranked: list[tuple[float, KnotPath]] = []
+    for turn in turns(first, last):
+        polygons = turning_edges(first, last, turn, s)
+        if polygons is None:
+            continue
+        path = KnotPath.through(f"edges {_turn_name(turn)}", start, end, polygons)
+        if not is_hitch(path):
+            continue
+        shapes = [(roll, evenness) for roll in ROLLS for evenness in (0.0, 1.0)]
+        guesses = [_rolled(path, sign * roll, midway, evenness) for roll, evenness in shapes]
+        margins = np.min(distance_margins(guesses, requirements)[:, 1:-1], axis=1)
+        for guess, (roll, _), margin in zip(guesses, shapes, margins, strict=True):
+            cost = ROLL_COST * roll + TURN_COST * abs(turn) - min(float(margin), 1.0)
+            ranked.append((cost, guess))
+    ranked.sort(key=lambda item: item[0])
+    return [guess for _, guess in ranked]
+
+
+def _rolled(path: KnotPath, roll: float, midway: Array, evenness: float) -> KnotPath:
+    """Return a path whose legs have a roll [rad] midway, or its own one for 0.
+
+    Parameters
+    ----------
+    midway: (J + 1, 1), 0 at the ends and 1 between.
+    evenness: share of the change to equal fractions midway.
+    """
+    clasps = len(path.team.layout.clasps)
+    rolls = np.zeros((len(midway), clasps)) if path.roll is None else path.roll
+    name = path.name
+    if roll != 0.0:
+        rolls = rolls + midway * (roll - rolls)
+        name += f", roll {math.degrees(roll):.0f}°"
+    fractions = path.q_legs / path.slack
+    q_legs = (fractions + evenness * midway * (0.5 - fractions)) * path.slack
+    return replace(path, name=name, q_legs=q_legs, roll=rolls if np.any(rolls) else None)
+
+
+def distance_margins(paths: Sequence[KnotPath], requirements: Requirements) -> Array:
+    """Return the margins (paths, J + 1) of distances at the knots of paths of one team.
+
+    They are zero if clasps have no balance with the roll of a path.
+    """
+    team, knots = paths[0].team, len(paths[0].polygons)
+    no_roll = np.zeros((knots, len(team.layout.clasps)))
+    rolls = [no_roll if path.roll is None else path.roll for path in paths]
+    polygons = np.concatenate([path.polygons for path in paths])
+    q_legs = np.concatenate([path.q_legs for path in paths])
+    without_arena = replace(requirements, arena=None)
+    shapes = polygons, q_legs, 0.0, MAX_MARGIN
+    try:
+        task = LegTask(team, without_arena, *shapes, roll=np.concatenate(rolls))
+        margins = task.reference_margins()
+    except InfeasibleError:
+        margins = np.zeros(len(polygons))
+    return margins.reshape(len(paths), knots)
+
+
+def is_hitch(path: KnotPath) -> bool:
+    """Return whether a guess is convex, with edges and slack, at all knots."""
+    values = exterior_angles(path.team.layout, path.edges), length(path.edges)
+    degenerate = (np.min(each) <= MIN_SHAPE_SHARE * np.min(each[[0, -1]]) for each in values)
+    return bool(np.min(path.slack) > 0.0) and not any(degenerate)
+
+
+def _directions(outline: Outline) -> Array:
+    """Return the edges' directions (n,) [rad], decreasing by the exterior angles."""
+    u = outline.edge_directions[0]
+    start = math.atan2(u[1], u[0])
+    after_first = outline.exterior_angles[1:] if outline.closed else outline.exterior_angles
+    return start - np.append(0.0, np.cumsum(after_first))
+
+
+def _turning_shapes(first: Outline, last: Outline, turn: float, s: Array) -> Array:
+    """Return polygons (J, n, 2) [m] that turn by an angle [rad] while their shape changes."""
+    centres = _line(first.centroid, last.centroid, s)[:, None]
+    goal = _rotated(last.vertices - last.centroid, np.array([-turn]))[0]
+    shapes = _line(first.vertices - first.centroid, goal, s)
+    return centres + _rotated(shapes, turn * s)
+
+
+def _line(first: Array, last: Array, s: Array) -> Array:
+    """Return linear interpolations at s (J,)."""
+    return first + np.multiply.outer(s, last - first)
+
+
+def _rotated(points: Array, angles: Array) -> Array:
+    """Return points (n, 2) or (J, n, 2) rotated by angles (J,), as (J, n, 2)."""
+    c, s = np.cos(angles), np.sin(angles)
+    rotated: Array = points @ np.moveaxis(np.array([[c, s], [-s, c]]), -1, 0)
+    return rotated
