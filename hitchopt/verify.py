@@ -2351,6 +2351,8 @@ def plan_rows(p: Plan) -> Iterator[Row]:
 def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     """Return the plans of a file: those of its teams, and others on the same clock."""
     try:
+        if path.exists() and not path.is_file():  # A pipe or a device may never end
+            raise ValueError("it is no file on a disk")
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             check_members([x.orig_filename for x in file.zip.infolist()])

@@ -29,6 +29,8 @@ BAR_WIDTH, CLOCK_WIDTH = 20, 12  # Widths of a progress bar, and of its clock wi
 LINE_INTERVAL = 1.0  # Minimum time between lines of percentages [s]
 ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Python argument in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
+# Control characters but for line breaks and tabs, and those that change the direction of text
+CONTROL = re.compile(r"\r(?!\n)|[^\r\n\t\x20-\x7e\xa0-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
 RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Text that is red on a terminal
 NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")  # Prefix of a right-aligned cell
 
@@ -110,12 +112,17 @@ def record(**content: Any) -> None:
 
 
 def echo(text: str, *, err: bool = False) -> None:
-    """Write a line in the stream's encoding; closed streams and pipes are ignored."""
+    """Write text in the stream's encoding; closed streams and pipes are ignored.
+
+    Control characters, which names and files may have, are replaced: they would move the cursor or
+    change the terminal's settings.
+    """
     stream = sys.stderr if err else sys.stdout
     if stream is None:  # closed by `>&-`
         return
     encoding = getattr(stream, "encoding", None) or "utf-8"
     try:
+        text = CONTROL.sub("\N{REPLACEMENT CHARACTER}", text)
         text = text.encode(encoding, "replace").decode(encoding)
         click.echo(RED.sub(lambda match: click.style(match[0], fg="red", bold=True), text), err=err)
     except BrokenPipeError:

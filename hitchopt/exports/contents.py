@@ -20,7 +20,7 @@ import numpy as np
 from hitchopt.errors import FileError, optional_module
 from hitchopt.exports.placing import AXES
 from hitchopt.storage.archive import reading
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.files import file_bytes, parsed_json
 from hitchopt.storage.tables import SEPARATORS, Table
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
@@ -241,7 +241,7 @@ def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any]:
     if not path.is_file():
         return {}
     with reading(path, "manifest of an export"):
-        content = parsed_json(path.read_bytes())
+        content = parsed_json(file_bytes(path))
     is_manifest = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
     return content if is_manifest else {}
 

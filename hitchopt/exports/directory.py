@@ -22,6 +22,7 @@ from hitchopt.storage.decimals import formatted, padded
 from hitchopt.storage.files import (
     Writer,
     digest,
+    file_bytes,
     parsed_json,
     replace_files,
     strict_json,
@@ -96,7 +97,7 @@ def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Pa
 
     def check() -> None:
         path = directory / CERTIFICATE
-        content = parsed_json(path.read_bytes()) if path.is_file() else {}
+        content = parsed_json(file_bytes(path)) if path.is_file() else {}
         if any(content.get(key) != value for key, value in expected.items()):
             raise FileError(f"{directory / SUMMARY}: is not written: the plan there is another one")
 
@@ -106,7 +107,7 @@ def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Pa
 def changed_tables(directory: Path) -> list[str]:
     """Return the names of tables whose digests differ from those of the certificate."""
     try:
-        content = parsed_json((directory / CERTIFICATE).read_bytes())
+        content = parsed_json(file_bytes(directory / CERTIFICATE))
         digests = content.get("tables", {}).items()
         tables = [(directory / k, value) for k, value in digests if k in (SETPOINTS, VERTICES)]
     except (OSError, ValueError, AttributeError):
@@ -118,7 +119,7 @@ def refuse_mixture(directory: Path) -> None:
     """Raise FileError unless the certificate is that of the plan."""
     path = directory / CERTIFICATE
     try:
-        expected = parsed_json(path.read_bytes()).get("plan")
+        expected = parsed_json(file_bytes(path)).get("plan")
         actual = digest(directory / PLAN)
     except (OSError, ValueError, AttributeError) as error:
         reason = f"{path}: cannot be read: {error}; was a save killed? solve again"

@@ -44,7 +44,7 @@ from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import PLAN, reading
-from hitchopt.storage.files import digest
+from hitchopt.storage.files import digest, require_file
 from hitchopt.storage.tables import headings, text_lines
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined
@@ -191,6 +191,8 @@ def load(path: Path) -> tuple[Format, FileContents]:
         suffixes = sorted({file.suffix.lower() or file.name for file in content}) or ["nothing"]
         reason = f"files of {', '.join(ENDINGS)} are read; it holds {', '.join(suffixes)}"
         raise FileError(f"{path}: {reason}")
+    for file in files:
+        require_file(file)
     formats = [format_of(name) for name in HOMES]
     kinds = Counter(_kind(file, formats) for file in files)
     first = next(iter(kinds))

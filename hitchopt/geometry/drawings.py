@@ -20,7 +20,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hitchopt.errors import FileError, HitchoptError, InputError, optional_module
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.files import file_bytes, parsed_json, require_file
 from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines, with_decimal_point
 from hitchopt.values import Array
 
@@ -90,6 +90,7 @@ def read_drawing(path: str | Path) -> Drawing:
         raise InputError("outline", path.name, f"a drawing ({suffixes})", "save it as one of these")
     notes: list[str] = []
     try:
+        require_file(path)
         if path.stat().st_size > MAX_FILE_SIZE:
             raise FileError(f"{path}: has more than {MAX_FILE_SIZE:.0e} bytes, too many")
         lines = READERS[suffix](path, notes)
@@ -115,7 +116,7 @@ def format_size(points: Array) -> str:
 
 
 def _read_svg(path: Path, notes: list[str]) -> Lines:
-    elements, root = _library("svgelements"), ElementTree.fromstring(path.read_bytes())
+    elements, root = _library("svgelements"), ElementTree.fromstring(file_bytes(path))
     _normalise(root, path.name)
     units = [(root.get(name) or "")[-2:] for name in ("width", "height")]
     stated = {unit.isalpha() for unit in units}

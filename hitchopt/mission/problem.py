@@ -66,7 +66,7 @@ from hitchopt.values.fields import (
     points,
     single_key,
     store,
-    strings,
+    titles,
 )
 from hitchopt.values.units import ALTITUDE, warn_of_unit
 
@@ -215,16 +215,7 @@ Start = HitchStart | Hitch | DronesStart
 
 MAX_TITLE, MAX_STEPS = 200, 1000  # Maximum numbers of characters of a title, and of steps in a file
 
-
-def _printable(key: str, value: object) -> str:
-    """Return a title, or raise InputError if it has control characters."""
-    title: str = strings(MAX_TITLE).check(key, value)
-    if not title.isprintable():
-        raise InputError(key, title, "printable text on one line", "remove such characters")
-    return title
-
-
-TITLE = replace(strings(MAX_TITLE), check=_printable)
+TITLE = titles(MAX_TITLE)
 START = single_key(
     "Start",
     "Start of the plan.",

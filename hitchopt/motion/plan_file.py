@@ -29,7 +29,7 @@ from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
 from hitchopt.storage.files import digest
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import text
+from hitchopt.values import line, text
 
 FORMAT = "hitchopt-flight/1"
 
@@ -178,7 +178,7 @@ def _saved_plan(path: Path) -> SavedPlan:
         for key in (GROUPS, OTHERS)
     )
     _check_groups(groups)
-    title, problem = text("title", settings["title"]), text("problem", settings["problem"])
+    title, problem = line("title", settings["title"]), text("problem", settings["problem"])
     motion = combined(groups, others)
     check_same("", _settings(motion, title, problem), settings, "as plans are written")
     return SavedPlan(motion, title, problem)

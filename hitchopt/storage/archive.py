@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, HitchoptError, UnsupportedError
+from hitchopt.storage.files import opened
 
 PLAN = "plan.npz"  # File name of a plan in its directory
 RECORDING = "recording.npz"  # File name of a simulated or evaluated flight
@@ -57,7 +58,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
     readers may take a member for another one, and others of READ_ERRORS if the file is damaged or
     no npz file.
     """
-    with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+    with opened(path) as file, zipfile.ZipFile(file) as archive:
         listed, seen = archive.namelist(), dict[str, str]()
         for name in (info.orig_filename for info in archive.infolist()):
             if not ARRAY_NAME.fullmatch(name):

@@ -15,8 +15,10 @@ import math
 import os
 import secrets
 import shutil
+import stat
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
+from io import BufferedReader
 from pathlib import Path
 from typing import Any, Literal
 
@@ -184,9 +186,47 @@ def _directory_lock(directory: Path, *, wait: bool = True) -> Iterator[None]:
         yield
 
 
+INHERITED = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+"""Paths of files that the caller has opened for this process, such as ``<(command)`` of a shell."""
+
+
+def opened(path: Path | str) -> BufferedReader:
+    """Open a file at a user's path for reading bytes.
+
+    All such files are opened here; those that libraries open pass ``require_file``. Raises
+    FileError for pipes, devices and sockets, and OSError if there is no such file.
+    """
+    require_file(path)
+    return open(path, "rb")
+
+
+def require_file(path: Path | str) -> None:
+    """Raise FileError for pipes, devices and sockets, which may never begin or end.
+
+    OSError if there is no such file.
+    """
+    mode = os.stat(path).st_mode
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode) or str(path).startswith(INHERITED)):
+        kind = (
+            "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
+        )
+        raise FileError(f"{path}: is {kind}, not a file; name a file on a disk")
+
+
+def file_bytes(path: Path | str) -> bytes:
+    """Return the bytes of a file at a user's path; errors as ``opened``."""
+    with opened(path) as file:
+        return file.read()
+
+
+def file_text(path: Path | str) -> str:
+    """Return the text of a file at a user's path in UTF-8; errors as ``opened``, and ValueError."""
+    return file_bytes(path).decode("utf-8")
+
+
 def digest(path: Path) -> str:
     """Return the SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
+    with opened(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

@@ -9,6 +9,7 @@ lines are skipped.
 from __future__ import annotations
 
 import csv
+import io
 import re
 from array import array
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -19,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from hitchopt.errors import FileError
+from hitchopt.storage.files import opened
 from hitchopt.values import Array
 
 Lines = Callable[[], Iterable[str]]  # Function that reads a text from its start, line by line
@@ -35,11 +37,12 @@ COMMA_REMEDY = "decimal commas need semicolons between cells, and no points in n
 
 def text_lines(path: Path) -> Iterator[str]:
     """Yield a file's lines without line breaks; invalid bytes become U+FFFD."""
-    with path.open("rb") as file:
+    with opened(path) as file:
         is_utf16 = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
-    encoding = "utf-16" if is_utf16 else "utf-8-sig"
-    with path.open(encoding=encoding, errors="replace") as file:
-        yield from (line.rstrip("\n") for line in file)
+        file.seek(0)
+        encoding = "utf-16" if is_utf16 else "utf-8-sig"
+        with io.TextIOWrapper(file, encoding, errors="replace") as text:
+            yield from (line.rstrip("\n") for line in text)
 
 
 @dataclass(frozen=True, eq=False)

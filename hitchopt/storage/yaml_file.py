@@ -25,6 +25,7 @@ import numpy as np
 from ruamel.yaml import YAML, events
 
 from hitchopt.errors import FileError, InputError, Place
+from hitchopt.storage.files import opened
 from hitchopt.values.fields import join_key
 
 Plain = dict[str, "Plain"] | list["Plain"] | str | int | float | bool | None
@@ -32,6 +33,7 @@ Plain = dict[str, "Plain"] | list["Plain"] | str | int | float | bool | None
 
 MAX_DEPTH = 20  # Maximum levels of nesting; a problem has six
 MAX_NODES = 250_000  # Maximum number of values. A polygon for MAX_ROBOTS robots has 30 000.
+MAX_KEYS = 2500  # Maximum number of keys of a mapping. One of drones for MAX_ROBOTS has 2000.
 MAX_TEXT = 10_000  # Maximum characters of a string; the longest meaningful one is the title
 _MAX_INTEGER = 10**300  # Larger integers are read as infinity, because they are costly to print
 MAX_BYTES = 4_000_000  # Size limit of a file [B]
@@ -89,7 +91,7 @@ def read_text(path: str | Path) -> tuple[str, str]:
         name, data = "<stdin>", sys.stdin.buffer.read(MAX_BYTES + 1)
     else:
         try:
-            with open(name, "rb") as file:
+            with opened(name) as file:
                 data = file.read(MAX_BYTES + 1)
         except FileNotFoundError:
             raise FileError(f"{name}: no such file; check the path") from None
@@ -219,6 +221,7 @@ class _Reader:
                 break
             key: str | int = len(node.children)
             if is_mapping:
+                _check_key_count(path, len(node.children) + 1)
                 key = self._new_key(entry, path, node)
                 entry = next(self.events)  # noqa: PLW2901
             child = self._node(entry, [*path, key])
@@ -321,10 +324,18 @@ def _plain(data: object, path: list[str | int], budget: _Budget) -> Plain:
     if not isinstance(data, Mapping):
         bound = "a mapping, list, text, number, boolean or nothing"
         raise InputError(_path_in_problem(path), type(data).__name__, bound, "give plain data")
+    _check_key_count(path, len(data))
     for key in data:
         if not isinstance(key, str):
             raise InputError(_path_in_problem(path), key, *TEXT_KEYS)
     return {str(key): _plain(value, [*path, key], budget) for key, value in data.items()}
+
+
+def _check_key_count(path: list[str | int], count: int) -> None:
+    """Raise InputError for a mapping with more than MAX_KEYS keys."""
+    if count > MAX_KEYS:
+        value, bound = f"more than {MAX_KEYS} keys", f"a mapping of at most {MAX_KEYS} keys"
+        raise InputError(_path_in_problem(path), value, bound, "leave some out")
 
 
 def _path_in_problem(path: list[str | int]) -> str:

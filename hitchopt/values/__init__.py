@@ -169,6 +169,14 @@ def text(key: str, value: object) -> str:
     return value
 
 
+def line(key: str, value: object) -> str:
+    """Return ``value``, or raise InputError unless it is text without control characters."""
+    string = text(key, value)
+    if not string.isprintable():
+        raise InputError(key, string, "printable text on one line", "remove such characters")
+    return string
+
+
 def sequence(key: str, value: object) -> tuple[Any, ...]:
     """Return the entries of an iterable, or raise InputError if ``value`` is not iterable."""
     try:

@@ -24,7 +24,14 @@ from typing import Any, ParamSpec, TypeVar, get_type_hints
 
 import numpy as np
 
-from hitchopt.errors import FileError, InputError, JointInputError, UnitWarning, joint_error
+from hitchopt.errors import (
+    MAX_LISTED,
+    FileError,
+    InputError,
+    JointInputError,
+    UnitWarning,
+    joint_error,
+)
 from hitchopt.values import (
     FLAG,
     LIST,
@@ -40,6 +47,7 @@ from hitchopt.values import (
     form_error,
     form_of,
     integer,
+    line,
     text,
 )
 
@@ -225,7 +233,11 @@ def arguments_from(
     if not isinstance(data, Mapping):
         raise form_error(key or "problem", data, MAPPING)
     fields_by_key = {each.name: name for name, each in keys.items() if each.name not in exclude}
-    guesses = {name: closest_word(name, [*fields_by_key]) for name in data.keys() - fields_by_key}
+    unknown = [name for name in data if name not in fields_by_key]
+    if len(unknown) > MAX_LISTED:
+        bound = f"a mapping of {', '.join([*fields_by_key][:MAX_LISTED])}"
+        raise InputError(key or "problem", f"{len(unknown)} unknown keys", bound, "remove them")
+    guesses = {name: closest_word(name, [*fields_by_key]) for name in unknown}
     remedies = guesses | dict(remedies or {})
 
     def argument(name: str) -> tuple[str, Any]:
@@ -381,6 +393,12 @@ def strings(max_length: int, min_length: int = 0, pattern: str = ".*", bound: st
 
     schema: Schema = {"type": "string", "minLength": min_length, "maxLength": max_length}
     return Kind((WORD,), check, schema | ({"pattern": f"^{pattern}$"} if bound else {}))
+
+
+def titles(max_length: int) -> Kind:
+    """Return the kind of text on one line, without control characters."""
+    kind = strings(max_length)
+    return replace(kind, check=lambda key, value: line(key, kind.check(key, value)))
 
 
 def points(

@@ -58,6 +58,7 @@ from hitchopt.hitch.flight_controller import UNSTATED_LATENCY
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import cut, rest_breaks
 from hitchopt.storage.archive import reading
+from hitchopt.storage.files import file_bytes
 from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array
@@ -453,7 +454,7 @@ class CompressedBytes(CrazyflieFormat):
         with reading(path, "trajectory of bytes"):
             if path.stat().st_size > 16 * BYTES:
                 raise FileError(f"is far larger than a drone's memory of {BYTES} bytes")
-            curve, yaws, has_end, size = decode(path.read_bytes())
+            curve, yaws, has_end, size = decode(file_bytes(path))
         stem, _, frame = path.stem.rpartition("_")
         name, frame = (stem, frame) if stem and frame in AXES else (path.stem, "")
         findings = []

@@ -26,7 +26,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.motion.states import sample_times
 from hitchopt.objects import Section, Slab
 from hitchopt.storage.archive import reading
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.files import file_bytes, parsed_json
 from hitchopt.values import Array
 from hitchopt.view.scene import RigidSurface, mesh, scene_at, slab_faces
 from hitchopt.view.style import rgb
@@ -206,7 +206,7 @@ def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """Return names, times (S,) [s] and positions (S, D, 3) [m], z up, of a scene's drones."""
     if path.stat().st_size > MAX_BYTES:
         raise FileError(f"is larger than {MAX_BYTES} bytes")
-    data = path.read_bytes()
+    data = file_bytes(path)
     magic, _, _, size, kind = struct.unpack_from("<4sIII4s", data)
     if (magic, kind) != (b"glTF", b"JSON"):
         raise FileError("does not begin as a .glb does")

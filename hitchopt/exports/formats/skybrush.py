@@ -54,7 +54,7 @@ from hitchopt.exports.refit import PieceKind, Scale, fit_breaks, fit_pieces, rou
 from hitchopt.exports.verification import EXPORT_RULES
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import read_members, reading
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.files import opened, parsed_json
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks
 from hitchopt.values import Array
@@ -233,7 +233,7 @@ class Show:
 
 def read_show(path: Path) -> Show:
     """Return the show; files that several drones refer to are read once."""
-    with reading(path, "Skybrush show"), zipfile.ZipFile(path) as archive:
+    with reading(path, "Skybrush show"), opened(path) as file, zipfile.ZipFile(file) as archive:
         (content,) = read_members(path, archive, [archive.getinfo("show.json")])
         show = parsed_json(content)
         drones = show["swarm"]["drones"]

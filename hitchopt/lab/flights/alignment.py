@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from scipy.optimize import linear_sum_assignment
 from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.lab.flights.recordings import RecordedFlight
 from hitchopt.lab.simulation.task import Task
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.files import file_text, parsed_json
 from hitchopt.values import Array
 
 STEP, COARSE_STEPS = 0.05, 5  # Step of compared times [s], and its multiple in the search
@@ -130,7 +129,7 @@ def _stated_frame(frame: str) -> dict[str, Frame]:
     if frame in FRAMES:
         return {frame: FRAMES[frame]}
     try:
-        content = parsed_json(Path(frame).read_text(encoding="utf-8"))
+        content = parsed_json(file_text(frame))
         content = content.get("alignment", content)
         R, p = (np.array(content[key], np.float64) for key in ("rotation", "shift"))
         if p.shape != (3,) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):

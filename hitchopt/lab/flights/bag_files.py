@@ -19,6 +19,7 @@ from typing import Any, BinaryIO
 
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.recordings import library
+from hitchopt.storage.files import opened
 
 METADATA = "metadata.yaml"  # File of a closed ROS 2 bag, which lists its parts
 ACTIVE = ".active"  # Suffix of a ROS 1 bag that is not closed
@@ -150,7 +151,7 @@ def _readable(path: Path, scratch: Path) -> tuple[Path, str]:
 
 
 def _begins(path: Path, magic: bytes) -> bool:
-    with path.open("rb") as file:
+    with opened(path) as file:
         return file.read(len(magic)) == magic
 
 
@@ -164,7 +165,7 @@ def _unpacked(path: Path, scratch: Path) -> Path:
 
 def _is_open_mcap(path: Path) -> bool:
     """Return whether a file is of mcap and lacks its end."""
-    with path.open("rb") as file:
+    with opened(path) as file:
         if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
             return False
         file.seek(max(len(MCAP_MAGIC), path.stat().st_size - len(MCAP_MAGIC)))
@@ -177,7 +178,7 @@ def _closed_mcap(path: Path, scratch: Path) -> Path:
     if closed == path:  # It is a copy already
         closed = scratch / f"closed_{path.name}"
     size = path.stat().st_size
-    with path.open("rb") as source, closed.open("wb") as target:
+    with opened(path) as source, closed.open("wb") as target:
         target.write(source.read(len(MCAP_MAGIC)))
         for record in _whole_records(source, size):
             target.write(record)

@@ -42,6 +42,7 @@ from hitchopt.lab.flights.topics import (
     taken_topics,
 )
 from hitchopt.storage.archive import reading
+from hitchopt.storage.files import file_bytes, opened
 from hitchopt.values import Array
 
 HELD = "locSrv"  # Topic of a uSD log that repeats the last position, or zeros, until the next
@@ -162,7 +163,7 @@ def _tied(names: Sequence[str], loads: Mapping[str, Array]) -> tuple[dict[str, f
 
 def read_usd(path: Path) -> Log:
     """Return the content of a log of a Crazyflie's uSD card."""
-    events, notes = usd_events(path.read_bytes())
+    events, notes = usd_events(file_bytes(path))
     positions, quantities = dict[str, Array](), dict[str, Logged]()
     for topic, (variables, unit) in USD_POSITIONS.items():
         if (samples := _usd_samples(events, variables)) is None:
@@ -276,7 +277,7 @@ def read_ulog(path: Path) -> Log:
     """Return the content of a PX4 ulog, converted from north, east, down."""
     options = [*ULOG_POSITIONS.values(), *ULOG_QUANTITIES.values()]
     names = list(dict.fromkeys(each.topic for variables in options for each in variables))
-    with path.open("rb") as file:
+    with opened(path) as file:
         log = library("pyulog").ULog(file, names)
     topics = {topic.name: topic.data for topic in log.data_list[::-1]}  # Of each the first instance
     logged, quantities = dict[str, Array](), dict[str, Logged]()

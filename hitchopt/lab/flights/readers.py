@@ -34,7 +34,7 @@ from hitchopt.lab.flights.recordings import (
     scale_of,
 )
 from hitchopt.storage.archive import reading
-from hitchopt.storage.files import parsed_json
+from hitchopt.storage.files import file_text, opened, parsed_json
 from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array, check_choice
 from hitchopt.values import path as checked_path
@@ -135,7 +135,7 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
     files = sorted(x for x in path.iterdir() if x.is_file()) if path.is_dir() else [path]
     heads = dict[Path, bytes]()
     for file in files:
-        with file.open("rb") as stream:
+        with opened(file) as stream:
             heads[file] = stream.read(64).replace(b"\0", b"")  # Zero bytes of UTF-16
     for pattern, (_, read) in {**TABLE_FORMATS, **TOPIC_FORMATS}.items():
         if matching := [file for file in files if re.match(pattern, heads[file])]:
@@ -178,7 +178,7 @@ def read_simulated(path: Path) -> RecordedFlight:
         for name, samples in _by_name(table.words(kind), values).items():
             rows[prefix + name] = samples[np.isfinite(samples).all(axis=1)]
     try:
-        content = parsed_json((path / SUMMARY).read_text(encoding="utf-8"))
+        content = parsed_json(file_text(path / SUMMARY))
         loops = [content["position_loops"][name] for name in ("feed_forward", "integral")]
         enabled = [np.array([np.any(drone) for drone in loop]) for loop in loops]
         density = float(content["density"]["simulated"])
@@ -423,7 +423,7 @@ def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
             np.column_stack([np.flatnonzero(is_seen), places[is_seen]])
             for is_seen, places in zip(visible.T, positions.swapaxes(0, 1), strict=True)
         ]
-        with path.open("rb") as file:
+        with opened(path) as file:
             first, last = struct.unpack_from("<2H", file.read(10), 6)  # As stated in the file
         total = last - first + 1
         notes = [f"truncated: read to frame {frames} of {total}"] if frames < total else []

@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hitchopt.errors import FileError, InputError, OneLine, short
-from hitchopt.mission.problem import MAX_TITLE
+from hitchopt.mission.problem import TITLE
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 from hitchopt.values.fields import (
     ANYTHING,
@@ -171,7 +171,7 @@ class StudyKeys:
         Any,
         Key(ANYTHING, "Path of a problem file, a list of paths, or a problem", "triangle.yaml"),
     ]
-    title: Annotated[str, Key(strings(MAX_TITLE), "Title of the study")] = ""
+    title: Annotated[str, Key(TITLE, "Title of the study")] = ""
     parameters: Annotated[
         dict[str, Values],
         Key(

@@ -30,7 +30,7 @@ from hitchopt.errors import (
     optional_module,
 )
 from hitchopt.lab.sweeps.study import Case, Study, digest_of, study_from_dict
-from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.storage.files import file_bytes, file_text, replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.values import integer, text
 from hitchopt.values import path as as_path
@@ -176,7 +176,7 @@ def read_study(directory: Path) -> dict[str, Any]:
     """Return title, parameters and cases of a directory's study; raises FileError if invalid."""
     path = directory / STUDY
     try:
-        study = json.loads(path.read_text(encoding="utf-8"))
+        study = json.loads(file_text(path))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise FileError(f"{path}: cannot be read ({reason}); run hitchopt sweep first") from None
@@ -192,7 +192,7 @@ def _read_rows(directory: Path) -> dict[str, Row]:
     """
     path, rows = directory / ROWS, dict[str, Row]()
     try:
-        lines = path.read_text("utf-8", "replace").splitlines() if path.exists() else []
+        lines = file_bytes(path).decode("utf-8", "replace").splitlines() if path.exists() else []
     except OSError as error:
         raise FileError(f"{path}: cannot be read: {error}") from error
     for number, line in enumerate(lines, 1):
