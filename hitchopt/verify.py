@@ -1612,8 +1612,8 @@ def laid_cables(p: Plan) -> Iterator[Row]:
     yield prove("cable_length 1 max", 1e-4, s, length_error)
     pairs = p.spans(laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
     yield prove(*p.crossing_limit, pairs, gap)
-    half_crossings, links = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros((2, len(p.clasps)))
-    _, sign, least = replay(p, half_crossings, links, ("", ""))
+    half_crossings, unlinked = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps))
+    _, sign, least = replay(p, half_crossings, unlinked, unlinked)
     s = p.spans(laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
 
     def above(s: Spans, c: Index) -> Line:
@@ -1672,10 +1672,12 @@ def roll_changes(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
 
 
 def rolled(
-    p: Plan, run: Items, linked: Mask, links: tuple[Array, Array], around: tuple[str, str]
+    p: Plan, run: Items, linked: Mask, sense: Array, order: Array, before: str, after: str
 ) -> tuple[Array, Array, list[tuple[Mask, str]]]:
-    """Return senses and height orders (c,) after pairs have rolled, and masks of faults."""
-    (sense, order), (before, after) = links, around
+    """Return senses and height orders (c,) after pairs have rolled, and masks of faults.
+
+    ``before`` and ``after`` are the states of cables before and after, empty at ends of the plan.
+    """
     start, change, valid = roll_changes(p, run)
     opened = np.abs(start) >= OPEN_ROLL
     valid &= (opened == (order != 0.0)) & (opened | linked)
@@ -1691,20 +1693,20 @@ def rolled(
 
 
 def replay(
-    p: Plan, half_crossings: Array, links: Array, around: Sequence[str]
+    p: Plan, half_crossings: Array, sense: Array, order: Array
 ) -> tuple[list[Fault], Array, Array]:
     """Replay half crossings of neighbours that are laid and roll, and add them to an array.
 
-    ``links`` (2, c), updated from start to end, are senses of links and height orders, 1 if a cable
-    lies on the one behind. ``around`` has the states before and after.
+    ``sense`` and ``order`` (c,) are senses of links and height orders at the start, 1 if a cable
+    lies on the one behind.
     Returns faults and, on pieces with vertical motion, the sign (m, c) of the upper cable, and the
     smallest height of its q over the other one's, times that sign; on pieces that roll, the sign is
     that of the sense.
     """
     m, count, faults = len(p.h), len(p.clasps), list[Fault]()
-    sign, least, (sense, order) = np.zeros((m, count)), np.full((m, count), -BIG), links
+    sign, least = np.zeros((m, count)), np.full((m, count), -BIG)
     runs = [(str(s), np.array([*q])) for s, q in groupby(range(m), lambda q: p.state[q])]
-    names = [around[0], *(s for s, _ in runs), around[1]]
+    names = ["", *(s for s, _ in runs), ""]
     i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
 
     def check(q: int, wrong: Any, text: str) -> None:
@@ -1746,13 +1748,12 @@ def replay(
             order = last * (after == ROLLING)
         elif state == ROLLING:
             np.add.at(half_crossings[..., run[-1] + 1], (i, j), np.where(linked, 0.0, order))
-            sense, order, wrong = rolled(p, run, linked, (sense, order), (before, after))
+            sense, order, wrong = rolled(p, run, linked, sense, order, before, after)
             sign[run] = sense
             for each, text in wrong:
                 check(q, each, text)
         elif state == "hitched" and before not in ("", ROLLING):
             sense = number
-    links[:] = sense, order
     return faults, sign, least
 
 
@@ -2144,15 +2145,12 @@ def fault_row(name: str, faults: Iterable[Fault]) -> Row:
 def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
     """Check jumps of curves at joints of pieces, as sums over time, and jumps of thrusts and pulls.
 
-    At changes of the ring, thrusts may jump by the weights of cables that lie on each other. With
-    ``rests``, the plan must be at rest at its ends.
+    With ``rests``, the plan must be at rest at its ends.
     """
     bodies, both = [body.name for body in p.bodies], (p.taut[1:] & p.taut[:-1])[:, None]
 
-    def jump(
-        c: Array, names: Sequence[str], on: Any = True, slack: Any = 0.0, fold: Any = np.max
-    ) -> Iterator[Worst]:
-        x = (norm(c[1:, ..., 0] - c[:-1, ..., -1]) - slack) * on
+    def jump(c: Array, names: Sequence[str], on: Any = True, fold: Any = np.max) -> Iterator[Worst]:
+        x = norm(c[1:, ..., 0] - c[:-1, ..., -1]) * on
         if x.size:
             i = int(np.argmax(each := fold(x, axis=0)))
             yield float(each[i]), float(p.breaks[np.argmax(x[:, i]) + 1]), names[i]
@@ -2194,17 +2192,12 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
 
 def interlacing(p: Plan) -> Iterator[Row]:
     """Check the crossings of all pairs of cables against the states of phases."""
-    links = np.zeros((3, len(p.clasps)))  # crossings, senses, and height orders
-    links[:2] = float(p.formed[0])
-    links[0] *= 1 + p.two
-    later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))  # free now or later
-    faults = [*link_faults(p, links, later_free)]
     if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, BENT))):
-        yield fault_row("interlacing", faults)
+        yield fault_row("interlacing", link_faults(p))
 
 
-def link_faults(p: Plan, own: Array, loose: Mask) -> Iterator[Fault]:
-    """Count crossings of chords on the ``loose`` pieces of a plan, and update all links.
+def link_faults(p: Plan) -> Iterator[Fault]:
+    """Count crossings of chords on pieces on which cables are free now or later.
 
     A hitch keeps its links: chords are followed through it if cables are released later. On spans
     on which chords may touch, each must provably cross the other, projected along their common
@@ -2235,14 +2228,16 @@ def link_faults(p: Plan, own: Array, loose: Mask) -> Iterator[Fault]:
 
     # replay checks laid or rolling neighbours
     both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, BENT))
-    loose = loose[:, None] & ~(laid[:, None] & p.clasped[both])
+    later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))
+    loose = later_free[:, None] & ~(laid[:, None] & p.clasped[both])
     pairs = p.spans(loose, np.column_stack(both), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
     i, j = np.minimum(*p.pair), np.maximum(*p.pair)
-    half_crossings[i, j, 0] = own[0]
+    linked = np.full(len(p.clasps), float(p.formed[0]))  # as a hitch at the start is
+    half_crossings[i, j, 0] = linked * (1 + p.two)
     if np.any(laid):
-        faults, sense, _ = replay(p, half_crossings, own[1:], ("", ""))
+        faults, sense, _ = replay(p, half_crossings, linked, 0.0 * linked)
         s = p.spans(p.state == ROLLING, range(len(p.clasps)), p.labels[p.V])
         row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=sense))
         past = row.verdict != "proven", f"the pair at {row.where} rolls past lying across"

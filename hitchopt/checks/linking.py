@@ -255,18 +255,11 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.requirements.objects:
         parts.append((motion.poses, tuple(motion.requirements.objects)))
-    legs = tuple(f"{name} {k}" for k in motion.team.labels for name in PART_NAMES[0::2])
+    legs = tuple(f"{name} {k}" for k in range(motion.team.robots) for name in PART_NAMES[0::2])
     for span in motion.spans(TAUT_STATES):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
         if span.has_bent_cables:
             parts.append((span.inner_ends.reshaped(-1, 3), legs))
-    return jump_of(motion, parts)
-
-
-def jump_of(
-    motion: Motion, parts: Sequence[tuple[PiecewisePolynomial, Sequence[str]]]
-) -> WorstCase:
-    """Return the largest sum of jumps of curves with named items, on a motion's breaks."""
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
         rates = [derivative(part, order) for order in range(3)]
@@ -306,30 +299,22 @@ DURATION = CheckRule(
 def _interlacing_errors(motion: Motion, _: float) -> WorstCase:
     """Return the number of pairs of cables, or cables, that contradict the state of their phase."""
     first, index_of = dict[int, tuple[float, int]](), motion.phases.index
-    for phase, pair, time in wrong_cables(motion, Ties.at_start(motion)):
-        first[pair] = min(first.get(pair, (np.inf, 0)), (time, index_of(phase)))
+    for phase, pairs, times in _wrong_cables(motion):
+        for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
+            first[pair] = min(first.get(pair, (np.inf, 0)), (float(time), index_of(phase)))
     if not first:
         return WorstCase(0.0, float(motion.drones.breaks[-1]))
-    pairs = sorted(first, key=lambda pair: (first[pair], pair))[:MAX_NAMED]
-    time, index = first[pairs[0]]
+    named = sorted(first, key=lambda pair: (first[pair], pair))[:MAX_NAMED]
+    time, index = first[named[0]]
     where = [f"phase {index} ({motion.phases[index].name})"]
-    where += [name for pair in pairs for name in _names(motion.team, pair)]
+    where += [name for pair in named for name in _names(motion.team, pair)]
     return WorstCase(float(len(first)), time, tuple(where))
 
 
-def wrong_cables(motion: Motion, ties: Ties) -> Iterator[tuple[Phase, int, float]]:
-    """Yield phases, cables ``i n + i`` or pairs ``i n + j`` that contradict them, and times [s].
-
-    ``ties`` are those at the start, and are updated to those at the end.
-    """
-    for phase, pairs, times in _errors(motion, ties):
-        for pair, time in zip(pairs.tolist(), np.broadcast_to(times, len(pairs)), strict=True):
-            yield phase, pair, float(time)
-
-
-def _errors(motion: Motion, ties: Ties) -> Iterator[tuple[Phase, Indices, Array | float]]:
-    """Yield phases with their contradicting pairs and times."""
-    layout, numbers = motion.team.layout, ties.numbers
+def _wrong_cables(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
+    """Yield phases, cables ``i n + i`` or pairs ``i n + j`` that contradict them, times [s]."""
+    layout, ties = motion.team.layout, Ties.at_start(motion)
+    numbers = ties.numbers
     clasped = np.sort(clasped_pairs(layout))
     runs = [
         (state, list(run)) for state, run in groupby(phase_parts(motion), lambda p: p.phase.state)
@@ -386,7 +371,7 @@ def _laid_errors(parts: Sequence[PhasePart], ties: Ties) -> Iterator[tuple[Phase
     for part in parts:
         start = float(part.motion.drones.breaks[0])
         yield part.phase, _contradictions(part.motion), start
-        if part.phase.state in OPEN_STATES:
+        if part.phase.state is CableState.ROLLING:
             yield part.phase, clasped[ties.past(part.motion)], start
 
 
@@ -646,7 +631,7 @@ def _names(team: Team, pair: int) -> list[str]:
     layout = team.layout
     if pair in (pairs := clasped_pairs(layout)):
         return [f"p{layout.clasps[int(np.argmax(pairs == pair))]}"]
-    return [f"cable {team.labels[k]}" for k in sorted({*divmod(pair, layout.robots)})]
+    return [f"cable {k}" for k in sorted({*divmod(pair, layout.robots)})]
 
 
 def _contradictions(motion: Motion) -> Indices:
@@ -688,7 +673,7 @@ def _contradictions(motion: Motion) -> Indices:
     elif state is CableState.LAYING:
         offsets = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
         invalid.append(single[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > MAX_SIDEWAYS])
-    elif state in OPEN_STATES:
+    elif state is CableState.ROLLING:
         pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
         loaded = bool(np.any(carried_objects(motion)) or np.any(motion.team.load))
         loaded |= any(p.hold is not None and p.hold.by is HoldBy.REST for p in motion.phases)
@@ -734,9 +719,7 @@ INTERLACING = CheckRule(
     "interlacing",
     "1",
     "max",
-    lambda motion: (
-        None if motion.cable_states <= {CableState.HITCHED} or motion.team.robots == 1 else 0.0
-    ),
+    lambda motion: None if motion.cable_states <= {CableState.HITCHED} else 0.0,
     (Evaluator(_interlacing_errors, FREE_STATES | TAUT_STATES),),
     "place the drones so that cables need not pass each other",
     whole=True,

@@ -177,7 +177,7 @@ def _cached_batches(motion: Motion, spans_type: type[MotionSpans]) -> tuple[Any,
 
 def cable_names(motion: Motion) -> Sequence[str]:
     """Return the cables' names."""
-    return [f"cable {k}" for k in motion.team.labels]
+    return [f"cable {k}" for k in range(motion.team.robots)]
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
@@ -257,10 +257,9 @@ def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
     return np.minimum(first, second) * layout.robots + np.maximum(first, second)
 
 
-def part_names(motion: Motion, parts: Indices) -> list[str]:
+def part_names(parts: Indices) -> list[str]:
     """Return the names of cable parts, such as ``q-leg 2`` or ``edge 0``."""
-    labels = motion.team.labels
-    return [f"{PART_NAMES[part % 3]} {labels[part // 3]}" for part in parts.tolist()]
+    return [f"{PART_NAMES[part % 3]} {part // 3}" for part in parts.tolist()]
 
 
 def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:

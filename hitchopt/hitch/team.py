@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Annotated, ClassVar
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -200,7 +200,6 @@ class Team(ByValue):
             "closed hitch, the inner points of a chain",
         ),
     ] = field(repr=False)
-    min_open_robots: ClassVar[int] = 2  # smallest number of robots of an open chain
 
     def __init__(
         self,
@@ -215,9 +214,9 @@ class Team(ByValue):
         load: float | Sequence[float] | ArrayLike = 0.0,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
-        n = integer("robots", robots, 2 if topology == CLOSED else self.min_open_robots, MAX_ROBOTS)
+        n = integer("robots", robots, 2, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
-        kinds = kinds_of(quadrotor, n, "robot", _names("qr", range(n)))
+        kinds = kinds_of(quadrotor, n, "robot", _names("qr", n))
         if tension is None:
             tension = np.min(np.reshape([kind.tension for kind in kinds], (n, -1)), axis=1)
         pull = per_robot("tension", tension, n, units.TENSION.check)
@@ -333,17 +332,12 @@ class Team(ByValue):
     @property
     def point_names(self) -> tuple[str, ...]:
         """(points,): p0, p1, …, names of the vertices or of a chain's points."""
-        return _names("p", range(self.layout.points))
-
-    @property
-    def labels(self) -> tuple[int, ...]:
-        """(n,): numbers of the robots in the names of drones and cables."""
-        return tuple(range(self.robots))
+        return _names("p", self.layout.points)
 
     @property
     def drone_names(self) -> tuple[str, ...]:
         """(2n,): q0, r0, q1, r1, …."""
-        return _names("qr", self.labels)
+        return _names("qr", self.robots)
 
     @property
     def cable_weight(self) -> NDArray[np.float64]:
@@ -352,8 +346,8 @@ class Team(ByValue):
 
 
 @lru_cache(maxsize=64)
-def _names(kinds: str, labels: Sequence[int]) -> tuple[str, ...]:
-    return tuple(f"{kind}{k}" for k in labels for kind in kinds)
+def _names(kinds: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{kind}{k}" for k in range(count) for kind in kinds)
 
 
 MAX_DRONES = 2 * MAX_ROBOTS  # Largest number of drones, checked before any memory is allocated
@@ -372,7 +366,7 @@ class Swarm(Team):
         empty.setflags(write=False)
         values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), empty)
         values |= {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
-        values |= {"quadrotor": kinds_of(quadrotor, count, "drone", _names("d", range(count)))}
+        values |= {"quadrotor": kinds_of(quadrotor, count, "drone", _names("d", count))}
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -384,7 +378,7 @@ class Swarm(Team):
     @property
     def drone_names(self) -> tuple[str, ...]:
         """(N,): d0, d1, …."""
-        return _names("d", range(self.drones))
+        return _names("d", self.drones)
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     returned unchanged, except for ``others``.
 
     Raises InputError for invalid or duplicate names; UnsupportedError for several groups, one with
-    a ring that changes, or with cables that are tied around an object.
+    cables that are tied around an object.
     """
     names = [each.name for each in (*groups, *others)]
     for index, name in enumerate(names):
@@ -97,8 +97,6 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
         if not (unnamed or all(map(NAME.fullmatch, words))) or folded(name) in taken:
             bound = "a name of its own, also without regard to case, of letters, digits, - and _"
             raise InputError("teams", name, bound, "rename it")
-    for each in (*(groups if len(groups) > 1 else ()), *others):
-        each.motion.require_one_team("a plan of several teams", others=False)
     flying = (*groups, *others)
     if len(flying) > 1 and any(each.motion.has_bent_cables for each in flying):
         message = "cables that bend around an object on their own keep no distances to other teams"
@@ -108,11 +106,6 @@ def combined(groups: Sequence[Group], others: Sequence[Group] = ()) -> Motion:
     groups = tuple(replace(each, motion=padded(each.motion, begin, end)) for each in groups)
     if len(groups) == 1:
         return groups[0].motion.replaced(others=tuple(others))
-    return side_by_side(groups, others)
-
-
-def side_by_side(groups: Sequence[Group], others: Sequence[Group]) -> Motion:
-    """Return ``combined`` for groups that cover the same time, without checks of names."""
     begin, end = groups[0].motion.drones.breaks[[0, -1]].tolist()
     breaks = merged_breaks([each.motion.drones.breaks for each in groups])
     motions = [on_breaks_of(each.motion, breaks) for each in groups]

@@ -253,7 +253,7 @@ def final_hitch(motion: Motion) -> Hitch:
     """Return the hitch with the vertices and drones of the motion's end.
 
     Raises InputError if there is no hitch at the end; UnsupportedError if cables end with other
-    tensions than the team's, there are several groups, or the ring changes.
+    tensions than the team's, or there are several groups.
     """
     if len(motion.groups) > 1:
         raise UnsupportedError("several teams: continue with one of plan.motion.groups")

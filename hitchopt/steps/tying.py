@@ -97,8 +97,8 @@ class Form(Step):
         """Return the step for a team; raise InputError if the order is not one of its robots."""
         if not isinstance(self.order, str):
             order = np.asarray(self.order).tolist()
-            if self.by != "laying" or sorted(order) != sorted(team.labels):
-                members = ", ".join(map(str, sorted(team.labels)))
+            if self.by != "laying" or sorted(order) != [*range(team.robots)]:
+                members = ", ".join(map(str, range(team.robots)))
                 bound = f"with by: laying, each of the robots {members} once"
                 raise InputError("order", order, bound, "leave it out, or list all robots")
         return super().resolved_for(team)

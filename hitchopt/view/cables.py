@@ -44,8 +44,6 @@ OPEN_STATES = HITCHED_STATE - {CableState.HITCHED}  # States in which clasps may
 # radii; minimum change of height of a rolling pair [m], and number of samples
 FULL_CONTACT, STRAIGHT_REACH, MIN_ROLL_RISE, ROLL_SAMPLES = 0.5, 2.0, 0.01, 17
 
-Senses = dict[tuple[int, int], float]  # 1 where the edge ahead is on top, else -1
-
 
 def cable_curves(
     motion: Motion, states: States, thickness: float = THICKNESS
@@ -54,14 +52,14 @@ def cable_curves(
 
     ``thickness`` is the radius as a share of the scene's extent.
     """
-    n, extent = motion.team.robots, float(np.max(np.ptp(states.positions, axis=(0, 1)), initial=0))
+    drones = states.positions
+    extent = float(np.max(np.ptp(drones, axis=(0, 1)), initial=0))
     radius = float(np.clip(thickness * extent, MIN_RADIUS, MAX_RADIUS))
-    if n == 0:
-        return np.zeros((len(states.t), n, POINTS, 3)), radius
-    t, senses = motion.drones.breaks[0] + states.t, clasp_senses(motion)
-    points, radius = _part_curves(motion, t, states.positions, radius, senses)
+    if not motion.team.has_cables:
+        return np.zeros((len(states.t), 0, POINTS, 3)), radius
+    points, radius = _above_and_below_ground(motion, states, radius)
     floor = motion.requirements.floor + radius
-    points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(states.positions[..., 2])))
+    points[..., 2] = np.maximum(points[..., 2], np.minimum(floor, np.min(drones[..., 2])))
     return points, radius
 
 
@@ -74,15 +72,13 @@ class _Bending:
     may_be_open: NDArray[np.bool_]  # (times,) whether clasps may be open, with straight cables
 
 
-def _part_curves(
-    motion: Motion, t: Array, drones: Array, max_radius: float, senses: Senses
+def _above_and_below_ground(
+    motion: Motion, states: States, max_radius: float
 ) -> tuple[Array, float]:
-    """Return the cables of a part of a plan at times on its clock, and their drawn radius.
-
-    ``senses`` are those of the whole plan, for clasps that do not turn in this part.
-    """
+    """Return the cables, which may sag below the ground, and their drawn radius."""
+    t, drones, radius = motion.drones.breaks[0] + states.t, states.positions, max_radius
     times, shares = _hooked_shares(motion, t)
-    points, radius = _free_cables(motion, drones, np.linspace(0.0, 1.0, POINTS)), max_radius
+    points = _free_cables(motion, drones, np.linspace(0.0, 1.0, POINTS))
     pieces = np.searchsorted(motion.drones.breaks[1:-1], t, side="right")
     bent = np.flatnonzero(motion.in_states(frozenset({CableState.BENT}))[pieces])
     points[bent] = _bent_cables(motion, drones[bent], t[bent])
@@ -96,9 +92,8 @@ def _part_curves(
         shortest = min(np.min(legs, initial=np.inf), np.min(length(layout.edges(vertices))))
         radius = min(radius, MAX_BEND_SHARE * float(shortest) / BEND_RADIUS)
         piece = np.searchsorted(motion.drones.breaks[1:-1], times, side="right")
-        senses = senses | clasp_senses(motion)
-        signs = np.array([senses.get(pair, 1.0) for pair in _clasp_pairs(motion)])
-        bending = _Bending(BEND_RADIUS * radius, signs, motion.in_states(OPEN_STATES)[piece])
+        may_be_open = motion.in_states(OPEN_STATES)[piece]
+        bending = _Bending(BEND_RADIUS * radius, clasp_senses(motion), may_be_open)
         hooked = _hooked_cables(motion, drones, vertices, bending, contacts)
         along = np.cumsum(np.linalg.norm(np.diff(hooked, axis=-2), axis=-1), axis=-1)
         along = np.concatenate([np.zeros_like(along[..., :1]), along], axis=-1)
@@ -108,14 +103,14 @@ def _part_curves(
     return points, radius
 
 
-def clasp_senses(motion: Motion) -> Senses:
-    """Return 1 for clasps whose edge ahead is on top, else -1, by the robots of r and q.
+def clasp_senses(motion: Motion) -> Array:
+    """Return 1 for clasps (clasps,) whose edge ahead is on top, else -1.
 
-    It is on top if q passes over r during clasping, or under r during a roll in either direction.
-    Clasps that do not turn are omitted.
+    It is on top if q passes over r during clasping, or under r during a roll in either direction,
+    and where the clasp does not turn.
     """
     layout, ends = motion.team.layout, motion.drones.breaks[[0, -1]]
-    senses = np.zeros(len(layout.clasps))
+    senses = np.ones(len(layout.clasps))
 
     def rises(times: Array) -> Array:
         heights = motion.drones.at(np.clip(times, *ends))[..., 2]
@@ -131,14 +126,7 @@ def clasp_senses(motion: Motion) -> Senses:
             rise = rises(np.linspace(phase.start, phase.end, ROLL_SAMPLES))
             extreme = np.take_along_axis(rise, np.argmax(np.abs(rise), axis=0)[None], axis=0)[0]
             senses = np.where(np.ptp(rise, axis=0) > MIN_ROLL_RISE, -np.sign(extreme), senses)
-    return {pair: x for pair, x in zip(_clasp_pairs(motion), senses.tolist(), strict=True) if x}
-
-
-def _clasp_pairs(motion: Motion) -> list[tuple[int, int]]:
-    """Return the robots of r and q at every clasp."""
-    layout, labels = motion.team.layout, np.array(motion.team.labels)
-    both = labels[layout.behind].tolist(), labels[layout.ahead].tolist()
-    return list(zip(*both, strict=True))
+    return senses
 
 
 def _state_runs(motion: Motion) -> list[tuple[CableState, float, float]]:

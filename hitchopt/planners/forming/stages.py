@@ -34,13 +34,7 @@ SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 
 BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
 BACKWARD |= {"draw taut": "slacken", "slide in": "slide out", "lay": "lift", "roll": "unroll"}
-BACKWARD |= {
-    "approach": "leave",
-    "straddle": "unstraddle",
-    "open": "close",
-    "lower": "raise",
-    "pass weight": "pass weight back",
-}
+BACKWARD |= {"approach": "leave", "straddle": "unstraddle", "lower": "raise"}
 """Names of reversed stages of forming."""
 
 
