@@ -288,7 +288,7 @@ class Plan(OneLine):
         progress: status callback.
         options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
             rate, stretch, storage, ros_distro, hold_tension, allow_slack, positions_only,
-            stiffness and damping.
+            stiffness, damping and longer_rests.
 
         Raises
         ------

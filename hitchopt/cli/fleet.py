@@ -68,6 +68,11 @@ PORT = {"json": 14600, "mavlink": 14580}
         "--positions-only",
         "Allow for drones that follow positions alone, and trail them by v kd/kp.",
     ),
+    option(
+        "--longer-rests/--no-longer-rests",
+        "Whether a plan that is cut may rest longer where it is, for set points to come to rest.",
+        True,
+    ),
     option("--stiffness", "Of the drones' position loops; by default the team's.", float, "N/M"),
     option(
         "--damping", "Of these loops; by default that of a damping ratio of 5/6.", float, "N·S/M"

@@ -465,7 +465,7 @@ def _export_part(
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
             "duration": verdict.duration,
-            "plan_span": [task.begins, task.begins + task.motion.duration],
+            "plan_span": [task.begins, task.begins + task.motion.duration - task.rest],
             "position_error_m": asdict(verdict.position),
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
@@ -524,7 +524,8 @@ def _move_exports(
     folders = [place / part.folder.name if several else place for part in exports]
     new = {folder: part.sources for part, folder in zip(exports, folders, strict=True)}
     if several:
-        ends = [*(part.begins for part in exports[1:]), task.motion.duration]
+        cuts = task.plan if task.rests_longer else task.motion
+        ends = [*(part.begins for part in exports[1:]), cuts.duration]
         spans = [[part.begins, end] for part, end in zip(exports, ends, strict=True)]
         content = _manifest_head(kind, task) | {"duration": task.motion.duration, "files": []}
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}

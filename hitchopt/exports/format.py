@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,13 @@ from hitchopt.checks.certificate import Check
 from hitchopt.errors import InputError
 from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
+from hitchopt.exports.held_tension import REST_TIME, held_tension
 from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, STOCK
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.retiming import between
 from hitchopt.motion.states import HOVER, States, attitudes, iterate_states, sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, closest_word
@@ -31,7 +33,7 @@ FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180°
 class ExportTask:
     """A plan or a part of it, and all options of its files."""
 
-    motion: Motion  # starts at t = 0
+    motion: Motion  # starts at t = 0; with set points as drones if offsets hold the tension
     title: str
     frame: ReferenceFrame  # the files' frame
     fleet: Fleet  # the drones
@@ -40,7 +42,8 @@ class ExportTask:
     begins: float = 0.0  # start of the part in the plan [s]
     number: int = 1  # number of the part, from 1
     part: str = ""  # description of the part; empty for the whole plan
-    without_offsets: Motion | None = None  # the plan, if the motion has offsets to hold its tension
+    without_offsets: Motion | None = None  # the same without offsets that hold the tension, if any
+    rest: float = 0.0  # duration of the rest that is added to the part's end [s]
     bound: float = 1.0  # factor of the usual refit error
     trailing: Check | None = None  # of the distances of drones that trail positions alone
     undetermined: tuple[str, ...] = ()  # reasons why the tension is undetermined
@@ -64,6 +67,31 @@ class ExportTask:
         return self.without_offsets is not None
 
     @property
+    def plan(self) -> Motion:
+        """The plan or the part of it, from t = 0, without offsets."""
+        return self.motion if self.without_offsets is None else self.without_offsets
+
+    @property
+    def rests_longer(self) -> bool:
+        """Whether parts rest longer at their ends than the plan, for offsets to come to rest."""
+        is_alone = len(self.motion.groups) == 1 and not self.motion.others
+        return self.options.longer_rests and self.holds_tension and is_alone
+
+    def between(self, start: float, end: float) -> ExportTask:
+        """Return the task of the part between two times [s] of the motion at which drones rest.
+
+        If parts rest longer, the times are those of the plan, and the part has offsets of its own.
+        """
+        part = replace(self, begins=start)
+        if self.rests_longer:
+            plan = between(self.plan, start, end)
+            held = held_tension(plan, self.options.stiffness, self.options.damping)
+            return replace(part, motion=held.motion, without_offsets=plan, rest=REST_TIME)
+        if self.without_offsets is not None:
+            part = replace(part, without_offsets=between(self.without_offsets, start, end))
+        return replace(part, motion=between(self.motion, start, end))
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names (D,) of the drones in the files, in the plan's order."""
         return tuple(member.name for member in self.fleet.members)
@@ -82,9 +110,7 @@ class ExportTask:
 
     def planned(self, t: float) -> Array:
         """Return the drones' positions (D, 3) [m] in the plan at a time, without offsets."""
-        if self.without_offsets is None:
-            return self.motion.drones.at(t)
-        return self.without_offsets.drones.at(min(self.begins + t, self.without_offsets.duration))
+        return self.plan.drones.at(min(t, self.plan.duration))
 
     def heights(self, t: float) -> Array:
         """Return the drones' heights (D,) [m] above the floor at a time, without offsets."""

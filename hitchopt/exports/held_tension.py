@@ -27,7 +27,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import DAMPING_RATIO
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import append_motion, resting
+from hitchopt.motion.retiming import prolonged
 from hitchopt.motion.states import states_at
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
@@ -155,7 +155,7 @@ def _group_set_points(
     # The largest error over the largest residual: the integral of the absolute impulse response.
     ratio = min(float(np.min(c / critical)), 1.0 - 1e-9)
     gain = float(1.0 / np.tanh(0.5 * np.pi * ratio / np.sqrt(1.0 - ratio * ratio)))
-    whole = append_motion(motion.untimed, resting(motion.untimed, REST_TIME))
+    whole = prolonged(motion.untimed, REST_TIME)
     step = MAX_STEP * float(np.min(np.sqrt(masses / k)))
     for halving in range(HALVINGS + 1):
         spans = [

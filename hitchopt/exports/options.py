@@ -48,6 +48,8 @@ class ExportOptions:
     positions_only: bool = False  # whether receivers follow positions alone, and trail them
     stiffness: float | None = None  # of position loops [N/m]; None for the team's
     damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
+    # whether parts of a plan that fly one by one may rest longer at their ends than the plan
+    longer_rests: bool = True
 
     def __post_init__(self) -> None:
         for name, values in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):

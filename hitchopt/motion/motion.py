@@ -25,6 +25,8 @@ JOINT = 1e-6
 
 WAIT = "wait"  # Name of phases in which a group waits at rest while others fly
 
+TAKE_OFF = "take-off"  # Name of phases in which tying begins, up from the ground
+
 SETTLE = "settle"
 """Name of phases in which drones swing to remove friction hysteresis, at the end of a step."""
 

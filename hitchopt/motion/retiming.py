@@ -31,7 +31,11 @@ def rest_breaks(motion: Motion) -> NDArray[np.intp]:
 
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, starting at t = 0."""
-    start, end = motion.drones.breaks[[first, last]].tolist()
+    return between(motion, *motion.drones.breaks[[first, last]].tolist())
+
+
+def between(motion: Motion, start: float, end: float) -> Motion:
+    """Return the motion between two times [s], starting at t = 0; ``padded`` after its own time."""
     others = tuple(replace(each, motion=shifted(each.motion, -start)) for each in motion.others)
     parted = motion.each_group(lambda own: shifted(slice_time(own, start, end), -start))
     return parted.replaced(others=others)
@@ -198,6 +202,20 @@ def resting(
         return group.map_curves(part, [own_phase.retimed(0.0, seconds)])
 
     return motion.each_group(of_group)
+
+
+def prolonged(motion: Motion, seconds: float) -> Motion:
+    """Return a motion that goes on at rest at its end, for some time in its last phase."""
+    if seconds == 0.0:
+        return motion
+
+    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
+        return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[-1, ..., -1])
+
+    def rest(group: Motion) -> Motion:
+        return group.map_curves(part, [group.phases[-1].retimed(0.0, seconds)])
+
+    return append_motion(motion, motion.each_group(rest))
 
 
 def with_last_poses(previous: Motion, motion: Motion) -> Motion:

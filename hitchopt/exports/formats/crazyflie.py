@@ -29,9 +29,7 @@ import re
 import struct
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from importlib import resources
-from itertools import pairwise
 from math import comb, factorial
 from pathlib import Path
 from typing import Any
@@ -44,6 +42,7 @@ from hitchopt.exports.contents import FileContents, Trajectory, error, separator
 from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions
+from hitchopt.exports.parts import cut_into_parts
 from hitchopt.exports.placing import AXES
 from hitchopt.exports.refit import (
     PieceKind,
@@ -55,8 +54,7 @@ from hitchopt.exports.refit import (
 )
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import UNSTATED_LATENCY
-from hitchopt.motion.motion import JOINT, Motion
-from hitchopt.motion.retiming import cut, rest_breaks
+from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import file_bytes
 from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines
@@ -108,42 +106,22 @@ class CrazyflieFormat(Format):
         return FileContents.of_curves(drones, frame, self.smooth, findings)
 
     def parts(self, task: ExportTask, share: float) -> Sequence[ExportTask]:
-        """Return the task cut at rests into the fewest parts that fit in memory; empty if none do.
+        """Return the fewest parts of a task that fit in memory, cut at rests; empty if none do."""
 
-        A plan is not cut if other plans fly at the same time, as they would not wait.
-        """
-        motion, limit = task.motion, self.max_pieces(task.motion.drones)
-        if motion.others:
-            return ()
-        rests, times = rest_breaks(motion).tolist(), motion.drones.breaks
-        starts = rests[:1]
-        while starts[-1] < rests[-1]:
-            remaining = cut(motion, starts[-1], rests[-1]).drones
-            pieces = fit_breaks(remaining, self.kind, share, limit)[: limit + 1]
-            latest = times[starts[-1]] + pieces[-1]
-            end = max(rest for rest in rests if times[rest] <= latest + JOINT)
-            if end == starts[-1]:
-                return ()
-            starts.append(end)
-        spans, count = list(pairwise(starts)), len(starts) - 1
-        reason = (
-            f"the plan is cut into {count} parts at rests, to fit a drone's memory or to keep a "
-            "limit: fly one, goTo the point where each drone hovers, and only then upload the next"
-        )
-        tasks = []
-        for i, (first, last) in enumerate(spans if count > 1 else (), 1):
-            start, end = motion.drones.breaks[[first, last]].tolist()
-            part = f"part {i} of {count}, t = {start:.3f} s to {end:.3f} s of the plan"
-            part_task = replace(task, motion=cut(motion, first, last), begins=start, number=i)
-            notes = (*task.notes, reason, part)
-            tasks.append(replace(part_task, part=part, notes=notes))
-        return tasks
+        def fits(part: ExportTask) -> bool:
+            limit = self.max_pieces(part.motion.drones)
+            return len(fit_breaks(part.motion.drones, self.kind, share, limit)) - 1 <= limit
 
-    def refusal(self, motion: Motion) -> InfeasibleError:
-        """Return the error that a motion does not fit in memory."""
+        return cut_into_parts(task, fits)
+
+    def refusal(self, task: ExportTask) -> InfeasibleError:
+        """Return the error that a task does not fit in memory."""
+        motion = task.motion
         pieces = len(fit_breaks(motion.drones, self.kind, 1.0)) - 1.0
         when, limit = f"in {motion.duration:.4g} s", float(self.max_pieces(motion.drones))
         remedy = "add steps such as hold: {seconds: 3}, at which the plan can be cut"
+        if task.rests_longer:
+            remedy = "divide its longest step, as it is cut between phases already"
         note = "compressed holds three times as much as crazyswarm2; or stream it: format=ros2bag"
         violation = Violation("memory", pieces, limit, "max", "pieces", (), when, remedy)
         return InfeasibleError([violation], note)
@@ -186,7 +164,7 @@ class Crazyswarm2(CrazyflieFormat):
         """Write the best fit of at most 31 pieces, within a millimetre."""
         breaks = best_breaks(task.motion.drones, POLY, MAX_PIECES)
         if len(breaks) - 1 > MAX_PIECES:
-            raise self.refusal(task.motion)
+            raise self.refusal(task)
         if len(breaks) <= MIN_ROWS:
             breaks = np.array([0.0, POLY.quantum * (breaks[-1] // (2 * POLY.quantum)), breaks[-1]])
         curves = task.placed(fit_pieces(task.motion.drones, breaks, POLY))
@@ -445,7 +423,7 @@ class CompressedBytes(CrazyflieFormat):
             (folder / file).write_bytes(data)
             size = max(size, len(data))
         if size > BYTES:
-            raise self.refusal(task.motion)
+            raise self.refusal(task)
         note = f"up to {size} of {BYTES} bytes of each drone's memory; velocity jumps at joints"
         return FormatOutput(files, (note, CLIENT, *parameter_notes(task)))
 

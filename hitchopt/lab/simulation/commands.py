@@ -127,7 +127,7 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     motion = motion.replaced(team=replace(team, quadrotor=kinds))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity
-        options = ExportOptions(kind.name, allow_slack=not hold_tension)
+        options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)
         try:
             with tempfile.TemporaryDirectory() as folder:
                 parts = export_motion(motion, "", options, folder)

@@ -10,6 +10,7 @@ a cable moves, and is corrected by the captured position and, of a rigid body, a
 from __future__ import annotations
 
 from collections import deque
+from math import floor
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -20,7 +21,7 @@ from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
-LATENCY = 0.01  # Delay of motion capture [s]
+LATENCY = 0.01  # Delay of motion capture [s] if none is stated, up to the use of a frame
 
 # Standard deviations of captured positions [m] and attitudes [rad], per axis and frame; of the
 # gyroscope [rad/s] and the accelerometer [m/s²], per reading
@@ -31,9 +32,20 @@ GYRO_NOISE, ACCELEROMETER_NOISE = 0.02, 0.2
 # and the lower bound of variances
 TURN_NOISE, NOISE_RATE, MIN_VARIANCE = 0.1, 1000.0, 1e-6
 
+ROUNDING = 1e-9  # Rounding error of a number of steps
+
 INITIAL_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a converged filter [m], [m/s], [rad]
 
 EYE = np.eye(3)
+
+
+def frame_age(latency: float) -> float:
+    """Return the age [s] of frames that arrive after a stated delay [s] when they are used.
+
+    A frame that arrives at a step of the filter, or later, waits for the next one. So the
+    firmware's flights with the stiffest gains are steady at 10 and 19 ms, and swing at 20 ms.
+    """
+    return (floor(latency * RATE + ROUNDING) + 1) / RATE
 
 
 def skew(v: Array) -> Array:

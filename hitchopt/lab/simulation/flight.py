@@ -16,7 +16,7 @@ from hitchopt.hitch.flight_controller import EstimatorParameters
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
-from hitchopt.lab.simulation.estimator import LATENCY, Estimator
+from hitchopt.lab.simulation.estimator import LATENCY, Estimator, frame_age
 from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import (
@@ -211,11 +211,12 @@ class _FlightInProgress:
             self._commands = [received(part, team, settings) for part, team in pairs]
         if isinstance(settings.estimator, EstimatorParameters):
             stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
-            latency = max(stated) or LATENCY if settings.latency is None else settings.latency
-            self._command_delay = 0.0 if settings.upload else latency
+            latency = max(stated) if settings.latency is None else settings.latency
+            age = frame_age(latency) if latency else LATENCY
+            self._command_delay = 0.0 if settings.upload else latency or LATENCY
             bodies = replace(world.bodies, positions=self._drones(0))
-            measuring, age = self._disturbances.sensor_random, round(latency / PERIOD)
-            estimator = Estimator(settings.estimator, bodies, measuring, age)
+            measuring = self._disturbances.sensor_random
+            estimator = Estimator(settings.estimator, bodies, measuring, round(age / PERIOD))
         loops = [kind.loop for team in teams for kind in team.kinds]
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)

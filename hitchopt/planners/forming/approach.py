@@ -22,7 +22,7 @@ from hitchopt.geometry.vectors import GOLDEN, TIE, cross
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import TAKE_OFF, CableState, Motion
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO
 from hitchopt.planners.forming.stages import (
     MIN_FLIGHT,
@@ -137,7 +137,7 @@ class DirectApproach(Approach):
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, raised as a whole if cables come near the ground."""
         start, goal, requirements = self.problem.start, self.goal, self.requirements
-        rise = self._lines(self.start, Keyframe("take-off", start, CableState.GROUND))
+        rise = self._lines(self.start, Keyframe(TAKE_OFF, start, CableState.GROUND))
         if np.max(np.abs(goal - start)) < MIN_FLIGHT:
             pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*rise, self._stage("approach", pause)]
@@ -149,7 +149,7 @@ class DirectApproach(Approach):
         up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
         higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
         if rise and requirements.position_error:  # a single climb: position errors often require it
-            rise = self._lines(self.start, Keyframe("take-off", start + up, CableState.GROUND))
+            rise = self._lines(self.start, Keyframe(TAKE_OFF, start + up, CableState.GROUND))
         else:
             rise += self._lines(start, Keyframe("climb", start + up))
         down = self._lines(goal + up, Keyframe("descend", goal))
@@ -204,7 +204,7 @@ class GatheredApproach(Approach):
         return [
             *self._lines(
                 self.start,
-                Keyframe("take-off", start, CableState.GROUND),
+                Keyframe(TAKE_OFF, start, CableState.GROUND),
                 Keyframe("gather", gathered),
                 Keyframe("turn", turned),
             ),

@@ -1,0 +1,119 @@
+"""Parts of plans that do not fit in a drone's memory: where they are cut, how they rest there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from exported_plans import task_of
+from plans import GOOD, planned
+
+import hitchopt as ho
+from hitchopt.exports.contents import read_manifest
+from hitchopt.exports.format import ExportTask, format_of
+from hitchopt.exports.held_tension import REST_TIME, held_tension
+from hitchopt.exports.parts import cut_into_parts
+
+MISSION = "tie_carry_untie"
+
+
+@cache
+def mission_task(*, holds_tension: bool) -> ExportTask:
+    task = task_of(planned(MISSION).motion, "crazyswarm2")
+    if not holds_tension:
+        return task
+    return replace(task, motion=held_tension(task.motion).motion, without_offsets=task.motion)
+
+
+def end_of(name: str) -> float:
+    (phase,) = (phase for phase in planned(MISSION).motion.phases if phase.name == name)
+    return phase.end
+
+
+def test_a_mission_is_cut_where_it_rests_and_rests_longer_there(tmp_path: Path) -> None:
+    plan = planned(MISSION)
+    with pytest.raises(ho.InfeasibleError, match=r"memory: .* add steps such as hold"):
+        plan.export("crazyswarm2", tmp_path / "refused", longer_rests=False)
+    assert not (tmp_path / "refused").exists()
+    parts = plan.export("crazyswarm2", tmp_path / "show")
+    assert len(parts) > 1
+    spans = (read_manifest(tmp_path / "show") or {})["plan_spans"]
+    assert [0.0, *(end for _, end in spans)] == [*(begins for begins, _ in spans), plan.duration]
+    (said,) = {note for part in parts for note in part.notes if "longer than planned" in note}
+    assert f"({REST_TIME * (len(parts) - 1):g} s in all)" in said
+    names, kind = plan.motion.team.drone_names, format_of("crazyswarm2")
+    ends = []
+    for part, (begins, until) in zip(parts, spans, strict=True):
+        assert (read_manifest(part.folder) or {})["plan_span"] == [begins, until]
+        files = [part.folder / f"{name}.csv" for name in names]
+        (curves,) = kind.load(files).windows()
+        assert curves.duration == pytest.approx(until - begins + REST_TIME, abs=2e-3)
+        assert np.max(np.abs(curves.at(curves.breaks[-1], 1))) < 1e-3  # where drones hover,
+        ends.append((curves.at(0.0), curves.at(curves.breaks[-1])))
+    for (_, last), (first, _) in pairwise(ends):
+        np.testing.assert_allclose(first, last, atol=2e-3)  # and go on from
+
+
+def test_no_part_is_a_take_off_alone() -> None:
+    """Parts of any size cover the plan in order; too small ones are refused."""
+    task, counts = mission_task(holds_tension=False), list[int]()
+    take_off = end_of("take-off")
+    for seconds in np.linspace(0.5 * take_off, 2.5 * take_off, 9).tolist():
+
+        def fits(part: ExportTask, seconds: float = seconds) -> bool:
+            return part.motion.duration <= seconds
+
+        parts = cut_into_parts(task, fits)
+        counts.append(len(parts))
+        joints = [part.begins for part in parts]
+        assert not np.any(np.isclose(joints, take_off))
+        assert all(part.motion.duration <= seconds for part in parts)
+        ends = [part.begins + part.motion.duration for part in parts]
+        np.testing.assert_allclose(ends, [*joints[1:], task.motion.duration] if parts else [])
+    assert counts[0] == 0
+    assert counts[-1] > 1
+
+
+@pytest.mark.parametrize(("latest", "cut"), [("relax", "hold"), ("unswap 2", "hold")])
+def test_parts_end_where_the_longer_rest_is_certified(latest: str, cut: str) -> None:
+    """Not where cables are hitched without tension; where they are taut, if that is no more parts.
+
+    Each part's set points rest at its start and, after the longer rest, at its end.
+    """
+    task, end, whole = mission_task(holds_tension=True), end_of(latest), planned(MISSION).duration
+    longest = max(end, whole - end_of(cut)) + REST_TIME + 1e-6
+
+    def fits(part: ExportTask) -> bool:
+        return part.motion.duration <= longest
+
+    parts = cut_into_parts(task, fits)
+    assert len(parts) == 2
+    assert parts[1].begins == pytest.approx(end_of(cut))
+    for part in parts:
+        first, last = (part.motion.drones.ends(1)[side][index] for side, index in ((0, 0), (1, -1)))
+        assert np.max(np.abs(first)) < 1e-9
+        assert np.max(np.abs(last)) < 1e-3
+
+
+def is_named(path: Path) -> bool:
+    kinds = {"controller:", "model:", "quadrotor: paper_132g", "quadrotor: crazyflie"}
+    return any(kind in path.read_text("utf-8") for kind in kinds)
+
+
+FAST = ("crazyflie_triangle", "form_triangle")
+NAMED = [
+    pytest.param(path.stem, marks=() if path.stem in FAST else pytest.mark.slow)
+    for path in GOOD
+    if is_named(path)
+]
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_problems_with_named_drones_export_to_crazyflies(name: str, tmp_path: Path) -> None:
+    """As they are, with the tension of their cables."""
+    parts = planned(name).export("crazyswarm2", tmp_path)
+    assert not any(part.goes_slack for part in parts)
