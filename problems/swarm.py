@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from ruamel.yaml import YAML
 
-from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.requirements import Prism, Separation
 
 Array = NDArray[np.float64]
 
@@ -97,6 +98,97 @@ def random_crowd(n: int, seed: int = 0) -> dict[str, Any]:
     return problem(f"Random crowd of {n} drones", _apart(rng, n, box), _apart(rng, n, box))
 
 
+def random_door(seed: int) -> dict[str, Any]:
+    """Return 4 to 16 drones in a flat box, half of them on each side of a door, that change sides.
+
+    The door lets one drone through at a time, with 1 to 60 % more than it needs.
+    """
+    rng = np.random.default_rng(seed)
+    n, radius = int(rng.integers(2, 9)), Separation().radius
+    half_width = radius * float(rng.uniform(1.01, 1.6))
+    length, wall = float(rng.uniform(1.2, 2.6)), float(rng.uniform(0.8, 1.6))
+    middle, half_height = 1.0, float(rng.uniform(0.03, 0.3))
+    gap = radius + 0.15
+    left, right = ([sign * gap, sign * (length + gap)] for sign in (-1.0, 1.0))
+    sides = [
+        (
+            (min(x), radius - wall, middle - half_height),
+            (max(x), wall - radius, middle + half_height),
+        )
+        for x in (left, right)
+    ]
+    rows = [_apart(rng, n, side) for side in (*sides, *sides)]
+    start, goal = np.vstack([rows[0], rows[1]]), np.vstack([rows[3], rows[2]])
+    data = problem(f"Random door {seed}: {2 * n} drones", start, goal)
+    end = length + gap + radius
+    data["arena"] = {
+        "lower": [-end, -wall, middle - half_height],
+        "upper": [end, wall, middle + half_height],
+    }
+    data["keep_out"] = [
+        _block(-0.1, 0.1, low, high)
+        for low, high in ((half_width, wall + 0.2), (-wall - 0.2, -half_width))
+    ]
+    return data
+
+
+def random_corridor(seed: int) -> dict[str, Any]:
+    """Return two or four drones that trade the ends of a corridor for one, with a bay midway.
+
+    The bay holds the drones of one end side by side.
+    """
+    rng = np.random.default_rng(seed)
+    n, radius = int(rng.integers(1, 3)), Separation().radius
+    half_width = radius * float(rng.uniform(1.1, 1.6))
+    depth = radius * float(rng.uniform(2.3, 3.0))
+    half_bay = radius * (n + 1.0) * float(rng.uniform(1.1, 1.4))
+    first, spacing = half_bay + float(rng.uniform(0.3, 1.5)), 2.2 * radius
+    x = first + spacing * np.arange(n)
+    row = np.column_stack([x, np.zeros(n), np.ones(n)])
+    other = row * np.array([-1.0, 1.0, 1.0])
+    ends = row[::-1] if rng.random() < 0.5 else row
+    start, goal = np.vstack([row, other]), np.vstack([ends * np.array([-1.0, 1.0, 1.0]), ends])
+    data = problem(f"Random corridor {seed}: {2 * n} drones", start, goal)
+    end = float(x[-1]) + 0.2
+    data["arena"] = {"lower": [-end, -1.0, 0.9], "upper": [end, 1.0, 1.1]}
+    outer = end + 0.2
+    data["keep_out"] = [
+        _block(-outer, outer, -1.2, -half_width),
+        _block(-outer, -half_bay, half_width, 1.2),
+        _block(half_bay, outer, half_width, 1.2),
+        _block(-half_bay, half_bay, half_width + depth, 1.2),
+    ]
+    return data
+
+
+def random_box(seed: int) -> dict[str, Any]:
+    """Return 8 to 40 drones between random places in a tight box with up to three pillars."""
+    rng = np.random.default_rng(seed)
+    n, separation = int(rng.integers(8, 41)), Separation()
+    flat = bool(rng.random() < 0.4)
+    height = 0.1 if flat else float(rng.uniform(0.7, 1.6))
+    layers = 1.0 if flat else 1.0 + height / (2.0 * separation.height)
+    width = 2.0 * separation.radius * math.sqrt(n / layers) * float(rng.uniform(1.7, 2.4))
+    box = ((-0.5 * width, -0.5 * width, 0.5), (0.5 * width, 0.5 * width, 0.5 + height))
+    pillars = []
+    for _ in range(int(rng.integers(0, 4))):
+        x, y = rng.uniform(-0.4 * width, 0.4 * width, 2)
+        pillars.append(_block(x - 0.1, x + 0.1, y - 0.1, y + 0.1))
+    start, goal = (_apart(rng, n, box, pillars) for _ in range(2))
+    data = problem(f"Random box {seed}: {n} drones", start, goal)
+    lower, upper = np.array(box)
+    reach = np.array([separation.radius, separation.radius, 0.0])
+    data["arena"] = {"lower": (lower - reach).tolist(), "upper": (upper + reach).tolist()}
+    data["keep_out"] = pillars
+    return data
+
+
+def _block(left: float, right: float, near: float, far: float) -> dict[str, Any]:
+    """Return a prism that no drone flies over, between two x and two y [m]."""
+    corners = [[left, near], [left, far], [right, far], [right, near]]
+    return {"polygon": corners, "lower": 0.0, "upper": 4.0}
+
+
 def problem(title: str, start: Array, goal: Array) -> dict[str, Any]:
     """Return the problem of drones that go from (N, 3) to (N, 3) [m]."""
     return {
@@ -107,13 +199,17 @@ def problem(title: str, start: Array, goal: Array) -> dict[str, Any]:
     }
 
 
-def _apart(rng: np.random.Generator, n: int, box: Box = BOX) -> Array:
-    """(n, 3): random points in the box, none too close to another."""
-    scale = Separation().scale
+def _apart(
+    rng: np.random.Generator, n: int, box: Box = BOX, blocks: Sequence[dict[str, Any]] = ()
+) -> Array:
+    """(n, 3): random points in the box, none too close to another or to a block."""
+    scale, radius = Separation().scale, Separation().radius
+    prisms = [Prism(block["polygon"], block["lower"], block["upper"]) for block in blocks]
     points = np.empty((0, 3))
     while len(points) < n:
         point = rng.uniform(*box)
-        if np.all(np.linalg.norm((points - point) * scale, axis=1) > RANDOM_SPACING):
+        far = np.all(np.linalg.norm((points - point) * scale, axis=1) > RANDOM_SPACING)
+        if far and all(prism.clearance(point).distance > 1.05 * radius for prism in prisms):
             points = np.vstack([points, point])
     return points
 

@@ -6,16 +6,19 @@ They are deterministic and insensitive to rounding of the input.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.interpolate import interp1d
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, left_of, length, unit
 from hitchopt.hitch.requirements import Prism
+from hitchopt.planners.separation.prioritized import Schedule
 from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, Setting, inside
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
@@ -26,16 +29,14 @@ MAX_CRUISE_PIECES = 20
 """Maximum number of pieces between the ramps; if there are fewer, each is as long as a ramp."""
 
 MIN_RAMP_SHARE = 1e-5  # Shortest ramp over the duration; splines do not resolve shorter ones
-MIN_FLIGHT_SHARE = 0.2  # Shortest flight over the longest one
 
 
 def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
-    """Return the task on a grid for the drone with the longest flight.
+    """Return the task on a grid for the drone with the longest flight; all leave at once.
 
     Parameters
     ----------
-    duration_ratio: duration over that of the slowest flight. At 1 all drones leave at once; above 1
-        they leave one after the other.
+    duration_ratio: duration over that of the slowest flight, by which the grid has more pieces.
 
     Raises
     ------
@@ -62,20 +63,10 @@ def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
     breaks = np.concatenate([first[:-1], cruising, 1.0 + cruise + first[1:]])
     grid = Grid(breaks / breaks[-1])
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
-    if duration_ratio > 1.0 and moving:
-        spans = np.maximum(durations / duration, MIN_FLIGHT_SHARE) / duration_ratio
-        shares = np.full(n, 0.5)
-        np.divide(ramps, durations, out=shares, where=lengths > 0.0)
-        order = np.argsort(np.round(-spans / TIE), kind="stable")  # the longest flight starts first
-        rank = np.argsort(order)
-        starts = (1.0 - spans) * rank / max(1, n - 1)
-        each = zip(starts, spans, shares, strict=True)
-        progress = [_progress((s - start) / span, float(share)) for start, span, share in each]
-    else:
-        progress = [_progress(s, 1.0 / breaks[-1])] * n
+    progress = _progress(s, 1.0 / breaks[-1])
     nominal = np.zeros((n, grid.count, 3))
     nominal[:, :END_COUNT], nominal[:, -END_COUNT:] = task.start[:, None], task.goal[:, None]
-    targets = np.stack([points_along(*each) for each in zip(routes, progress, strict=True)])
+    targets = np.stack([points_along(route, progress) for route in routes])
     nominal[:, grid.free] = grid.fitting(s) @ (targets - grid.sampled(s) @ nominal)
     return Setting(task, grid, nominal, caps, float(np.max(bound)), duration, size)
 
@@ -304,6 +295,25 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
     np.add.at(by_drone, first, -pull)
     np.add.at(by_drone, second, pull)
     return pushes
+
+
+SCHEDULE_PIECES = 4.0
+"""Number of pieces of a grid for a schedule, over that of a grid for flights as long."""
+
+SCHEDULE_SMOOTHING_TIME = 0.005  # Time constant of the filter of a schedule, over its duration
+
+
+def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
+    """Return the task with nominal curves along a schedule, on a grid that resolves them."""
+    setting = setting_of(task, SCHEDULE_PIECES * schedule.duration_ratio)
+    grid, nominal = setting.grid, np.zeros_like(setting.nominal)
+    nominal[:, :END_COUNT], nominal[:, -END_COUNT:] = task.start[:, None], task.goal[:, None]
+    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+    times = np.linspace(0.0, 1.0, schedule.points.shape[1])
+    targets = interp1d(times, schedule.points, axis=1)(s)
+    fit = grid.fitting(s, SCHEDULE_SMOOTHING_TIME) @ (targets - grid.sampled(s) @ nominal)
+    nominal[:, grid.free] = inside(task.requirements.arena, fit)
+    return replace(setting, nominal=nominal)
 
 
 MIN_CROWD = 32  # Number of drones that meet at once from which on there is a roundabout

@@ -17,7 +17,8 @@ from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.separation.guesses import pushed_apart, roundabout, setting_of
+from hitchopt.planners.separation.guesses import pushed_apart, roundabout, scheduled, setting_of
+from hitchopt.planners.separation.prioritized import prioritized
 from hitchopt.planners.separation.program import (
     PLANE_MARGIN,
     Planes,
@@ -32,9 +33,7 @@ from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
-RULES = ((0.5, 1.0), (0.5, 1.5), (-0.5, 1.0), (0.5, 2.0), (0.5, 3.0))
-"""Guesses in the order of the search: side of the pushes, and duration over that of the slowest
-flight (above 1, departures are staggered)."""
+SIDE = 0.5  # Strength of the pushes with which all drones give way to one side, in separations
 
 MAX_PROGRAMS = 16  # Maximum number of programs from one guess
 
@@ -116,12 +115,11 @@ def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
     circular = roundabout(setting)
     if circular is not None:
         yield setting, circular, "all go around where they meet, to the right"
-    for side, ratio in RULES:
-        if ratio * setting.single_duration > (setting.task.duration or math.inf):
-            continue
-        own = setting if ratio == 1.0 else setting_of(setting.task, ratio)
-        words = f"all give way to the {'right' if side > 0.0 else 'left'} where they meet"
-        yield own, pushed_apart(own, side), ("some leave later; " if ratio > 1.0 else "") + words
+    yield setting, pushed_apart(setting, SIDE), "all give way to the right where they meet"
+    for schedule in () if setting.task.tethers else prioritized(setting.task):
+        own = scheduled(setting.task, schedule)
+        yield own, own.nominal, "some wait for others to pass"
+    yield setting, pushed_apart(setting, -SIDE), "all give way to the left where they meet"
 
 
 def _improved(setting: Setting, guess: Array, report: Progress) -> CurveBounds:

@@ -1,0 +1,285 @@
+"""Schedules of drones that queue at a passage or wait aside, by prioritized planning.
+
+Drones are planned one after the other on a lattice of points and times. Each takes a fastest path
+that keeps clear of all drones before it, and waits where it has to (Erdmann and Lozano-Pérez, "On
+multiple moving objects", 1987; Silver, "Cooperative pathfinding", 2005). Drones with long paths
+come first; one that has no path left moves to the front, and planning begins anew (Andreychuk and
+Yakovlev, "Two techniques that enhance the performance of multi-robot prioritized path planning",
+2018).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import check_time
+from hitchopt.geometry.vectors import TIE, length
+from hitchopt.hitch.requirements import Prism, Separation
+from hitchopt.planners.separation.task import SeparationTask
+from hitchopt.values import Array, Indices
+
+Mask = NDArray[np.bool_]
+Node = tuple[int, int, int]
+
+SPACING = 0.25
+"""Distance between neighbouring points of a lattice, in separations."""
+
+MAX_POINTS = 40_000  # Maximum number of points; lattices of larger spaces are coarser
+MAX_SPACING = 1.0  # Spacing, in separations, above which a lattice resolves no two drones
+COARSER = 1.1  # Ratio of spacings of a coarser and a finer lattice
+MAX_MOVE = 0.6  # Largest distance by which a point is moved away from prisms, over the spacing
+MOVES = 4  # Number of times that points are moved away from each prism
+PRISM_TOLERANCE = 1e-3  # Tolerance of the distance to prisms, over the radius of drones
+MARGIN = 3.0  # Lattice around starts and goals without an arena, in separations
+
+CLEARANCES = (1.1, 1.0, 0.9)
+"""Separations of drones at the times of a lattice, in the order in which they are tried. Between
+these times drones may come closer; the programs that follow correct it."""
+
+MAX_STEPS_RATIO = 5  # Maximum number of steps over that of the longest path alone
+MAX_ORDERS = 8  # Maximum number of orders of priority for each clearance
+
+STEPS = np.array(sorted(product((-1, 0, 1), repeat=3), key=lambda step: sum(map(abs, step))))
+"""(27, 3) Steps from a point to itself, which is waiting, and to its neighbours."""
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """Positions of all drones at equally spaced times.
+
+    Attributes
+    ----------
+    points: (N, times, 3) [m], close to the starts at first and close to the goals at last.
+    duration_ratio: number of steps over that of the longest path alone.
+    """
+
+    points: Array
+    duration_ratio: float
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """Points of a box on which drones move, one step at a time.
+
+    Points that are a little too close to prisms are moved away from them, so that also a narrow
+    passage has points in its middle.
+
+    Attributes
+    ----------
+    points: (x, y, z, 3) [m].
+    spacing: (3,) distances between neighbouring points along x, y and z, in separations.
+    clear: (x, y, z), mask of the points that keep the distance to all prisms.
+    separation: distances of drones.
+    """
+
+    points: Array
+    spacing: Array
+    clear: Mask
+    separation: Separation
+
+    @classmethod
+    def of(cls, task: SeparationTask) -> Lattice | None:
+        """Return the lattice of a task; None if the space is too large for one."""
+        separation, arena = task.requirements.separation, task.requirements.arena
+        ends, margin = np.vstack([task.start, task.goal]), MARGIN / separation.scale
+        lower, upper = np.min(ends, axis=0) - margin, np.max(ends, axis=0) + margin
+        if arena is not None:
+            lower, upper = np.maximum(lower, arena.lower), np.minimum(upper, arena.upper)
+        size = (upper - lower) * separation.scale
+        spacing = SPACING
+        while np.prod(np.ceil(size / spacing) + 1.0) > MAX_POINTS:
+            spacing *= COARSER
+        if spacing > MAX_SPACING:
+            return None
+        counts = np.ceil(size / spacing).astype(int) + 1
+        axes = (np.linspace(*each) for each in zip(lower, upper, counts, strict=True))
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        largest_move = MAX_MOVE * spacing / separation.scale[0]  # [m]
+        points, clear = _moved_away(
+            grid, task.requirements.keep_out, separation.radius, largest_move
+        )
+        return cls(points, size / np.maximum(counts - 1, 1), clear, separation)
+
+    def nearest(self, point: Array) -> Node:
+        """Return the clear point nearest to a point (3,) [m]."""
+        squares = np.sum(((self.points - point) * self.separation.scale) ** 2, axis=-1)
+        squares[~self.clear] = np.inf
+        x, y, z = np.unravel_index(int(np.argmin(squares)), squares.shape)
+        return int(x), int(y), int(z)
+
+    def along(self, path: Indices) -> Array:
+        """Return the points (times, 3) [m] of a path (times, 3) of indices."""
+        points: Array = self.points[tuple(path.T)]
+        return points
+
+    def neighbourhood(self, clearance: float) -> Mask:
+        """Return the mask of the offsets between points that are closer than a separation."""
+        reach = [math.ceil(clearance / each) if each > 0.0 else 0 for each in self.spacing]
+        x, y, z = (
+            (np.arange(-n, n + 1) * each) ** 2 for n, each in zip(reach, self.spacing, strict=True)
+        )
+        close: Mask = x[:, None, None] + y[:, None] + z < clearance**2 * (1.0 - TIE)
+        return close
+
+
+def _moved_away(
+    grid: Array, prisms: Sequence[Prism], radius: float, largest_move: float
+) -> tuple[Array, Mask]:
+    """Return points (…, 3) [m] moved away from prisms, and the mask (…) of those that are clear."""
+    points = grid.copy()
+    for _ in range(MOVES):
+        for prism in prisms:
+            clearance = prism.clearance(points)
+            deficit = np.clip(radius - clearance.distance, 0.0, largest_move)
+            points += deficit[..., None] * clearance.normals
+    clear = length(points - grid) <= largest_move
+    for prism in prisms:
+        clear &= prism.clearance(points).distance >= radius * (1.0 - PRISM_TOLERANCE)
+    return points, clear
+
+
+class Reservations:
+    """Points of a lattice that drones occupy at every time, until the end of their paths and after.
+
+    Attributes
+    ----------
+    taken: masks (x, y, z) by time; the last one holds for all later times.
+    """
+
+    def __init__(self, lattice: Lattice, clearance: float) -> None:
+        self.lattice, self.close = lattice, lattice.neighbourhood(clearance)
+        self.taken: list[Mask] = [np.zeros(lattice.clear.shape, dtype=np.bool_)]
+
+    def add(self, path: Indices) -> None:
+        """Reserve the points around a path (times, 3) of indices."""
+        later = max(len(path) - len(self.taken), 0)
+        self.taken += [self.taken[-1].copy() for _ in range(later)]
+        reach = np.array(self.close.shape) // 2
+        shape = np.array(self.lattice.clear.shape)
+        for time, taken in enumerate(self.taken):
+            point = path[min(time, len(path) - 1)]
+            lower, upper = np.maximum(point - reach, 0), np.minimum(point + reach + 1, shape)
+            box = tuple(map(slice, lower, upper))
+            part = tuple(map(slice, lower - point + reach, upper - point + reach))
+            taken[box] |= self.close[part]
+
+    def free(self, time: int) -> Mask:
+        """Return the points (x, y, z) that are clear and not taken at a time."""
+        mask: Mask = self.lattice.clear & ~self.taken[min(time, len(self.taken) - 1)]
+        return mask
+
+    def free_from(self, point: Node) -> int:
+        """Return the time from which a point stays free; larger than all times if never."""
+        blocked = [time for time, taken in enumerate(self.taken) if taken[point]]
+        if not blocked:
+            return 0
+        return blocked[-1] + 1 if blocked[-1] < len(self.taken) - 1 else np.iinfo(np.int64).max
+
+
+def prioritized(task: SeparationTask) -> Iterator[Schedule]:
+    """Yield schedules of a task's drones, those with more clearance first."""
+    lattice = Lattice.of(task)
+    if lattice is None or not np.any(lattice.clear):
+        return
+    starts = [lattice.nearest(point) for point in task.start]
+    goals = [lattice.nearest(point) for point in task.goal]
+    ends = list(zip(starts, goals, strict=True))
+    horizon = int(np.sum(lattice.clear))
+    empty = Reservations(lattice, CLEARANCES[0])
+    alone = [fastest_path(empty, *each, horizon) for each in ends]
+    steps = [len(path) for path in alone if path is not None]
+    if len(steps) < task.drones:
+        return
+    order = sorted(range(task.drones), key=lambda drone: -steps[drone])
+    longest = max(steps)
+    for clearance in CLEARANCES:
+        paths = _paths(lattice, ends, order, clearance, MAX_STEPS_RATIO * longest)
+        if paths is not None:
+            count = max(map(len, paths))
+            padded = [np.pad(path, ((0, count - len(path)), (0, 0)), mode="edge") for path in paths]
+            points = np.stack([lattice.along(path) for path in padded])
+            yield Schedule(points, count / longest)
+
+
+def _paths(
+    lattice: Lattice,
+    ends: Sequence[tuple[Node, Node]],
+    order: Sequence[int],
+    clearance: float,
+    horizon: int,
+) -> list[Indices] | None:
+    """Return the paths (times, 3) of all drones, with other orders if need be, or None."""
+    for _ in range(MAX_ORDERS):
+        reservations = Reservations(lattice, clearance)
+        paths: dict[int, Indices] = {}
+        for drone in order:
+            check_time()
+            path = fastest_path(reservations, *ends[drone], horizon)
+            if path is None:
+                break
+            reservations.add(path)
+            paths[drone] = path
+        else:
+            return [paths[drone] for drone in range(len(ends))]
+        if drone == order[0]:
+            return None
+        order = [drone, *(other for other in order if other != drone)]
+    return None
+
+
+def fastest_path(
+    reservations: Reservations, start: Node, goal: Node, horizon: int
+) -> Indices | None:
+    """Return a path (times, 3) of indices with the fewest steps, at most ``horizon``, or None.
+
+    Points that can be reached spread from the start by one step at a time. The path is read
+    backward: it waits where it can, else goes straight on.
+    """
+    reached = [np.zeros(reservations.lattice.clear.shape, dtype=np.bool_)]
+    reached[0][start] = True
+    earliest = reservations.free_from(goal)
+    while not (reached[-1][goal] and len(reached) > earliest):
+        time = len(reached)
+        reached.append(_spread(reached[-1]) & reservations.free(time))
+        unchanged = time > len(reservations.taken) and np.array_equal(reached[-1], reached[-2])
+        if time >= horizon or unchanged or not np.any(reached[-1]):
+            return None
+    path, step = [np.array(goal)], STEPS[0]
+    for mask in reached[-2::-1]:
+        step = _step_back(mask, path[-1], step, np.array(start))
+        path.append(path[-1] + step)
+    return np.array(path[::-1])
+
+
+def _spread(mask: Mask) -> Mask:
+    """Return the mask (x, y, z) of points and all their neighbours."""
+    for axis in range(mask.ndim):
+        moved = np.moveaxis(mask, axis, 0)
+        wider = moved.copy()
+        wider[1:] |= moved[:-1]
+        wider[:-1] |= moved[1:]
+        mask = np.moveaxis(wider, 0, axis)
+    return mask
+
+
+def _step_back(reached: Mask, point: Indices, last: Indices, start: Indices) -> Indices:
+    """Return the step (3,) from a point to one that was reached a time earlier.
+
+    Waiting comes first, then the step that leaves the least distance to the start, and of several
+    of them the last one.
+    """
+    before = point + STEPS
+    inside = np.all((before >= 0) & (before < reached.shape), axis=1)
+    inside[inside] = reached[tuple(before[inside].T)]
+    waiting: Indices = STEPS[0]
+    if inside[0]:
+        return waiting
+    distances = np.sum((before - start) ** 2, axis=1) - 0.5 * np.all(last == STEPS, axis=1)
+    best: Indices = STEPS[int(np.argmin(np.where(inside, distances, np.inf)))]
+    return best
