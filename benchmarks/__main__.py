@@ -19,6 +19,7 @@ NAMES = (
     "laying",
     "recordings",
     "real",
+    "replay",
     "statics",
     "live",
     "views",

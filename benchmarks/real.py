@@ -21,10 +21,7 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
-from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import HELD, ONE_MARKER
-from hitchopt.lab.flights.hover import HoverSeries
-from hitchopt.lab.flights.replay import (
+from benchmarks.replay import (
     RATE,
     SETTLING,
     Series,
@@ -32,6 +29,9 @@ from hitchopt.lab.flights.replay import (
     smoothed,
     tilt_rms_deg,
 )
+from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.flight_controller import HELD, ONE_MARKER
+from hitchopt.lab.flights.hover import HoverSeries
 
 # Tied drones: mass [kg], and level gains of their file [N/m], [N s/m]. Drones with a load, whose
 # logs hold a thrust in newtons or a vector of it: masses [kg]; mass of the load [kg]

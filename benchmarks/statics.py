@@ -1,4 +1,4 @@
-"""Comparison of statics with simulated ropes: predictions of ``ho.settle``, and calibration.
+"""Comparison of statics with simulated ropes: predictions of ``ho.equilibrium``, and calibration.
 
 Usage: python -m benchmarks statics [--cases N] [--first S] [--calibrated M]
 
@@ -75,7 +75,7 @@ def settle_row(seed: int) -> tuple[object, ...]:
     rows = (record.t > plan.duration - REST_TIME) & (record.t <= plan.duration)
     pulls = np.mean(record.tensions[rows], axis=0)
     vertices = np.nanmean(record.vertices[rows], axis=0)
-    equilibrium = ho.settle(
+    equilibrium = ho.equilibrium(
         plan,
         plan.duration,
         cable_length=effective_lengths(simulation.flight),

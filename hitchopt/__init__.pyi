@@ -30,13 +30,12 @@ from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight as RecordedFlight
 from hitchopt.lab.flights.recordings import Recording as Recording, Signal as Signal
 from hitchopt.lab.flights.recordings import Track as Track
-from hitchopt.lab.flights.replay import ReplayedFilter as ReplayedFilter
-from hitchopt.lab.flights.replay import replay_filters as replay_filters
 from hitchopt.lab.simulation.report import simulate as simulate
 from hitchopt.lab.statics.calibrate import Calibration as Calibration, Estimate as Estimate
 from hitchopt.lab.statics.calibrate import calibrate as calibrate
 from hitchopt.lab.statics.fit import Fit as Fit, Holding as Holding, fit as fit
-from hitchopt.lab.statics.settle import Settled as Settled, settle as settle
+from hitchopt.lab.statics.equilibrium import Equilibrium as Equilibrium
+from hitchopt.lab.statics.equilibrium import equilibrium as equilibrium
 from hitchopt.lab.statics.tolerance import ErrorSize as ErrorSize, Tolerance as Tolerance
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
 from hitchopt.lab.sweeps.study import Study as Study
@@ -61,7 +60,7 @@ from hitchopt.single_steps import adjust as adjust, follow_vertex as follow_vert
 from hitchopt.single_steps import hold as hold, land as land, morph as morph
 from hitchopt.single_steps import move_edge as move_edge, move_vertex as move_vertex
 from hitchopt.single_steps import open_vertex as open_vertex, release as release
-from hitchopt.single_steps import transport as transport
+from hitchopt.single_steps import settle as settle, transport as transport
 from hitchopt.steps.carrying import Carry as Carry, Enclose as Enclose, Grasp as Grasp
 from hitchopt.steps.carrying import Leave as Leave, Lift as Lift, Loosen as Loosen
 from hitchopt.steps.carrying import SetDown as SetDown, TransportObject as TransportObject

@@ -1,8 +1,7 @@
 """Functions that plan a single step, such as ``morph`` and ``form``.
 
 They take the arguments of the step's record, and the requirements of the plan. Steps that need an
-object, an idle robot or an open vertex are steps of a ``Mission`` only, as is ``settle``:
-``hitchopt.settle`` computes the static equilibrium with compliant drones.
+object or an open vertex are steps of a ``Mission`` only.
 """
 
 from __future__ import annotations
@@ -20,7 +19,16 @@ from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.plan import Plan
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
+from hitchopt.steps.moving import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    Settle,
+    Transport,
+)
 from hitchopt.steps.step import Step
 from hitchopt.steps.tying import Assign, Form, Land, OpenVertex, Release
 from hitchopt.values import check_instance, positive
@@ -379,6 +387,38 @@ def form(
     )
     required = Required(limits, separation, arena, limit)
     return _plan_from_drones(team, q, r, step, required)
+
+
+@suggest_keywords
+def settle(
+    start: Hitch,
+    seconds: float | Literal["auto"] = "auto",
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    limit: float | None = None,
+) -> Plan:
+    """Return the certified plan of swings that remove friction hysteresis at the clasps.
+
+    Drones swing about their places, by less and less; vertices stay within the plan.
+
+    Parameters
+    ----------
+    start: the hitch at t = 0.
+    seconds: how long [s]; auto: four swings, slower where limits need that.
+    limits, separation, arena: requirements of the plan; defaults as in a problem file.
+    limit: time limit [s]; None for none.
+
+    Raises
+    ------
+    InputError: an argument is invalid.
+    InfeasibleError: the step cannot be planned; lists the limits that bind, where and when.
+    TimeLimitError: no plan within ``limit``.
+    """
+    step = new_step(Settle, seconds=seconds)
+    required = Required(limits, separation, arena, limit)
+    return _plan_from_hitch(start, step, required)
 
 
 @suggest_keywords

@@ -169,7 +169,7 @@ RESULTS = frozenset(
         *("Alignment", "Calibration", "Change", "Evaluation", "Fit", "Grip", "Holding"),
         *("HoverCalibration", "Motion"),
         *("PiecewisePolynomial", "Plan", "RecordedFlight", "Recording", "Retarget", "Setpoints"),
-        *("Settled", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
+        *("Equilibrium", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
     )
 )
 """Public records that compare by identity: plans and what is computed or measured."""

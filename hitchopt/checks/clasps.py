@@ -114,12 +114,12 @@ class Clasps(MotionSpans):
 
     names = staticmethod(clasp_names)
 
-    closed: Flags | None = None
-    """(spans,), whether a clasp is known to be closed; None if that is not known of any."""
+    hooked: Flags | None = None
+    """(spans,), whether cables are known to be hooked; None if that is not known of any."""
 
     def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
         spans = super()._like(index, extent, points=points)
-        spans.closed = None if self.closed is None else self.closed[index]
+        spans.hooked = None if self.hooked is None else self.hooked[index]
         return spans
 
     @lazy
@@ -272,13 +272,13 @@ def _balance(spans: Clasps) -> Bound:
     """
     residual, motion = _relative(spans.residual, spans), spans.source
     value, x = residual.value, residual.x
-    if spans.closed is None or not np.logical_and.reduce(spans.closed):
+    if spans.hooked is None or not np.logical_and.reduce(spans.hooked):
         opening = _opening(spans)
         if has_loads(motion):
             opening = largest_of([opening, _rolling(spans)])
-        spans.closed = (opening.value < 0.0) | motion.in_states(OPEN_STATES)[spans.piece]
-        value = np.where(spans.closed, value, np.inf)
-        x = np.where(spans.closed, x, opening.x)
+        spans.hooked = (opening.value < 0.0) | motion.in_states(OPEN_STATES)[spans.piece]
+        value = np.where(spans.hooked, value, np.inf)
+        x = np.where(spans.hooked, x, opening.x)
     return Bound(value, x)
 
 

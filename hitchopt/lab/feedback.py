@@ -27,7 +27,7 @@ from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import differences, shortest_offset
 from hitchopt.hitch.pairs import SEPARATION, TautBodies, end_combinations, limits_of, scales_of
-from hitchopt.lab.statics.settle import conditions_of, energy_of, samples_of
+from hitchopt.lab.statics.equilibrium import conditions_of, energy_of, samples_of
 from hitchopt.lab.statics.tolerance import responses
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.motion import HITCHED_STATE, Motion

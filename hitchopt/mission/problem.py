@@ -146,8 +146,8 @@ class _ObjectStage:
             remedy += "set_down and untie"
             current, required = str(self.stage), str(begin)
             if Stage.OPEN in (self.stage, begin):
-                remedy, closed = "open_vertex, then hold or close_vertex", "no open vertex"
-                current, required = (x.replace(Stage.FREE, closed) for x in (current, required))
+                remedy, tied = "open_vertex, then hold or close_vertex", "no open vertex"
+                current, required = (x.replace(Stage.FREE, tied) for x in (current, required))
             raise InputError("", current, f"{required}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")

@@ -310,7 +310,7 @@ def _smallest_changes(
 
     Minimum sizes are tried first; then each size is tried for all knobs before the next one.
     """
-    suggestions, closed, failed = list[Suggestion](), set[int](), [x.min_size for x in knobs]
+    suggestions, spent, failed = list[Suggestion](), set[int](), [x.min_size for x in knobs]
     trials, last = list[tuple[float, int, float]](), 0.0
     for i, knob in enumerate(knobs):
         for size in _sizes(knob):
@@ -321,17 +321,17 @@ def _smallest_changes(
         if rank > last and (len(suggestions) >= count or last >= MAX_SIZE_RATIO * smallest):
             break
         last, knob = rank, knobs[i]
-        if i in closed:
+        if i in spent:
             continue
         verdict = evaluate(change_of(problem, knob, size))
         if isinstance(verdict, Suggestion):
             suggestions.append(_bisect(problem, knob, failed[i], size, verdict, evaluate))
-            closed.add(i)
+            spent.add(i)
             if count == 1:
                 break
         # Larger changes would worsen violations that the knob does not cover.
         elif verdict == UNMOVED or (rank > 0.0 and (verdict is None or not verdict <= knob.covers)):
-            closed.add(i)
+            spent.add(i)
         failed[i] = size
     return suggestions
 

@@ -206,10 +206,10 @@ class Hold(HitchStep):
         if task.before.grasp is not None and task.before.grasp.hold is not None:
             return moves_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
         if task.before.open_roll is not None:
-            closed = self.in_phase(task, None, task.hitch)
-            drones = PiecewisePolynomial.constant(closed.drones.breaks, task.before.drones)
-            phases = tuple(replace(phase, state=CableState.ROLLING) for phase in closed.phases)
-            return StepPlan(closed.replaced(drones=drones, phases=phases), task.before)
+            held = self.in_phase(task, None, task.hitch)
+            drones = PiecewisePolynomial.constant(held.drones.breaks, task.before.drones)
+            phases = tuple(replace(phase, state=CableState.ROLLING) for phase in held.phases)
+            return StepPlan(held.replaced(drones=drones, phases=phases), task.before)
         if task.before.hitch is not None:
             return super().plan(task)
         return StepPlan(hover_motion(task, self.seconds), task.before)

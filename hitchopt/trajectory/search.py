@@ -289,12 +289,12 @@ class BranchAndBound(Generic[S]):
     def _prune(self, spans: S, bounds: Array) -> tuple[S, Array] | None:
         """Close spans at the threshold, and return the remaining ones, if any."""
         is_open = bounds > self.threshold
-        index, closed = is_open.nonzero()[0], bounds[~is_open]
-        if closed.size:
-            self.ceiling = max(self.ceiling, float(np.maximum.reduce(closed)))
+        index, decided = is_open.nonzero()[0], bounds[~is_open]
+        if decided.size:
+            self.ceiling = max(self.ceiling, float(np.maximum.reduce(decided)))
         if not index.size:
             return None
-        return (spans.take(index), bounds[index]) if closed.size else (spans, bounds)
+        return (spans.take(index), bounds[index]) if decided.size else (spans, bounds)
 
 
 def batches(spans: S) -> Iterator[S]:

@@ -174,7 +174,7 @@ def test_statics_agrees_with_the_python_interface(
     plan, ranges = ho.load(settling), None
     if "cable_error" in conditions:
         ranges = ho.tolerance(plan, [0.5], **conditions)
-    found = ho.settle(plan, [0.5], **conditions) if ranges is None else ranges.settled
+    found = ho.equilibrium(plan, [0.5], **conditions) if ranges is None else ranges.equilibrium
     expected = strict_json(statics_content(found, ranges))
     assert read(settling / "statics.json") == json.loads(expected)
     assert found.force_residual.max() < 1e-9

@@ -91,7 +91,7 @@ def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: 
     assert held.offset == pytest.approx(0.5 / 6.0, rel=0.05)
     assert held.motion.duration == pytest.approx(plan.duration + 2.0)
     offsets = held_tension(plan.motion).motion.drones.at(0.0) - plan.at(0.0).positions
-    found = ho.settle(plan, 0.0, feed_forward=False, offsets=offsets)  # the statics agree
+    found = ho.equilibrium(plan, 0.0, feed_forward=False, offsets=offsets)  # the statics agree
     np.testing.assert_allclose(found.tensions, team.tension, atol=1e-6)
     np.testing.assert_allclose(found.vertices, found.planned_vertices, atol=1e-6)
 

@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
+from benchmarks.replay import cable_pulls
 from hitchopt.hitch.flight_controller import ONE_MARKER
-from hitchopt.lab.flights.replay import cable_pulls
 from hitchopt.lab.simulation.estimator import Filter
 from hitchopt.values import Array
 

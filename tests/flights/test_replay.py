@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -10,23 +9,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import writers as w
-from click.testing import CliRunner
 from load_flights import carried
 from scipy.spatial.transform import Rotation
 
 import hitchopt as ho
-from hitchopt.cli import main
-from hitchopt.lab.flights.replay import tilt_rms_deg
+from benchmarks.replay import ReplayedFilter, main, replay_filters, tilt_rms_deg
 
 
-def by_name(replays: tuple[ho.ReplayedFilter, ...]) -> dict[tuple[str, str], ho.ReplayedFilter]:
+def by_name(replays: tuple[ReplayedFilter, ...]) -> dict[tuple[str, str], ReplayedFilter]:
     return {(each.drone, each.filter): each for each in replays}
 
 
 def test_filters_are_replayed() -> None:
     """One marker is blind to the pull, as the drone was; the exported filter is not."""
     flight = carried()
-    replays = by_name(ho.replay_filters(flight))
+    replays = by_name(replay_filters(flight))
     for name in flight.tracks:
         stock, exported = replays[name, "stock, one marker"], replays[name, "exported"]
         assert stock.logged_rms_deg < 0.1
@@ -40,7 +37,7 @@ def test_filters_are_replayed() -> None:
 
 @pytest.mark.slow
 def test_the_exported_filter_believes_a_tilted_rigid_body() -> None:
-    tilted = by_name(ho.replay_filters(carried(tilt_deg=8.0)))
+    tilted = by_name(replay_filters(carried(tilt_deg=8.0)))
     assert tilted["cf0", "exported"].captured_rms_deg < 0.5
     assert tilted["cf0", "exported"].logged_rms_deg > 6.0
     assert tilted["cf0", "stock, one marker"].captured_rms_deg > 6.0
@@ -63,7 +60,7 @@ def test_logs_without_captured_attitudes_are_replayed(tmp_path: Path) -> None:
     flight = replace(flight, signals=late)
     for drop in ("", "acc."):
         logs = w.write_rich_usd(tmp_path / f"logs{drop}", flight, (0.0, 40.0), drop)
-        for each in ho.replay_filters(logs):
+        for each in replay_filters(logs):
             if each.filter == "stock, one marker":
                 assert each.logged_rms_deg < 0.3
                 assert abs(each.pull_seen) < 0.3
@@ -75,7 +72,7 @@ def test_logs_without_captured_attitudes_are_replayed(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_steady_pull_is_unseen_by_one_marker() -> None:
-    replays = by_name(ho.replay_filters(replace(carried(9.0), loads={})))
+    replays = by_name(replay_filters(replace(carried(9.0), loads={})))
     assert abs(replays["cf0", "stock, one marker"].pull_seen) < 0.3
     assert replays["cf0", "exported"].pull_seen == pytest.approx(1.0, abs=0.05)
 
@@ -91,15 +88,16 @@ def test_tilts_are_angles_of_any_size(degrees: float) -> None:
 def test_recordings_without_sensors_are_refused(tmp_path: Path) -> None:
     bag = w.write_crazyswarm(tmp_path / "a.bag", w.rich_sample(1))
     with pytest.raises(ho.FileError, match=r"ROS 1 bag: holds .*motors: filters need rates"):
-        ho.replay_filters(bag)
+        replay_filters(bag)
 
 
-def test_the_command_prints_filters(tmp_path: Path) -> None:
+def test_the_command_prints_filters(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     logs = w.write_rich_usd(tmp_path / "logs", carried(4.0))
-    result = CliRunner().invoke(main, ["evaluate", str(logs), "--filter", "--json"])
-    assert result.exit_code == 0, result.output
-    filters = json.loads(result.stdout)["filters"]
-    names = [each["filter"] for each in filters[:3]]
-    assert names == ["stock, one marker", "stock, rigid body", "exported"]
-    assert filters[0]["logged_rms_deg"] < 0.1
-    assert filters[2]["captured_rms_deg"] is None
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr("sys.argv", ["replay", str(logs)])
+    main()
+    printed = capsys.readouterr().out
+    for name in ("stock, one marker", "stock, rigid body", "exported"):
+        assert name in printed

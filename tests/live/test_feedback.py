@@ -153,7 +153,7 @@ def test_vertices_answer_setpoints_as_in_the_statics(topology: str) -> None:
     ((forward, inverse),) = vertex_responses(plan.motion, 0.5, STIFF)
     pushes = push * np.eye(18).reshape(-1, 6, 3)
     given, both = {"stiffness": STIFF, "axial_stiffness": 1e7}, np.stack([pushes, -pushes])
-    up, down = ho.settle(plan, 0.5, offsets=both, **given).vertices[:, :, team.layout.clasps]
+    up, down = ho.equilibrium(plan, 0.5, offsets=both, **given).vertices[:, :, team.layout.clasps]
     expected = (up - down).reshape(len(pushes), -1).T / (2.0 * push)
     np.testing.assert_allclose(forward, expected, atol=2e-3)
     reached = forward @ inverse

@@ -141,7 +141,7 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
         lambda: Reactions(motion),
         lambda: ho.Feedback(plan),
         lambda: ho.Replanner(planned("triangle").motion.team, plan),
-        lambda: ho.settle(plan, 0.5),
+        lambda: ho.equilibrium(plan, 0.5),
         lambda: ho.tolerance(plan, cable_error=0.01),
         lambda: ho.evaluate(recording, folder),
         lambda: ho.calibrate(recording, folder),
@@ -157,7 +157,7 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
     result = CliRunner().invoke(main, ["statics", str(folder), "--at", "8", "--stiffness", "40"])
     assert result.exit_code == 0, result.output
     for group in motion.groups:
-        rest = ho.settle(group.motion, 8.0, stiffness=40.0)
+        rest = ho.equilibrium(group.motion, 8.0, stiffness=40.0)
         content = json.loads((folder / group.name / "statics.json").read_text())
         tensions = [cable["tension"][0] for cable in content["cables"]]
         np.testing.assert_allclose(tensions, rest.tensions, rtol=1e-9)

@@ -21,7 +21,7 @@ from hitchopt.lab.flights.readers import HEADER
 from hitchopt.lab.flights.recordings import Recording, windows_of
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
-from hitchopt.lab.statics.settle import conditions_of, energy_of
+from hitchopt.lab.statics.equilibrium import conditions_of, energy_of
 from hitchopt.motion.states import States
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array

@@ -58,8 +58,8 @@ def statics(
     import numpy as np
 
     from hitchopt.hitch.forces import undetermined_tension
+    from hitchopt.lab.statics.equilibrium import conditions_of, equilibrium
     from hitchopt.lab.statics.files import save_statics, statics_content
-    from hitchopt.lab.statics.settle import conditions_of, settle
     from hitchopt.lab.statics.tolerance import ErrorSize, taut_times
     from hitchopt.lab.statics.tolerance import tolerance as ranges_of
     from hitchopt.motion.plan_file import read_plan
@@ -88,11 +88,11 @@ def statics(
         with ProgressBar("settling"):
             if errors:
                 ranges = ranges_of(part, t, **errors, **conditions)
-                settled = ranges.settled
+                rest = ranges.equilibrium
             else:
-                ranges, settled = None, settle(part, t, **conditions)
-            save_statics(folder, settled, ranges, format, width)
-        content = contents[group.name] = statics_content(settled, ranges)
+                ranges, rest = None, equilibrium(part, t, **conditions)
+            save_statics(folder, rest, ranges, format, width)
+        content = contents[group.name] = statics_content(rest, ranges)
         tables = _statics_tables(content)
         say(f"Team {group.name}\n{tables}" if group.name else tables)
         values = conditions_of(part.team, **conditions)

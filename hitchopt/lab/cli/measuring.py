@@ -41,7 +41,6 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),
     *picture_options(),
-    option("--filter filters", "Replay attitude filters on the recorded sensors; needs no plan."),
     option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
     required=False,
 )
@@ -52,14 +51,12 @@ def evaluate(
     format: str,
     width: float | None,
     *,
-    filters: bool,
     markers: bool,
     **options: Any,
 ) -> None:
     """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
     Without a plan, what RECORDING holds is listed: bodies, quantities, topics, rates and gaps.
-    With --filter the firmware's and the exported attitude filters are run on its sensors.
     RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
@@ -79,13 +76,10 @@ def evaluate(
     if recording is None:
         bound = "a recording, or none with --markers"
         raise InputError("RECORDING", Missing(), bound, "name the file that was recorded")
-    if filters or task is None:
+    if task is None:
         with ProgressBar("reading"):
             flight = ho.read_flight(recording, options["unit"], options["topic"])
-        if filters:
-            _say_filters(flight)
-        else:
-            _say_contents(flight)
+        _say_contents(flight)
         return
     from hitchopt.lab.flights.evaluation import LATEX, summary
 
@@ -165,24 +159,6 @@ def _say_contents(flight: ho.RecordedFlight) -> None:
     )
     for note in flight.notes:
         say(f"note: {note}")
-
-
-def _say_filters(flight: ho.RecordedFlight) -> None:
-    """Report the errors of replayed filters."""
-    with ProgressBar("replaying filters"):
-        replays = ho.replay_filters(flight)
-    rows: list[dict[str, object]] = []
-    for each in replays:
-        errors = {"to the logged": each.logged_rms_deg, "to the captured": each.captured_rms_deg}
-        cells = {f"{name} attitude, rms [°]": x for name, x in errors.items()}
-        texts = {name: known_text(x, digits=".2f") for name, x in cells.items()}
-        share = f"{100.0 * each.pull_seen:.0f}"
-        rows.append({"drone": each.drone, "filter": each.filter, **texts, "pull seen [%]": share})
-    remarks = dict.fromkeys(each.remark for each in replays if each.remark)
-    if not flight.loads:
-        remarks["no load is recorded: the pull is a steady one"] = None
-    text = "\n".join([table("Replayed filters", rows), "", *remarks]).rstrip()
-    say(text, filters=list(map(vars, replays)))
 
 
 def _say_markers(task: Task) -> None:

@@ -50,7 +50,7 @@ from hitchopt.lab.flights.recordings import (
 from hitchopt.lab.simulation.judgement import TAUT_RATIO
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.energy import HitchEnergy, bends_of
-from hitchopt.lab.statics.settle import conditions_of, energy_of
+from hitchopt.lab.statics.equilibrium import conditions_of, energy_of
 from hitchopt.storage.archive import PLAN, reading
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path

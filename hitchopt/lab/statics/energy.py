@@ -226,7 +226,7 @@ class HitchEnergy:
         shares = np.minimum(1.0, max_length / np.maximum(sizes, 1e-300))
         return steps * shares[:, None, None], slopes
 
-    def settled(self) -> Array:
+    def at_rest(self) -> Array:
         """Return the nodes (S, nodes, 3) [m] of least energy, by a damped Newton method.
 
         Steps are halved until the energy decreases enough; damping grows if no step does. Forces
@@ -255,7 +255,7 @@ class HitchEnergy:
             damping = np.where(failed, raised, np.maximum(0.1 * damping, MIN_DAMPING))
         return x
 
-    def settle_with_friction(self, rest: Array, friction: float) -> Array:
+    def rest_with_friction(self, rest: Array, friction: float) -> Array:
         """Return the nodes (S, nodes, 3) [m] at an end of the band; nan without convergence.
 
         ``rest`` are the nodes without friction. A positive coefficient lets legs pull more than

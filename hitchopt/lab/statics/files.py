@@ -16,8 +16,8 @@ from hitchopt.exports.directory import STATICS, STATICS_PICTURES
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip
+from hitchopt.lab.statics.equilibrium import Equilibrium
 from hitchopt.lab.statics.fit import GRIP, REST, Fit
-from hitchopt.lab.statics.settle import Settled
 from hitchopt.lab.statics.tolerance import Tolerance
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.view import style
@@ -39,7 +39,7 @@ MAX_DRAWN_RATIO = 3.0  # Largest drawn tension of a range, over the largest at r
 
 def save_statics(
     directory: Path,
-    settled: Settled,
+    rest: Equilibrium,
     ranges: Tolerance | None,
     format: str = "png",
     width: float | None = None,
@@ -49,7 +49,7 @@ def save_statics(
     The picture is ``statics.png``, or ``svg`` or ``pdf``; with a ``width`` [inch] it is a figure
     for a paper. Only statics.json and its pictures are replaced; FileError if writing fails.
     """
-    content, figure = statics_content(settled, ranges), draw_statics(settled, ranges, width)
+    content, figure = statics_content(rest, ranges), draw_statics(rest, ranges, width)
     writers: dict[str, Writer] = {
         f"statics.{format}": lambda path: style.save_figure(figure, path),
         STATICS: lambda path: write_strict_json(path, content),
@@ -57,27 +57,27 @@ def save_statics(
     return replace_files(directory, writers, (STATICS, *STATICS_PICTURES), seal=STATICS)
 
 
-def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any]:
+def statics_content(rest: Equilibrium, ranges: Tolerance | None) -> dict[str, Any]:
     """Return the content of statics.json: lists over the times ``t``, in SI units.
 
     ``band`` of a vertex is the range of its outward displacement with friction; null if unbounded.
     """
     content: dict[str, Any] = {
         "format": STATICS_FORMAT,
-        "t": settled.t.tolist(),
-        "slack_cables": list(settled.slack_cables),
-        "loose_clasps": list(settled.loose_clasps),
-        "force_residual": float(settled.force_residual.max()),
-        "length_residual": float(settled.length_residual.max()),
+        "t": rest.t.tolist(),
+        "slack_cables": list(rest.slack_cables),
+        "loose_clasps": list(rest.loose_clasps),
+        "force_residual": float(rest.force_residual.max()),
+        "length_residual": float(rest.length_residual.max()),
     }
     cables = {
-        "planned_tension": settled.planned_tensions,
-        "tension": settled.tensions,
-        "slack": settled.slack,
+        "planned_tension": rest.planned_tensions,
+        "tension": rest.tensions,
+        "slack": rest.slack,
     }
-    vertices = {"planned": settled.planned_vertices, "position": settled.vertices}
-    vertices["band"] = settled.band
-    drones = {"planned": settled.planned_drones, "position": settled.drones}
+    vertices = {"planned": rest.planned_vertices, "position": rest.vertices}
+    vertices["band"] = rest.band
+    drones = {"planned": rest.planned_drones, "position": rest.drones}
     if ranges is not None:
         content["errors"] = {name: vars(size) for name, size in ranges.errors.items()}
         content["may_be_slack"] = list(ranges.slack_cables)
@@ -85,7 +85,7 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
         content["vertex_remainder"] = ranges.vertex_remainders.tolist()
         cables |= {"smallest": ranges.tensions[..., 0], "largest": ranges.tensions[..., 1]}
         vertices |= {"half_widths": ranges.vertex_halves, "radius": ranges.radii}
-    team = settled.team
+    team = rest.team
     for kind, names, columns in (
         ("cables", [f"c{k}" for k in range(team.robots)], cables),
         ("vertices", team.point_names, vertices),
@@ -98,7 +98,7 @@ def statics_content(settled: Settled, ranges: Tolerance | None) -> dict[str, Any
     return content
 
 
-def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None = None) -> Figure:
+def draw_statics(rest: Equilibrium, ranges: Tolerance | None, width: float | None = None) -> Figure:
     """Return the picture: tensions over time, and vertices from above.
 
     With a ``width`` [inch] it is a figure for a paper.
@@ -109,10 +109,10 @@ def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None
     else:
         figure = style.page_figure(width, 2.0 * style.PAGE_SHARE * width + PAGE_LEGEND)
         left, right = figure.subplots(2, 1)
-    t, layout, cables = settled.t, settled.team.layout, settled.team.robots
+    t, layout, cables = rest.t, rest.team.layout, rest.team.robots
     if ranges is not None:
         low, high = np.min(ranges.tensions[..., 0], 1), np.max(ranges.tensions[..., 1], 1)
-        drawn = np.minimum(high, MAX_DRAWN_RATIO * np.max(settled.tensions))
+        drawn = np.minimum(high, MAX_DRAWN_RATIO * np.max(rest.tensions))
         beyond = f", up to {np.max(high):.3g} N" if np.any(drawn < high) else ""
         words = f"range{beyond}"
         left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
@@ -120,8 +120,8 @@ def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None
     for k, colour in enumerate(style.cable_colours(cables)):  # first ones are visible below others
         label = f"cable {k} at rest" if cables <= MAX_NAMED else ""
         wide = 1.2 + 2.4 * (1.0 - (k + 1) / cables)
-        left.plot(t, settled.tensions[:, k], color=colour, lw=wide, label=label, **look)
-    left.plot(t, settled.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
+        left.plot(t, rest.tensions[:, k], color=colour, lw=wide, label=label, **look)
+    left.plot(t, rest.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
     left.set(xlabel="t [s]", ylabel="tension [N]")
     style.from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
     ring = np.append(np.arange(layout.points), [0] * layout.closed)
@@ -129,15 +129,15 @@ def draw_statics(settled: Settled, ranges: Tolerance | None, width: float | None
     lines, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
     areas["drone"] = Line2D([], [], color=style.INK, marker="x", ls="none", ms=4)
     for colour, i in zip(TIME_COLOURS[-len(times) :], times, strict=True):
-        path = right.plot(*settled.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
+        path = right.plot(*rest.vertices[i, ring, :2].T, color=colour, marker=".", lw=1.8)
         lines[f"vertices, t = {t[i]:.2f} s"] = path[0]
-        right.plot(*settled.planned_vertices[i, ring, :2].T, **PLANNED)
-        right.plot(*settled.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
-        if np.ptp(settled.band[i]) > 1e-4:  # visible [m]
-            for ends in settled.rests[i, ..., :2].swapaxes(0, 1):
+        right.plot(*rest.planned_vertices[i, ring, :2].T, **PLANNED)
+        right.plot(*rest.drones[i, :, :2].T, color=colour, marker="x", linestyle="none", ms=4)
+        if np.ptp(rest.band[i]) > 1e-4:  # visible [m]
+            for ends in rest.rests[i, ..., :2].swapaxes(0, 1):
                 areas["band of rest"] = right.plot(*ends.T, color=colour, lw=5.0, alpha=0.35)[0]
         shapes = () if ranges is None else ranges.ellipsoids[i, :, :2, :2]
-        for centre, shape in zip(settled.vertices[i, :, :2], shapes, strict=False):
+        for centre, shape in zip(rest.vertices[i, :, :2], shapes, strict=False):
             squares, directions = np.linalg.eigh(shape)
             ellipse = centre + CIRCLE * np.sqrt(np.maximum(squares, 0.0)) @ directions.T
             areas["range of a vertex"] = right.fill(*ellipse.T, color=colour, alpha=0.35)[0]

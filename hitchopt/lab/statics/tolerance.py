@@ -23,14 +23,14 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.lab.statics.energy import HitchEnergy
-from hitchopt.lab.statics.settle import (
+from hitchopt.lab.statics.equilibrium import (
     SAMPLED,
-    Settled,
+    Equilibrium,
     conditions_of,
     energy_of,
+    equilibrium,
     motion_of,
     samples_of,
-    settle,
 )
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
@@ -44,7 +44,7 @@ PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
 SAMPLES, CANDIDATES = 25, 20
 
 TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
-CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are settled
+CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are evaluated
 
 # Factor of the largest difference to first order, as errors are worst cases to first order only
 REMAINDER_FACTOR = 2.0
@@ -126,7 +126,7 @@ class Tolerance(OneLine):
     Attributes
     ----------
     errors: sizes of errors, of ``cable``, ``position`` and ``force``.
-    settled: rest of the hitch without errors, in samples (S,).
+    equilibrium: rest of the hitch without errors, in samples (S,).
     tension_halves: (S, n) [N], half widths of the tensions' ranges, to first order.
     tension_remainders: (S,) [N], additional half widths beyond first order.
     vertex_halves: (S, points, 3) [m], half widths of the vertices' ranges, to first order.
@@ -135,7 +135,7 @@ class Tolerance(OneLine):
     """
 
     errors: Sizes
-    settled: Settled
+    equilibrium: Equilibrium
     tension_halves: Array
     tension_remainders: Array
     vertex_halves: Array
@@ -146,7 +146,7 @@ class Tolerance(OneLine):
     def tensions(self) -> Array:
         """Smallest and largest tension of every cable, not below zero (S, n, 2) [N]."""
         half = self.tension_halves + self.tension_remainders[:, None]
-        middle = self.settled.tensions
+        middle = self.equilibrium.tensions
         return np.maximum(np.stack([middle - half, middle + half], axis=-1), 0.0)
 
     @property
@@ -157,13 +157,13 @@ class Tolerance(OneLine):
 
     @property
     def band(self) -> Array:
-        """Range of outward displacements of vertices, ``Settled.band`` (S, points, 2) [m]."""
-        return self.settled.band
+        """Range of outward displacements of vertices, ``Equilibrium.band`` (S, points, 2) [m]."""
+        return self.equilibrium.band
 
     @property
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
-        slack = self.settled.slack | (self.tensions[..., 0] <= 0.0)
+        slack = self.equilibrium.slack | (self.tensions[..., 0] <= 0.0)
         return tuple(f"c{k}" for k in np.flatnonzero(slack.any(axis=0)))
 
 
@@ -186,7 +186,7 @@ def tolerance(
         a standard deviation, which counts three times.
     position_error: of every drone's setpoint, a vector [m].
     force_error: of every drone's force feed-forward, a vector [N].
-    conditions: those of ``settle``, without samples of their own.
+    conditions: those of ``equilibrium``, without samples of their own.
 
     Raises
     ------
@@ -200,9 +200,9 @@ def tolerance(
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
     if times.ndim != 1:
         raise InputError("t", t, "one time, or a list of them", "give times [s] in one row")
-    settled = settle(motion, times, **conditions)
-    parts = [_range(motion, settled, i, errors, conditions) for i in range(len(times))]
-    return Tolerance(errors, settled, *(np.stack(values) for values in zip(*parts, strict=True)))
+    rest = equilibrium(motion, times, **conditions)
+    parts = [_range(motion, rest, i, errors, conditions) for i in range(len(times))]
+    return Tolerance(errors, rest, *(np.stack(values) for values in zip(*parts, strict=True)))
 
 
 def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
@@ -223,13 +223,13 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
 
 
 def _range(
-    motion: Motion, settled: Settled, i: int, errors: Sizes, conditions: dict[str, Any]
+    motion: Motion, rest: Equilibrium, i: int, errors: Sizes, conditions: dict[str, Any]
 ) -> tuple[Any, ...]:
     """Return the arrays of a Tolerance at one time, in order."""
     n, resolved = motion.team.robots, conditions_of(motion.team, **conditions)
-    energy = energy_of(motion.team, resolved, samples_of(motion, settled.t[i], resolved)[1])
-    clasps = settled.vertices[i, motion.team.layout.clasps]
-    rows = responses(energy, np.concatenate([settled.drones[i], clasps])[None])
+    energy = energy_of(motion.team, resolved, samples_of(motion, rest.t[i], resolved)[1])
+    clasps = rest.vertices[i, motion.team.layout.clasps]
+    rows = responses(energy, np.concatenate([rest.drones[i], clasps])[None])
     sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
     bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
     spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
@@ -253,12 +253,12 @@ def _range(
     parts[0] = parts[0][..., 0]
     deviations = {name: resolved[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
     try:
-        corners = settle(motion, settled.t[i], **(conditions | deviations | {"friction": 0.0}))
+        corners = equilibrium(motion, rest.t[i], **(conditions | deviations | {"friction": 0.0}))
     except InfeasibleError:  # errors are too large for first order
         tension_remainder = vertex_remainder = np.inf
     else:
-        tensions = np.maximum(settled.tensions[i] + change[:, :n], energy.slack_tension[0])
-        vertices = settled.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
+        tensions = np.maximum(rest.tensions[i] + change[:, :n], energy.slack_tension[0])
+        vertices = rest.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
         tension_remainder = REMAINDER_FACTOR * float(np.max(np.abs(corners.tensions - tensions)))
         vertex_remainder = REMAINDER_FACTOR * float(np.max(length(corners.vertices - vertices)))
     return halves[:n], tension_remainder, halves[n:].reshape(-1, 3), vertex_remainder, ellipsoids

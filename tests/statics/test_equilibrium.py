@@ -18,7 +18,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.statics.energy import INTEGRAL_ERROR, HitchEnergy
-from hitchopt.lab.statics.settle import Settled, conditions_of, energy_of, samples_of
+from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, energy_of, samples_of
 from hitchopt.lab.statics.tolerance import Tolerance, responses, taut_times
 from hitchopt.motion.loads import sags
 from hitchopt.motion.motion import CableState
@@ -57,8 +57,8 @@ def regular_hitch(n: int, tension: float = 0.5, **team: Any) -> ho.Hitch:
     return ho.Hitch.balanced(ho.Team(n, 2.4, tension=tension, **team), polygon, 1.3)
 
 
-def settle_hitch(hitch: ho.Hitch, **conditions: Any) -> Settled:
-    return ho.settle(resting_motion(hitch), 1.0, **conditions)
+def settle_hitch(hitch: ho.Hitch, **conditions: Any) -> Equilibrium:
+    return ho.equilibrium(resting_motion(hitch), 1.0, **conditions)
 
 
 def resting_energy(hitch: ho.Hitch, **options: Any) -> HitchEnergy:
@@ -191,7 +191,7 @@ def test_samples_settle_as_each_alone() -> None:
     hitch, rng = random_hitch(4, 3, stiffness=8.0), np.random.default_rng(4)
     lengths = hitch.team.cable_length + rng.uniform(-0.01, 0.01, (2, 3, 3))
     offsets = rng.uniform(-0.01, 0.01, (3, 6, 3))
-    together = ho.settle(
+    together = ho.equilibrium(
         resting_motion(hitch), [0.5, 1.0, 1.5], cable_length=lengths, offsets=offsets
     )
     assert together.tensions.shape == (2, 3, 3)
@@ -231,7 +231,7 @@ def test_times_without_a_hitch_are_refused() -> None:
     words = r"t = 1\.0: must be within a hitch: never in this plan"
     for plan, t, message in ((free, 1.0, words), (motion, -1.0, r"t = -1\.0")):
         with pytest.raises(ho.InputError, match=message):
-            ho.settle(plan, t)
+            ho.equilibrium(plan, t)
 
 
 @pytest.mark.parametrize(("seed", "density"), [(1, 0.006), (2, 0.012), (3, 0.018)])
@@ -412,7 +412,7 @@ def test_samples_are_within_bounds(seed: int, n: int, topology: str, density: fl
     samples = settle_hitch(hitch, cable_density=density, **conditions)
     excess = (samples.tensions[..., None] - tolerance.tensions[0]) * [-1.0, 1.0]
     assert np.max(excess) <= 1e-9
-    deviations = samples.vertices - tolerance.settled.vertices[0]
+    deviations = samples.vertices - tolerance.equilibrium.vertices[0]
     assert np.all(
         np.abs(deviations) <= tolerance.vertex_halves[0] + tolerance.vertex_remainders[0] + 1e-9
     )

@@ -50,7 +50,7 @@ SAG_RATIO, SLACK_RATIO = 4.0, 1e-6
 
 
 def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
-    """Return all conditions of ``settle`` as arrays; the team's by default, numbers broadcast.
+    """Return all conditions of ``equilibrium`` as arrays; the team's by default, numbers broadcast.
 
     The stiffness (2n, 3) is infinite for drones that are rigid at their setpoints; ``integral`` is
     the largest force of integrals (2n, 3) [N]. Raises InputError for an unknown name, another
@@ -72,7 +72,9 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
         "friction": ((), 0.0),
     }
     for name in stated.keys() - table:
-        raise InputError(name, stated[name], f"one of {', '.join(table)}", "see hitchopt.settle")
+        raise InputError(
+            name, stated[name], f"one of {', '.join(table)}", "see hitchopt.equilibrium"
+        )
     for name, (shape, lower) in table.items():
         value = stated.get(name)
         if value is None:
@@ -99,7 +101,7 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, eq=False)
-class Settled(OneLine):
+class Equilibrium(OneLine):
     """Rest of a hitch in samples (…) at times of a plan.
 
     Attributes
@@ -172,13 +174,13 @@ def motion_of(plan: Plan | Motion, feature: str) -> Motion:
     return motion
 
 
-def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
+def equilibrium(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Equilibrium:
     """Return the rest of a plan's hitch: positions of drones and vertices, and tensions.
 
     Drones are displaced from their setpoints by ``(F + cable force)/k``, where k is the stiffness
     of their position loops and F the feed-forward. Integrals compensate up to their largest force.
     Tensions are those without friction. With friction a vertex may rest anywhere in its
-    ``Settled.band``.
+    ``Equilibrium.band``.
 
     Parameters
     ----------
@@ -197,7 +199,7 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
     UnsupportedError: single drones, several teams, or objects that are carried.
     InfeasibleError: there is no rest.
     """
-    motion = motion_of(plan, "settle")
+    motion = motion_of(plan, "equilibrium")
     resolved = conditions_of(motion.team, **conditions)
     shape, samples = samples_of(motion, t, resolved)
     size = max(1, BLOCK // motion.team.robots)
@@ -206,7 +208,9 @@ def settle(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Settled:
         for i in range(0, len(samples["t"]), size)
     ]
     arrays = {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
-    return Settled(motion.team, **{k: v.reshape((*shape, *v.shape[1:])) for k, v in arrays.items()})
+    return Equilibrium(
+        motion.team, **{k: v.reshape((*shape, *v.shape[1:])) for k, v in arrays.items()}
+    )
 
 
 def samples_of(
@@ -214,7 +218,7 @@ def samples_of(
 ) -> tuple[tuple[int, ...], dict[str, Array]]:
     """Return the broadcast shape of times and conditions, and values of all samples (S, …) by name.
 
-    Names are those of ``States`` and ``conditions_of``; errors are those of ``settle``.
+    Names are those of ``States`` and ``conditions_of``; errors are those of ``equilibrium``.
     """
     if not motion.team.has_cables:
         raise UnsupportedError("a plan of single drones has no cables that could settle")
@@ -279,9 +283,9 @@ def energy_of(
 def _rest(
     team: Team, conditions: Mapping[str, Any], samples: Mapping[str, Array]
 ) -> dict[str, NDArray[Any]]:
-    """Return the arrays of ``Settled`` for a block of samples."""
+    """Return the arrays of ``Equilibrium`` for a block of samples."""
     energy = energy_of(team, conditions, samples)
-    x = energy.settled()
+    x = energy.at_rest()
     force = np.max(length(energy.slopes(x)), axis=1)
     if not np.max(force) <= MAX_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
@@ -295,7 +299,7 @@ def _rest(
     slack = np.maximum(energy.slack_tension, SLACK_RATIO * energy.reference) >= T
     friction = float(conditions["friction"])
     tensions = T + energy.weight * energy.spans(ends)[2][..., 1]
-    rests = [energy.settle_with_friction(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
+    rests = [energy.rest_with_friction(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
     return {
         "t": samples["t"],
         "drones": x[:, : energy.drones],

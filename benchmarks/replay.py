@@ -1,4 +1,11 @@
-"""Replay of attitude filters on recorded flights.
+"""Attitude filters, replayed on the sensors of a recorded flight.
+
+Usage: python -m benchmarks replay RECORDING
+
+The Kalman filter of Crazyflies runs on the logged gyroscope, accelerometer and positions: with the
+firmware's parameters for one marker and for rigid bodies, and with those that exports set. Logs
+need ``gyro``, an attitude (``stateEstimate.qx``, ``roll``, ``stateEstimateZ.quat`` or
+``ctrlLeeP.rpyx``) and positions.
 
 A filter is fed with the recorded gyroscope, accelerometer and positions, and never with the logged
 attitude, which it is compared with. How much of a cable's pull it sees follows from a second run in
@@ -7,7 +14,9 @@ which the drone leans against a small additional pull: the share of that lean th
 
 from __future__ import annotations
 
+import argparse
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
+from hitchopt.cli.output import known_text, table
 from hitchopt.errors import FileError, OneLine
 from hitchopt.geometry.vectors import dot, left_of, length
 from hitchopt.hitch import GRAVITY
@@ -41,6 +51,31 @@ FILTERS: Mapping[str, EstimatorParameters] = {
     "stock, rigid body": FIRMWARE,
     "exported": HELD,
 }
+
+
+def main() -> None:
+    """Print the rms tilt of replayed filters from logged and captured attitudes."""
+    cli = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    cli.add_argument("recording", type=Path, help="logs, in a format of read_flight")
+    flight = read_flight(cli.parse_args().recording)
+    rows, remarks = list[dict[str, object]](), dict[str, None]()
+    for each in replay_filters(flight):
+        share = f"{100.0 * each.pull_seen:.0f}"
+        rows.append(
+            {
+                "drone": each.drone,
+                "filter": each.filter,
+                "off the logged [°]": known_text(each.logged_rms_deg, digits=".2f"),
+                "off the captured [°]": known_text(each.captured_rms_deg, digits=".2f"),
+                "pull seen [%]": share,
+            }
+        )
+        remarks |= {each.remark: None} if each.remark else {}
+    if not flight.loads:
+        remarks["no load is recorded: the pull is a steady one"] = None
+    sys.stdout.write("\n".join([table("Replayed filters", rows), "", *remarks]).rstrip() + "\n")
 
 
 @dataclass(frozen=True)
