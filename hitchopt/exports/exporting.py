@@ -138,8 +138,9 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
             continue
         if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
             yield (
-                f"distances allow for tracking errors of {tube}, as simulated; recorded drones "
-                f"were off by {Tube(*RECORDED_TUBE)}: state yours as limits.tracking, or calibrate"
+                f"distances allow for tracking errors of {tube}, as simulated; real drones in "
+                f"public logs were off by {Tube(*RECORDED_TUBE)}: set limits.tracking to your "
+                "measured error"
             )
             return
 

@@ -57,9 +57,9 @@ class HeldTension:
         """Note for users."""
         stiffness, damping = _range_text(self.stiffness), _range_text(self.damping)
         return (
-            f"set points are up to {100.0 * self.offset:.3g} cm outward of the drones to hold the "
-            f"tension, for position loops of {stiffness} N/m and {damping} N s/m; the files are "
-            f"{REST_TIME:g} s longer"
+            f"setpoints lie up to {100.0 * self.offset:.3g} cm outside the planned positions to "
+            f"hold the tension, for position loops of {stiffness} N/m and {damping} N s/m; "
+            f"the files are {REST_TIME:g} s longer"
         )
 
 

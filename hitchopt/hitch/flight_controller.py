@@ -114,7 +114,11 @@ class Tube(Record):
 
     def __str__(self) -> str:
         size = f"{self.level:.3g} m"
-        return size if self.height == self.level else f"{size} level, {self.height:.3g} m upright"
+        return (
+            size
+            if self.height == self.level
+            else f"{size} horizontally, {self.height:.3g} m vertically"
+        )
 
 
 TRACKING = either(units.DISTANCE, mapping_of(Tube))

@@ -37,7 +37,7 @@ from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
 from hitchopt.steps.tying import Form
 from hitchopt.values import Array
 
-AT_START, UNPLANNED = "at the start (t = 0)", "not looked at yet: steps "
+AT_START, UNPLANNED = "at the start (t = 0)", "not checked yet: steps "
 
 
 WIDENED = frozenset(

@@ -70,7 +70,7 @@ def check_hinge(planner: MovePlanner) -> None:
     limit, value = needed - centre, hold.height - centre
     remedy = f"tie it at {math.ceil(1e3 * needed - 1e-3) / 1e3:g} m or higher above its base"
     if needed > body.upper - EDGE:
-        remedy = "use three robots: two clasps as low as on this object are a hinge, and it falls"
+        remedy = "use three robots: two clasps this low let the object tip over"
     when = "above the centre of mass, as it is lifted"
     raise InfeasibleError([Violation("hinge", value, limit, "min", "m", (name,), when, remedy)])
 

@@ -187,7 +187,7 @@ def test_drones_rise_from_the_ground_and_all_of_the_plan_is_flown(
     (part,) = exported(motion, "mavsdk_drone_show", tmp_path)
     stated = json.loads((tmp_path / "export.json").read_text())["receiver"]
     begin, settings = stated["plan_begins_s"], stated["settings"]
-    assert f"the plan begins {begin:g} s after the show" in part.notes[0]
+    assert f"the plan starts {begin:g} s into the show" in part.notes[0]
     assert set(settings) == set(DEFAULTS)
     assert settings["FEEDFORWARD_VELOCITY_ENABLED"] is True
     assert settings["FEEDFORWARD_ACCELERATION_ENABLED"] is True

@@ -267,7 +267,7 @@ def test_faults_of_several_steps_are_repaired_together_and_the_rest_is_named(
     monkeypatch.setattr("hitchopt.mission.repair.SIZES", (0.8, 1.5))  # what is needed comes first
     limits, raised = {"duration": 5.0}, {"transport": {"to": [0, 0, 1.5]}}
     data = small(limits=limits, arena=ARENA, mission=[raised, {"hold": {"seconds": 6.0}}])
-    with pytest.raises(ho.InfeasibleError, match=r"not looked at yet: steps 1 \(hold\)$"):
+    with pytest.raises(ho.InfeasibleError, match=r"not checked yet: steps 1 \(hold\)$"):
         ho.solve(problem_from_dict(data))
     suggestion = ho.suggestions(problem_from_dict(data), PATIENCE)[0]
     assert_as_suggested(data, suggestion)

@@ -94,7 +94,7 @@ class MavsdkDroneShow(Format):
         unseen = ", where cables are not checked" if task.motion.has_cables else ""
         order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
-            f"the plan begins {rise.duration:g} s after the show: until then drones wait and "
+            f"the plan starts {rise.duration:g} s into the show: until then drones wait and "
             f"rise straight up{unseen}; at the end PX4 lands them",
             "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: in "
             f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",

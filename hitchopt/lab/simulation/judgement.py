@@ -46,7 +46,9 @@ HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone 
 
 # Warnings: about cables without friction, about those without weight, with the density of their
 # ropes [g/m] and the preset, about drones with different controllers, and about those not simulated
-NO_FRICTION = "friction is 0: at 0.1, hitches rest about 5 cm from their plans; "
+NO_FRICTION = (
+    "friction is assumed to be 0; with a coefficient of 0.1, vertices end about 5 cm off; "
+)
 NO_FRICTION += "state team.cable_friction, or give friction="
 WEIGHTLESS = "cables count as weightless: they fly as ropes of {:.2g} g/m, the lightest that {} "
 WEIGHTLESS += "holds; state team.cable_density, or give density="
