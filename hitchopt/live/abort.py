@@ -1,10 +1,10 @@
 """Certified aborts of a plan from the moving state at any time.
 
 A command stops the plan's clock. The abort continues with a hold, with the plan backward, or with a
-landing of its own. If the certificate does not hold, a later stop is tried. A hitch around an
-object cannot be lowered or untied. It flies to one of the plan's own rests without an enclosed
-object, and lands there: to a later rest if the object has been moved, as the plan sets it down
-before, and to an earlier one if it has not been lifted yet.
+landing of its own. If the certificate does not hold, a later stop is tried, up to the plan's next
+rest. Where drones cannot land from any of these, as around an object, they fly on, or back, to one
+of the plan's rests from which they can, whichever is down first. No abort moves an object that
+stands at the command.
 """
 
 from __future__ import annotations
@@ -12,10 +12,9 @@ from __future__ import annotations
 import tempfile
 import zipfile
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -28,7 +27,7 @@ from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.motion import FREE_STATES, JOINT, CableState, Group, Motion, Phase
+from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, CableState, Group, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.request import objects_at
 from hitchopt.motion.retiming import (
@@ -46,6 +45,7 @@ from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.step import RestState, StepTask
 from hitchopt.steps.tying import Release, vertical_motion
 from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, check_choice, nonnegative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
@@ -57,8 +57,8 @@ DEFAULT_INTERVAL = 2.0  # default interval of the entries of a table [s]
 # lean there
 DELAYS = np.cumsum([0.0, *0.1 * 1.5 ** np.arange(7)])
 
-# Transient states between free and hitched cables, which only the plan itself can leave
-TRANSIENT_STATES = FREE_STATES - {CableState.FREE, CableState.GROUND} | {CableState.ROLLING}
+HANGING_STATES = frozenset({CableState.FREE, CableState.GROUND, CableState.NONE})
+"""States from which drones can go straight down."""
 
 # Checks that exclude rests while tensions change, or before the chords of a swap have met
 REST_CHECKS = ("tension", "interlacing")
@@ -81,6 +81,14 @@ class Abort(StoppedPlan):
     certificate: Certificate
 
 
+@dataclass(frozen=True, eq=False)
+class _Refused:
+    """Why a continuation is refused."""
+
+    error: InfeasibleError
+    at_end: bool  # whether only what follows the way to a rest breaks limits
+
+
 class Aborts:
     """The aborts of one plan."""
 
@@ -93,67 +101,139 @@ class Aborts:
         check_choice("how", how, get_args(How))
         if nonnegative("t", time) > self.motion.duration:
             raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
+        planned = self._in_place if how in ("hold", "back") else self._landing
+        found = planned(time, how)
+        if isinstance(found, Abort):
+            return found
+        when = f"from t = {time:.4g} s: each route moves an object that stands"
+        raise found or _refusal(when, "abort earlier or later, or choose another abort")
+
+    def _in_place(self, time: float, how: str) -> Abort | InfeasibleError | None:
+        """Return the first hold, way back or landing that starts where a stop ends, or an error."""
         refusal: InfeasibleError | None = None
-        for stop in self.stops_after(time):
-            origin = self._origin(stop, how)
-            if origin is None:
+        for stop in self._stops(time, holdable=how != "back"):
+            if how in ("land", "release_and_land") and not self._can_land(stop):
                 continue
-            try:
-                motion = self._continuation(stop, how, origin).replaced(others=self.others)
-                certificate = certify(motion)
-                if not certificate.certified:
-                    raise infeasible_error(certificate, motion)
-            except InfeasibleError as error:
-                refusal = refusal or error
-            else:
-                return Abort(stop.start, stop.seconds, stop.rest, motion, certificate)
-        raise refusal or _refusal(f"from t = {time:.4g} s: the clock comes to rest nowhere")
+            origin = self._free_before(stop.rest) if how == "back" else stop.rest
+            if moves_standing(self.motion, time, stop.rest, origin):
+                continue
+            found = self._attempt(stop, how, origin)
+            if isinstance(found, Abort):
+                return found
+            refusal = refusal or found.error
+        return refusal
 
-    def stops_after(self, time: float) -> Iterator[StoppedPlan]:
-        """Yield the plan stopped after increasing delays from a time [s], and at its own rests.
+    def _landing(self, time: float, how: str) -> Abort | InfeasibleError | None:
+        """Return the landing from the first stop, or the shortest from a later one or a rest."""
+        best = self._in_place(time, how)
+        if isinstance(best, Abort) and best.start <= time + JOINT:
+            return best
+        unsuited = set[float]()  # rests from which landings are refused
+        for stop in self._stops(time, holdable=False):
+            ways = list[Abort]()
+            for rest in self._landing_rests(stop.rest):
+                if rest in unsuited or moves_standing(self.motion, time, stop.rest, rest):
+                    continue
+                if any((each.rest - rest) * (stop.rest - rest) > 0.0 for each in ways):
+                    continue
+                found = self._attempt(stop, how, rest, best)
+                if isinstance(found, Abort):
+                    ways.append(found)
+                else:
+                    best = best or found.error
+                    unsuited |= {rest} if found.at_end else set()
+            if ways:
+                return min(ways, key=lambda way: way.motion.duration)
+        return best
 
-        Rests while tensions change, or before the chords of a swap have met, are left out.
+    def _attempt(
+        self, stop: StoppedPlan, how: str, origin: float, shorter: object = None
+    ) -> Abort | _Refused:
+        """Return the certified continuation of a stop from a plan time [s], or why there is none.
+
+        It must be shorter than the abort ``shorter``.
+        """
+        try:
+            way = self._way(stop, origin)
+        except InfeasibleError as error:
+            return _Refused(error, at_end=False)
+        try:
+            motion = self._continuation(way, how, origin).replaced(others=self.others)
+        except InfeasibleError as error:
+            return _Refused(error, at_end=True)
+        if isinstance(shorter, Abort) and motion.duration >= shorter.motion.duration:
+            return _Refused(_refusal("is shorter"), at_end=True)
+        certificate = certify(motion)
+        if certificate.certified:
+            return Abort(stop.start, stop.seconds, stop.rest, motion, certificate)
+        at_end = all(check.time > way.duration + JOINT for check in certificate.violated)
+        return _Refused(infeasible_error(certificate, motion), at_end)
+
+    def _stops(self, time: float, *, holdable: bool = True) -> Iterator[StoppedPlan]:
+        """Yield the plan stopped after increasing delays from a time [s], up to its next rest.
+
+        A stop later than that would begin what has not begun. ``holdable`` leaves out rests while
+        tensions change, or before the chords of a swap have met.
         """
         rests = self.motion.drones.breaks[rest_breaks(self.motion)]
         candidates = [(start, False) for start in time + DELAYS if start < self.motion.duration]
         candidates += [(rest, True) for rest in rests if rest >= time - JOINT]
         for start, is_rest in sorted(candidates):
             stop = until_stop(self.motion, float(start), stop=not is_rest)
-            motion = append_motion(stop.motion, resting(stop.motion, HOLD))
-            checks = [check_of(RULE_OF[name], motion) for name in REST_CHECKS]
-            if all(check is None or check.holds for check in checks):
+            can_hold = _is_holdable(stop.motion)
+            if can_hold or not holdable:
                 yield stop
+            if can_hold and is_rest:
+                return
 
-    def _origin(self, stop: StoppedPlan, how: str) -> float | None:
-        """Return the plan time [s] from which to continue; None if a later stop is needed."""
-        time = stop.rest
-        if how == "hold":
-            return time
-        if how == "back":  # to the last time with free cables in all groups, or to the start
-            groups = [each for each in self.motion.groups if each.motion.has_cables]
-            if not groups:
-                return 0.0
-            while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
-                time = free
-            return time
-        origins = set[float | None]()
-        for plan, part in zip(self.motion.groups, stop.motion.groups, strict=True):
-            if part.motion.phases[-1].state not in TRANSIENT_STATES:
-                origins.add(_clear_of_objects(plan.motion, time))
-            else:
-                later = (phase for phase in plan.motion.phases if phase.end > time + JOINT)
-                starts = (phase.start for phase in later if phase.state not in TRANSIENT_STATES)
-                origins.add(next(starts, plan.motion.duration))
-        # Groups share one clock: several groups must land from the same rest
-        return origins.pop() if len(self.motion.groups) == 1 or origins == {time} else None
+    def _free_before(self, time: float) -> float:
+        """Return the last plan time [s] with free cables in all groups, 0 without cables."""
+        groups = [each for each in self.motion.groups if each.motion.has_cables]
+        if not groups:
+            return 0.0
+        while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
+            time = free
+        return time
 
-    def _continuation(self, stop: StoppedPlan, how: str, origin: float) -> Motion:
-        """Return the stopped plan continued from a plan time [s], not yet certified."""
-        whole, time = stop.motion, stop.rest
-        if abs(origin - time) > JOINT:
-            player = Player(self.motion, time, 0.0)
-            player.seek(origin)
-            whole = append_motion(whole, on_clock(self.motion, player.ahead))
+    def _can_land(self, stop: StoppedPlan) -> bool:
+        """Return whether all groups can land from a stop."""
+        groups = zip(self.motion.groups, stop.motion.groups, strict=True)
+        return all(
+            _can_land(plan.motion, part.motion.phases[-1], stop.rest) for plan, part in groups
+        )
+
+    def _landing_rests(self, time: float) -> list[float]:
+        """Return the plan's rests [s] from which all groups can land, the nearest first.
+
+        There is at most one after the time [s]: later ones belong to what has not begun.
+        """
+        rests = self.motion.drones.breaks[rest_breaks(self.motion)]
+        behind = [x for x in rests[rests < time - JOINT].tolist() if self._lands_at(x, ahead=False)]
+        ahead = (x for x in rests[rests > time + JOINT].tolist() if self._lands_at(x, ahead=True))
+        return sorted([*behind, *islice(ahead, 1)], key=lambda rest: abs(rest - time))
+
+    def _lands_at(self, rest: float, *, ahead: bool) -> bool:
+        """Return whether all groups can land from a rest [s] that is ahead, or behind."""
+        for group in self.motion.groups:
+            phases = group.motion.phases
+            before = next(phase for phase in phases if phase.end > rest - JOINT)
+            after = next((phase for phase in phases if phase.end > rest + JOINT), before)
+            last = before if ahead else after  # the phase in which the rest is reached
+            hangs = not {before.state, after.state}.isdisjoint(HANGING_STATES)
+            if not (_can_land(group.motion, last, rest) or (hangs and not last.formed)):
+                return False
+        return True
+
+    def _way(self, stop: StoppedPlan, origin: float) -> Motion:
+        """Return the stopped plan, flown on or back to a plan time [s]."""
+        if abs(origin - stop.rest) <= JOINT:
+            return stop.motion
+        player = Player(self.motion, stop.rest, 0.0)
+        player.seek(origin)
+        return append_motion(stop.motion, on_clock(self.motion, player.ahead))
+
+    def _continuation(self, whole: Motion, how: str, origin: float) -> Motion:
+        """Return a way to a plan time [s] and what follows it, not yet certified."""
         groups = iter(self.motion.groups)
 
         def continued(motion: Motion) -> Motion:
@@ -169,22 +249,37 @@ class Aborts:
         return whole.each_group(continued)
 
 
-def _clear_of_objects(motion: Motion, time: float) -> float | None:
-    """Return a plan time [s] without an enclosed object from which a hitch can land.
+def moves_standing(motion: Motion, *times: float) -> bool:
+    """Return whether an object that stands at the first plan time [s] moves between them."""
+    first, last = min(times), max(times)
+    for group in motion.groups:
+        own = group.motion
+        standing = own.load_share.at(times[0]) < 1.0 - SHARE_TOLERANCE
+        if not np.any(standing) or last - first <= JOINT:
+            continue
+        inner = own.drones.breaks[(own.drones.breaks > first) & (own.drones.breaks < last)]
+        poses = on_breaks(own.poses, np.concatenate([[first], inner, [last]])).coefficients
+        moves = np.max(np.ptp(poses, axis=(0, -1)), axis=-1) > REST_DRIFT
+        if np.any(moves & standing):
+            return True
+    return False
 
-    It is ``time``, or one of the plan's rests; None if a later stop is needed.
+
+def _is_holdable(motion: Motion) -> bool:
+    """Return whether a motion can rest at its end."""
+    held = append_motion(motion, resting(motion, HOLD))
+    checks = [check_of(RULE_OF[name], held) for name in REST_CHECKS]
+    return all(check is None or check.holds for check in checks)
+
+
+def _can_land(motion: Motion, phase: Phase, time: float) -> bool:
+    """Return whether a group can land from a phase at a plan time [s].
+
+    It can from free cables, and with a hitch that neither holds nor encloses an object.
     """
-    enclosed = _enclosed_object(motion, time)
-    if enclosed is None:
-        return time
-    rests: list[float] = motion.drones.breaks[rest_breaks(motion)].tolist()
-    clear = [rest for rest in rests if _enclosed_object(motion, rest) is None]
-    earlier, is_later = [rest for rest in clear if rest < time], max(clear, default=0.0) > time
-    if earlier:
-        poses = motion.poses.at(np.array([earlier[-1], time]))[:, enclosed]
-        if np.max(np.abs(poses[1] - poses[0])) <= REST_DRIFT or not is_later:
-            return earlier[-1]
-    return None if is_later else time
+    if phase.state is not CableState.HITCHED:
+        return phase.state in HANGING_STATES
+    return phase.hold is None and not _encloses(motion, time)
 
 
 def _free_before(group: Group, time: float) -> Phase:
@@ -193,19 +288,17 @@ def _free_before(group: Group, time: float) -> Phase:
     Without cables, that is the phase at this time.
     """
     for phase in reversed(group.motion.phases):
-        is_free = phase.state in (CableState.FREE, CableState.GROUND, CableState.NONE)
-        if phase.start < time + JOINT and is_free:
+        if phase.start < time + JOINT and phase.state in HANGING_STATES:
             return phase
     cables = f"cables of {group.name}" if group.name else "cables"
     reason = f"back from t = {time:.4g} s: {cables} have not hung free before"
     raise _refusal(reason, "choose hold, land or release_and_land")
 
 
-def _enclosed_object(motion: Motion, time: float) -> int | None:
-    """Return the index of an object that a group's hitch encloses below the object's top."""
-    phase = next(p for p in reversed(motion.phases) if p.start < time + JOINT)
-    if not (motion.requirements.objects and phase.formed and motion.team.layout.closed):
-        return None
+def _encloses(motion: Motion, time: float) -> bool:
+    """Return whether a group's hitch encloses an object below the object's top."""
+    if not (motion.requirements.objects and motion.team.layout.closed):
+        return False
     vertices, poses = motion.vertices.at(time), motion.poses.at(time)
     for index, body in enumerate(motion.requirements.objects.values()):
         height = body.upper if body.rim is None else max(body.upper, body.rim.height)
@@ -213,8 +306,8 @@ def _enclosed_object(motion: Motion, time: float) -> int | None:
         offsets = (vertices - top)[:, :2] @ [1.0, 1.0j]
         inside = np.all((np.roll(offsets, -1) * offsets.conj()).imag < 0.0)  # convex and clockwise
         if not body.fixed and inside and np.min(vertices[:, 2]) < top[2]:
-            return index
-    return None
+            return True
+    return False
 
 
 def until_stop(motion: Motion, time: float, *, stop: bool = True) -> StoppedPlan:
@@ -310,12 +403,7 @@ class AbortTable:
     how: str
     entries: tuple[Abort, ...]  # by start; between two the plan runs on to the later one
     end: float  # of the plan [s]
-
-    @property
-    def missing(self) -> list[tuple[float, float]]:
-        """Spans of time [s] without an abort."""
-        last = self.entries[-1].start if self.entries else 0.0
-        return [(last, self.end)] if not self.entries or last < self.end - JOINT else []
+    missing: tuple[tuple[float, float], ...] = ()  # spans of time [s] without an abort
 
     @property
     def longest(self) -> float:
@@ -330,14 +418,26 @@ def abort_table(
 ) -> AbortTable:
     """Return aborts from all times of a plan, with an entry about ``every`` [s] of plan time."""
     every, aborts, end = positive("every", every), Aborts(motion), motion.duration
-    entries, time = list[Abort](), 0.0
-    with suppress(InfeasibleError):
-        while not entries or entries[-1].start < end - JOINT:
-            if progress is not None:
-                progress(f"{how} from t = {time:.4g} s")
-            entries.append(aborts.plan(time, how))
-            time = min(entries[-1].start + every, end)
-    return AbortTable(how, tuple(entries), end)
+    entries, missing, time = list[Abort](), list[tuple[float, float]](), 0.0
+    last, refused = 0.0, False  # start of the last entry; whether none was found since
+    while True:
+        if progress is not None:
+            progress(f"{how} from t = {time:.4g} s")
+        try:
+            entry = aborts.plan(time, how)
+        except InfeasibleError:
+            reached, refused = time, True
+        else:
+            entries.append(entry)
+            if refused:
+                missing.append((last, entry.start))
+            reached, last, refused = entry.start, entry.start, False
+        if reached >= end - JOINT:
+            break
+        time = min(reached + every, end)
+    if refused:
+        missing.append((last, end))
+    return AbortTable(how, tuple(entries), end, tuple(missing))
 
 
 def save_aborts(directory: Path | str, table: AbortTable) -> Path:

@@ -17,7 +17,7 @@ import numpy as np
 
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
-from hitchopt.live.abort import AbortTable
+from hitchopt.live.abort import AbortTable, moves_standing
 from hitchopt.live.player import Player, Setpoints
 from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.states import states_at
@@ -109,11 +109,17 @@ class CommandedPlan:
         return f"{command}: takes {seconds:.2f} s"
 
     def _land(self, command: str) -> str:
-        """Move the clock to the nearest rest with a landing, preferably a later one."""
+        """Move the clock to the nearest rest with a landing, preferably a later one.
+
+        No object moves that stands now.
+        """
         if self.descending:
             return f"landing continues, in {self._player.resume():.2f} s"
         time, refusal = self._player.time, InfeasibleError([], f"{command}: the plan has none")
-        nearest = sorted(self._landings[command], key=lambda x: (x[0] < time, abs(x[0] - time)))
+        landings = [
+            x for x in self._landings[command] if not moves_standing(self.motion, time, x[0])
+        ]
+        nearest = sorted(landings, key=lambda x: (x[0] < time, abs(x[0] - time)))
         for rest, landing in nearest[:MAX_ATTEMPTS]:
             try:
                 seconds = self._player.seek(rest)

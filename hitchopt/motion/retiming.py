@@ -148,10 +148,15 @@ def _subdivide(times: Array, edges: Array) -> Array:
 
 
 def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
-    """Return derivatives by time (ORDERS, ends, *shape) at jets (ends, 4) of a clock."""
+    """Return derivatives by time (ORDERS, ends, *shape) at jets (ends, 4) of a clock.
+
+    At the ends of pieces they are exact: tensions that vanish there stay zero.
+    """
     c, h = part.coefficients[pieces], part.durations[pieces]
     axes = (-1, *(1,) * len(part.shape))
-    x = np.clip((clock[:, 0] - part.breaks[pieces]) / h, 0.0, 1.0).reshape(axes)
+    since, until = clock[:, 0] - part.breaks[pieces], part.breaks[pieces + 1] - clock[:, 0]
+    x = np.where(since <= BREAK_TOLERANCE, 0.0, np.where(until <= BREAK_TOLERANCE, 1.0, since / h))
+    x = x.reshape(axes)
     orders = []
     for order in range(ORDERS):
         orders.append(bernstein.evaluate(c, x) / h.reshape(axes) ** order)

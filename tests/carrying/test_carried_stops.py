@@ -132,10 +132,10 @@ def landed(found: Abort) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["land", "release_and_land"])
 def test_lifted_objects_are_set_down_first(how: str) -> None:
+    """Where the plan takes them, or where they came from, whichever is sooner."""
     aborts = carried()
-    found = aborts.plan(during(aborts.motion, "carry"), how)
-    assert found.rest >= during(aborts.motion, "leave", 0.0)
-    np.testing.assert_allclose(landed(found)[1], TO, atol=1e-9)
+    start, end = landed(aborts.plan(during(aborts.motion, "carry", 0.7), how))
+    assert min(np.max(np.abs(end - place)) for place in (start, TO)) <= 1e-9
 
 
 @pytest.mark.slow

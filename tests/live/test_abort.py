@@ -10,21 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import planned
+from plans import planned, planned_of
 
 import hitchopt as ho
 from hitchopt.checks import certify
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.cli import main
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.simulation.task import Task
-from hitchopt.live.abort import Aborts, abort_table
+from hitchopt.live.abort import Abort, Aborts, abort_table
 from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
-from hitchopt.motion.motion import CableState
+from hitchopt.live.player import Player
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
+from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory import PiecewisePolynomial
-
-UNFORMED = "untied", "swarms/head_on"
 
 
 @cache
@@ -57,7 +58,7 @@ def aborts_of(name: str) -> Aborts:
         ("form_triangle", CableState.CLASPING, "hold"),
         ("form_triangle", CableState.TIGHTENING, "hold"),
         ("swarms/head_on", 0.4, "land"),
-        ("untied", 0.8, "land"),  # the last swap goes on to its end, wherever the clock has stopped
+        ("untied", 0.9, "land"),  # back to the hitch, from where it lands sooner
         ("rolled", 0.1, "land"),
         ("leaning", 0.2, "land"),
         ("leaning", 0.2, "release_and_land"),
@@ -85,10 +86,7 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
         assert how == "hold" or last.state is free
     else:
         assert np.min(end[:, 2]) == pytest.approx(0.0, abs=1e-9)
-        assert last.formed == (how == "land" and name not in UNFORMED)
-    if name == "untied":
-        assert found.rest < 0.9 * plan.duration
-        np.testing.assert_allclose(end[:, :2], plan.drones.at(plan.duration)[:, :2], atol=1e-9)
+        assert last.formed == (how == "land" and name != "swarms/head_on")
     if name == "leaning":  # they stand straight where the plan rests
         assert (found.start, found.seconds) == (plan.duration, 0.0)
 
@@ -101,16 +99,97 @@ def test_no_rest_while_tensions_rise() -> None:
 
 
 def test_impossible_aborts_are_refused() -> None:
-    """Drones of a stack end above each other: they can land only until they pass each other."""
-    table = abort_table(aborts_of("swarms/stack").motion, "land", 0.5)
-    assert table.missing == [(table.entries[-1].start, table.end)]
+    """Drones that start and end above each other cannot land."""
+    stacks = np.array([[[0, 0, 1], [0, 0, 2.2]], [[1, 0.2, 1], [1, 0.2, 2.2]]])
+    motion = ho.separate(ho.Problem(ho.Swarm(2), stacks[0], [ho.Fly(stacks[1])])).motion
+    table = abort_table(motion, "land", 0.5)
+    assert (table.entries, table.missing) == ((), ((0.0, motion.duration),))
     with pytest.raises(ho.InfeasibleError, match="separation"):
-        aborts_of("swarms/stack").plan(2.2, "land")
+        Aborts(motion).plan(1.0, "land")
     with pytest.raises(ho.InfeasibleError, match="have not hung free before"):
         aborts_of("triangle").plan(1.0, "back")
     for time, how, key in ((-1.0, "hold", "t"), (1e3, "hold", "t"), (0.1, "stay", "how")):
         with pytest.raises(ho.InputError, match=f"^{key} "):
             aborts_of("triangle").plan(time, how)
+
+
+def moves_of_standing(motion: Motion, found: Abort, time: float) -> float:
+    """Return how far objects move that stand at the time of the command [m]."""
+    times = np.linspace(time, found.motion.duration, 500)
+    standing = motion.load_share.at(time) < 0.999
+    moves = np.ptp(found.motion.poses.at(times)[:, standing], axis=0)
+    return float(np.max(moves, initial=0.0))
+
+
+DOWN = 3.0  # Longest descent of free drones in these plans, with a stop before it [s]
+
+COLUMN = {
+    "team": {"robots": 2, "cable_length": 2.4, "cable_density": 0.005, "tension": 1.0},
+    "limits": {"tilt_deg": 60},
+    "objects": {"column": {"circle": 0.12, "to": 0.5, "at": [0.3, 0.2, 0.0], "fixed": True}},
+    "start": {
+        "drones": {
+            "q": [[-0.7, 0.7, 0], [1.3, -0.3, 0]],
+            "r": [[1.3, 0.7, 0], [-0.7, -0.3, 0]],
+        }
+    },
+    "mission": [
+        {"tie": {"around": "column", "at": 0.3}},
+        {"hold": {"seconds": 30}},
+        {"untie": {}},
+        {"land": {}},
+    ],
+}
+"""Two cables that are tied around a column, and untied much later."""
+
+
+@cache
+def around_objects(name: str) -> ho.Plan:
+    return planned_of(COLUMN) if name == "column" else planned(name)
+
+
+@pytest.mark.parametrize(
+    ("name", "phase", "share"),
+    [
+        ("two_robots_drum", "straddle", 0.8),
+        ("two_robots_drum", "tighten", 0.5),
+        ("two_robots_drum", "loosen", 0.5),
+        ("column", "straddle", 0.9),
+        *(
+            pytest.param("two_robots_drum", phase, share, marks=pytest.mark.slow)
+            for phase in ("tension", "lower", "lay", "roll", "lift", "carry", "unstraddle")
+            for share in (0.1, 0.5, 0.9)
+        ),
+    ],
+)
+def test_landings_begin_nothing_around_objects(name: str, phase: str, share: float) -> None:
+    """They move nothing that stands, and take no longer than the way back and a descent."""
+    motion = around_objects(name).motion
+    span = next(p for p in motion.phases if p.name == phase)
+    time = span.start + share * (span.end - span.start)
+    aborts = Aborts(motion)
+    try:
+        back = aborts.plan(time, "back").motion.duration
+    except ho.InfeasibleError:  # what has been set down stays; held objects may slip
+        back = motion.duration
+    for how in ("land", "release_and_land"):
+        found = aborts.plan(time, how)
+        assert found.certificate.certified
+        assert moves_of_standing(motion, found, time) <= 1e-9
+        assert found.motion.duration <= back + DOWN
+        assert not found.motion.phases[-1].formed
+
+
+def test_tensions_that_vanish_stay_zero_on_another_clock() -> None:
+    """Where cables are relaxed on the way to where drones land."""
+    motion = planned("two_robots_drum").motion
+    end = next(p.end for p in motion.phases if p.name == "slacken")
+    for start in (p.start for p in motion.phases if p.name in ("loosen", "unroll", "raise")):
+        player = Player(motion, start + 0.2, 0.0)
+        player.seek(end)
+        thrust = RULE_OF["thrust"].check(on_clock(motion, player.ahead))
+        assert thrust is not None
+        assert thrust.holds
 
 
 def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> None:
