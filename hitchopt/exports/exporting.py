@@ -413,8 +413,8 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
 
     def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
-        exceeds_memory = any(each.constraint == "memory" for each in refusals[0].violations)
-        is_rounded = len(kind.bounds) > 1 and not exceeds_memory and not task.holds_tension
+        is_rounded = len(kind.bounds) > 1 and not _exceeds_memory(refusals[0])
+        is_rounded = is_rounded and not task.holds_tension
         for factor in RETRY_STRETCHES if is_rounded else ():
             slower = stretched(task.motion, factor)
             note = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
@@ -428,7 +428,12 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             is_slower = number > 0 and len(tasks) == 1
             if not is_slower or certificate_of(tasks[0].motion).certified:
                 return exports
-    raise refusals[0]
+    # Parts that fit in memory say more than the whole that does not
+    raise next((each for each in refusals if not _exceeds_memory(each)), refusals[0])
+
+
+def _exceeds_memory(refusal: InfeasibleError) -> bool:
+    return any(each.constraint == "memory" for each in refusal.violations)
 
 
 def _export_part(

@@ -105,10 +105,11 @@ def is_named(path: Path) -> bool:
 
 
 FAST = ("crazyflie_triangle", "form_triangle")
+CROWDED = "lay_hexagon"  # Its drones come too close for set points outward of them
 NAMED = [
     pytest.param(path.stem, marks=() if path.stem in FAST else pytest.mark.slow)
     for path in GOOD
-    if is_named(path)
+    if is_named(path) and path.stem != CROWDED
 ]
 
 
@@ -117,3 +118,12 @@ def test_problems_with_named_drones_export_to_crazyflies(name: str, tmp_path: Pa
     """As they are, with the tension of their cables."""
     parts = planned(name).export("crazyswarm2", tmp_path)
     assert not any(part.goes_slack for part in parts)
+
+
+@pytest.mark.slow
+def test_a_refusal_names_what_binds_in_the_parts_not_that_the_whole_is_too_long(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"^separation: (.|\n)*set points") as caught:
+        planned(CROWDED).export("crazyswarm2", tmp_path)
+    assert [each.constraint for each in caught.value.violations] == ["separation"]
