@@ -166,6 +166,48 @@ def test_documents_name_files_that_exist() -> None:
     assert not missing, "\n".join(missing)
 
 
+DEFINITIONS = (
+    ast.Import,
+    ast.ImportFrom,
+    ast.FunctionDef,
+    ast.ClassDef,
+    ast.Assign,
+    ast.AnnAssign,
+    ast.AugAssign,
+)
+CONDITIONS = ("TYPE_CHECKING", "__name__ == '__main__'", "sys.platform != 'win32'")
+WRITING_CODE = {"globals", "locals", "exec", "eval", "compile", "__import__"}
+
+
+@pytest.mark.parametrize("folder", ["hitchopt", "benchmarks", "problems"])
+def test_modules_define_things_and_do_nothing_else(folder: str) -> None:
+    """No module acts on import, writes code, or imports a private name of another package.
+
+    Private attributes and settings of the process are refused by ruff.
+    """
+    own, faults = ("hitchopt", "benchmarks", "problems"), list[str]()
+    for path in sorted((ROOT / folder).rglob("*.py")):
+        tree = ast.parse(path.read_text("utf-8"))
+        is_script = "scripts" in path.parts  # as users write them
+        for node in tree.body:
+            is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+            is_choice = isinstance(node, ast.If) and ast.unparse(node.test) in CONDITIONS
+            if not (is_script or is_text or is_choice or isinstance(node, DEFINITIONS)):
+                faults.append(f"{path}:{node.lineno}: acts on import")
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Name) and node.id in WRITING_CODE:
+                faults.append(f"{path}:{node.lineno}: {node.id}")
+            elif isinstance(node, ast.Import | ast.ImportFrom):
+                module = str(getattr(node, "module", None) or "")
+                names = [f"{module}.{name.name}".lstrip(".") for name in node.names]
+                faults += [
+                    f"{path}:{node.lineno}: {name} is private"
+                    for name in names
+                    if re.search(r"(^|\.)_(?!_)", name) and name.partition(".")[0] not in own
+                ]
+    assert not faults, "\n".join(faults)
+
+
 def test_mutations_are_of_lines_that_stand() -> None:
     for each in MUTATIONS:
         assert each.old in (PACKAGE / each.path).read_text("utf-8"), each

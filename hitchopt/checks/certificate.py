@@ -138,13 +138,11 @@ class Check(OneLine):
             "when": f"{self.time:.3f} s" if timed else "",
         }
 
-    @property
-    def _summary(self) -> tuple[str, float, float, str, str, tuple[str, ...]]:
-        return self.name, self.bound, self.number, self.sense, self.unit, self.where
-
     def violation(self, when: str, remedy: str) -> Violation:
         """Return a check that does not hold as a violation."""
-        return Violation(*self._summary, when, remedy)
+        return Violation(
+            self.name, self.bound, self.number, self.sense, self.unit, self.where, when, remedy
+        )
 
     @property
     def number(self) -> float:
@@ -253,7 +251,11 @@ class Certificate(OneLine):
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
-        lines = [f"{broken_limit(*c._summary)}, t = {c.time:.4g} s" for c in self.violated]
+        lines = [
+            f"{broken_limit(c.name, c.bound, c.number, c.sense, c.unit, c.where)}, "
+            f"t = {c.time:.4g} s"
+            for c in self.violated
+        ]
         if lines:
             raise CertificateError("\n".join(lines))
 

@@ -86,7 +86,7 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
     import casadi as ca
 
     def converted(matrix: sp.csc_array[np.float64]) -> ca.DM:  # casadi's own takes a millisecond
-        matrix.sort_indices()
+        matrix.sum_duplicates()  # sorts the indices, too
         sparsity = ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
         return ca.DM(sparsity, matrix.data)
 

@@ -2,7 +2,6 @@
 
 from hitchopt.steps import carrying, moving, straddling, tying
 from hitchopt.steps.step import Step as Step
-from hitchopt.values.fields import documented
 
 STEPS: tuple[type[Step], ...] = (
     *(moving.Morph, moving.Hold, moving.MoveVertex, moving.MoveEdge, moving.Adjust),
@@ -22,6 +21,3 @@ STEPS: tuple[type[Step], ...] = (
 """All kinds of steps, in the order in which a problem file's keys are listed."""
 
 STEP_KINDS = {kind.name: kind for kind in STEPS}  # Kinds of steps by their keys in a problem file
-
-for _kind in STEPS:
-    documented(_kind)

@@ -58,7 +58,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.straddling import Tie, Untie, check_hinge
 from hitchopt.values import Array
-from hitchopt.values.fields import Key, points, words
+from hitchopt.values.fields import Key, documented, points, words
 from hitchopt.values.units import LENGTH, TENSION
 
 AROUND_SPEED, OBJECT_MARGIN = 0.15, 0.10
@@ -192,6 +192,7 @@ def requirements_near(task: StepTask, name: str) -> Requirements:
     return at_around_speed(replace(task.requirements, objects=others))
 
 
+@documented
 @dataclass(frozen=True)
 class Enclose(Step):
     """Rise above an object, take a polygon around it, and descend around it.
@@ -301,6 +302,7 @@ class TensionStep(Step):
             yield replace(knob, sign=-1, covers=covers | {"crossing"})
 
 
+@documented
 @dataclass(frozen=True)
 class Grasp(TensionStep):
     """Close the hitch below the object's rim and rise to it, or close it around its body."""
@@ -356,6 +358,7 @@ class Grasp(TensionStep):
         return plan_to(task, planner.state, motion, body.place)
 
 
+@documented
 @dataclass(frozen=True)
 class Lift(Step):
     """Pass the object's weight to the clasps, and lift it straight up."""
@@ -379,6 +382,7 @@ class Lift(Step):
         return moves_plan(self, task, replace(task.grasp, carried=True), moves)
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Carry(Step):
     """Fly the object on a straight line and turn it, so gently that it stays on its supports."""
@@ -401,6 +405,7 @@ class Carry(Step):
         return moves_plan(self, task, task.grasp, [move])
 
 
+@documented
 @dataclass(frozen=True)
 class SetDown(Step):
     """Lower the object until it stands, and pass its weight to its support."""
@@ -432,6 +437,7 @@ class SetDown(Step):
         return moves_plan(self, task, replace(task.grasp, carried=False), moves)
 
 
+@documented
 @dataclass(frozen=True)
 class Loosen(Step):
     """Open the hitch around the object, below its rim, and return to the team's tension."""
@@ -457,6 +463,7 @@ class Loosen(Step):
         return StepPlan(motion, replace(opening.after, grasp=freed))
 
 
+@documented
 @dataclass(frozen=True)
 class Leave(Step):
     """Rise straight up until the hitch is above all objects."""
@@ -473,6 +480,7 @@ class Leave(Step):
         return StepPlan(motion, replace(plan.after, grasp=None))
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class TransportObject(TensionStep):
     """Take an object and set it down elsewhere, in seven steps, or more by ``via``.

@@ -63,7 +63,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, as_array, bounded_points
-from hitchopt.values.fields import FLAGS, Key, either, list_of, mapping_of, points
+from hitchopt.values.fields import FLAGS, Key, documented, either, list_of, mapping_of, points
 from hitchopt.values.units import DURATION, SPEED, TENSION
 
 if TYPE_CHECKING:
@@ -192,6 +192,7 @@ class ActionStep(ShapeStep):
         )
 
 
+@documented
 @dataclass(frozen=True)
 class Hold(HitchStep):
     """Keep everything at rest."""
@@ -219,6 +220,7 @@ class Hold(HitchStep):
         return task.plan_ending(self.in_phase(task, None, task.hitch), task.hitch)
 
 
+@documented
 @dataclass(frozen=True)
 class Settle(Step):
     """Swing the drones to remove friction hysteresis at the clasps.
@@ -267,6 +269,7 @@ TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies all limits"
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Morph(ShapeStep):
     """Change the polygon: every vertex moves to its place."""
@@ -362,6 +365,7 @@ _ENDS_TEXT = "Where its ends go, [[x, y], [x, y]] [m], its first vertex first"
 Offset = Annotated[Array | None, Key(POINT2, "By how much, [dx, dy] [m], in place of to")]
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class MoveVertex(MoveStep):
     """Move one vertex.
@@ -383,6 +387,7 @@ class MoveVertex(MoveStep):
         return [_checked_index("vertex", self.vertex, count)]
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class MoveEdge(MoveStep):
     """Move both ends of one edge.
@@ -404,6 +409,7 @@ class MoveEdge(MoveStep):
         return [_checked_index("edge", self.edge, team.robots), (self.edge + 1) % count]
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Adjust(ActionStep):
     """Slide cables through their clasps; the outline stays."""
@@ -460,6 +466,7 @@ def _vertex_path(key: str, value: object) -> Array:
 _PATH = replace(_POINTS, check=_vertex_path, schema={"anyOf": [_POINTS, _PLACES]})
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class FollowVertex(ActionStep):
     """Move one vertex through points, at rest before and after.
@@ -556,6 +563,7 @@ class FollowVertex(ActionStep):
         return (Edit("path", np.column_stack([self.path[:, :-2], points]).tolist()),), centre
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Transport(HitchStep):
     """Move the whole hitch and turn it about its centroid; its shape and legs stay."""

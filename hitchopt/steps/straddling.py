@@ -33,7 +33,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.tying import approach_motion, check_rollable
 from hitchopt.values import Array
-from hitchopt.values.fields import Key
+from hitchopt.values.fields import Key, documented
 from hitchopt.values.units import LENGTH, TENSION
 
 PREFERRED_HINGE = 0.15
@@ -84,6 +84,7 @@ def _check_two(team: Team, remedy: str) -> None:
         raise InputError("topology", team.topology, f"closed {where}", "leave team.topology out")
 
 
+@documented
 @dataclass(frozen=True)
 class Tie(Step):
     """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
@@ -203,6 +204,7 @@ def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Mo
     return [approach_motion(task, first), *straight_stages(first, keyframes, *context)]
 
 
+@documented
 @dataclass(frozen=True)
 class Untie(Step):
     """Untie the cables in the reverse order of tying, until they hang beside the object."""

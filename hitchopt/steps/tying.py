@@ -44,7 +44,7 @@ from hitchopt.steps.step import (
     scaled_outline_edit,
 )
 from hitchopt.values import Array, Indices
-from hitchopt.values.fields import Key, either, list_of, mapping_of, words
+from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, words
 from hitchopt.values.units import ALTITUDE
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ BY_TEXT = (
 ORDER_TEXT = "Order of laying, robots from bottom to top; auto: alternating levels"
 
 
+@documented
 @dataclass(frozen=True, eq=False)
 class Form(Step):
     """Tie a hitch from drones with hanging cables, which the team's tension then pulls.
@@ -290,6 +291,7 @@ class RollStep(Step):
         return StepPlan(self.with_duration(task, motion), after)
 
 
+@documented
 @dataclass(frozen=True)
 class OpenVertex(RollStep):
     """Roll a vertex's pair until both cables run straight through and lie on one another.
@@ -308,6 +310,7 @@ class OpenVertex(RollStep):
         return end
 
 
+@documented
 @dataclass(frozen=True)
 class CloseVertex(RollStep):
     """Roll the pair of an open vertex back into its clasp."""
@@ -326,6 +329,7 @@ class CloseVertex(RollStep):
         return task.hitch.roll
 
 
+@documented
 @dataclass(frozen=True)
 class Release(Step):
     """Untie the hitch in the reverse order of tying, until its cables hang free."""
@@ -359,6 +363,7 @@ class Release(Step):
         return StepPlan(self.with_duration(task, concatenated(parts)), after)
 
 
+@documented
 @dataclass(frozen=True)
 class Land(Step):
     """Descend straight to the ground."""

@@ -268,7 +268,7 @@ class MovePlanner:
             remark = f"legs lean against {share:.0%} of clasp friction" if friction else ""
             try:
                 planner = self.from_state(tension=between)
-                passage = planner._closure_moves(hold, *closure, -share if opens else share)
+                passage = planner.closure_moves(hold, *closure, -share if opens else share)
                 moves = [*first, *passage, *last]
                 motion = self.motion(moves, name, remark)
             except InfeasibleError as error:  # legs cannot pull so much harder
@@ -301,7 +301,7 @@ class MovePlanner:
             )
         return tensions
 
-    def _closure_moves(
+    def closure_moves(
         self, hold: GripHold, start: float, end: float, share: float
     ) -> Iterator[Move]:
         """Yield the moves from one closure to another, with friction feed-forward in between."""
