@@ -24,6 +24,7 @@ PUBLIC_NAMES = {
     "exports.lint": ("lint",),
     "geometry": ("ConvexArc", "ConvexPolygon", "regular_polygon"),
     "hitch": ("Hitch", "Quadrotor", "Swarm", "Team"),
+    "hitch.casadi_model": ("model",),
     "hitch.catenary": ("hanging_cable",),
     "hitch.flight_controller": ("FlightController", "Gains", "Tube"),
     "hitch.holding": ("Capacity", "Grip"),

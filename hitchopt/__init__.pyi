@@ -13,6 +13,7 @@ from hitchopt.exports.lint import lint as lint
 from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPolygon
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
+from hitchopt.hitch.casadi_model import model as model
 from hitchopt.hitch.catenary import hanging_cable as hanging_cable
 from hitchopt.hitch.flight_controller import FlightController as FlightController
 from hitchopt.hitch.flight_controller import Gains as Gains, Tube as Tube

@@ -1,7 +1,7 @@
 """The model: from flat outputs (vertices, legs, tensions, roll) to drones and thrusts.
 
-One formula over ``Series`` serves batches of times (``drone_jets``) and casadi expressions of the
-optimiser (``planar``). A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k
+One formula over ``Series`` serves batches of times (``drone_jets``) and casadi expressions
+(``casadi_model.py``). A clasp ``p_k`` depends on ``p_{k-1} … p_{k+1}`` and on cables k-1 and k
 only. Legs are cable lengths; drones are nearer to their vertices if cables sag.
 """
 
@@ -9,8 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -19,9 +18,6 @@ from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import JET, Series
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
-
-if TYPE_CHECKING:
-    import casadi as ca
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,61 +272,3 @@ def slipping_drones(
         r = clasps + _scalars(legs[:, behind, 1]) * directions[0]
         q = clasps + _scalars(legs[:, ahead, 0]) * directions[1]
         return np.stack([r.jet, q.jet], axis=2)
-
-
-@lru_cache
-def planar(loaded: bool, choice: bool) -> ca.Function:
-    """Return a function for robot k of a level closed hitch at rest, in plan view.
-
-    Construction takes up to 0.1 s.
-
-    Parameters
-    ----------
-    loaded: whether clasps carry weight or legs are rolled.
-    choice: for loaded clasps, whether cables have weight; for others, whether all tensions are
-        equal, so that legs continue the neighbouring edges.
-
-    Returns
-    -------
-    Function with inputs ``vertices`` (8, 1): ``p_{k-1}, p_k, p_{k+1}, p_{k+2}`` [m]; ``q_legs``
-    [m]: ``d_k``, or if loaded (3, 1) of cables k-1, k and k+1; ``tensions`` (3, 1) [N]; and
-    ``cable_length`` [m] of cable k, or if loaded (2, 1) of cables k-1 and k. If loaded also
-    ``roll`` (2, 1) [rad] and ``loads`` (6, 1) [N] at ``p_k`` and ``p_{k+1}``, and ``weight`` of
-    cables per length [N/m]. Outputs are ``place`` (5, 1): ``q_k``, ``r_k`` in plan view, ``e_k``
-    [m]; and ``turn``: the sine of the exterior angle at ``p_k``.
-    """
-    import casadi as ca
-
-    names = ["vertices", "q_legs", "tensions", "cable_length", "roll", "loads", "weight"]
-    names = names if loaded else names[:4]
-    sizes = (8, 3, 3, 2, 2, 6, 1) if loaded else (8, 1, 3, 1)
-    inputs = [ca.SX.sym(name, size) for name, size in zip(names, sizes, strict=True)]
-    vertices, q_legs, tensions, lengths = inputs[:4]
-    corners = ca.vertsplit(vertices, 2)
-    if loaded:
-        roll, loads, weight = inputs[4:]
-        corners = [ca.vertcat(point, 0.0) for point in corners]
-        rho = weight if choice else None
-    else:  # the legs of cables k-1 and k+1 do not matter
-        q_legs, lengths, rho = ca.vertcat(0.0, q_legs, 0.0), ca.vertcat(0.0, lengths), None
-    points = [Series(point) for point in corners]
-    edges = [Edge.of(points[i + 1] - points[i], Series(tensions[i]), rho) for i in range(3)]
-    d = [Series(q_legs[i]) for i in range(3)]
-    first, second = (
-        clasp_legs(
-            (edges[i], edges[i + 1]),
-            (d[i], d[i + 1]),
-            lengths[i],
-            loads[3 * i : 3 * i + 3] if loaded else None,
-            rho,
-            Series(roll[i]) if loaded else None,
-            equal=choice,
-        )
-        for i in range(2)
-    )
-    q = points[1] + first[1][1] * first[0][1]
-    r = points[2] + second[1][0] * second[0][0]
-    place = ca.vertcat(q.value[:2], r.value[:2], second[2].value)
-    u = [edge.along.value for edge in edges]
-    turn = u[0][1] * u[1][0] - u[0][0] * u[1][1]
-    return ca.Function("planar", inputs, [place, turn], names, ["place", "turn"], {"cse": True})

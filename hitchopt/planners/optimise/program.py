@@ -21,7 +21,7 @@ from hitchopt.errors import check_time
 from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.model import planar
+from hitchopt.hitch.casadi_model import CLASP_INPUTS, clasp_function
 from hitchopt.hitch.pairs import TautBodies, end_combinations, limits_of, scales_of
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
@@ -191,16 +191,36 @@ def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> Mor
     return MorphProgram(path, step.stride, tangent, program)
 
 
+PLAN_VIEW = [0, 1, 3, 4, 6, 7]  # Rows of the plan view in the coordinates of three points
+
+
 @lru_cache
-def _model(loaded: bool, choice: bool) -> ca.Function:
-    """Return the Jacobian (6, w) of ``planar`` by vertices, q-legs and tensions, and the turn."""
+def _clasp_derivatives(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -> ca.Function:
+    """Return the function of the derivatives of a clasp of a level hitch in plan view.
+
+    Its inputs are those of ``clasp_function`` with points (6, 1) in plan view. Its outputs are
+    ``slopes`` (6, 10), the derivatives of r_{k-1} and q_k in plan view, of e_{k-1} and of ``turn``
+    by points, q-legs and tensions; and ``turn`` itself.
+    """
     import casadi as ca
 
-    model = planar(loaded, choice)
-    inputs = [ca.SX.sym(model.name_in(i), model.size1_in(i)) for i in range(model.n_in())]
-    place, turn = model(*inputs)
-    jacobian = ca.jacobian(ca.vertcat(place, turn), ca.vertcat(*inputs[:3]))
-    return ca.Function("derivatives", inputs, [ca.densify(jacobian), turn], {"cse": True})
+    clasp = clasp_function(weighted=weighted, loaded=loaded, rolled=rolled, equal=equal)
+    symbols = {name: ca.SX.sym(name, size) for name, size in CLASP_INPUTS.items()}
+    plan_view = symbols["points"] = ca.SX.sym("points", len(PLAN_VIEW))
+    points = ca.SX(CLASP_INPUTS["points"], 1)
+    points[PLAN_VIEW] = plan_view
+    outputs = clasp(**{**symbols, "points": points})
+    rows = ca.vertcat(outputs["r"][:2], outputs["q"][:2], outputs["e"], outputs["turn"])
+    by = ca.vertcat(plan_view, symbols["q_legs"], symbols["tensions"])
+    slopes = ca.densify(ca.jacobian(rows, by))
+    return ca.Function(
+        "derivatives",
+        [*symbols.values()],
+        [slopes, outputs["turn"]],
+        [*symbols],
+        ["slopes", "turn"],
+        {"cse": True},
+    )
 
 
 def _derivatives(path: KnotPath, free_tensions: bool) -> tuple[sp.csr_array[np.float64], Array]:
@@ -208,50 +228,54 @@ def _derivatives(path: KnotPath, free_tensions: bool) -> tuple[sp.csr_array[np.f
 
     Turns (inner knots · n,), sines of exterior angles, are returned as well.
     """
-    columns, team, n = path.columns, path.team, path.team.robots
+    columns, team, layout, n = path.columns, path.team, path.team.layout, path.team.robots
     knots, size = path.table[1:-1], columns.size
-    count, loaded = n * len(knots), team.loaded or path.roll is not None
-    choice = team.cable_density > 0.0 if loaded else bool(np.ptp(team.tension) == 0.0)
-    around = (-1, 0, 1)
-    points = np.concatenate([np.roll(columns.vertices, -k, axis=0) for k in (*around, 2)], axis=1)
-    q_legs, tensions = (
-        np.stack([np.roll(column, -k) for k in around], axis=1)
-        for column in (columns.q_legs, columns.tensions)
+    count, behind, ahead = n * len(knots), layout.behind, layout.ahead
+    around = np.column_stack([layout.starts[behind], layout.clasps, layout.ends[ahead]])
+    cables = np.column_stack([behind, ahead])
+    points = columns.vertices[around].reshape(n, -1)  # columns of the table, by clasp
+    q_legs, tensions = columns.q_legs[cables], columns.tensions[cables]
+
+    def of_all(values: Array) -> Array:
+        """Return values (knots, n, rows) or (n, rows) as columns (rows, knots · n)."""
+        rows = values.shape[-1]
+        return np.broadcast_to(values, (len(knots), n, rows)).reshape(count, rows).T
+
+    roll = np.zeros((n, 1)) if path.roll is None else path.roll[1:-1, :, None]
+    derivatives = _clasp_derivatives(
+        weighted=team.cable_density > 0.0,
+        loaded=bool(np.any(team.load)),
+        rolled=path.roll is not None,
+        equal=bool(np.ptp(team.tension) == 0.0),
+    ).map(count)(
+        points=of_all(knots[:, points]),
+        q_legs=of_all(knots[:, q_legs]),
+        tensions=of_all(knots[:, tensions]),
+        roll=of_all(roll),
+        cable_length=of_all(team.cable_length[behind, None]),
+        load=of_all(GRAVITY * team.load[:, None]),
+        weight=GRAVITY * team.cable_density,
     )
-    around_clasps = points, q_legs if loaded else q_legs[:, 1:2], tensions
-    # Parameters of the model, constant in the program.
-    ends = np.column_stack([team.layout.starts, team.layout.ends])
-    parameters = [team.cable_length[:, None]]
-    if loaded:
-        loads = np.zeros((n, 2, 3))
-        loads[..., 2] = -GRAVITY * team.load[ends]
-        roll = np.zeros((len(knots), n)) if path.roll is None else path.roll[1:-1]
-        weight = np.full((n, 1), GRAVITY * team.cable_density)
-        lengths = team.cable_length[team.layout.neighbours[:, :2]]
-        parameters = [lengths, roll[:, ends], loads.reshape(n, 6), weight]
-    values = [knots[:, each] for each in around_clasps]
-    values += [np.broadcast_to(each, (len(knots), n, each.shape[-1])) for each in parameters]
-    model = _model(loaded, choice).map(count)
-    slopes, turns = (
-        np.asarray(each) for each in model(*(value.reshape(count, -1).T for value in values))
-    )
-    slopes = slopes.reshape(6, count, -1).transpose(1, 0, 2)
+    turns = np.asarray(derivatives["turn"]).ravel()
+    slopes = np.asarray(derivatives["slopes"]).reshape(6, count, -1).transpose(1, 0, 2)
     # Rows of drones and r-legs in the table, and of turns after it.
     start = size * np.arange(len(knots))[:, None, None]
-    own = np.column_stack([columns.drones.reshape(n, 4), columns.r_legs])
+    drones = columns.drones.reshape(2 * n, 2)
+    own = np.column_stack([drones[2 * behind + 1], drones[2 * ahead], columns.r_legs[behind]])
     own = np.column_stack([(start + own).reshape(count, 5), size * len(knots) + np.arange(count)])
     changing = [columns.vertices.ravel(), columns.q_legs]
     changing += [columns.tensions] if free_tensions else []
     free = (start[..., 0] + np.concatenate(changing)).ravel()
     variable = np.full(knots.size, -1)
     variable[free] = np.arange(len(free))
-    by = variable[(start + np.concatenate(around_clasps, axis=1)).reshape(count, -1)]
+    arguments = np.concatenate([points, q_legs, tensions], axis=1)
+    by = variable[(start + arguments).reshape(count, -1)]
     row, by = np.broadcast_arrays(own[:, :, None], by[:, None, :])
     used = by >= 0
     rows, by = np.append(row[used], free), np.append(by[used], np.arange(len(free)))
     entries = np.append(slopes[used], np.ones(len(free)))
     shape = knots.size + count, len(free)
-    return sp.csr_array((entries, (rows, by)), shape), turns.ravel()
+    return sp.csr_array((entries, (rows, by)), shape), turns
 
 
 def _energy(

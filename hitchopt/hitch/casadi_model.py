@@ -1,0 +1,297 @@
+"""The model in casadi: a hitch in motion as one function to differentiate and to optimise with.
+
+``clasp_function`` states one clasp by the formula that arrays use as well (``clasp_legs``).
+``model`` joins the clasps of a team, differentiates by time, and adds forces and residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Self
+
+import numpy as np
+
+from hitchopt.hitch.forces import chord_pull
+from hitchopt.hitch.model import Edge, cable_of_span, clasp_legs
+from hitchopt.hitch.quadrotor import GRAVITY
+from hitchopt.hitch.requirements import Separation
+from hitchopt.hitch.series import Series
+from hitchopt.hitch.team import Team
+from hitchopt.values import Indices, check_instance, flag
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+CLASP_INPUTS = {
+    "points": 9,  # [m], p_{k-1}, p_k and p_{k+1}
+    "q_legs": 2,  # [m], cable lengths d_{k-1} and d_k
+    "tensions": 2,  # [N], of cables k-1 and k
+    "roll": 1,  # [rad]
+    "cable_length": 1,  # [m], of cable k-1
+    "load": 1,  # [N], weight that hangs on the clasp
+    "weight": 1,  # [N/m], of cables
+}
+"""Inputs of ``clasp_function`` and their numbers of rows."""
+
+
+@lru_cache
+def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -> ca.Function:
+    """Return the function of a clasp: the drones and forces around it.
+
+    Parameters
+    ----------
+    weighted: whether cables have weight.
+    loaded: whether a weight hangs on the clasp.
+    rolled: whether its legs roll out of the plane.
+    equal: whether both tensions are equal; legs of a plain clasp then continue the edges.
+
+    Returns
+    -------
+    Function of CLASP_INPUTS, of which ``weight``, ``load`` and ``roll`` only matter with their
+    flags. Its outputs are ``r`` and ``q`` (3, 1) [m], the drones r_{k-1} and q_k; ``e`` [m], the
+    cable length of r_{k-1}; ``turn`` and ``straight``, sine and cosine of the exterior angle at
+    p_k; and ``residual`` (3, 1) [N], the sum of all forces on the clasp.
+    """
+    import casadi as ca
+
+    symbols = {name: ca.SX.sym(name, size) for name, size in CLASP_INPUTS.items()}
+    behind, here, ahead = (Series(point) for point in ca.vertsplit(symbols["points"], 3))
+    before, after = (Series(tension) for tension in ca.vertsplit(symbols["tensions"]))
+    q_before, q_after = (Series(leg) for leg in ca.vertsplit(symbols["q_legs"]))
+    weight = symbols["weight"] if weighted else None
+    load = ca.vertcat(0.0, 0.0, -symbols["load"]) if loaded else None
+    edges = Edge.of(here - behind, before, weight), Edge.of(ahead - here, after, weight)
+    directions, chords, e = clasp_legs(
+        edges,
+        (q_before, q_after),
+        symbols["cable_length"],
+        load,
+        weight,
+        Series(symbols["roll"]) if rolled else None,
+        equal=equal,
+    )
+    r, q = (here + chord * along for chord, along in zip(chords, directions, strict=True))
+    spans = (r - here, before), (behind - here, before), (q - here, after), (ahead - here, after)
+    pulls = [_pull_on_clasp(span, tension, weight).value for span, tension in spans]
+    u, v = (edge.along.value for edge in edges)
+    outputs = {
+        "r": r.value,
+        "q": q.value,
+        "e": e.value,
+        "turn": u[1] * v[0] - u[0] * v[1],
+        "straight": u[0] * v[0] + u[1] * v[1],
+        "residual": sum(pulls, ca.SX(3, 1) if load is None else load),
+    }
+    return ca.Function(
+        "clasp", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs], {"cse": True}
+    )
+
+
+def _pull_on_clasp(span: Series, tension: Series, weight: Any) -> Series:
+    """Return the force [N] of a cable part on its clasp: along its chord, minus half its weight."""
+    cable, size, _ = cable_of_span(span, tension, weight)
+    along = span / size
+    if weight is None:
+        return tension * along
+    half, rise = cable * (0.5 * weight), along.row(2)
+    pull: Series = chord_pull(tension, half, 1.0 - rise * rise, rise)
+    return pull * along - half.upward
+
+
+@lru_cache
+def _leg_function(*, weighted: bool) -> ca.Function:
+    """Return the function of a cable part that ends at a drone.
+
+    Inputs are ``span`` (3, 1) [m] to the drone, ``tension`` [N] at the other end and ``weight`` of
+    cables [N/m]. Outputs are ``length`` of the cable [m], ``chord`` [m] and ``force`` (3, 1) [N] on
+    the drone, by the formula of ``cable_forces``.
+    """
+    import casadi as ca
+
+    symbols = {name: ca.SX.sym(name, size) for name, size in LEG_INPUTS.items()}
+    span, tension = Series(symbols["span"]), Series(symbols["tension"])
+    weight = symbols["weight"] if weighted else None
+    cable, size, _ = cable_of_span(span, tension, weight)
+    force = -(tension / size) * span
+    if weight is not None:
+        half, level = Series(0.5 * weight), span.row(0, 1)
+        pull = chord_pull(tension, half, level.dot(level), span.row(2))
+        force = -(pull / size) * span - (half * size).upward
+    outputs = {"length": cable.value, "chord": size.value, "force": force.value}
+    return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
+
+
+LEG_INPUTS = {"span": 3, "tension": 1, "weight": 1}  # Inputs of ``_leg_function``
+
+
+def model(
+    team: Team,
+    separation: Separation | None = None,
+    *,
+    roll: bool = False,
+    tensions: bool = False,
+    cables: bool = False,
+    pairs: Indices | None = None,
+) -> ca.Function:
+    """Return a hitch in motion as a casadi function of its flat outputs at one time.
+
+    Values and derivatives are exact, and so is what casadi derives from them. With ``map(J)`` the
+    function takes J times at once, a column each, as casadi does also for ``mapaccum``. Inputs that
+    are left out are zero. Values are nan where tensions cannot carry the loads.
+
+    Inputs are columns of values, first and second derivatives by time:
+
+    - ``vertices``, ``vertex_velocities``, ``vertex_accelerations`` (3 points, 1) [m, m/s, m/s²],
+      coordinates of p_0, p_1, …;
+    - ``q_legs``, ``q_leg_velocities``, ``q_leg_accelerations`` (n, 1) [m, m/s, m/s²], cable lengths
+      from p_k to q_k; of a chain the first is 0, and the last one takes all that its edge leaves;
+    - with ``roll`` also ``roll``, ``roll_velocities``, ``roll_accelerations`` (clasps, 1) [rad, …];
+    - with ``tensions`` also ``tensions``, ``tension_velocities``, ``tension_accelerations``
+      (n, 1) [N, …];
+    - with ``cables`` also ``cable_lengths`` (n, 1) [m], constant.
+
+    Outputs are columns, drones in the order q_0, r_0, q_1, …:
+
+    - ``positions``, ``velocities``, ``accelerations`` (6n, 1) [m, m/s, m/s²];
+    - ``thrusts`` (6n, 1) [N], m (a + g ẑ) minus the force of the cable on the drone;
+    - ``tilt_cosines`` (2n, 1), of the angle of the thrust from vertical;
+    - ``legs`` (2n, 1) [m], distances of drones from their vertices;
+    - ``cable_residuals`` (n, 1) [m], lengths of legs and edge minus that of the cable;
+    - ``clasp_residuals`` (3 clasps, 1) [N], sums of all forces on a clasp;
+    - ``exterior_angles`` (clasps, 1) [rad], positive where the polygon is convex;
+    - ``separations`` (pairs, 1), distances of drones in units of their downwash ellipsoids, 1 where
+      these touch.
+
+    Parameters
+    ----------
+    team: its drones and loads; its tensions and cable lengths, if they are no inputs.
+    separation: with the ellipsoid of the drones' downwash; None for the default.
+    roll: whether legs may roll out of the plane.
+    tensions: whether tensions are inputs.
+    cables: whether cable lengths are inputs.
+    pairs: (pairs, 2) indices of drones for ``separations``; None for all pairs.
+    """
+    import casadi as ca
+
+    check_instance("team", team, Team)
+    flag("roll", roll)
+    flag("tensions", tensions)
+    flag("cables", cables)
+    n, layout = team.robots, team.layout
+    sizes = {"vertices": 3 * layout.points, "q_legs": n}
+    sizes |= {"roll": len(layout.clasps)} if roll else {}
+    sizes |= {"tensions": n} if tensions else {}
+    state = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    rates = {f"{SINGULAR[k]}_velocities": ca.SX.sym(k, size) for k, size in sizes.items()}
+    seconds = {f"{SINGULAR[k]}_accelerations": ca.SX.sym(k, size) for k, size in sizes.items()}
+    x, dx, ddx = (ca.vertcat(*part.values()) for part in (state, rates, seconds))
+
+    constants = {"cable_lengths": ca.SX.sym("cable_lengths", n)} if cables else {}
+    hitch = _Statics.of(team, state | constants)
+    positions = ca.vec(hitch.positions)
+    velocities = ca.jtimes(positions, x, dx)
+    accelerations = ca.jtimes(velocities, ca.vertcat(x, dx), ca.vertcat(dx, ddx))
+    gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, 2 * n)
+    lifted = ca.reshape(accelerations, 3, 2 * n) + gravity
+    thrusts = ca.repmat(ca.DM(team.mass).T, 3, 1) * lifted - hitch.cable_forces
+    first, other = np.triu_indices(2 * n, 1) if pairs is None else np.asarray(pairs).T
+    offsets = hitch.positions[:, first.tolist()] - hitch.positions[:, other.tolist()]
+    scaled = ca.repmat(ca.DM((separation or Separation()).scale), 1, len(first)) * offsets
+    outputs = {
+        "positions": positions,
+        "velocities": velocities,
+        "accelerations": accelerations,
+        "thrusts": ca.vec(thrusts),
+        "tilt_cosines": (thrusts[2, :] / _lengths(thrusts)).T,
+        "legs": hitch.legs,
+        "cable_residuals": hitch.cable_residuals,
+        "clasp_residuals": ca.vec(hitch.clasp_residuals),
+        "exterior_angles": hitch.exterior_angles,
+        "separations": _lengths(scaled).T,
+    }
+    inputs = state | rates | seconds | constants
+    return ca.Function(
+        "hitch", [*inputs.values()], [*outputs.values()], [*inputs], [*outputs], {"cse": True}
+    )
+
+
+SINGULAR = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions": "tension"}
+"""Prefixes of the inputs of derivatives by those of values."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Statics:
+    """A hitch without its motion, as casadi expressions."""
+
+    positions: ca.SX  # (3, 2n) [m], of drones
+    cable_forces: ca.SX  # (3, 2n) [N], on drones
+    legs: ca.SX  # (2n, 1) [m], distances of drones from their vertices; 0 at a chain's ends
+    cable_residuals: ca.SX  # (n, 1) [m]
+    clasp_residuals: ca.SX  # (3, clasps) [N]
+    exterior_angles: ca.SX  # (clasps, 1) [rad]
+
+    @classmethod
+    def of(cls, team: Team, state: Mapping[str, ca.SX]) -> Self:
+        """Return the hitch of the values of the inputs of ``model``."""
+        import casadi as ca
+
+        layout, n = team.layout, team.robots
+        points = ca.reshape(state["vertices"], 3, layout.points)
+        q_legs = state["q_legs"].T
+        tensions = state.get("tensions", ca.SX(team.tension)).T
+        lengths = state.get("cable_lengths", ca.SX(team.cable_length)).T
+        weighted, loaded = team.cable_density > 0.0, bool(np.any(team.load))
+        weight = GRAVITY * team.cable_density
+        behind, ahead = layout.behind.tolist(), layout.ahead.tolist()
+        clasp = clasp_function(
+            weighted=weighted,
+            loaded=loaded,
+            rolled="roll" in state,
+            equal="tensions" not in state and bool(np.ptp(team.tension) == 0.0),
+        )
+        clasps = clasp.map(len(behind))(
+            points=ca.vertcat(
+                points[:, layout.starts[layout.behind].tolist()],
+                points[:, layout.clasps.tolist()],
+                points[:, layout.ends[layout.ahead].tolist()],
+            ),
+            q_legs=ca.vertcat(q_legs[:, behind], q_legs[:, ahead]),
+            tensions=ca.vertcat(tensions[:, behind], tensions[:, ahead]),
+            roll=state["roll"].T if "roll" in state else 0.0,
+            cable_length=lengths[:, behind],
+            load=GRAVITY * team.load[None],
+            weight=weight,
+        )
+        positions = points[:, layout.anchors.tolist()]  # final at a chain's ends, without legs
+        positions[:, (2 * layout.behind + 1).tolist()] = clasps["r"]
+        positions[:, (2 * layout.ahead).tolist()] = clasps["q"]
+        parts = _leg_function(weighted=weighted).map(2 * n)(
+            span=positions - points[:, layout.pulled_to.tolist()],
+            tension=tensions[:, np.repeat(np.arange(n), 2).tolist()],
+            weight=weight,
+        )
+        edges = _leg_function(weighted=weighted).map(n)(
+            span=points[:, layout.ends.tolist()] - points[:, layout.starts.tolist()],
+            tension=tensions,
+            weight=weight,
+        )
+        has_leg = ca.DM(layout.has_leg.ravel().astype(np.float64)).T
+        legs = ca.reshape(has_leg * parts["length"], 2, n)
+        cables = legs[0, :] + edges["length"] + legs[1, :]
+        return cls(
+            positions,
+            parts["force"],
+            (has_leg * parts["chord"]).T,
+            (cables - lengths).T,
+            clasps["residual"],
+            ca.atan2(clasps["turn"], clasps["straight"]).T,
+        )
+
+
+def _lengths(columns: ca.SX) -> ca.SX:
+    """Return the lengths (1, count) of columns (3, count)."""
+    import casadi as ca
+
+    return ca.sqrt(ca.sum1(columns * columns))
