@@ -127,13 +127,18 @@ test-3.11 test-3.12 test-3.13: test-%:
 	$(VENV)-$*/bin/python -m pip install --quiet --disable-pip-version-check --upgrade --upgrade-strategy eager -e ".[test]"
 	$(VENV)-$*/bin/python -m pytest -m "not slow"
 
-# All tests on Python 3.11 with the lowest versions that pyproject.toml admits.
+# All tests on Python 3.11 with the lowest versions that pyproject.toml admits. Tools that only tests
+# use need newer versions of numpy and scipy: the package's own are installed over these.
 test-lowest: $(VENV)/.tested
 	"$$(bash .ci/python 3.11)" -m venv $(VENV)-lowest
 	$(BIN)/uv pip compile --quiet --python $(VENV)-lowest --resolution lowest-direct \
 		--extra test -o $(VENV)-lowest/lowest.txt pyproject.toml
 	$(VENV)-lowest/bin/python -m pip install --quiet --disable-pip-version-check \
 		-e ".[test]" -r $(VENV)-lowest/lowest.txt
+	$(BIN)/uv pip compile --quiet --python $(VENV)-lowest --resolution lowest-direct \
+		-o $(VENV)-lowest/own.txt pyproject.toml
+	$(VENV)-lowest/bin/python -m pip install --quiet --disable-pip-version-check --no-deps \
+		-r $(VENV)-lowest/own.txt
 	$(VENV)-lowest/bin/python -m pytest
 
 clean:

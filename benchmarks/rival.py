@@ -9,6 +9,7 @@ of cables, no certificate. Written in SX throughout, so that casadi differentiat
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -55,7 +56,7 @@ class Rival:
 
     def flight(
         self, s: Array, control: Symbols, T: Symbols, q: Symbols, cables: Symbols
-    ) -> tuple[dict[str, Symbols], Symbols]:
+    ) -> tuple[Mapping[str, Symbols], Symbols]:
         """Return outputs of ``hitchopt.model`` at s (J,), and squared vertex speeds (n, J).
 
         Parameters
@@ -89,7 +90,7 @@ class Rival:
         )
         return outputs, _squares(vertices[1])
 
-    def rows(self, outputs: dict[str, Symbols], vertex_speeds: Symbols) -> Symbols:
+    def rows(self, outputs: Mapping[str, Symbols], vertex_speeds: Symbols) -> Symbols:
         """Return the constraints' rows (≤ 0) from the results of ``flight``."""
         limits = self.limits
         thrusts = ca.reshape(outputs["thrusts"], 3, -1)

@@ -194,14 +194,14 @@ def test_modules_define_things_and_do_nothing_else(folder: str) -> None:
             is_choice = isinstance(node, ast.If) and ast.unparse(node.test) in CONDITIONS
             if not (is_script or is_text or is_choice or isinstance(node, DEFINITIONS)):
                 faults.append(f"{path}:{node.lineno}: acts on import")
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Name) and node.id in WRITING_CODE:
-                faults.append(f"{path}:{node.lineno}: {node.id}")
-            elif isinstance(node, ast.Import | ast.ImportFrom):
-                module = str(getattr(node, "module", None) or "")
-                names = [f"{module}.{name.name}".lstrip(".") for name in node.names]
+        for part in ast.walk(tree):
+            if isinstance(part, ast.Name) and part.id in WRITING_CODE:
+                faults.append(f"{path}:{part.lineno}: {part.id}")
+            elif isinstance(part, ast.Import | ast.ImportFrom):
+                module = str(getattr(part, "module", None) or "")
+                names = [f"{module}.{name.name}".lstrip(".") for name in part.names]
                 faults += [
-                    f"{path}:{node.lineno}: {name} is private"
+                    f"{path}:{part.lineno}: {name} is private"
                     for name in names
                     if re.search(r"(^|\.)_(?!_)", name) and name.partition(".")[0] not in own
                 ]

@@ -12,14 +12,16 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from hitchopt.errors import InputError
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import Edge, cable_of_span, clasp_legs
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import Team
-from hitchopt.values import Indices, check_instance, flag
+from hitchopt.values import check_instance, flag
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -56,7 +58,7 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
     """
     import casadi as ca
 
-    symbols = {name: ca.SX.sym(name, size) for name, size in CLASP_INPUTS.items()}
+    symbols = _symbols(CLASP_INPUTS)
     behind, here, ahead = (Series(point) for point in ca.vertsplit(symbols["points"], 3))
     before, after = (Series(tension) for tension in ca.vertsplit(symbols["tensions"]))
     q_before, q_after = (Series(leg) for leg in ca.vertsplit(symbols["q_legs"]))
@@ -95,9 +97,13 @@ def _pull_on_clasp(span: Series, tension: Series, weight: Any) -> Series:
     along = span / size
     if weight is None:
         return tension * along
-    half, rise = cable * (0.5 * weight), along.row(2)
+    half: Series = cable * (0.5 * weight)
+    rise = along.row(2)
     pull: Series = chord_pull(tension, half, 1.0 - rise * rise, rise)
     return pull * along - half.upward
+
+
+LEG_INPUTS = {"span": 3, "tension": 1, "weight": 1}  # Inputs of ``_leg_function``
 
 
 @lru_cache
@@ -110,7 +116,7 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     """
     import casadi as ca
 
-    symbols = {name: ca.SX.sym(name, size) for name, size in LEG_INPUTS.items()}
+    symbols = _symbols(LEG_INPUTS)
     span, tension = Series(symbols["span"]), Series(symbols["tension"])
     weight = symbols["weight"] if weighted else None
     cable, size, _ = cable_of_span(span, tension, weight)
@@ -123,7 +129,8 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
 
 
-LEG_INPUTS = {"span": 3, "tension": 1, "weight": 1}  # Inputs of ``_leg_function``
+SINGULAR = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions": "tension"}
+"""Prefixes of the names of derivatives, by the name of the value."""
 
 
 def model(
@@ -133,13 +140,13 @@ def model(
     roll: bool = False,
     tensions: bool = False,
     cables: bool = False,
-    pairs: Indices | None = None,
+    pairs: ArrayLike | None = None,
 ) -> ca.Function:
     """Return a hitch in motion as a casadi function of its flat outputs at one time.
 
-    Values and derivatives are exact, and so is what casadi derives from them. With ``map(J)`` the
-    function takes J times at once, a column each, as casadi does also for ``mapaccum``. Inputs that
-    are left out are zero. Values are nan where tensions cannot carry the loads.
+    Values and derivatives are exact, and so is what casadi derives from them. Its ``map(J)`` takes
+    J times at once, a column each. Inputs that are left out are zero. Values are nan where tensions
+    cannot carry the loads.
 
     Inputs are columns of values, first and second derivatives by time:
 
@@ -172,33 +179,38 @@ def model(
     tensions: whether tensions are inputs.
     cables: whether cable lengths are inputs.
     pairs: (pairs, 2) indices of drones for ``separations``; None for all pairs.
+
+    Raises
+    ------
+    InputError: the team has no cables, or an index is not one of its drones.
     """
     import casadi as ca
 
     check_instance("team", team, Team)
+    if not team.has_cables:
+        raise InputError("team", team, "a team with cables", "model single drones on their own")
     flag("roll", roll)
     flag("tensions", tensions)
     flag("cables", cables)
-    n, layout = team.robots, team.layout
-    sizes = {"vertices": 3 * layout.points, "q_legs": n}
-    sizes |= {"roll": len(layout.clasps)} if roll else {}
-    sizes |= {"tensions": n} if tensions else {}
-    state = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
-    rates = {f"{SINGULAR[k]}_velocities": ca.SX.sym(k, size) for k, size in sizes.items()}
-    seconds = {f"{SINGULAR[k]}_accelerations": ca.SX.sym(k, size) for k, size in sizes.items()}
+    first, other = _pairs(team.drones, pairs)
+    sizes = {"vertices": 3 * team.layout.points, "q_legs": team.robots}
+    sizes |= {"roll": len(team.layout.clasps)} if roll else {}
+    sizes |= {"tensions": team.robots} if tensions else {}
+    state = _symbols(sizes)
+    rates = _symbols({f"{SINGULAR[name]}_velocities": size for name, size in sizes.items()})
+    seconds = _symbols({f"{SINGULAR[name]}_accelerations": size for name, size in sizes.items()})
+    constants = _symbols({"cable_lengths": team.robots} if cables else {})
     x, dx, ddx = (ca.vertcat(*part.values()) for part in (state, rates, seconds))
 
-    constants = {"cable_lengths": ca.SX.sym("cable_lengths", n)} if cables else {}
     hitch = _Statics.of(team, state | constants)
     positions = ca.vec(hitch.positions)
     velocities = ca.jtimes(positions, x, dx)
     accelerations = ca.jtimes(velocities, ca.vertcat(x, dx), ca.vertcat(dx, ddx))
-    gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, 2 * n)
-    lifted = ca.reshape(accelerations, 3, 2 * n) + gravity
+    gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, team.drones)
+    lifted = ca.reshape(accelerations, 3, team.drones) + gravity
     thrusts = ca.repmat(ca.DM(team.mass).T, 3, 1) * lifted - hitch.cable_forces
-    first, other = np.triu_indices(2 * n, 1) if pairs is None else np.asarray(pairs).T
-    offsets = hitch.positions[:, first.tolist()] - hitch.positions[:, other.tolist()]
-    scaled = ca.repmat(ca.DM((separation or Separation()).scale), 1, len(first)) * offsets
+    scale = ca.DM((separation or Separation()).scale)
+    offsets = hitch.positions[:, first] - hitch.positions[:, other]
     outputs = {
         "positions": positions,
         "velocities": velocities,
@@ -209,7 +221,7 @@ def model(
         "cable_residuals": hitch.cable_residuals,
         "clasp_residuals": ca.vec(hitch.clasp_residuals),
         "exterior_angles": hitch.exterior_angles,
-        "separations": _lengths(scaled).T,
+        "separations": _lengths(ca.repmat(scale, 1, len(first)) * offsets).T,
     }
     inputs = state | rates | seconds | constants
     return ca.Function(
@@ -217,8 +229,25 @@ def model(
     )
 
 
-SINGULAR = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions": "tension"}
-"""Prefixes of the inputs of derivatives by those of values."""
+def _symbols(sizes: Mapping[str, int]) -> dict[str, ca.SX]:
+    """Return columns of symbols by name."""
+    import casadi as ca
+
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+
+def _pairs(drones: int, pairs: ArrayLike | None) -> tuple[list[int], list[int]]:
+    """Return the first and the second drones of pairs (m, 2), or of all pairs."""
+    if pairs is None:
+        first, second = np.triu_indices(drones, 1)
+    else:
+        given = np.asarray(pairs)
+        is_index = given.ndim == 2 and given.shape[1] == 2 and given.dtype.kind == "i"
+        if not is_index or not np.all((given >= 0) & (given < drones)):
+            bound = f"pairs of indices of drones, from 0 to {drones - 1}"
+            raise InputError("pairs", pairs, bound, "drones are in the order q0, r0, q1, …")
+        first, second = given.T
+    return first.tolist(), second.tolist()
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,3 +185,31 @@ def test_plans_fly_as_the_model_says(team: ho.Team) -> None:
         ("thrust", thrust), ("tilt", tilt), ("separation", closest), ("legs", shortest)
     ):  # fmt: skip
         assert worst == pytest.approx(checks[name].worst, rel=1e-3), name
+
+
+def test_pairs_are_those_asked_for_and_names_and_sizes_are_as_documented() -> None:
+    team = TEAMS["paper"]
+    flat = random_flat(team, 0, roll=False, tensions=False)
+    every = evaluated(team, flat)["separations"]
+    some = evaluated(team, flat, pairs=[[0, 3], [11, 2]])["separations"]
+    order = np.stack(np.triu_indices(12, 1), axis=1).tolist()
+    index = np.array([order.index([0, 3]), order.index([2, 11])])
+    assert some == pytest.approx(every[:, index], rel=1e-15)
+    model = ho.model(team, roll=True, tensions=True, cables=True)
+    words = ho.model.__doc__ or ""
+    assert all(f"``{name}``" in words for name in (*model.name_in(), *model.name_out()))
+    for pairs in ([[0, 12]], [0, 1], [[0.5, 1.0]]):
+        with pytest.raises(ho.InputError, match=r"^pairs = "):
+            ho.model(team, pairs=pairs)
+    with pytest.raises(ho.InputError, match="a team with cables"):
+        ho.model(ho.Swarm(3))
+
+
+def test_cable_lengths_may_be_inputs() -> None:
+    team, other = TEAMS["paper"], ho.Team(6, 2.55)
+    flat = random_flat(team, 0, roll=False, tensions=False, samples=1)
+    given = {"vertices": flat.vertices[0, ..., 0].ravel(), "q_legs": flat.q_legs[0, :, 0]}
+    free = ho.model(team, cables=True)(**given, cable_lengths=other.cable_length)
+    fixed = ho.model(other)(**given)
+    for name, values in fixed.items():
+        np.testing.assert_allclose(np.asarray(free[name]), np.asarray(values), atol=1e-14)
