@@ -56,6 +56,8 @@ HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of wh
 MIN_LIP = 0.01  # [m] smallest width of a lip beyond the edges that bear it
 PASSED = 0.4  # largest share of a cable's weight at a clasp that a cable below it may bear
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
+OWN_DISTANCES = 2.0  # distance along a cable from which it counts for its drone, over the smallest
+OWN_LINK = 0.75  # place of the end of the last link that does not count, over that distance
 DEGREES = math.degrees(1.0)
 BUDGET, CHUNK, DEPTH = 6_000_000, 8192, 46  # samples of a limit, samples at once, halvings
 PASSING = {"proven", "warning"}  # the ground is unknown without an arena, hence warnings
@@ -1026,17 +1028,38 @@ def catenary_depth(L: Array, h: Array, sigma: Array, mu: Array) -> Array:
     return np.asarray((arch - 0.5 * h * np.sinh(mu * sigma)) / np.sinh(sigma) + 0.5 * h * mu)
 
 
-def catenary_links(s: Spans, k: Index) -> tuple[list[Line], list[Line], Array]:
-    """Return points of cables, points of their chords above, and the sag below links (m, 1).
+class Links(NamedTuple):
+    """A chain that replaces hanging cables: points at shares of lengths and positions μ.
+
+    ``chord`` has points of chords above, ``sag`` (m, 1) how far cables sag below links, and
+    ``rate`` (m,) bounds rates of depths below chords, and of lengths up to points.
+    """
+
+    cable: list[Line]
+    chord: list[Line]
+    sag: Array
+    shares: Array
+    places: Array
+    rate: Array
+
+
+def catenary_links(s: Spans, k: Index, *distances: float) -> Links:
+    """Return the links of cables, with points at distances along them from both ends as well.
 
     At μ from -1 to 1 a cable is ``L (cosh σ - cosh μσ) / 2 sinh σ + h (μ - sinh μσ / sinh σ) / 2``
-    below its chord, with derivatives of at most ``(L + |h|) / 4`` by σ and ½ by h. A convex curve
+    below its chord, and ``L (1 + sinh μσ / sinh σ) / 2 - h (cosh σ - cosh μσ) / 2 sinh σ`` long up
+    to there, both with derivatives of at most ``(L + |h|) / 4`` by σ and ½ by h. A convex curve
     sags below a link by at most a quarter of its width times the change of slope.
     """
     span, sigma = catenary(s, 2 * k)
     L, h, g = s.plan.length[k, 0], span.v[:, 2], sigma.v[:, 0]
     tilt = np.arcsinh(h / np.sqrt(L**2 - h**2))
-    slopes = np.linspace(np.sinh(tilt - g), np.sinh(tilt + g), LINKS + 1)  # even along the cable
+    ends = [np.minimum(x / L, 1.0) for x in distances]
+    ends += [1.0 - x for x in ends]
+    shares = np.linspace(0.0, 1.0, LINKS + 1)[:, None] + 0.0 * L
+    shares = np.sort(np.concatenate([shares, *(x[None] for x in ends)]), axis=0)
+    low, high = np.sinh(tilt - g), np.sinh(tilt + g)
+    slopes = low + shares * (high - low)  # proportional to the length
     places = np.clip((np.arcsinh(slopes) - tilt) / g, -1.0, 1.0)
     rate = 0.25 * (L + np.abs(h) + span.deviation) * sigma.rate + 0.5 * span[2].rate
     cable, chord = [], []
@@ -1045,7 +1068,41 @@ def catenary_links(s: Spans, k: Index) -> tuple[list[Line], list[Line], Array]:
         chord.append(s.point(2 * k) + span * (0.5 * (1.0 + mu))[:, None])
         cable.append(chord[-1] - Line(depth, 0.0 * depth, rate, s.t) * UP)
     sag = np.max(np.diff(slopes, axis=0) * np.diff(places, axis=0), axis=0)
-    return cable, chord, 0.125 * (sag * norm(span.v[:, :2]))[:, None]
+    sag = 0.125 * (sag * norm(span.v[:, :2]))[:, None]
+    return Links(cable, chord, sag, shares, places, rate)
+
+
+def own_cable_gap(s: Spans, i: Index, k: Index) -> Line:
+    """Return distances of drones i from their hanging cables k, where these rise again.
+
+    That is beyond OWN_DISTANCES of the smallest distance along the cable. Slopes are ``sinh(μσ +
+    artanh(h / L))``. Links that lead down, or end nearer, throughout a span do not count.
+    """
+    nearest = OWN_DISTANCES * s.plan.cable_limit[1]
+    links, (span, sigma) = catenary_links(s, k, OWN_LINK * nearest), catenary(s, 2 * k)
+    at_r, L, h = i % 2 == 1, s.plan.length[k, 0], span[2]
+    share = np.minimum((np.abs(h.v[:, 0]) + h.deviation) / L, 1.0)
+    turn = np.arctanh(h.v[:, 0] / L), h.deviation / np.maximum(L * (1.0 - share**2), TINY)
+    rates = (np.abs(links.places) * sigma.deviation + turn[1]) / s.t
+    y, along = links.places * sigma.v[:, 0] + turn[0], links.shares * L
+    reached = OWN_LINK * nearest * (1.0 + TOLERANCE)
+
+    def line(x: Array, rate: Array) -> Line:
+        return Line(x[:, None], s.zero.g, rate, s.t)
+
+    values, counted = list[Array](), list[Line]()
+    for j, link in enumerate(pairwise(links.cable)):  # positive where a link does not count
+        descent = np.where(at_r, y[j], -y[j + 1]), np.where(at_r, rates[j], rates[j + 1])
+        far_end = np.where(at_r, L - along[j], along[j + 1])
+        ahead = np.where(far_end <= reached, nearest - far_end, -nearest)
+        away = maximum(line(*descent), line(ahead, links.rate))
+        absent, gap = away.low > 0.0, distance([s.point(i)], link, s.plan.ratio)
+        counted.append(gap.where(~absent) + np.where(absent, FAR, 0.0)[:, None])
+        values.append(np.where(away.v > 0.0, FAR, gap.v))
+    value, gap = np.min(values, axis=0), minimum(*counted)
+    unsure = np.any(value > gap.v, axis=1)  # whether nearer links count
+    gap = gap.where(~unsure) + line(value[:, 0], (value[:, 0] - gap.low) / s.t).where(unsure)
+    return gap - links.sag - shift(s, k)
 
 
 def shift(s: Spans, k: Index) -> Line:
@@ -1077,8 +1134,8 @@ def shift(s: Spans, k: Index) -> Line:
 
 def lowest_height(s: Spans, k: Index) -> Line:
     """Return heights of the lowest points of hanging cables."""
-    cable, _, sag = catenary_links(s, k)
-    return minimum(*(x[2] for x in cable)) - sag
+    links = catenary_links(s, k)
+    return minimum(*(x[2] for x in links.cable)) - links.sag
 
 
 def above_floor(s: Spans, k: Index) -> Line:
@@ -1517,9 +1574,9 @@ def free_cables(p: Plan) -> Iterator[Row]:
     beside = p.clasping[:, None] & ~(turning & (p.state == CLASPING)[:, None])
 
     def to_cable(s: Spans, i: Index, k: Index) -> Line:
-        cable, _, sag = catenary_links(s, k)
-        gaps = (distance([s.point(i)], x, p.ratio) for x in pairwise(cable))
-        return minimum(*gaps) - sag - shift(s, k)
+        links = catenary_links(s, k)
+        gaps = (distance([s.point(i)], x, p.ratio) for x in pairwise(links.cable))
+        return minimum(*gaps) - links.sag - shift(s, k)
 
     def to_hull(s: Spans, i: Index, k: Index) -> Line:
         return prism_gap([s.point(i)], s.hull(k), p.ratio)
@@ -1540,10 +1597,10 @@ def free_cables(p: Plan) -> Iterator[Row]:
 
     def to_sheet(s: Spans, i: Index, k: Index) -> Line:
         """Return distances of drones from sheets between hanging cables and their chords."""
-        cable, chord, sag = catenary_links(s, k)
-        lower = [x - UP * sag for x in cable]
-        links = zip(pairwise(chord), pairwise(lower), strict=True)
-        return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in links))
+        links = catenary_links(s, k)
+        lower = [x - UP * links.sag for x in links.cable]
+        parts = zip(pairwise(links.chord), pairwise(lower), strict=True)
+        return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in parts))
 
     span, chord = ("span 1 max", 1.0), Spans.level_chord
     yield prove(*span, free, chord_share)
@@ -1557,6 +1614,8 @@ def free_cables(p: Plan) -> Iterator[Row]:
     s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
     yield prove(*p.cable_limit, s, to_cable)
     yield prove("cable_loops m min", POS_TOL, s, to_sheet)
+    own = np.column_stack([np.arange(p.N), np.arange(p.N) // 2])
+    yield prove(*p.cable_limit, p.spans(p.free & ~level, own, *ends), own_cable_gap)
     yield prove(*p.crossing_limit, loose, between_hulls)
     s = p.spans(beside, foreign, *ends)
     s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)

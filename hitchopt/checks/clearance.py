@@ -81,7 +81,7 @@ from hitchopt.motion.motion import (
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, section_gap, surface_below
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
+from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, largest_of
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, Indices, known
@@ -249,6 +249,9 @@ CHAIN_TOLERANCE = 1e-3
 # horizontal distances, which resolve the lowest part. The cable deviates from the links by at most
 # about 0.2 % of its length, where it bends the most, and much less elsewhere
 BY_LENGTH, BY_PLACE = 20, 16
+# Where the last link ends that does not count for the cable's own drone, over the distance from
+# which on the cable counts; and rounding of that place
+OWN_SHARE, ROUNDING_SHARE = 0.75, 1e-9
 MAX_REACH = 0.25  # [m] Pieces on which a drone may move farther are split
 
 
@@ -258,28 +261,83 @@ def chains(q: Array, r: Array, length: Array) -> tuple[Array, Array]:
     For cables between ends (spans, 3, degree + 1) of ``length`` (spans,) [m], these are (spans,
     links + 1, 3, degree + 1) and (spans, links) [m], for each link at all times of the span.
     """
-    offset = Enclosed(r - q)
-    cable = Catenary.between(Enclosed(q).middle, Enclosed(r).middle, length)
-    by_length = cable.parameter(np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None])
-    by_place = (np.arange(BY_PLACE) + 0.5)[:, None] * (2.0 / BY_PLACE) - 1.0
-    evenly = np.broadcast_to(by_place, (BY_PLACE, len(length)))
-    mu = np.sort(np.concatenate([by_length, evenly]), axis=0)  # (links + 1, spans)
-    level, skew = depth_terms(cable.sigma, mu)
-    fraction = (0.5 * (1.0 + mu)).T[..., None, None]
-    points = q[:, None] + fraction * offset.c[:, None]
-    points[:, :, 2] -= (length * level).T[..., None] + skew.T[..., None] * offset.c[:, None, 2]
-    sigma = steepness_of(offset, length)
-    drift = np.maximum(sigma.high - cable.sigma, cable.sigma - sigma.low)
-    height = np.max(np.abs(offset.c[:, 2]), axis=-1)
-    # In units of Λ / 2 sinh σ, it is a hyperbolic cosine, farthest from a parallel link.
-    x = np.maximum(cable.sigma, SERIES_LIMIT)
-    y = mu * x + np.arcsinh(cable.tilt)
-    slope = np.diff(np.cosh(y), axis=0) / np.maximum(np.diff(y, axis=0), 1e-12)
-    parallel = np.clip(np.arcsinh(slope), y[:-1], y[1:])
-    bend = np.cosh(y[:-1]) + slope * (parallel - y[:-1]) - np.cosh(parallel)
-    bend *= 0.5 * level_length(cable.rise, length) / np.sinh(x)
-    errors = np.maximum(bend, 0.0) + ROUNDING * length + 0.25 * (length + height) * drift
-    return points, errors.T
+    hanging = Hanging.between(q, r, length)
+    return hanging.chain(hanging.places())
+
+
+@dataclass(frozen=True, eq=False)
+class Hanging:
+    """Cables that hang between ends on spans of time."""
+
+    start: Array  # (spans, 3, degree + 1) [m]
+    offset: Enclosed  # of the ends (spans, 3) [m]
+    length: Array  # (spans,) [m]
+    cable: Catenary  # at mid time
+    sigma: Interval  # of the steepness (spans,)
+
+    @classmethod
+    def between(cls, q: Array, r: Array, length: Array) -> Hanging:
+        """Return the cables between ends (spans, 3, degree + 1) of ``length`` (spans,) [m]."""
+        offset = Enclosed(r - q)
+        cable = Catenary.between(Enclosed(q).middle, Enclosed(r).middle, length)
+        return cls(q, offset, length, cable, steepness_of(offset, length))
+
+    def places(self, *distances: float) -> Array:
+        """Return parameters μ (links + 1, spans) of a chain's points.
+
+        ``distances`` [m] from the start, along the cable, are among them.
+        """
+        spans = len(self.length)
+        by_length = np.linspace(0.0, 1.0, BY_LENGTH + 1)[:, None]
+        further = [np.minimum(x / self.length, 1.0)[None] for x in distances]
+        by_length = np.concatenate([np.broadcast_to(by_length, (len(by_length), spans)), *further])
+        by_place = (np.arange(BY_PLACE) + 0.5)[:, None] * (2.0 / BY_PLACE) - 1.0
+        evenly = np.broadcast_to(by_place, (BY_PLACE, spans))
+        return np.sort(np.concatenate([self.cable.parameter(by_length), evenly]), axis=0)
+
+    def chain(self, mu: Array) -> tuple[Array, Array]:
+        """Return points and bounds as ``chains``, at parameters μ (links + 1, spans)."""
+        cable, offset, length = self.cable, self.offset, self.length
+        level, skew = depth_terms(cable.sigma, mu)
+        fraction = (0.5 * (1.0 + mu)).T[..., None, None]
+        points = self.start[:, None] + fraction * offset.c[:, None]
+        points[:, :, 2] -= (length * level).T[..., None] + skew.T[..., None] * offset.c[:, None, 2]
+        drift = np.maximum(self.sigma.high - cable.sigma, cable.sigma - self.sigma.low)
+        height = np.max(np.abs(offset.c[:, 2]), axis=-1)
+        # In units of Λ / 2 sinh σ, it is a hyperbolic cosine, farthest from a parallel link.
+        x = np.maximum(cable.sigma, SERIES_LIMIT)
+        y = mu * x + np.arcsinh(cable.tilt)
+        slope = np.diff(np.cosh(y), axis=0) / np.maximum(np.diff(y, axis=0), 1e-12)
+        parallel = np.clip(np.arcsinh(slope), y[:-1], y[1:])
+        bend = np.cosh(y[:-1]) + slope * (parallel - y[:-1]) - np.cosh(parallel)
+        bend *= 0.5 * level_length(cable.rise, length) / np.sinh(x)
+        errors = np.maximum(bend, 0.0) + ROUNDING * length + 0.25 * (length + height) * drift
+        return points, errors.T
+
+    def leads_away(self, mu: Array, distance: float) -> Flags:
+        """Return which links (spans, links) lead down from the start, or begin near it, throughout.
+
+        Near is up to a ``distance`` [m] along the cable.
+
+        With σ the steepness and h the rise, the slope at μ is ``sinh(μ σ + artanh(h / L))``, and
+        the length from the start is ``½ L (1 + sinh μσ / sinh σ) - ½ h (cosh σ - cosh μσ) / sinh
+        σ``. Both fractions are monotone in σ.
+        """
+        rise, ends = self.offset[2].range, list[tuple[Array, Array, Array]]()
+        for sigma in (self.sigma.low, self.sigma.high):
+            x = np.maximum(sigma, SERIES_LIMIT)
+            odd, even = np.sinh(mu * x) / np.sinh(x), (np.cosh(x) - np.cosh(mu * x)) / np.sinh(x)
+            ends.append((mu * x, odd, even))
+        tilt = np.arctanh(rise.high / self.length)
+        descending = np.maximum(ends[0][0], ends[1][0]) + tilt <= 0.0
+        x, h = np.maximum(self.cable.sigma, SERIES_LIMIT), self.cable.rise
+        middle = self.length * (1.0 + np.sinh(mu * x) / np.sinh(x))
+        middle = 0.5 * (middle - h * (np.cosh(x) - np.cosh(mu * x)) / np.sinh(x))
+        odd = np.maximum(ends[0][1], ends[1][1])
+        down = np.maximum.reduce([-h * e[2] for e in ends for h in (rise.low, rise.high)])
+        near = 0.5 * (self.length * (1.0 + odd) + down) <= distance
+        near &= middle <= OWN_SHARE * distance * (1.0 + ROUNDING_SHARE)
+        return np.asarray((descending | near)[1:].T)
 
 
 def split_long_pieces(drones: PiecewisePolynomial) -> PiecewisePolynomial:
@@ -309,6 +367,39 @@ def cables_and_drones(motion: Motion) -> Moving:
     )
 
 
+OWN_DISTANCES = 2.0
+"""Distance along a cable from its drone, over ``separation.cable``, from which on it counts there
+where it rises again. Errors of drones add to that limit."""
+
+
+def own_cable_distance(motion: Motion) -> float:
+    """Return the distance along cables from which on they count for their own drones [m]."""
+    requirements = motion.requirements
+    limit = DISTANCES["cable_clearance"].limit(requirements.separation)
+    return OWN_DISTANCES * (limit + 2.0 * requirements.limits.tube.level)
+
+
+def drones_and_own_cables(motion: Motion) -> Moving:
+    """Return the pairs of drones and their own hanging cables, where these rise again.
+
+    The part that leads down from a drone never comes back to it.
+    """
+    drones = split_long_pieces(motion.drones)
+    others = np.arange(motion.team.drones) ^ 1
+    c, names = drones.coefficients, cable_names(motion)
+    return Moving(
+        drones.breaks,
+        np.stack([c, c[:, others]], axis=2),
+        c[:, :, None],
+        position_margin(motion),
+        matched=True,
+        lengths=np.repeat(motion.team.cable_length, 2),
+        names=([names[k // 2] for k in range(motion.team.drones)], motion.team.drone_names),
+        formula=partial(chain_distance, own=own_cable_distance(motion)),
+        tolerance=CHAIN_TOLERANCE,
+    )
+
+
 def cables_and_ground(motion: Motion) -> Moving:
     """Return the pairs of hanging cables and the ground.
 
@@ -322,10 +413,16 @@ def cables_and_ground(motion: Motion) -> Moving:
     return replace(cables, second=nowhere, names=names, allowed=None, shape=ground)
 
 
-def chain_distance(spans: PairSpans, shape: Shape | None = None) -> Bound:
-    """Return the distances of hanging cables from points, or from a half-space [m]."""
+def chain_distance(spans: PairSpans, shape: Shape | None = None, own: float = 0.0) -> Bound:
+    """Return the distances of hanging cables from points, or from a half-space [m].
+
+    With ``own``, points are the cables' starts, and only links count that rise beyond that distance
+    along them [m].
+    """
     (ends, point), shape = spans.ends, shape or spans.source.shape
-    points, errors = chains(ends[:, 0], ends[:, 1], spans.lengths)
+    hanging = Hanging.between(ends[:, 0], ends[:, 1], spans.lengths)
+    mu = hanging.places(*([OWN_SHARE * own] if own else []))
+    points, errors = hanging.chain(mu)
     offsets = points - point  # (spans, links + 1, 3, degree + 1)
     if (ratio := spans.source.height_ratio) != 1.0:
         offsets[:, :, 2] /= ratio
@@ -334,6 +431,8 @@ def chain_distance(spans: PairSpans, shape: Shape | None = None) -> Bound:
     along = shape.normals(np.stack([middle[:, :-1], middle[:, 1:]], axis=2))
     first, last = (np.einsum("sld,sldi->sli", along, c) for c in (offsets[:, :-1], offsets[:, 1:]))
     distances = np.minimum(first, last) - (errors + shape.support(along))[..., None]
+    if own:
+        distances[hanging.leads_away(mu, own)] = np.inf
     lower = Enclosed(np.min(distances, axis=1, keepdims=True), spans.source.margin).lower
     return Bound(np.maximum(lower.value, 0.0), lower.x)
 
@@ -396,13 +495,14 @@ def _drones_and_drawn(motion: Motion) -> Iterator[Moving]:
 
 
 def _drones_and_hanging(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of hanging cables and other cables' drones or the ground.
+    """Yield pairs of hanging cables and drones, those of other cables and their own, or the ground.
 
     Phases are searched separately: a search stops within millimetres, so its result depends on the
     time span.
     """
     for part in phase_parts(motion):
         yield cables_and_drones(part.motion)
+        yield drones_and_own_cables(part.motion)
         yield cables_and_ground(part.motion)
 
 

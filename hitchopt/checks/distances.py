@@ -186,6 +186,7 @@ class Moving:
     margin: float = 0.0  # rounding error, subtracted from distances [m]
     # predicate of pairs (first, second) that count; None for all
     allowed: Callable[[Indices, Indices], Flags] | None = None
+    matched: bool = False  # whether only pairs of bodies with the same number count
     shape: Shape = ORIGIN  # body from which differences of two positions keep a distance
     # (pieces, bodies), pieces on which the first group counts; None for all
     active: Flags | None = None
@@ -266,6 +267,8 @@ class Moving:
     @property
     def pairs(self) -> Pairs | None:
         """All pairs that count; None if there are too many to list."""
+        if self.matched:
+            return self.select(*np.tile(np.arange(self.count), (2, 1)))
         total = self.first.shape[1] * self.count
         return None if total > MAX_LISTED else self.select(*np.divmod(np.arange(total), self.count))
 

@@ -212,6 +212,8 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
         lowest = float(np.min(points[..., 2])) - (0.0 if arena is None else arena.lower[2])
     each = np.arange(s.team.drones)
     apart[:, each, each // 2] = math.inf
+    if state not in {CableState.GROUND, CableState.DRAWN}:
+        lowest = min(lowest, own_cable_distance(s.motion, few))
     i, j = np.triu_indices(s.n, 1)
     if state in {CableState.CLASPING, CableState.TIGHTENING}:
         held = (j - i == 1) | ((i == 0) & (j == s.n - 1) & (len(s.clasps) == s.n))
@@ -235,6 +237,25 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
         "crossing": float(np.min(crossing, initial=math.inf)),
         "span": float(np.max(spans)),
     }
+
+
+def own_cable_distance(motion: Motion, drones: Array, count: int = 401) -> float:
+    """Return the smallest distance of drones (times, 2n, 3) from their own hanging cables.
+
+    These count where they rise again, from twice the distance of cables on.
+    """
+    spec, length = motion.requirements, motion.team.cable_length
+    start = 2.0 * spec.separation.cable + 4.0 * spec.limits.tube.level
+    points = cable_points(length, drones, count)
+    smallest = math.inf
+    for end, ordered in enumerate((points, points[:, :, ::-1])):
+        own = drones[:, end::2]
+        gaps = np.linalg.norm(ordered - own[:, :, None], axis=-1)
+        along = np.linspace(0.0, 1.0, count) * length[:, None]
+        rising = np.diff(ordered[..., 2], axis=-1) > 0.0
+        counted = rising & (along[:, 1:] >= start)
+        smallest = min(smallest, float(np.min(np.where(counted, gaps[..., 1:], math.inf))))
+    return smallest
 
 
 def clasped_outlines(s: Samples, state: CableState) -> Array:
