@@ -26,7 +26,15 @@ from hitchopt.lab.simulation.control import (
 )
 from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.ropes import Ropes, clasped, hanging
-from hitchopt.lab.simulation.settings import ACCURATE, CALM, INDOOR, Perturbations, Preset, Settings
+from hitchopt.lab.simulation.settings import (
+    ACCURATE,
+    CALM,
+    FAST,
+    INDOOR,
+    Perturbations,
+    Preset,
+    Settings,
+)
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, World, check_valid
 from hitchopt.values import Array
 
@@ -243,6 +251,16 @@ def test_invalid_states_end_the_run_without_output(
     assert (caught.value.where, caught.value.time) == (where, 0.25)
     assert list(place.iterdir()) == []
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("preset", [FAST, ACCURATE])
+def test_an_invalid_run_names_no_preset_that_it_uses(preset: Preset) -> None:
+    world = hanging_cables(preset=preset)
+    world.place([world.cables[0].copy(), world.cables[0] + [0.0, 0.5 * preset.diameter, 0.0]])
+    world.step()
+    with pytest.raises(worlds.InvalidRunError, match="a higher --density") as caught:
+        check_valid(world, 0.25)
+    assert ("--preset accurate" in str(caught.value)) == (preset is FAST)
 
 
 @pytest.mark.slow

@@ -72,6 +72,8 @@ LOOSE_CHANGES, TAUT_CHANGES = (0.8, 1.05), (0.95, 1.002)
 # may pass through each other
 MAX_STRAIN, MAX_PENETRATION = 0.02, 0.3
 
+FINER = "--preset accurate or a higher --density"  # Remedies of coarse ropes
+
 
 @dataclass(frozen=True, eq=False)
 class RigidBodies:
@@ -217,19 +219,24 @@ class InvalidRunError(HitchoptError):
     """A simulation left its valid range at a time [s].
 
     The quantity is ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
+    The remedy is not the preset that is used.
     """
 
-    def __init__(self, quantity: str, broken: str, time: float, where: str) -> None:
+    def __init__(
+        self, quantity: str, broken: str, time: float, where: str, *, exact: bool = False
+    ) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        words = "ropes may have passed each other; take --preset accurate or a higher --density"
+        remedy = "take a higher --density" if exact else f"take {FINER}"
+        words = f"ropes may have passed each other; {remedy}"
         super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
 
 
 def check_valid(world: World, time: float) -> None:
     """Raise InvalidRunError if the step up to a time [s] of the flight is invalid."""
     data, ropes = world.data, world.ropes
+    exact = ropes.preset.exact
     if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
-        raise InvalidRunError("state", "its state is no longer finite", time, "all")
+        raise InvalidRunError("state", "its state is no longer finite", time, "all", exact=exact)
     substeps = ropes.preset.time_step / world.model.opt.timestep
     strains = np.abs(data.flexedge_length / world.model.flexedge_length0 - 1.0)
     between = np.all(data.contact.flex >= 0, axis=1)
@@ -245,7 +252,7 @@ def check_valid(world: World, time: float) -> None:
             )
             where = " and ".join(world.cable_names[k] for k in cables)
             excess = f"{quantity} of {values[worst]:.4g} {unit} is beyond {limit:.4g} {unit}"
-            raise InvalidRunError(quantity, f"{excess} at {where}", time, where)
+            raise InvalidRunError(quantity, f"{excess} at {where}", time, where, exact=exact)
 
 
 def _describe(world: World) -> str:
