@@ -74,6 +74,10 @@ STEP_TOLERANCE, COARSE_STEP_TOLERANCE = 1e-9, 1e-5
 """[m] Largest change of a leg in the last iteration: by default, and if the first split with the
 margin suffices, since smaller steps do not increase the margin noticeably."""
 
+MAX_CYCLE, CYCLE_STEP = 4, 1e-3
+"""Iterations without improvement of merit after which the search cycles, and its smallest step [m].
+Level legs that cross each other make it cycle."""
+
 ROLL_CANDIDATES = tuple(
     math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 )
@@ -163,7 +167,7 @@ class LegTask:
             return best
         for fractions in self._uneven_fractions:
             split = bodies.refined(fractions * self.slack, first)
-            if self._merit(split) < (1.0 - MIN_GAIN) * self._merit(best):
+            if self.merit(split) < (1.0 - MIN_GAIN) * self.merit(best):
                 best = split
             if first and self._kept_by(best):
                 break
@@ -176,7 +180,7 @@ class LegTask:
     def reference_margins(self) -> Array:
         """Return the smallest margin (J,) of the reference on every polygon."""
         bodies = LegBodies(self, (self.reference,))
-        return bodies.margins(bodies.ends[-1])
+        return bodies.margins(bodies.offsets(bodies.ends[-1]))
 
     @property
     def _uneven_fractions(self) -> Array:
@@ -197,7 +201,8 @@ class LegTask:
     def _kept_by(self, split: LegLengths) -> bool:
         return split.margin >= self.largest_margin * (1.0 - 1e-9)
 
-    def _merit(self, split: LegLengths) -> float:
+    def merit(self, split: LegLengths) -> float:
+        """Return the penalized deviation [m²], which repeated approximation decreases."""
         deficit = max(0.0, self.largest_margin - split.margin)
         penalty = PENALTY * self.team.robots * (deficit if deficit > 1e-7 else 0.0)
         return penalty + 0.5 * split.deviation
@@ -220,7 +225,7 @@ class LegTask:
             of_reference = subtask.least_roll(sign)
             scaled = None if of_reference is None else (RESPLIT_RATIO * abs(of_reference),)
             candidates = scaled or RESPLIT_CANDIDATES
-            of_split = subtask.least_roll(sign, lambda task: task.split().margin, candidates, 3)
+            of_split = subtask.least_roll(sign, _margin_near_reference, candidates, 3)
             roll = of_reference if of_split is None else of_split
             if roll is not None:
                 return replace(subtask, roll=roll).split(), roll
@@ -269,6 +274,12 @@ class LegTask:
         bend = sp.kron(second, sp.eye_array(n)) @ fractions
         rough = sp.block_diag([self.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
         return sp.csc_array(diagonal + rough)
+
+
+def _margin_near_reference(task: LegTask) -> float:
+    """Return the margin of the leg lengths found from the reference, at most the task's."""
+    bodies = LegBodies(task, (*task.bounds, np.clip(task.reference, *task.bounds)))
+    return bodies.refined(task.reference, first=True).margin
 
 
 @dataclass(frozen=True, eq=False)
@@ -379,18 +390,18 @@ class LegBodies:
         scale = scales_of(self.task.requirements)[:, : nodes.shape[-1]]
         return shortest_offset(between * scale[kind][:, None])
 
-    def margins(self, nodes: Array) -> Array:
+    def margins(self, offsets: Array) -> Array:
         """Return the smallest distance over its limit (J,), relative to the margins of the knots.
 
         Crossings at their margin do not count.
 
         Parameters
         ----------
-        nodes: (J·count, 2 or 3) [m], positions of the nodes.
+        offsets: (pairs, 2 or 3) [m], of all pairs, heights scaled.
         """
         task, (frame, _, _, kind) = self.task, self.pairs
         limits = limits_of(task.requirements.separation)[kind]
-        ratios = length(self.offsets(nodes)) / limits
+        ratios = length(offsets) / limits
         crossing_margins = task.margins[CROSSING, frame] * (1.0 - 1e-9)
         inactive = (kind == CROSSING) & (ratios >= crossing_margins)
         relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, frame]
@@ -398,7 +409,7 @@ class LegBodies:
         np.minimum.at(smallest, frame, relative)
         return task.largest_margin * smallest
 
-    def program(self, d: Array) -> QuadraticProgram:
+    def program(self, d: Array, nodes: Array, offsets: Array) -> QuadraticProgram:
         """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
 
         For a pair of bodies and any unit vector ν, the smallest ``ν·(a - b)`` over their ends is a
@@ -406,12 +417,17 @@ class LegBodies:
         from which ν is computed. One slack belongs to the distances of drones, the other one to
         crossings and walls, so that infeasible crossings or walls leave the distances of drones
         determined.
+
+        Parameters
+        ----------
+        d: (J, n) [m], leg lengths.
+        nodes, offsets: (J·count, 2 or 3) and (pairs, 2 or 3) [m], at these lengths.
         """
         task, size, variable = self.task, d.size + 2, self.variable.reshape(-1)
-        (base, slope), nodes, dimensions = self.lines(d), self.nodes(d), self.points.shape[-1]
+        (base, slope), dimensions = self.lines(d), self.points.shape[-1]
         frame, first, second, kind = self.pairs
         middles = nodes[first].mean(axis=1) - nodes[second].mean(axis=1)
-        normal = unit(self.offsets(nodes), unit(middles, EAST[:dimensions]), 1e-9)
+        normal = unit(offsets, unit(middles, EAST[:dimensions]), 1e-9)
         pair, a, b = end_combinations(kind, first, second)
         kind = kind[pair]
         limit = limits_of(task.requirements.separation)[kind]
@@ -455,7 +471,7 @@ class LegBodies:
         start, nodes = self.lengths[-1], self.ends[-1]
         if task.roughness > 0.0 or not np.array_equal(start, task.reference):
             return None
-        margin, drones = float(np.min(self.margins(nodes))), nodes[self.drones, :2]
+        margin, drones = float(np.min(self.margins(self.offsets(nodes)))), nodes[self.drones, :2]
         if margin < task.largest_margin or (
             arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
         ):
@@ -465,21 +481,37 @@ class LegBodies:
     def refined(self, start: Array, first: bool) -> LegLengths:
         """Return the limit of repeated convex approximation from ``start``.
 
-        With ``first`` return the first iterate that keeps the margin.
+        With ``first`` return the first iterate that keeps the margin. The repetition ends if it
+        cycles: if steps are not small, and the merit has not improved for several iterations.
         """
         task = self.task
-        d = np.clip(start, *task.bounds)
+        enough = task.largest_margin * (1.0 - 1e-9)
         tolerance = COARSE_STEP_TOLERANCE if first else STEP_TOLERANCE
+        d = np.clip(start, *task.bounds)
+        nodes = self.nodes(d)
+        offsets = self.offsets(nodes)
+        split = self._split(d, offsets)
+        best, since_best = math.inf, 0
         for _ in range(MAX_POLYGON_ITERATIONS if len(d) == 1 else MAX_PATH_ITERATIONS):
             check_time()
-            x = solve_qp(self.program(d))
+            x = solve_qp(self.program(d, nodes, offsets))
             if x is None:
                 break
             before, d = d, x[: d.size].reshape(d.shape)
-            if float(np.max(np.abs(d - before))) < tolerance:
+            nodes = self.nodes(d)
+            offsets = self.offsets(nodes)
+            split = self._split(d, offsets)
+            step = float(np.max(np.abs(d - before)))
+            if step < tolerance or (first and split.margin >= enough):
                 break
-            enough = task.largest_margin * (1.0 - 1e-9)
-            if first and np.min(self.margins(self.nodes(d))) >= enough:
+            merit = task.merit(split)
+            since_best = 0 if merit < (1.0 - MIN_GAIN) * best else since_best + 1
+            best = min(best, merit)
+            if since_best >= MAX_CYCLE and (first or step > CYCLE_STEP):
                 break
-        margin = float(np.min(self.margins(self.nodes(d))))
-        return LegLengths(d, margin, float(np.sum((d - task.reference) ** 2)))
+        return split
+
+    def _split(self, d: Array, offsets: Array) -> LegLengths:
+        """Return leg lengths (J, n) [m] with their margin and deviation."""
+        deviation = float(np.sum((d - self.task.reference) ** 2))
+        return LegLengths(d, float(np.min(self.margins(offsets))), deviation)
