@@ -16,6 +16,7 @@ import numpy as np
 
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
+from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.flight_controller import MIN_TRACKING, Tube, stiffest_gains
@@ -24,6 +25,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.steps.carrying import TransportObject
+from hitchopt.steps.moving import ShapeStep
 from hitchopt.steps.step import (
     DECIMALS,
     PLAN_DURATION,
@@ -486,6 +488,61 @@ def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
             key, old = f"arena.{side}[{axis}]", float(getattr(arena, side)[axis])
             min_size = excess / extent
             yield Knob(key, old, "m", move_wall, sign, covers, "one wall", extent, min_size)
+
+
+TRIED_ROLLS = (15, 30)
+"""[deg] Rolls of legs at an end that suggestions try."""
+
+VERTEX_SHIFTS = (0.1, 0.25)
+"""Shifts of a vertex of a goal outward that suggestions try, over its distance to the centroid."""
+
+
+def roll_changes(problem: Problem) -> Iterator[Change]:
+    """Yield changes to rolled legs at the start, and after steps that change the polygon."""
+    records: list[tuple[str, object]] = [
+        (f"mission[{i}].{step.name}", step)
+        for i, step in enumerate(problem.mission)
+        if isinstance(step, ShapeStep)
+    ]
+    if isinstance(problem.start, HitchStart):
+        records.append(("start.hitch", problem.start))
+    for roll in TRIED_ROLLS:
+        for place, record in records:
+            legs: Any = getattr(record, "legs", None)
+            if isinstance(legs, RolledLegs) and legs.roll is not None:
+                continue
+            edits = (Edit(f"{place}.legs", {"sharing": "spread", "roll_deg": roll}),)
+            old = legs if isinstance(legs, str) else "as they are"
+            new, changed = f"spread with roll_deg: {roll}", with_edits(problem, edits)
+            yield Change(edits[0].key, "", old, new, "", 0.0, changed, edits)
+
+
+def vertex_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
+    """Yield changes of a vertex of a goal that moves outward, next to the bodies that are close."""
+    robots = problem.team.robots
+    names = " ".join(name for each in violations for name in each.where)
+    cables = dict.fromkeys(int(number) for number in re.findall(r"\d+", names))
+    ends = {"p": (0,), "q": (0,), "r": (1,)}
+    bodies = re.findall(r"([pqr])(\d+)", names)
+    vertices = [(int(k) + offset) % robots for kind, k in bodies for offset in ends[kind]]
+    vertices += [(k + offset) % robots for k in cables for offset in (0, 1)]
+    for i, step in enumerate(problem.mission):
+        outline: Outline | None = vars(step).get("polygon")
+        if outline is None or not isinstance(step, ShapeStep):
+            continue
+        for shift in VERTEX_SHIFTS:
+            for vertex in dict.fromkeys(k for k in vertices if k < len(outline)):
+                points = outline.vertices.copy()
+                points[vertex] += shift * (points[vertex] - outline.centroid)
+                points[vertex] = np.round(points[vertex], 3)
+                edits = _in_step(problem, i, (Edit("polygon", points.tolist()),))
+                try:
+                    changed = with_edits(problem, edits)
+                except InputError:  # not convex
+                    continue
+                key = f"{edits[0].key}[{vertex}]"
+                old, new = (str(each[vertex].tolist()) for each in (outline.vertices, points))
+                yield Change(key, "", old, new, "", 0.0, changed, edits)
 
 
 def spread_changes(problem: Problem) -> Iterator[Change]:

@@ -7,6 +7,7 @@ part of the violations, and repairs the rest in the same way.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
 import time
@@ -21,6 +22,7 @@ import numpy as np
 from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
+    InputError,
     OneLine,
     Progress,
     TimeIsUp,
@@ -38,8 +40,10 @@ from hitchopt.mission.changes import (
     detour_changes,
     knobs_of,
     retuning_changes,
+    roll_changes,
     size_of,
     spread_changes,
+    vertex_changes,
 )
 from hitchopt.mission.problem import Problem
 from hitchopt.mission.solving import UNPLANNED, solve_problem
@@ -51,6 +55,7 @@ from hitchopt.planners.fitting import (
     shortest_cable,
 )
 from hitchopt.steps.carrying import OBSTACLE_CHECKS
+from hitchopt.steps.certified_motions import BEST_ROUTE
 from hitchopt.steps.step import Knob
 from hitchopt.steps.tying import Form
 
@@ -74,6 +79,11 @@ MAX_ROUNDS = 2 * MAX_CHANGES
 """Maximum number of changes in one suggestion if several changes of one quantity count each."""
 
 PULL_SHARE = 0.9  # Largest tension of suggestions over the largest level pull, as motion needs more
+
+ROUTE_BUDGET = 12.0  # The same where each plan needs a search for routes [s]
+
+ROUTE_SIZES = (0.05, 0.2, 0.5)
+"""Relative sizes of changes that are tried with the optimiser, where no route was found."""
 
 BETWEEN = (0.25, 0.5, 0.75)
 """Shares of the straight path between two polygons at which legs are separated as well."""
@@ -208,6 +218,8 @@ class _Search:
         changed, max_changes = self._already_changed, self._max_changes
         knobs = [x for x in knobs_of(problem, error.violations) if max_changes or x.key in changed]
         sufficient = [knob for knob in knobs if broken <= knob.covers]
+        if any(BEST_ROUTE in each.when for each in error.violations):
+            return _smallest(self._rerouted(sufficient))
         changes = list[Change]()
         if max_changes and broken <= SPACE_CHECKS | {"crossing", "arena"}:
             changes += spread_changes(problem)
@@ -228,6 +240,25 @@ class _Search:
         if not suggestions and max_changes > (0 if changed else 1):
             suggestions = self._combinations(knobs)
         return _smallest(suggestions)
+
+    def _rerouted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
+        """Return suggestions with which the optimiser finds a route, one per quantity."""
+        problem, violations = self._problem, self._error.violations
+        self._end = min(self._end, time.monotonic() + ROUTE_BUDGET)
+        changes: list[Change | None] = [change_of(problem, knob, ROUTE_SIZES[0]) for knob in knobs]
+        changes += roll_changes(problem)
+        changes += vertex_changes(problem, violations)
+        changes += [change_of(problem, knob, size) for size in ROUTE_SIZES[1:] for knob in knobs]
+        suggestions = dict[str, Suggestion]()
+        for change in changes:
+            if change is None or change.key in suggestions:
+                continue
+            verdict = self._verdict_of(change, optimiser=True)
+            if isinstance(verdict, Suggestion):
+                suggestions[change.key] = verdict
+            if verdict is None or len(suggestions) >= MAX_SUGGESTIONS:
+                break
+        return [*suggestions.values()]
 
     def _fitted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
         """Return suggestions of cable lengths and tensions that statics suggest.
@@ -390,8 +421,8 @@ def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob
 def fitting_cables(problem: Problem) -> list[float]:
     """Return lengths of the longest cable [m] that fit the problem's polygons and held objects.
 
-    Legs are separated on all polygons of the file, those on the straight path between them and
-    those below rims. For objects to be gripped, only the lengths that grip them are returned.
+    Legs are separated on all polygons of the file, convex ones on the straight path between them
+    and those below rims. For objects to be gripped, only the lengths that grip them are returned.
     """
     mission, team = problem.teams[""], problem.team
     requirements, outline = mission.requirements.with_reserve, mission.start_outline
@@ -401,8 +432,7 @@ def fitting_cables(problem: Problem) -> list[float]:
     for step in mission.steps:
         after = step.checked_polygon_after(team, outline)
         if outline and after and not isinstance(step, Form) and vars(step).get("polygon"):
-            ends = outline.vertices, after.vertices
-            outlines += [type(after)((1.0 - s) * ends[0] + s * ends[1]) for s in BETWEEN]
+            outlines += _outlines_between(outline, after)
         outlines += [after] if after else []
         outline = after
     for name in dict.fromkeys(vars(step).get("object", "") for step in mission.steps):
@@ -413,6 +443,16 @@ def fitting_cables(problem: Problem) -> list[float]:
     if outlines and not lengths:
         lengths += separating_cables(outlines, requirements, team)
     return lengths
+
+
+def _outlines_between(first: Outline, last: Outline) -> list[Outline]:
+    """Return the convex outlines on the straight path between two, at the shares BETWEEN."""
+    outlines = list[Outline]()
+    for share in BETWEEN:
+        points = (1.0 - share) * first.vertices + share * last.vertices
+        with contextlib.suppress(InputError):
+            outlines.append(type(last)(points))
+    return outlines
 
 
 def _cables_around(problem: Problem, name: str) -> tuple[list[Outline], list[float]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,6 +27,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
     from hitchopt.planners.morph.path import ShapePath
+    from hitchopt.planners.optimise.knots import KnotPath
 
 LEVEL_TOLERANCE = 1e-3
 """Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
@@ -202,6 +204,7 @@ def _nearest(
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
 DIRECT_TOO_SLOW = "the step's own route takes longer"
+BEST_ROUTE = "the best route tried"
 FASTER = "faster than the step's own route"
 
 
@@ -226,7 +229,7 @@ def optimised_plan(
     allow_slides: also try legs that lead and lag.
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
-    from hitchopt.planners.optimise.search import OptimisedMorph
+    from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
     from hitchopt.planners.timing.flight import check_duration, fly, in_duration
 
     start, requirements = task.hitch, task.requirements
@@ -253,7 +256,10 @@ def optimised_plan(
         return None
 
     morph = OptimisedMorph(start, end, requirements, certified_motion, phase.tension, straight)
-    candidates = morph.solve()
+    try:
+        candidates = morph.solve()
+    except NoRouteError as error:
+        return _flown_along(error.best, requirements, plan_of)
     if not candidates:
         raise HitchoptError("no route was found")
     best, name = candidates[0].motion, candidates[0].name
@@ -268,6 +274,41 @@ def optimised_plan(
     return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
 
 
+def _flown_along(
+    knots: KnotPath, requirements: Requirements, plan_of: Callable[[Motion], StepPlan]
+) -> StepPlan:
+    """Return the plan along the best route that was tried.
+
+    Raises InfeasibleError with the limits that it breaks, and where along the route.
+    """
+    from hitchopt.planners.morph.morph import check_loads, check_shapes
+    from hitchopt.planners.timing.flight import fly
+
+    path, route = knots.path, f"along {BEST_ROUTE} ({knots.name})"
+    try:
+        check_shapes(path)
+        check_loads(path, requirements.limits)
+    except InfeasibleError as error:
+        violations = [
+            replace(each, when=re.sub(r"of the path( on)?", route, each.when))
+            for each in error.violations
+        ]
+        raise InfeasibleError(violations, error.note) from None
+    plan = plan_of(fly(path, requirements))
+    if plan.certificate.certified:
+        return plan
+    motion, violated = plan.motion, plan.certificate.violated
+    step = motion.phases[0]
+    places = [
+        f"at {check.time / motion.duration:.0%} {route}, in step {step.step} ({step.name})"
+        for check in violated
+    ]
+    unplaced = infeasible_error(plan.certificate, motion).violations
+    raise InfeasibleError(
+        [replace(each, when=place) for each, place in zip(unplaced, places, strict=True)]
+    )
+
+
 def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
     """Return one error for two infeasible routes; a route that is only too slow has priority."""
 
@@ -279,9 +320,14 @@ def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> 
     errors = [error for error in (direct, other) if isinstance(error, InfeasibleError)]
     if not errors:
         return direct
-    first = min(errors, key=min_duration)  # the direct route's if neither is only too slow
+    first = min(errors, key=min_duration)
+    if min_duration(first) == math.inf:
+        first = errors[-1]  # that of the best other route, if any limit of it is known
     if first is not direct and isinstance(direct, InfeasibleError):
-        note = DIRECT_INFEASIBLE if min_duration(direct) == math.inf else DIRECT_TOO_SLOW
+        note = DIRECT_TOO_SLOW
+        if min_duration(direct) == math.inf:
+            broken = replace(direct.violations[0], remedy="")
+            note = f"{DIRECT_INFEASIBLE}: {str(broken).rstrip('; ')}"
     return InfeasibleError(first.violations, first.note or note)
 
 

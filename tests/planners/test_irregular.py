@@ -59,6 +59,17 @@ def test_legs_roll_between_where_no_level_route_was_found(tmp_path: Path) -> Non
     assert is_proven(plan, tmp_path)
 
 
+def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
+    """Thrust suffices at the ends, whose legs are level, but not for legs that roll between."""
+    weak = ho.Quadrotor(0.132, 1.42)
+    team = ho.Team(PAIRS[13]["n"], PAIRS[13]["cable_length"], quadrotor=weak)
+    start = ho.Hitch.spread(team, PAIRS[13]["start"], 1.5)
+    with pytest.raises(ho.InfeasibleError, match=r"thrust: .* N at q\d at .*\d%") as caught:
+        ho.morph(start, PAIRS[13]["goal"])
+    assert "along the best route tried (edges turned" in caught.value.violations[0].when
+    assert "the step's own route is infeasible: convexity" in caught.value.note
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("index", range(len(PAIRS)))
 def test_all_pairs_are_planned_certified_and_proven(index: int, tmp_path: Path) -> None:

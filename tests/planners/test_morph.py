@@ -297,7 +297,8 @@ def test_the_optimizer_ends_at_the_limit_of_its_effort(monkeypatch: pytest.Monke
     monkeypatch.setattr(program, "solve_qp", counted)
     monkeypatch.setattr(search, "MAX_EFFORT", 30.0)
     start, end = ends(Team(4, 4.0), SQUARE, SQUARE.rotated(0.5))
-    assert OptimisedMorph(start, end, FREE, lambda _: None).solve() == []
+    with pytest.raises(search.NoRouteError, match="the best one tried: edges turned"):
+        OptimisedMorph(start, end, FREE, lambda _: None).solve()
     limit = 30.0 * 4 * 7  # robots and inner knots
     rolled = 30.0 * 4 * 15  # of each guess with roll
     assert limit < sum(costs) <= limit + search.MAX_ROLLED * rolled

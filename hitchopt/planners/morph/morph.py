@@ -92,7 +92,7 @@ def check_shapes(path: Path) -> None:
         first = int(np.argmax(angles[:, k] < MIN_ANGLE))
         smallest, limit = (math.degrees(float(x)) for x in (np.min(angles), MIN_ANGLE))
         where, when = (f"p{layout.clasps[k]}",), f"from {s[first]:.0%} of the path on"
-        remedy = "the straight path is blocked: go by a polygon in between, in two morphs"
+        remedy = "move the vertex outward at an end, or turn the polygon by less"
         raise InfeasibleError(
             [Violation("convexity", smallest, limit, "min", "deg", where, when, remedy)]
         )

@@ -242,6 +242,8 @@ class SearchLimits:
     end_margins: tuple[float, float]  # margins of distances of the first and last hitch
     margin: float = 1.02  # enforced margin of distances at the knots
     effort: Effort = field(default_factory=Effort)  # of all programs of the search
+    # refined paths that break a limit, for the diagnosis
+    rejected: list[KnotPath] = field(default_factory=list)
 
     def margins(self, steps: int, indices: Array) -> Array:
         """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError
+from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
@@ -131,9 +131,17 @@ class Candidate:
     motion: Motion
 
 
+class NoRouteError(HitchoptError):
+    """No guess led to a motion; ``best`` is the path with the largest margin of distances."""
+
+    def __init__(self, best: KnotPath) -> None:
+        self.best = best
+        super().__init__(f"no route was found; the best one tried: {best.name}")
+
+
 @dataclass(frozen=True, eq=False)
 class OptimisedMorph:
-    """A planner of morphs along optimized paths; there are none for chains.
+    """A planner of morphs along optimized paths; those of chains are guesses as they are.
 
     If the straight path is feasible, it is the first candidate, and the search is limited to what
     can be faster.
@@ -186,17 +194,20 @@ class OptimisedMorph:
 
         Guesses are optimized in the order of their estimated durations; on ties, turning edges
         precede turning polygons. Optimized paths that equal earlier ones are skipped, and the
-        search ends if no path can be faster by MIN_GAIN.
+        search ends if no path can be faster by MIN_GAIN. Raises NoRouteError if there is none.
         """
         motion = None if self.straight is None else _judged(self.straight, self.judge)
         candidates = [] if motion is None else [Candidate("", motion)]
+        rejected: list[KnotPath] = []
         if self.start.team.layout.closed:
-            candidates += self._optimised(motion)
+            candidates += self._optimised(motion, rejected)
         if not candidates:
-            candidates += self._rolled()
+            candidates += self._rolled(rejected)
+        if not candidates and rejected:
+            raise NoRouteError(_most_feasible(rejected, self.requirements))
         return sorted(candidates, key=lambda candidate: candidate.motion.duration)
 
-    def _optimised(self, straight: Motion | None) -> list[Candidate]:
+    def _optimised(self, straight: Motion | None, rejected: list[KnotPath]) -> list[Candidate]:
         """Return the motions along optimized guesses that may be faster than the straight one."""
         fastest = math.inf if straight is None else straight.duration
         if self.min_duration > (1.0 - MIN_GAIN) * fastest:
@@ -218,15 +229,22 @@ class OptimisedMorph:
             estimates = np.array(flight_estimates(smooth, self.requirements.limits))
         order = np.argsort(estimates, kind="stable")
         guesses = [paths[k].with_perturbed_legs(LEG_PERTURBATION) for k in order]
-        return self._near(guesses, estimates[order], self._limits(max_effort), fastest)
+        search = self._limits(max_effort, rejected)
+        return self._near(guesses, estimates[order], search, fastest)
 
-    def _limits(self, max_effort: float) -> SearchLimits:
+    def _limits(self, max_effort: float, rejected: list[KnotPath]) -> SearchLimits:
         """Return the constraints of a search with a limit of its effort."""
         ends = KnotPath.through("", self.start, self.end, self._end_polygons)
         margins = END_MARGIN_FACTOR * distance_margins([ends], self.requirements)[0]
         first, last = margins.tolist()
+        effort = Effort(max_effort)
         return SearchLimits(
-            self.requirements, self.judge, self.tension, (first, last), effort=Effort(max_effort)
+            self.requirements,
+            self.judge,
+            self.tension,
+            (first, last),
+            effort=effort,
+            rejected=rejected,
         )
 
     @property
@@ -265,12 +283,12 @@ class OptimisedMorph:
                 break
         return candidates
 
-    def _rolled(self) -> list[Candidate]:
+    def _rolled(self, rejected: list[KnotPath]) -> list[Candidate]:
         """Return the motion along the first feasible guess with roll, optimized or as it is."""
         guesses = rolled_guesses(self.start, self.end, self.requirements)[:MAX_ROLLED]
         as_it_is: list[Candidate] = []
         for guess in guesses:
-            search = self._limits(MAX_EFFORT * guess.size)
+            search = self._limits(MAX_EFFORT * guess.size, rejected)
             if self.start.team.layout.closed:
                 path = _optimized(guess.with_perturbed_legs(LEG_PERTURBATION), search, [])
                 motion = None if path is None else _refined(path, search)
@@ -278,7 +296,10 @@ class OptimisedMorph:
                     return [Candidate(guess.name, motion)]
             if not as_it_is:
                 motion = self._flown_as_it_is(guess)
-                as_it_is = [] if motion is None else [Candidate(guess.name, motion)]
+                if motion is None:
+                    rejected.append(guess)
+                else:
+                    as_it_is = [Candidate(guess.name, motion)]
         return as_it_is
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
@@ -339,6 +360,7 @@ def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
             motion = _judged(each.path, search.judge)
             if motion is not None:
                 return motion
+    search.rejected.append(path)
     return None
 
 
@@ -380,6 +402,15 @@ def _shortened(path: KnotPath, search: SearchLimits) -> KnotPath:
             break
         step = replace(step, stride=0.5 * step.stride)
     return best
+
+
+def _most_feasible(paths: list[KnotPath], requirements: Requirements) -> KnotPath:
+    """Return the path with the largest margin of distances."""
+    margins = [
+        float(np.min(distance_margins([path.resampled(REFINED_PARTS * path.steps)], requirements)))
+        for path in paths
+    ]
+    return paths[int(np.argmax(margins))]
 
 
 def _judged(path: ShapePath, judge: Judge) -> Motion | None:
