@@ -208,6 +208,22 @@ BEST_ROUTE = "the best route tried"
 FASTER = "faster than the step's own route"
 
 
+MAX_BOUND_RATIO = 1.3
+"""Duration of a step's own route, over its lower bound, up to which no faster one is searched.
+Straight morphs of nearly regular polygons take up to 1.29 times as long."""
+
+MAX_SEARCHED = 24
+"""Number of robots up to which a faster route is searched that was not requested."""
+
+
+def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
+    """Return whether a morph takes much longer than its lower bound."""
+    from hitchopt.planners.optimise.search import min_duration
+
+    bound = min_duration(start, end, plan.motion.requirements.limits)
+    return start.team.robots <= MAX_SEARCHED and plan.motion.duration > MAX_BOUND_RATIO * bound
+
+
 def optimised_plan(
     task: StepTask,
     end: Hitch,

@@ -25,6 +25,7 @@ from hitchopt.steps.certified_motions import (
     end_of_action,
     end_of_morph,
     hover_motion,
+    is_slow,
     optimised_plan,
     require_certified,
     rest_motion,
@@ -100,6 +101,8 @@ class ShapeStep(HitchStep):
     """A step that changes vertices and legs without prescribed times on the path."""
 
     blendable: ClassVar[bool] = True
+    # whether a route is replaced that takes much longer than the lower bound
+    searches_faster_routes: ClassVar[bool] = False
     legs: SlackSplit | None
 
     @abstractmethod
@@ -135,7 +138,12 @@ class ShapeStep(HitchStep):
             lambda: require_certified(task.plan_ending(self.direct_motion(task, end), end.hitch))
         )
         if isinstance(direct, StepPlan):
-            return direct
+            searches = self.searches_faster_routes and task.optimiser and duration is None
+            if optimised is not None or not searches or not is_slow(direct, start, end.hitch):
+                return direct
+            straight = StraightMorph(start, end.hitch, task.requirements).problem
+            optimised = attempt(partial(optimise, straight=straight))
+            return optimised if isinstance(optimised, StepPlan) else direct
         for hitch in (start, end.hitch):
             self.check_end(hitch, task)
         if not task.optimiser:
@@ -266,7 +274,10 @@ def _checked_range(key: str, value: object) -> tuple[float, float]:
 _RANGE_FORMS = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
 TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 
-OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies all limits"
+OPTIMIZE_TEXT = (
+    "Look for a faster route even where the straight one satisfies all limits; by default only "
+    "where it takes more than 1.3 times as long as every drone and vertex alone"
+)
 
 
 @documented
@@ -274,6 +285,7 @@ OPTIMIZE_TEXT = "Look for a faster route even where the straight one satisfies a
 class Morph(ShapeStep):
     """Change the polygon: every vertex moves to its place."""
 
+    searches_faster_routes: ClassVar[bool] = True
     polygon: Polygon
     legs: LegsAtEnd = None
     duration: Seconds = None

@@ -59,6 +59,12 @@ def test_legs_roll_between_where_no_level_route_was_found(tmp_path: Path) -> Non
     assert is_proven(plan, tmp_path)
 
 
+def test_a_straight_route_far_from_its_bound_is_replaced() -> None:
+    """Linear fractions move the drones of a triangle 2.5 times as long as its vertices."""
+    plan = planned(PAIRS[48])
+    assert "faster than the step's own route" in plan.phases[0].remark
+
+
 def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
     """Thrust suffices at the ends, whose legs are level, but not for legs that roll between."""
     weak = ho.Quadrotor(0.132, 1.42)

@@ -16,7 +16,7 @@ import numpy as np
 from hitchopt.errors import HitchoptError, InfeasibleError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
 from hitchopt.planners.morph.morph import check_loads, check_shapes
@@ -123,6 +123,14 @@ PATH_TOLERANCE = 0.05
 """[m] Difference at every knot below which paths are equal."""
 
 
+def min_duration(start: Hitch, end: Hitch, limits: Limits) -> float:
+    """Return a lower bound of a morph's duration [s]: that of each drone and vertex on a line."""
+    drones = length(end.drones - start.drones)
+    durations, _ = fastest_ramps(drones, limits.speed, limits.acceleration, limits.jerk)
+    vertices = length(end.vertices - start.vertices) / limits.vertex_speed
+    return float(max(np.max(durations), np.max(vertices)))
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A motion that the judge accepted, and the name of its guess; "" for the straight path."""
@@ -157,12 +165,8 @@ class OptimisedMorph:
 
     @property
     def min_duration(self) -> float:
-        """Lower bound of the duration [s]: that of each drone and vertex alone, on a line."""
-        limits = self.requirements.limits
-        drones = length(self.end.drones - self.start.drones)
-        durations, _ = fastest_ramps(drones, limits.speed, limits.acceleration, limits.jerk)
-        vertices = length(self.end.vertices - self.start.vertices) / limits.vertex_speed
-        return float(max(np.max(durations), np.max(vertices)))
+        """Lower bound of the duration [s]."""
+        return min_duration(self.start, self.end, self.requirements.limits)
 
     def margins(self, *, straight: bool = True) -> dict[KnotPath, Array]:
         """Return initial guesses that are hitches at all knots, and their margins of distances.
