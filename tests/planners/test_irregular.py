@@ -59,6 +59,22 @@ def test_legs_roll_between_where_no_level_route_was_found(tmp_path: Path) -> Non
     assert is_proven(plan, tmp_path)
 
 
+def test_a_morph_passes_a_pole_in_its_way() -> None:
+    """Neither a straight route nor one of other shapes passes it; the hitch moves aside."""
+    triangle = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
+    section = [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]
+    pole = {"outline": section, "to": 4.0, "at": [2.5, 0.0, 0.0], "fixed": True}
+    problem = {
+        "team": {"robots": 3, "cable_length": 2.4},
+        "objects": {"pole": pole},
+        "start": {"hitch": {"polygon": triangle.tolist(), "altitude": 1.5}},
+        "mission": [{"morph": {"polygon": (triangle + [5.0, 0.0]).tolist()}}],
+    }
+    plan = ho.solve(ho.problem_from_dict(problem))
+    assert "aside" in plan.phases[0].remark
+    assert plan.certificate.certified
+
+
 def test_a_straight_route_far_from_its_bound_is_replaced() -> None:
     """Linear fractions move the drones of a triangle 2.5 times as long as its vertices."""
     plan = planned(PAIRS[48])

@@ -10,7 +10,7 @@ that are widened halfway, they pass side by side.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +18,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import centroids
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import EAST, left_of, length, unit
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LegTask
@@ -55,6 +55,13 @@ ROLL_RAMP = 0.25
 
 ROLL_COST, TURN_COST = 0.3, 0.3
 """[1/rad] Penalties of roll and of turns of a guess, in units of its margin."""
+
+
+DETOURS = (0.15, 0.3, 0.6, 1.0, 1.5)
+"""Offsets midway on detours, over the reach of the hitch from its middle."""
+
+MIN_WAY = 1e-3
+"""[m] Shortest way of the middle across which detours lead; on shorter ones they lead north."""
 
 
 def polygon_guesses(first: Outline, last: Outline, count: int) -> dict[str, Array]:
@@ -163,6 +170,20 @@ def _rolled(path: KnotPath, roll: float, midway: Array, evenness: float) -> Knot
     fractions = path.q_legs / path.slack
     q_legs = (fractions + evenness * midway * (0.5 - fractions)) * path.slack
     return replace(path, name=name, q_legs=q_legs, roll=rolls if np.any(rolls) else None)
+
+
+def detours(path: KnotPath) -> Iterator[KnotPath]:
+    """Yield paths of the same shapes that move aside midway, to either side, nearer ones first."""
+    middles = path.polygons.mean(axis=1)
+    arms = length(path.polygons - middles[:, None])
+    reach = float(np.max(arms) + np.max(path.slack))
+    aside = left_of(unit(middles[-1] - middles[0], EAST[:2], MIN_WAY))
+    bump = np.sin(math.pi * np.linspace(0.0, 1.0, len(middles))) ** 2
+    for share in DETOURS:
+        for side in (aside, -aside):
+            offsets = np.multiply.outer(share * reach * bump, side)
+            polygons = path.polygons + offsets[:, None]
+            yield replace(path, name=f"{path.name}, aside", polygons=polygons)
 
 
 def distance_margins(paths: Sequence[KnotPath], requirements: Requirements) -> Array:

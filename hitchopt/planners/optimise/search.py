@@ -24,6 +24,7 @@ from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.optimise.guesses import (
     STRAIGHT,
     WIDENED,
+    detours,
     distance_margins,
     is_hitch,
     polygon_guesses,
@@ -208,7 +209,10 @@ class OptimisedMorph:
         if not candidates:
             candidates += self._rolled(rejected)
         if not candidates and rejected:
-            raise NoRouteError(_most_feasible(rejected, self.requirements))
+            best = _most_feasible(rejected, self.requirements)
+            candidates = self._around_obstacles(best)
+            if not candidates:
+                raise NoRouteError(best)
         return sorted(candidates, key=lambda candidate: candidate.motion.duration)
 
     def _optimised(self, straight: Motion | None, rejected: list[KnotPath]) -> list[Candidate]:
@@ -305,6 +309,16 @@ class OptimisedMorph:
                 else:
                     as_it_is = [Candidate(guess.name, motion)]
         return as_it_is
+
+    def _around_obstacles(self, path: KnotPath) -> list[Candidate]:
+        """Return the motion on the first detour of a path that passes all prisms and objects."""
+        if not self.requirements.keep_out and not self.requirements.objects:
+            return []
+        for detour in detours(path):
+            motion = self._flown_as_it_is(detour)
+            if motion is not None:
+                return [Candidate(detour.name, motion)]
+        return []
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
         """Return the motion along a guess with leg lengths that keep distances, or None."""
