@@ -116,9 +116,10 @@ class Plan(OneLine):
     def at(self, t: ArrayLike) -> States:
         """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
 
-        The drones rest after the end. Raises InputError for a time before the start.
+        Drones and robots are in the order of the problem. The drones rest after the end. Raises
+        InputError for a time before the start.
         """
-        return states_at(self.motion, t)
+        return states_at(self.motion, t).listed(self.motion.team)
 
     def abort(self, t: float, how: str = "hold") -> Plan:
         """Return the plan up to time t, followed by a certified abort.

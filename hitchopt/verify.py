@@ -705,20 +705,28 @@ class Plan:
         self.file, self.folder, records = file, folder, head["records"]
         self.label = f"{head['name']}." if head["name"] else ""
         self.settings = {**records, **records["requirements"]}
-        team, roles = records["team"], records["assignment"]
+        team = records["team"]
         check_type("team", team, "team" if "robots" in team else "single")
         self._read(self.settings)
-        if roles and (sorted(roles["robots"]), len(roles["flipped"])) != ([*range(self.n)], self.n):
-            raise ValueError(f"{self.label}assignment is no permutation")
 
     def _array(self, name: str, *shape: int, bound: float = 1e5) -> Array:
-        """Return an array of the file; a polynomial if its shape has several numbers."""
+        """Return an array of the file; a polynomial if its shape has several numbers.
+
+        Its drones and cables are in the order of their places.
+        """
         x: Array = self.file[self.folder + name]
         fits = (x.shape[:-1] if shape[1:] else x.shape) == shape and x.dtype == np.float64
         fits &= x.shape[-1] > 0 and [*self.file].count(self.folder + name) == 1
         fits &= not shape[1:] or x.shape[-1] <= MAX_COEFFS
         if not fits or not np.all(np.abs(x) <= bound):
             raise ValueError(f"{name} has a wrong shape, or numbers beyond their bounds")
+        if name == "drones":
+            return x[:, self.drone]
+        if name == "tensions":
+            return x[:, self.robot]
+        if self.n and name in ("legs", "leg_tensions", "contacts", "anchors"):
+            ends = x.reshape(len(x), len(self.drone), *x.shape[3:])
+            return np.asarray(ends[:, self.drone].reshape(x.shape))
         return x
 
     def _set_distances(self, separation: dict[str, float], tube: tuple[float, float]) -> None:
@@ -769,9 +777,9 @@ class Plan:
         if np.any(np.array(box["lower"]) >= box["upper"]):
             raise ValueError("arena has a lower bound that is not below its upper bound")
         self._read_quadrotors(team)
-        self.names = [f"{label}{end}{k}" for k in range(n) for end in "qr"]
-        self.names += [f"{label}d{i}" for i in range(N - 2 * n)]
-        self.cables = [f"{label}cable {k}" for k in range(n)]
+        self._read_places(s["assignment"])
+        self.names = [f"{label}{'qr'[i % 2]}{i // 2}" if n else f"{label}d{i}" for i in self.drone]
+        self.cables = [f"{label}cable {i}" for i in self.robot]
         self.labels = [*self.names, *(f"{label}p{j}" for j in range(P)), *np.repeat(self.cables, 2)]
         self.floor = 0.0 if self.arena is None else float(self.arena["lower"][2])
         self.arena_row = "ground m min" if self.arena is None else "arena m min"
@@ -808,6 +816,20 @@ class Plan:
             np.repeat([[float(kind[key])] for kind in kinds], N // len(kinds), axis=0)
             for key in ("mass", "max_thrust")
         )
+
+    def _read_places(self, assignment: dict[str, Any] | None) -> None:
+        """Read which robot (n,) and which drone (N,) of the problem is at each place.
+
+        Robot ``robot[k]`` holds edge k, and cables and drones are in the order of places from here.
+        """
+        n, roles = self.n, assignment or {"robots": [*range(self.n)], "flipped": [False] * self.n}
+        if (sorted(roles["robots"]), len(roles["flipped"])) != ([*range(n)], n):
+            raise ValueError(f"{self.label}assignment is no permutation")
+        self.robot = np.array(roles["robots"], dtype=int)
+        self.edge = np.argsort(self.robot)
+        first = 2 * self.robot + np.array(roles["flipped"], dtype=int)  # at the edges' starts
+        self.drone = np.column_stack([first, first ^ 1]).ravel() if n else np.arange(self.N)
+        self.mass, self.max_thrust = self.mass[self.drone], self.max_thrust[self.drone]
 
     def _set_states(self) -> None:
         """Set states of pieces, and masks of those with a hitch, and with taut parts of cables."""
@@ -853,7 +875,7 @@ class Plan:
             if hold is not None:
                 j = [b.name for b in self.bodies].index(hold["object"])
                 {"rest": self.rest, "grip": self.grip}[hold["by"]][j, p] = True
-                self.holding[j, p, hold["cables"]] = True
+                self.holding[j, p, self.edge[hold["cables"]]] = True
         self.poses = Curve(self._array("poses", m, o, 5), self.h)
         first = np.array([b.pose for b in self.bodies]).reshape(o, 5)
         if np.any(np.abs(self.poses.c[0][0, ..., 0] - first) > REST_TOL):
@@ -882,8 +904,8 @@ class Plan:
         self.pull_point = np.where(leg, own, own[:, ::-1]).ravel()
         self.weight, self.mu = G * float(team["cable_density"]), float(team["cable_friction"])
         self.load = (np.array(team["load"], dtype=float) * np.ones(len(self.clasps)))[:, None]
-        self.length: Array = np.array(team["cable_length"], dtype=float)[:, None]
-        self.team: Array = np.array(team["tension"], dtype=float)[:, None]
+        self.length: Array = np.array(team["cable_length"], dtype=float)[self.robot, None]
+        self.team: Array = np.array(team["tension"], dtype=float)[self.robot, None]
         vertices, T = self._array("vertices", m, P, 3), self._array("tensions", m, n)
         middle, both = midpoints(vertices, n), np.stack([T, T], 2)
         contacts, pulls = self._array("contacts", m, n, 2, 3), self._array("leg_tensions", m, n, 2)
@@ -915,7 +937,8 @@ class Plan:
         rows = [(self.anchor[on], on, on // 2, own.ravel()[on], own.ravel()[on])]
         rows += [(a, b, k, self.begin, self.end) for a, b in pairwise(ends)]
         self.segments = np.concatenate([np.stack(row, -1) for row in rows])
-        leg_names = [f"{self.label}{'qr'[j % 2]}-leg {j // 2}" for j in on]
+        drones = [divmod(self.drone[j], 2) for j in on]
+        leg_names = [f"{self.label}{'qr'[end]}-leg {robot}" for robot, end in drones]
         self.segment_names = leg_names + [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
         return on_cables
 

@@ -62,7 +62,7 @@ def drones_of(motion: Motion) -> Bodies:
 def taut_parts(motion: Motion) -> Bodies:
     """Return the parts of taut cables, with names such as ``q-leg 0``."""
     corners, part = cable_parts(motion)
-    return Bodies(corners, part_names(part), part=part)
+    return Bodies(corners, part_names(motion, part), part=part)
 
 
 def taut_cables(motion: Motion) -> Bodies:

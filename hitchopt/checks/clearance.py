@@ -726,7 +726,7 @@ class Parts(MotionSpans):
     @classmethod
     def names(cls, motion: Motion) -> Sequence[str]:
         """Return the parts' names."""
-        return part_names(cable_parts(motion)[1])
+        return part_names(motion, cable_parts(motion)[1])
 
 
 @cached

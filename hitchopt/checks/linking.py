@@ -51,7 +51,6 @@ from hitchopt.checks.distances import (
 from hitchopt.checks.objects import carried_objects
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
-    PART_NAMES,
     MotionSpans,
     PhasePart,
     bent_edges,
@@ -255,7 +254,7 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     parts = [(motion.drones, motion.team.drone_names)]
     if motion.requirements.objects:
         parts.append((motion.poses, tuple(motion.requirements.objects)))
-    legs = tuple(f"{name} {k}" for k in range(motion.team.robots) for name in PART_NAMES[0::2])
+    legs = motion.team.leg_names
     for span in motion.spans(TAUT_STATES):
         parts += [(span.vertices, span.team.point_names), (span.legs.reshaped(-1, 1), legs)]
         if span.has_bent_cables:
@@ -631,7 +630,7 @@ def _names(team: Team, pair: int) -> list[str]:
     layout = team.layout
     if pair in (pairs := clasped_pairs(layout)):
         return [f"p{layout.clasps[int(np.argmax(pairs == pair))]}"]
-    return [f"cable {k}" for k in sorted({*divmod(pair, layout.robots)})]
+    return [team.cable_names[k] for k in sorted({*divmod(pair, layout.robots)})]
 
 
 def _contradictions(motion: Motion) -> Indices:

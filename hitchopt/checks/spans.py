@@ -33,7 +33,6 @@ units in the last place; the margin has a reserve of a factor of a thousand, als
 
 DIFFERENCE_ROUNDING = 2.0**-50  # largest relative error of a difference of two numbers
 MAX_CACHED = 8 * BATCH  # maximum number of spans of drones with cached values
-PART_NAMES = ("q-leg", "edge", "r-leg")
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -177,7 +176,7 @@ def _cached_batches(motion: Motion, spans_type: type[MotionSpans]) -> tuple[Any,
 
 def cable_names(motion: Motion) -> Sequence[str]:
     """Return the cables' names."""
-    return [f"cable {k}" for k in range(motion.team.robots)]
+    return motion.team.cable_names
 
 
 def positions(motion: Motion) -> tuple[Array, Array]:
@@ -257,9 +256,11 @@ def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
     return np.minimum(first, second) * layout.robots + np.maximum(first, second)
 
 
-def part_names(parts: Indices) -> list[str]:
-    """Return the names of cable parts, such as ``q-leg 2`` or ``edge 0``."""
-    return [f"{PART_NAMES[part % 3]} {part // 3}" for part in parts.tolist()]
+def part_names(motion: Motion, parts: Indices) -> list[str]:
+    """Return the names of cable parts: legs of their drones, edges of the polygon."""
+    edges, legs = range(motion.team.robots), motion.team.leg_names
+    names = [(legs[2 * k], f"edge {k}", legs[2 * k + 1]) for k in edges]
+    return [names[part // 3][part % 3] for part in parts.tolist()]
 
 
 def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:

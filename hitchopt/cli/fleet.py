@@ -369,7 +369,7 @@ def _outlet_of(
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
     from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address
 
-    team, names = motion.team, motion.team.drone_names
+    team, names = motion.team, motion.team.listed_names
     kind: Any = {"json": JsonOutlet, "mavlink": MavlinkOutlet, "crazyflie": CrazyflieOutlet}[over]
     refuse_controllers(team, kind.controllers, f"--over {over}")
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))

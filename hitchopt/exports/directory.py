@@ -185,11 +185,12 @@ def write_setpoints(
     path: Path, motion: Motion, rate: float, progress: Progress | None = None
 ) -> None:
     """Write one row per sample at ``rate`` [Hz] and drone, by time, then drone; yaw is 0."""
-    times, names = sample_times(motion.duration, rate), motion.team.drone_names
+    times, team = sample_times(motion.duration, rate), motion.team
+    names = team.listed_names
 
     def blocks() -> Iterator[tuple[Array, Array]]:
         for states in iterate_states(motion, times, max(1, ROWS // len(names))):
-            yield states.t, _values(states)
+            yield states.t, _values(states.listed(team))
             if progress is not None:
                 progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
 
@@ -197,7 +198,7 @@ def write_setpoints(
 
 
 def write_vertices(path: Path, motion: Motion, rate: float) -> None:
-    """Write one row per sample and vertex, while the hitch exists; row k has cable k's tension.
+    """Write one row per sample and vertex, while the hitch exists; row k has edge k's tension.
 
     The tension of the last point of an open chain is empty. Vertices of several groups have names
     such as ``b.p2``, one group after the other.
@@ -249,8 +250,9 @@ def write_rows(
 def data_frame(motion: Motion, rate: float) -> DataFrame:
     """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone."""
     pandas = optional_module("pandas", "data frames need", "pandas")
-    times, names = sample_times(motion.duration, rate), motion.team.drone_names
-    values = _values(states_at(motion, times)).reshape(len(times) * len(names), -1)
+    times, names = sample_times(motion.duration, rate), motion.team.listed_names
+    states = states_at(motion, times).listed(motion.team)
+    values = _values(states).reshape(len(times) * len(names), -1)
     phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
     ends = np.array([phase.end for phase in motion.phases[:-1]])
     current = np.repeat(np.array(phases)[np.searchsorted(ends, times, side="right")], len(names))

@@ -100,7 +100,7 @@ def export_motion(
     InfeasibleError if the format cannot hold the plan, or violates a limit; nothing is written.
     """
     say = progress or (lambda _: None)
-    kind, roles, place = format_of(options.format), motion.team.drone_names, Path(folder)
+    kind, roles, place = format_of(options.format), motion.team.listed_names, Path(folder)
     plan = stretched(motion, options.stretch)
     if options.rate is not None and kind.rate == 0.0:
         bound = f"left out for {kind.name}"
@@ -467,9 +467,12 @@ def _export_part(
             verdict = replace(verdict, checks=(*verdict.checks, task.trailing))
         receiver = {**task.settings, **written.receiver}
         feed_forward = OFFSETS_HOLD_TENSION if task.holds_tension else kind.feed_forward
+        first = task.curves.coefficients[0, ..., 0] + task.trims
+        offsets = task.frame.vectors(first - task.planned(0.0)).round(9)
         manifest = _manifest_head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
+            "start_offsets": dict(zip(task.names, (offsets + 0.0).tolist(), strict=True)),
             "duration": verdict.duration,
             "plan_span": [task.begins, task.begins + task.motion.duration - task.rest],
             "position_error_m": asdict(verdict.position),

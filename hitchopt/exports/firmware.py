@@ -72,7 +72,8 @@ def team_parameters(
             loop = None if gains is None else FlightController.of("mellinger", kind.mass, gains)
         return firmware_parameters(kind, loop)
 
-    return dict(zip(team.drone_names, map(of_kind, team.kinds), strict=True))
+    kinds = (team.kinds[place] for place in team.listed)
+    return dict(zip(team.listed_names, map(of_kind, kinds), strict=True))
 
 
 def _stated_gains(kind: Quadrotor, stiffness: float | None, damping: float | None) -> Gains | None:
@@ -97,13 +98,13 @@ def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Param
     parameters |= HELD.firmware_params
     if loop is None:
         return parameters
-    mass, size = kind.mass, kind.mass / STOCK_MASS
+    mass, size, factor = kind.mass, kind.mass / STOCK_MASS, kind.thrust_factor or 1.0
     (kp, kp_z), (kd, kd_z), (ki, ki_z) = loop.kp, loop.kd, loop.ki
     if name == "mellinger":
         ranges = zip(("i_range_xy", "i_range_z"), loop.ki_limit, loop.ki, strict=True)
         scale = size ** (4.0 / 3.0) * STOCK_THRUST / kind.max_thrust
         parameters["ctrlMel"] = {
-            **{"mass": mass, "massThrust": MAX_COMMAND / kind.max_thrust},
+            **{"mass": mass, "massThrust": factor * MAX_COMMAND / kind.max_thrust},
             **{"kp_xy": kp, "kd_xy": kd, "ki_xy": ki, "kp_z": kp_z, "kd_z": kd_z, "ki_z": ki_z},
             **{key: limit / gain for key, limit, gain in ranges if 0.0 < limit < math.inf},
             **{key: scale * value for key, value in ATTITUDE_GAINS[name].items()},
@@ -124,7 +125,7 @@ def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Param
         if kind.gains not in (None, Gains()):
             bound = "left out for pid: its gains are not those of a firmware's parameters"
             raise InputError("team.quadrotor.gains", kind.gains, bound, "leave them out")
-        base = round(MAX_COMMAND * mass * GRAVITY / kind.max_thrust)
+        base = round(factor * MAX_COMMAND * mass * GRAVITY / kind.max_thrust)
         parameters["posCtlPid"] = {"thrustBase": base}
     return {key: {k: _rounded(x) for k, x in group.items()} for key, group in parameters.items()}
 
@@ -148,7 +149,8 @@ def px4_parameters(
             parameters |= {name: _rounded(gain) for name, gain in gains.items()}
         return parameters
 
-    return dict(zip(team.drone_names, map(of_kind, team.kinds), strict=True))
+    kinds = (team.kinds[place] for place in team.listed)
+    return dict(zip(team.listed_names, map(of_kind, kinds), strict=True))
 
 
 def px4_notes(

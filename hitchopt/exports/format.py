@@ -24,14 +24,17 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import between
 from hitchopt.motion.states import HOVER, States, attitudes, iterate_states, sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, closest_word
+from hitchopt.values import Array, Indices, closest_word
 
 FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180° about x
 
 
 @dataclass(frozen=True, eq=False)
 class ExportTask:
-    """A plan or a part of it, and all options of its files."""
+    """A plan or a part of it, and all options of its files.
+
+    Drones are in the order of the problem, but those of the motion in the order of their places.
+    """
 
     motion: Motion  # starts at t = 0; with set points as drones if offsets hold the tension
     title: str
@@ -54,8 +57,24 @@ class ExportTask:
     @property
     def trims(self) -> Array:
         """Setpoints minus planned places (D, 3) [m] in the plan, in which drones' yaw is 0."""
-        trims: Array = np.insert(self.motion.team.trim, 2, 0.0, axis=1)
+        trims: Array = np.insert(self.motion.team.trim[self.order], 2, 0.0, axis=1)
         return trims if self.has_trims else 0.0 * trims
+
+    @property
+    def order(self) -> Indices:
+        """(D,): places of the drones in the motion."""
+        return self.motion.team.listed
+
+    @property
+    def curves(self) -> PiecewisePolynomial:
+        """Curves (D, 3) [m] of the drones in the plan."""
+        drones = self.motion.drones
+        return drones.replaced(drones.coefficients[:, self.order])
+
+    @property
+    def masses(self) -> Array:
+        """(D,) [kg]: masses of the drones."""
+        return self.motion.team.mass[self.order]
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return curves (D, 3) of drones [m] as setpoints in the files' frame."""
@@ -93,7 +112,7 @@ class ExportTask:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names (D,) of the drones in the files, in the plan's order."""
+        """Names (D,) of the drones in the files."""
         return tuple(member.name for member in self.fleet.members)
 
     def samples(self, t: Array) -> dict[str, Array]:
@@ -106,11 +125,11 @@ class ExportTask:
         body axes are forward, right, down, otherwise forward, left, up. If offsets hold the
         tension, cable forces are zero.
         """
-        return self._samples(states_at(self.motion, t))
+        return self._samples(states_at(self.motion, t).listed(self.motion.team))
 
     def planned(self, t: float) -> Array:
         """Return the drones' positions (D, 3) [m] in the plan at a time, without offsets."""
-        return self.plan.drones.at(min(t, self.plan.duration))
+        return self.plan.drones.at(min(t, self.plan.duration))[self.order]
 
     def heights(self, t: float) -> Array:
         """Return the drones' heights (D,) [m] above the floor at a time, without offsets."""
@@ -121,14 +140,14 @@ class ExportTask:
         """Yield times (S,) and samples at the task's rate, in blocks of rows (time, drone)."""
         times = sample_times(self.motion.duration, self.rate)
         for states in iterate_states(self.motion, times, max(1, rows // len(self.names))):
-            yield states.t, self._samples(states)
+            yield states.t, self._samples(states.listed(self.motion.team))
 
     def _samples(self, states: States) -> dict[str, Array]:
-        frame, mass = self.frame, self.motion.team.mass[:, None]
+        frame, mass = self.frame, self.masses[:, None]
         rotated, heading = frame.vectors, frame.heading
         share = 0.0 if self.holds_tension else 1.0
         forces, force_rates = share * states.cable_forces, share * states.cable_force_rates
-        gain = self.motion.team.pull_gain
+        gain = self.motion.team.pull_gain[self.order]
         forward = states.accelerations - gain * forces / mass
         thrusts = rotated(mass * (forward + HOVER))
         rates = rotated(mass * states.jerks - gain * force_rates)

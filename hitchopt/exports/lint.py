@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -420,22 +421,32 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
             reason = "is not what was exported and verified; export it again, without edits"
             yield (error if file.suffix.lower() in kind.endings else note)("changed", name, reason)
     if (fleet := next(iter(files.values())).parent / SETTINGS).is_file():
-        yield from _start_findings(fleet, contents)
+        yield from _start_findings(fleet, contents, mapping_at(manifest, "start_offsets"))
     reasons = manifest.get("undetermined_tension")
     for reason in reasons if isinstance(reasons, list) else ():
         yield warning("tension", "", str(reason))
 
 
-def _start_findings(fleet: Path, contents: FileContents) -> Iterator[Finding]:
-    """Yield errors for drones whose initial positions are not below their first points."""
+def _start_findings(
+    fleet: Path, contents: FileContents, offsets: Mapping[str, Any]
+) -> Iterator[Finding]:
+    """Yield errors for drones whose initial positions are not below their first places.
+
+    ``offsets`` are the manifest's, of the first points of the files from these places [m].
+    """
     starts, content = next(contents.windows()).coefficients[0, :, :2, 0], read_yaml(fleet)
     robots = mapping_at(content if isinstance(content, Mapping) else {}, "robots")
-    for name, start in zip(contents.names, starts, strict=True):
+    for name, first in zip(contents.names, starts.tolist(), strict=True):
+        offset = each if _is_point(each := offsets.get(name)) else [0.0, 0.0, 0.0]
+        start = [first[0] - offset[0], first[1] - offset[1]]
         point = mapping_at(robots, name).get("initial_position")
-        if not (
-            isinstance(point, list) and len(point) == 3 and {*map(type, point)} <= {int, float}
-        ):
+        if not _is_point(point):
             yield error("start", name, f"is nowhere in {fleet.name}; give its initial_position")
         elif (distance := math.dist(point[:2], start)) > START_TOLERANCE:
-            reason = f"{fleet.name} places it {distance:.3g} m from below its first point, "
+            reason = f"{fleet.name} places it {distance:.3g} m from below its first place, "
             yield error("start", name, f"{reason}{start[0]:.4g}, {start[1]:.4g}; correct it")
+
+
+def _is_point(value: object) -> TypeGuard[list[float]]:
+    """Return whether a value of a file is a point (3,)."""
+    return isinstance(value, list) and len(value) == 3 and {*map(type, value)} <= {int, float}

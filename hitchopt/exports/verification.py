@@ -100,15 +100,17 @@ def verify(
 ) -> Verdict:
     """Return errors and checks of files of the plan ``motion``, from t = 0.
 
-    ``frame`` is that of the files, ``names`` (D,) are their names of the plan's drones, in
-    order. Setpoints are off the places by ``trims`` (D, 3) [m] in the plan. Raises FileError for
-    other drones than the plan's, and if the files are too short.
+    ``frame`` is that of the files, ``names`` (D,) are their names of the drones, in the order of
+    the problem. Setpoints are off the places by ``trims`` (D, 3) [m] in the plan. Raises FileError
+    for other drones than the plan's, and if the files are too short.
     """
     missing = [name for name in names if name not in contents.names]
     if missing or len(contents.names) != len(names):
         reason = f"{missing[0]} is missing" if missing else "there are more of them"
         raise FileError(f"its drones are not those of the plan: {reason}")
-    index = [contents.names.index(name) for name in names]
+    numbers = np.argsort(motion.team.listed)  # of the drones at the motion's places
+    index = [contents.names.index(names[drone]) for drone in numbers]
+    offsets = np.broadcast_to(trims, (len(names), 3))[numbers]
     firsts = np.cumsum([len(each.motion.team.drone_names) for each in motion.groups])[:-1]
     carried = [rule for rule in rules if rule.derivative <= contents.smooth + 1]
     checks, deviations, end = list[list[Check | None]](), list[list[Deviation]](), 0.0
@@ -118,7 +120,7 @@ def verify(
             raise FileError(f"begins at t = {start:g} s, not at {end:g} s")
         end = float(window.breaks[-1])
         curves = frame.in_plan(window.replaced(window.coefficients[:, index]))
-        places = curves.coefficients - np.asarray(trims)[..., None]
+        places = curves.coefficients - offsets[..., None]
         coefficients = np.split(places, firsts, axis=1)
         groups = list[Group]()
         for group, part in zip(motion.groups, coefficients, strict=True):

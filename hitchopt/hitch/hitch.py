@@ -83,7 +83,7 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
         )
         if lengths[worst] > UNIT_ERROR_RATIO * team.cable_length[worst]:
             remedy += f"; if millimetres were meant, {1e-3 * lengths[worst]:.3g} m"
-        raise _refusal(slack[worst], 0.0, "min", f"cable {worst}", remedy)
+        raise _refusal(slack[worst], 0.0, "min", team.cable_names[worst], remedy)
     return slack
 
 
@@ -99,14 +99,16 @@ def checked_legs(team: Team, q_legs: Array, slack: Array) -> Array:
     k = int((np.abs(q_legs - d) / team.cable_length).argmax())
     tolerance = LEG_TOLERANCE if team.cable_density == 0.0 else SAGGING_LEG_TOLERANCE
     if abs(q_legs[k] - d[k]) > tolerance * team.cable_length[k]:
-        drone, sense = "qr"[int(team.layout.has_leg[k, 0])], "max" if q_legs[k] > d[k] else "min"
-        remedy = f"{drone}{k} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
-        raise _refusal(q_legs[k], d[k], sense, f"q{k}", remedy)
+        names, sense = team.drone_names, "max" if q_legs[k] > d[k] else "min"
+        drone = names[2 * k + int(team.layout.has_leg[k, 0])]
+        remedy = f"{drone} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
+        raise _refusal(q_legs[k], d[k], sense, names[2 * k], remedy)
     legs = np.where(team.layout.has_leg, np.stack([d, slack - d], axis=1), np.inf)
     k, end = divmod(int(legs.argmin()), 2)
     if legs[k, end] <= 0.0:
-        remedy = f"cable {k} leaves {slack[k]:.6g} m for both legs: keep d_{k} within it"
-        raise _refusal(legs[k, end], 0.0, "min", f"{'qr'[end]}{k}", remedy)
+        cable, room = team.cable_names[k], slack[k]
+        remedy = f"{cable} leaves {room:.6g} m for both legs: keep d_{k} within it"
+        raise _refusal(legs[k, end], 0.0, "min", team.drone_names[2 * k + end], remedy)
     return d
 
 

@@ -19,6 +19,7 @@ from hitchopt.values import (
     Array,
     ByValue,
     Indices,
+    check_instance,
     flag,
     integer,
     lazy,
@@ -142,6 +143,73 @@ def layout_of(robots: int, topology: str) -> Layout:
     return layout
 
 
+@dataclass(frozen=True)
+class Assignment(OneLine):
+    """The place of every robot of a problem on the hitch: edge k is held by ``robots[k]``.
+
+    Parameters
+    ----------
+    robots: the robot on every edge, each once.
+    flipped: for every edge, whether that robot's q and r are exchanged: its r is at the edge's
+        start.
+
+    Raises
+    ------
+    InputError: not a permutation, or not one flag per edge.
+    """
+
+    robots: tuple[int, ...]
+    flipped: tuple[bool, ...]
+
+    def __post_init__(self) -> None:
+        for name in ("robots", "flipped"):
+            object.__setattr__(self, name, sequence(f"assignment.{name}", getattr(self, name)))
+        n = len(self.robots)
+        for i, robot in enumerate(self.robots):
+            integer(f"assignment.robots[{i}]", robot, 0)
+        if sorted(self.robots) != list(range(n)):
+            bound, remedy = f"0 to {n - 1}, each once", f"pass a permutation of 0..{n - 1}"
+            raise InputError("assignment.robots", self.robots, bound, remedy)
+        if len(self.flipped) != n:
+            bound = f"{n} truth values"
+            raise InputError("assignment.flipped", self.flipped, bound, "give one per edge")
+        for i, each in enumerate(self.flipped):
+            flag(f"assignment.flipped[{i}]", each)
+
+    @classmethod
+    def fixed(cls, robots: int) -> Assignment:
+        """Return the assignment of robot k to edge k, unflipped."""
+        count = integer("robots", robots, 1)
+        return cls(tuple(range(count)), (False,) * count)
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether every robot holds the edge of its number, unflipped."""
+        return self == Assignment.fixed(len(self.robots))
+
+    @property
+    def drones(self) -> Indices:
+        """(2n,): the drone at each place, as an index into q0, r0, q1, …."""
+        flipped = np.array(self.flipped, dtype=np.intp)
+        first, last = 2 * np.array(self.robots) + [flipped, 1 - flipped]
+        return np.column_stack([first, last]).ravel()
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the assignment in the form of files."""
+        return {"robots": list(self.robots), "flipped": list(self.flipped)}
+
+    def team(self, team: Team) -> Team:
+        """Return a team of the problem with its robots and drones in the order of places."""
+        order, kinds = list(self.robots), team.kinds
+        return replace(
+            team,
+            cable_length=team.cable_length[order],
+            tension=team.tension[order],
+            quadrotor=tuple(kinds[drone] for drone in self.drones),
+            assignment=self,
+        )
+
+
 MAX_ROBOTS = 10_000  # Largest number of robots, checked before any memory is allocated
 
 
@@ -155,10 +223,24 @@ def _loads(load: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np
     return per_robot("load", load, clasps, units.LOAD.check, "clasp")
 
 
+def _checked_assignment(assignment: Assignment | None, robots: int) -> Assignment | None:
+    """Return the assignment of a number of robots, or None."""
+    if assignment is not None:
+        check_instance("assignment", assignment, Assignment)
+        if len(assignment.robots) != robots:
+            bound = f"of {robots} robots"
+            raise InputError("assignment", assignment.robots, bound, "give one per edge")
+    return assignment
+
+
 @documented
 @dataclass(frozen=True, eq=False)
 class Team(ByValue):
     """n catenary robots: two quadrotors each, on the ends of one cable.
+
+    Robots and drones are in the order of their places along the hitch. Their names are those of the
+    problem, of which ``assignment`` tells the places; None if robot k holds edge k. ``listed`` are
+    the drones in the order of the problem.
 
     Raises
     ------
@@ -200,6 +282,7 @@ class Team(ByValue):
             "closed hitch, the inner points of a chain",
         ),
     ] = field(repr=False)
+    assignment: Assignment | None = field(repr=False, default=None)
 
     def __init__(
         self,
@@ -212,6 +295,7 @@ class Team(ByValue):
         tension: float | Sequence[float] | ArrayLike | None = None,
         quadrotor: Quadrotors | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
+        assignment: Assignment | None = None,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
         n = integer("robots", robots, 2, MAX_ROBOTS)
@@ -222,6 +306,7 @@ class Team(ByValue):
         pull = per_robot("tension", tension, n, units.TENSION.check)
         values = {"robots": n, "cable_length": length, "tension": pull, "quadrotor": kinds}
         values |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
+        values |= {"assignment": _checked_assignment(assignment, n)}
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -335,14 +420,63 @@ class Team(ByValue):
         return _names("p", self.layout.points)
 
     @property
+    def labels(self) -> tuple[int, ...]:
+        """(n,): numbers of the robots in the problem, and in the names of drones and cables."""
+        return tuple(range(self.robots)) if self.assignment is None else self.assignment.robots
+
+    @property
     def drone_names(self) -> tuple[str, ...]:
-        """(2n,): q0, r0, q1, r1, …."""
-        return _names("qr", self.robots)
+        """(2n,): q0, r0, q1, r1, …, the drones at all places by their names in the problem."""
+        names = _names("qr", self.robots)
+        return names if self.assignment is None else _at_places(names, self.assignment)
+
+    @property
+    def listed_names(self) -> tuple[str, ...]:
+        """(drones,): names of the drones in the order of the problem."""
+        return tuple(self.drone_names[place] for place in self.listed)
+
+    @property
+    def leg_names(self) -> tuple[str, ...]:
+        """(2n,): q-leg 0, r-leg 0, …, the legs of the drones at all places."""
+        return tuple(f"{name[0]}-leg {name[1:]}" for name in self.drone_names)
+
+    @property
+    def cable_names(self) -> tuple[str, ...]:
+        """(n,): cable 0, cable 1, …, named after the robots that hold them."""
+        return tuple(f"cable {robot}" for robot in self.labels)
+
+    @property
+    def listed(self) -> Indices:
+        """(drones,): places of the problem's drones q0, r0, q1, …; rows of places, so ordered."""
+        return np.argsort(self.assignment.drones) if self.assignment else np.arange(self.drones)
+
+    @property
+    def edges(self) -> Indices:
+        """(n,): edges that the problem's robots hold; rows of edges, so ordered, are of robots."""
+        return np.argsort(self.labels)
+
+    @property
+    def of_problem(self) -> Team:
+        """The team with its robots in the order of the problem."""
+        if self.assignment is None:
+            return self
+        return replace(
+            self,
+            cable_length=self.cable_length[self.edges],
+            tension=self.tension[self.edges],
+            quadrotor=tuple(self.kinds[place] for place in self.listed),
+            assignment=None,
+        )
 
     @property
     def cable_weight(self) -> NDArray[np.float64]:
         """(2n,) [N]: half of its cable's weight for each drone."""
         return np.repeat(0.5 * GRAVITY * self.cable_density * self.cable_length, 2)
+
+
+@lru_cache(maxsize=64)
+def _at_places(names: tuple[str, ...], assignment: Assignment) -> tuple[str, ...]:
+    return tuple(names[drone] for drone in assignment.drones)
 
 
 @lru_cache(maxsize=64)
@@ -379,66 +513,3 @@ class Swarm(Team):
     def drone_names(self) -> tuple[str, ...]:
         """(N,): d0, d1, …."""
         return _names("d", self.drones)
-
-
-@dataclass(frozen=True)
-class Assignment(OneLine):
-    """An assignment of robots to roles; role k holds edge k.
-
-    Parameters
-    ----------
-    robots: the robot of every role, each once.
-    flipped: for every role, whether that robot's q and r are exchanged.
-
-    Raises
-    ------
-    InputError: not a permutation, or not one flag per role.
-    """
-
-    robots: tuple[int, ...]
-    flipped: tuple[bool, ...]
-
-    def __post_init__(self) -> None:
-        for name in ("robots", "flipped"):
-            object.__setattr__(self, name, sequence(f"assignment.{name}", getattr(self, name)))
-        n = len(self.robots)
-        for i, robot in enumerate(self.robots):
-            integer(f"assignment.robots[{i}]", robot, 0)
-        if sorted(self.robots) != list(range(n)):
-            bound, remedy = f"0 to {n - 1}, each once", f"pass a permutation of 0..{n - 1}"
-            raise InputError("assignment.robots", self.robots, bound, remedy)
-        if len(self.flipped) != n:
-            bound = f"{n} truth values"
-            raise InputError("assignment.flipped", self.flipped, bound, "give one per role")
-        for i, each in enumerate(self.flipped):
-            flag(f"assignment.flipped[{i}]", each)
-
-    @classmethod
-    def fixed(cls, robots: int) -> Assignment:
-        """Return the assignment of robot k to role k, unflipped."""
-        count = integer("robots", robots, 1)
-        return cls(tuple(range(count)), (False,) * count)
-
-    def to_dict(self) -> dict[str, object]:
-        """Return the assignment in the form of files."""
-        return {"robots": list(self.robots), "flipped": list(self.flipped)}
-
-    def team(self, team: Team) -> Team:
-        """Return the team with robots in the order of roles, and drones exchanged where flipped."""
-        order, kinds = list(self.robots), list[Quadrotor]()
-        for i, flipped in zip(order, self.flipped, strict=True):
-            kinds += team.kinds[2 * i : 2 * i + 2][:: -1 if flipped else 1]
-        return replace(
-            team,
-            cable_length=team.cable_length[order],
-            tension=team.tension[order],
-            quadrotor=tuple(kinds),
-        )
-
-    def drones(self, drones: Array) -> Array:
-        """Return the drones (2n, 3) of robots in the order of roles."""
-        pairs = drones.reshape(-1, 2, 3)[list(self.robots)]
-        flipped = np.array(self.flipped, dtype=np.bool_)
-        pairs = np.where(flipped[:, None, None], pairs[:, ::-1], pairs)
-        ordered: Array = pairs.reshape(-1, 3)
-        return ordered

@@ -71,7 +71,8 @@ class Feedback(OneLine):
     Distances keep their limits at all times while drones are within ``reserve`` of their corrected
     setpoints, and vertices within ``reserve`` of the plan, if the plan itself has that margin:
     corrected setpoints stay within half-spaces computed from the plan's polynomials for whole
-    intervals. A common shift of all drones is limited only by the arena.
+    intervals. A common shift of all drones is limited only by the arena. Drones are in the order of
+    the problem.
 
     Parameters
     ----------
@@ -109,8 +110,10 @@ class Feedback(OneLine):
         default = STIFFNESS_PER_MASS * team.mass[:, None]
         own = np.where(np.isfinite(team.stiffness), team.stiffness, default)
         stiff = own if stiffness is None else as_array(stiffness)
+        self._listed, numbers = team.listed, np.argsort(team.listed)
         if stiff.shape != own.shape:
             stiff = per_robot("stiffness", stiffness, team.drones, owner="drone")  # type: ignore[arg-type]
+        stiff = own if stiffness is None else stiff[numbers]
         breaks, self._cells = cells_of(motion, nonnegative("reserve", reserve), stiff)
         self._breaks, self._end = breaks.tolist(), float(breaks[-1])
         self._spans = [s.drones.breaks[[0, -1]].tolist() for s in motion.spans(HITCHED_STATE)]
@@ -134,12 +137,14 @@ class Feedback(OneLine):
     @property
     def offsets(self) -> Array:
         """Current corrections of the drones' setpoints (2n, 3) [m]."""
-        return self._offsets.copy()
+        offsets: Array = self._offsets[self._listed]
+        return offsets
 
     @property
     def velocities(self) -> Array:
         """Rates of change of the corrections (2n, 3) [m/s]."""
-        return self._velocities.copy()
+        velocities: Array = self._velocities[self._listed]
+        return velocities
 
     def step(
         self,
@@ -176,13 +181,13 @@ class Feedback(OneLine):
             integrate = True
             if drones is not None:
                 positions = _checked_array("drones", drones, self._offsets.shape)
-                error = positions - setpoints[0] - self._offsets
+                error = positions - (setpoints[0] + self._offsets)[self._listed]
                 integrate = bool(np.fmax.reduce((error * error) @ ONES) <= MAX_DRONE_ERROR**2)
             correction = self._correction(seconds, integrate=integrate)
             self._update_offsets(cell, self._authority(time) * correction, seconds)
         setpoints[0] += self._offsets
         setpoints[1] += self._velocities
-        return Setpoints(time, 1.0, *setpoints)
+        return Setpoints(time, 1.0, *(each[self._listed] for each in setpoints))
 
     def _cell(self, time: float) -> Cell | None:
         return self._cells[min(max(bisect_right(self._breaks, time) - 1, 0), len(self._cells) - 1)]

@@ -81,8 +81,8 @@ class CommandedPlan:
             self._player, self._landing = self._landing, None
             self.descending = True
         motion, setpoints = self._player.motion, self._player.step(seconds)
-        states = states_at(motion, [setpoints.time])
-        mass, gain = motion.team.mass[:, None], motion.team.pull_gain
+        states = states_at(motion, [setpoints.time]).listed(motion.team)
+        mass, gain = states.masses[0, :, None], motion.team.pull_gain[motion.team.listed]
         gain = 0.0 * gain if self.landed else gain
         forward = setpoints.accelerations - gain * states.cable_forces[0] / mass
         return FleetSetpoints(
@@ -243,7 +243,7 @@ class StreamedFlight:
         if lost:
             return f"no signal from {', '.join(lost)}"
         if self._last is not None and self._plan.resting:
-            names = self._plan.motion.team.drone_names
+            names = self._plan.motion.team.listed_names
             for name, setpoint in zip(names, self._last.setpoints.positions, strict=True):
                 error = float(np.linalg.norm(self._measured.get(name, setpoint) - setpoint))
                 if error > MAX_ERROR:

@@ -35,7 +35,7 @@ MIN_SLIDE = 1e-6  # change of a leg's length on a piece up to which it does not 
 
 @dataclass(frozen=True, eq=False)
 class Setpoints(OneLine):
-    """Setpoints of a player at the current time.
+    """Setpoints of a player at the current time, drones in the order of the problem.
 
     Attributes
     ----------
@@ -126,7 +126,8 @@ class Player(OneLine):
             self._profile = self._clamped(ClockProfile(self.time, self.clock_rate))
         time, rate, slope, jerk = self._profile.now
         each = [sampler.values(time, rate, slope, jerk) for sampler in self._shared.samplers]
-        return Setpoints(time, rate, *np.concatenate(each, axis=1))
+        places = np.concatenate(each, axis=1)
+        return Setpoints(time, rate, *places[:, self.motion.team.listed])
 
     def pause(self) -> float:
         """Stop as soon as the limits allow; return the time until rest [s]."""

@@ -24,7 +24,7 @@ from hitchopt.hitch.requirements import (
     Separation,
     check_requirements,
 )
-from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS
+from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, Assignment
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
 from hitchopt.motion.motion import HoldBy
@@ -265,6 +265,9 @@ class TeamMission:
         if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
+        form = next((step for step in self.steps if isinstance(step, Form)), None)
+        if "hitch" in start or (form is not None and form.assign == "fixed"):
+            start["assignment"] = Assignment.fixed(self.team.robots).to_dict()
         return request_fields(self.team, self.requirements, start, [*_requested_steps(self)])
 
     @property

@@ -125,7 +125,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     """Return the certified plan of all steps."""
     steps, requirements = mission.steps, mission.requirements
     with_reserve = requirements.with_reserve  # the reserve is for stops on the common clock
-    state, assignment = _start_state(mission, with_reserve, report)
+    state = _start_state(mission, with_reserve, report)
     start, plans, motions = state.hitch, list[StepPlan](), list[Motion]()
     for first, group in _groups(steps):
         report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
@@ -147,7 +147,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         motions.append(plan.motion)
         state = plan.after
     motion = concatenated(motions)
-    motion = replace(motion, requirements=requirements, assignment=assignment)
+    motion = replace(motion, requirements=requirements)
     certificate = merged(motion, [plan.certificate for plan in plans])
     if not certificate.certified:
         if start is not None:
@@ -188,19 +188,17 @@ def contents(value: Any) -> object:
 _SIMPLE = {str, int, float, bool, type(None)}
 
 
-def _start_state(
-    mission: TeamMission, requirements: Requirements, report: Progress
-) -> tuple[RestState, Assignment | None]:
-    """Return the state at the start and, if cables are free, the assignment of robots to edges."""
+def _start_state(mission: TeamMission, requirements: Requirements, report: Progress) -> RestState:
+    """Return the state at the start; if cables are free, robots are assigned to edges."""
     team, start = mission.team, mission.start
     if isinstance(start, HitchStart):
         report("splitting the slack at the start")
         hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
-        return RestState(team, hitch.drones, hitch), None
+        return RestState(team, hitch.drones, hitch)
     if isinstance(start, Hitch):
-        return RestState(team, start.drones, start), None
+        return RestState(team, start.drones, start)
     if not team.has_cables:
-        return RestState(team, start), None
+        return RestState(team, start)
     state = RestState(team, start.drones)  # with the file's order of robots
     check_start(StepTask(state, 0, requirements))
     assignment = Assignment.fixed(team.robots)
@@ -212,7 +210,7 @@ def _start_state(
         assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
     if team.layout.closed and team.robots == 2:
         assignment = _assigned_sides(team, start.drones)
-    return RestState(assignment.team(team), assignment.drones(start.drones)), assignment
+    return RestState(assignment.team(team), start.drones[assignment.drones])
 
 
 def _assigned_sides(team: Team, drones: Array) -> Assignment:

@@ -26,6 +26,7 @@ from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.storage.archive import folded
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks
+from hitchopt.values import Indices
 
 NAME = re.compile(r"[^\W\d][\w-]*")
 """Valid names of groups; groups of external plans are named plan.group."""
@@ -44,12 +45,21 @@ class CombinedSwarm(Swarm):
         )
         super().__init__(len(kinds), quadrotor=kinds)
         object.__setattr__(self, "_names", names)
+        firsts = np.cumsum([0, *(len(team.drone_names) for _, team in teams)]).tolist()
+        places = [first + team.listed for first, (_, team) in zip(firsts, teams, strict=False)]
+        object.__setattr__(self, "_listed", np.concatenate(places))
 
     @property
     def drone_names(self) -> tuple[str, ...]:
         """(N,): a.q0, a.r0, …, b.d0, …."""
         names: tuple[str, ...] = vars(self)["_names"]
         return names
+
+    @property
+    def listed(self) -> Indices:
+        """(N,): places of the drones a.q0, a.r0, … in the order of the problem."""
+        places: Indices = vars(self)["_listed"]
+        return places
 
 
 @dataclass(frozen=True, eq=False)

@@ -197,7 +197,6 @@ class Motion(OneLine):
     legs: shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has no leg.
     tensions: shape (n,) [N].
     phases: contiguous phases that cover the motion.
-    assignment: roles of the robots, if they were chosen.
     leg_tensions: shape (n, 2) [N]; by default, every leg pulls with its cable's tension. They
         differ where cables slide against friction.
     poses: shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of yaw; by default
@@ -223,7 +222,6 @@ class Motion(OneLine):
     legs: PiecewisePolynomial
     tensions: PiecewisePolynomial
     phases: tuple[Phase, ...]
-    assignment: Assignment | None = None
     leg_tensions: PiecewisePolynomial = PLAIN
     poses: PiecewisePolynomial = PLAIN
     load_share: PiecewisePolynomial = PLAIN
@@ -268,9 +266,6 @@ class Motion(OneLine):
         if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
             remedy = "split the pieces there"
             raise InputError("phases", changes, "breaks where states change", remedy)
-        roles = n if self.assignment is None else len(self.assignment.robots)
-        if roles != n:
-            raise InputError("assignment", roles, f"{n} robots", "give one per role")
 
     def _check_types(self) -> None:
         """Raise InputError for a field of another type."""
@@ -279,8 +274,6 @@ class Motion(OneLine):
         for name in CURVES:
             if getattr(self, name) is not PLAIN or name not in SOURCES:
                 check_instance(name, getattr(self, name), PiecewisePolynomial)
-        if self.assignment is not None:
-            check_instance("assignment", self.assignment, Assignment)
         for name, kind in (("phases", Phase), ("others", Group)):
             entries = sequence(name, getattr(self, name))
             object.__setattr__(self, name, entries)
@@ -393,6 +386,11 @@ class Motion(OneLine):
             names = ", ".join(each.name or "the team" for each in flying)
             message = f"{feature} supports a single team, not {names}"
             raise UnsupportedError(f"{message}; plan that team in a separate file")
+
+    @property
+    def assignment(self) -> Assignment | None:
+        """Places of the problem's robots, if they were chosen; else robot k holds edge k."""
+        return self.team.assignment
 
     @property
     def duration(self) -> float:

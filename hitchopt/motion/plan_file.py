@@ -9,7 +9,7 @@ Constructors check what is read, as they check what a user passes.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
 from hitchopt.storage.files import digest
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import line, text
+from hitchopt.values import Indices, line, text
 
 FORMAT = "hitchopt-flight/1"
 
@@ -44,7 +44,7 @@ TOLERANCE = 1e-9  # Largest difference of the curves of an external plan from th
 
 
 class Records(NamedTuple):
-    """The records of one team's motion."""
+    """The records of one team's motion, robots in the order of the problem."""
 
     team: Team
     requirements: Requirements
@@ -87,17 +87,48 @@ def _head(group: Group) -> dict[str, Any]:
     """Return a team or an external plan without its arrays, as JSON values."""
     own = group.motion
     requirements = replace(own.requirements, objects=objects_at(own))
-    records = encoded(Records(own.team, requirements, own.phases, own.assignment))
+    phases = with_cables(own.phases, own.team.labels)
+    records = encoded(Records(own.team.of_problem, requirements, phases, own.assignment))
     for name in PLANNER_ONLY:
         del records["requirements"][name]
     return {"name": group.name, "plan": group.plan, "digest": group.digest, "records": records}
 
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
-    """Return the arrays of one team's motion."""
-    _, *names = _stored([*motion.cable_states])
+    """Return the arrays of one team's motion, drones and robots in the order of the problem."""
+    team, (_, *names) = motion.team, _stored([*motion.cable_states])
     curves = {name: getattr(motion, name).coefficients for name in names}
+    if team.assignment is not None:
+        curves |= in_order(curves, team.listed, team.edges)
     return {"breaks": motion.drones.breaks, **curves}
+
+
+OF_DRONES = ("drones", "legs", "leg_tensions", "contacts", "anchors")
+"""Arrays of a row for every drone: of itself, of its leg, or of its end of an edge."""
+
+
+def in_order(
+    curves: Mapping[str, NDArray[np.float64]], drones: Indices, robots: Indices
+) -> dict[str, NDArray[np.float64]]:
+    """Return the arrays of drones and cables with their rows in another order."""
+    ordered = {"tensions": curves["tensions"][:, robots]}
+    for name in OF_DRONES:
+        if (array := curves.get(name)) is not None:
+            rows = array.reshape(len(array), len(drones), -1)
+            ordered[name] = rows[:, drones].reshape(array.shape)
+    return ordered
+
+
+def with_cables(phases: Iterable[Phase], numbers: Sequence[int]) -> tuple[Phase, ...]:
+    """Return phases whose holds name each cable by another number, in order of the present ones."""
+
+    def renamed(phase: Phase) -> Phase:
+        if phase.hold is None:
+            return phase
+        cables = tuple(int(numbers[k]) for k in phase.hold.cables)
+        return replace(phase, hold=replace(phase.hold, cables=cables))
+
+    return tuple(map(renamed, phases))
 
 
 def _stored(states: Sequence[str]) -> list[str]:
@@ -200,10 +231,15 @@ def _group(path: Path, key: str, index: int, head: Mapping[str, Any]) -> Group:
                 raise InputError(label, "a coefficient", f"within ±{MAX_COEFFICIENT:g}", REMEDY)
             if (degree := array.shape[-1] - 1) > MAX_DEGREE:
                 raise InputError(label, f"of degree {degree}", f"at most {MAX_DEGREE}", REMEDY)
+        team, requirements, phases, assignment = decoded(Records, head["records"])
+        if assignment is not None:
+            team = assignment.team(team)
+            curves |= in_order(curves, assignment.drones, np.array(assignment.robots))
+            phases = with_cables(phases, team.edges.tolist())
         parts: dict[str, Any] = {
             x: PiecewisePolynomial(arrays["breaks"], c) for x, c in curves.items()
         }
-        motion = Motion(**decoded(Records, head["records"])._asdict(), **parts)
+        motion = Motion(team, requirements, phases=phases, **parts)
         first = float(motion.drones.breaks[0])
         if key == GROUPS and first != 0.0:
             raise InputError("breaks", first, "rising from 0", REMEDY)

@@ -2,7 +2,7 @@
 
 Problems state the request, motions imply it, and both are compared with the keys of problem files.
 Plan files store records in the same form: fields by their names, arrays as lists.
-Robots are in the order of the start.
+Robots are in the order of the problem.
 """
 
 from __future__ import annotations
@@ -52,6 +52,8 @@ def encoded(value: Any) -> Any:
         value = {"drones": value.drones, "quadrotor": value.quadrotor}
     elif is_dataclass(value):
         values = {each.name: getattr(value, each.name) for each in fields(value)}
+        if isinstance(value, Team):
+            del values["assignment"]  # records of plans have it beside the team
         if isinstance(value, Quadrotor):
             absent = [name for name in MEASURED if values[name] is None]
             values = {name: each for name, each in values.items() if name not in absent}
@@ -154,17 +156,15 @@ def _equal(request: Any, value: Any, slack: float) -> bool:
 
 
 def request_of(motion: Motion) -> dict[str, Any]:
-    """Return the request that a motion satisfies; ``assignment`` maps its robots to roles."""
+    """Return the request that a motion satisfies, with robots in the order of the problem."""
     team, first = motion.team, motion.drones.coefficients[0, ..., 0]
     requirements = replace(motion.requirements, objects=objects_at(motion))
     start: dict[str, Any] = {"drones": first}
     if team.has_cables:
-        assignment = motion.assignment
-        if assignment is not None:
-            roles = np.argsort(assignment.robots).tolist()
-            inverse = Assignment(tuple(roles), tuple(assignment.flipped[role] for role in roles))
-            first, team = inverse.drones(first), inverse.team(team)
+        first, team = first[team.listed], team.of_problem
+        assignment = motion.assignment or Assignment.fixed(team.robots)
         start = {"drones": {"q": first[0::2], "r": first[1::2]}}
+        start["assignment"] = assignment.to_dict()
         if motion.formed[0]:
             x, y, z = motion.vertices.coefficients[0, ..., 0].T
             start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
@@ -184,7 +184,7 @@ def request_fields(
     """
     names = (each.name for each in fields(requirements) if each.name not in PLANNER_ONLY)
     return {
-        "start": encoded(start),  # compared first: roles determine the order of everything else
+        "start": encoded(start),  # compared first: other drones differ in much else
         "team": team,
         **{name: getattr(requirements, name) for name in names},
         "mission": encoded(mission),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -92,8 +92,21 @@ class States(OneLine):
         """Return the states of one sample."""
         return States(*(getattr(self, each.name)[index] for each in fields(self)))
 
+    def listed(self, team: Team) -> States:
+        """Return states of a team's places with drones and robots in the order of the problem."""
+        drones, robots, head = team.listed, team.edges, self.t.shape
+        if np.array_equal(drones, np.arange(len(drones))):
+            return self
+        values = {name: getattr(self, name).take(drones, self.t.ndim) for name in DRONE_FIELDS}
+        legs = self.legs.reshape(*head, -1)[..., drones[: 2 * len(robots)]]
+        values |= {"legs": legs.reshape(self.legs.shape), "tensions": self.tensions[..., robots]}
+        return replace(self, **values)
+
     def thrusts(self, team: Team | Swarm) -> Array:
-        """Return the thrust vectors (…, 2n, 3) [N], ``m (a + g ẑ) - cable force``."""
+        """Return the thrust vectors (…, 2n, 3) [N], ``m (a + g ẑ) - cable force``.
+
+        The team's drones are in the order of the states.
+        """
         return np.asarray(team.mass[:, None] * (self.accelerations + HOVER) - self.cable_forces)
 
     def thrust_rates(self, team: Team | Swarm) -> Array:

@@ -115,8 +115,8 @@ class Form(Step):
         before, requirements, i = task.before, task.requirements, task.index
         team, levels = before.team, None
         if self.by == "laying":
-            robots = None if isinstance(self.order, str) else np.asarray(self.order).tolist()
-            levels = levels_of(team.layout, robots)
+            order = None if isinstance(self.order, str) else np.asarray(self.order, dtype=np.intp)
+            levels = levels_of(team.layout, None if order is None else team.edges[order])
         goal = self._goal(team, levels, requirements)
         check_at_rest(goal, requirements, f"at the end of step {i} (form)")
         tying: Laying | PreHitch

@@ -40,7 +40,7 @@ from hitchopt.view.style import (
 MAX_SAMPLES, MIN_TIMES, MAX_RATE = 1_000_000, 48, 30.0
 PER_DRONE = 11  # Number of a drone's coordinates at a time
 # Prefixes of names of cables in ``where`` of a check
-CABLE_PREFIXES = ("cable ", "edge ", "c", "q-leg ", "r-leg ")
+CABLE_PREFIXES = ("cable ", "c", "q-leg ", "r-leg ")
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +186,11 @@ def highlight_of(motion: Motion, where: Sequence[str]) -> Highlight:
     drones, cables, vertices, names = [], [], [], set(where)
     for group in motion.all_groups:
         team = group.motion.team
-        drones += [{group.label(f"{x[0]}-leg {x[1:]}"), group.label(x)} for x in team.drone_names]
-        cables += [{group.label(f"{x}{k}") for x in CABLE_PREFIXES} for k in range(team.robots)]
+        pairs = zip(team.drone_names, team.leg_names, strict=True)
+        drones += [set(map(group.label, pair)) for pair in pairs]
+        for k, robot in enumerate(team.labels):
+            own = (f"edge {k}", *(f"{prefix}{robot}" for prefix in CABLE_PREFIXES))
+            cables.append(set(map(group.label, own)))
         vertices += [{group.label(x)} for x in team.point_names]
     aliases = drones, cables, vertices
     indices = ([k for k, x in enumerate(each) if x & names] for each in aliases)

@@ -36,7 +36,7 @@ from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, consistency, read
 
-TITLE = 'Ein "Dreieck", 三角 \\ \n – with everything'
+TITLE = 'Ein "Dreieck", 三角 \\ – with everything'
 
 FORM = """
 title: tied
@@ -120,6 +120,7 @@ def controlled() -> Motion:
     )
     load = np.array([0.001, 0.002, 0.003])
     team = dataclasses.replace(motion.team, cable_friction=0.2, load=load, quadrotor=kinds)
+    team = ho.Assignment((1, 2, 0), (False, True, True)).team(team)
     for field in dataclasses.fields(ho.Team):
         value, default = getattr(team, field.name), getattr(plain, field.name)
         assert field.name in {"robots", "topology"} or not np.array_equal(value, default)
@@ -192,7 +193,7 @@ def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) ->
     assert [*hitch["polygon"][0], hitch["altitude"]] == pytest.approx([0.0, -1.0, 1.0])
 
 
-def test_requests_are_in_the_order_of_the_start(formed: Path) -> None:
+def test_requests_are_in_the_order_of_the_problem(formed: Path) -> None:
     motion = read_plan(formed)
     assert motion.assignment is not None
     request, robots = request_of(motion), motion.assignment.robots
@@ -325,10 +326,7 @@ for name in ("poses", "load_share"):
     a[name] = a[name][:, :0]
 """
 OTHERS = [
-    ("a = r['assignment']['robots']; a[0], a[1] = a[1], a[0]", "request.start.drones"),
-    ("r['assignment']['flipped'][2] ^= True", "request.start.drones"),
     ("a['drones'] = a['drones'][:, [1, 0, *range(2, 6)]]", "request.start.drones"),
-    ("r['assignment'] = None", "request.start.drones"),
     ("t['quadrotor'][0]['mass'] *= 0.5", "mass"),
     ("t['cable_length'][0] *= 1.01", "cable_length"),
     ("t['cable_density'] = 0.0", "cable_density"),
@@ -368,6 +366,33 @@ def test_other_plans_than_requested_are_refused_by_key(
     (tmp_path / "plan.npz").write_bytes(formed.read_bytes())
     changed(tmp_path / "plan.npz", lie)
     with pytest.raises(FileError, match=re.escape(key)):
+        ho.load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "lie",
+    [
+        "a = r['assignment']['robots']; a[0], a[1] = a[1], a[0]",
+        "r['assignment']['flipped'][2] ^= True",
+        "r['assignment'] = None",
+    ],
+)
+def test_other_places_than_those_of_the_drones_are_refused_by_both(
+    lie: str, formed: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "plan.npz"
+    path.write_bytes(formed.read_bytes())
+    changed(path, lie)
+    assert not ho.load(tmp_path).certificate.certified
+    assert any(row.verdict == "violated" for row in second.verify(path))
+
+
+def test_places_that_the_problem_fixes_are_compared(formed: Path, tmp_path: Path) -> None:
+    path = tmp_path / "plan.npz"
+    path.write_bytes(formed.read_bytes())
+    fixed = FORM.replace("altitude: 1.6", "altitude: 1.6, assign: fixed")
+    changed(path, f"s['problem'] = {fixed!r}")
+    with pytest.raises(FileError, match=r"request\.start\.assignment\.robots\[0\]"):
         ho.load(tmp_path)
 
 

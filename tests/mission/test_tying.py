@@ -56,8 +56,8 @@ def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Pa
     assert formed[0].start - 1e-9 <= min(times) <= max(times) <= formed[-1].end + 0.1
 
 
-def test_drones_start_where_the_robots_of_their_roles_are() -> None:
-    """Auto: any order of the robots, with ends exchanged, gives the same plan by role."""
+def test_drones_start_where_the_problem_places_them() -> None:
+    """Auto: any order of the robots, with ends exchanged, gives the same plan for each drone."""
     # One robot aside, as mirror images tie; all of them aside would leave the tie.
     offset = [[0.0, 0.0, 0.0], [0.13, 0.0, 0.0], [0.0, 0.0, 0.0]]
     q_start, r_start = LINES + offset, LINES * MIRROR + offset
@@ -66,12 +66,11 @@ def test_drones_start_where_the_robots_of_their_roles_are() -> None:
     q, r = np.where(flip, r_start, q_start)[order], np.where(flip, q_start, r_start)[order]
     other = forming(q, r)
     t = np.linspace(0.0, plan.duration, 101)
-    np.testing.assert_allclose(other.at(t).positions, plan.at(t).positions, atol=1e-9)
-    roles = other.motion.assignment
-    assert roles is not None
-    assigned = np.stack([q, r], axis=1)[list(roles.robots)]
-    ends = np.where(np.array(roles.flipped)[:, None, None], assigned[:, ::-1], assigned)
-    np.testing.assert_array_equal(other.at(0.0).positions, ends.reshape(-1, 3))
+    listed = np.array([2 * k + (end ^ flip[k, 0]) for k in order for end in (0, 1)])
+    expected = plan.at(t).positions[:, listed]
+    np.testing.assert_allclose(other.at(t).positions, expected, atol=1e-9)
+    ends = np.stack([q, r], axis=1).reshape(-1, 3)
+    np.testing.assert_array_equal(other.at(0.0).positions, ends)
 
 
 def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
@@ -190,8 +189,9 @@ def test_a_mission_lays_opens_closes_and_unlays() -> None:
     # Only the pair of the open vertex moves, and its cables run straight there.
     closed, opened = (plan.at(p.end).positions for p in plan.phases if p.name in {"roll", "hold"})
     moved = np.linalg.norm(opened - closed, axis=1) > 1e-6
-    assert np.flatnonzero(moved).tolist() == [3, 4]  # r1 and q2
-    q, p, r = opened[4], plan.at(13.0).vertices[2], plan.at(13.0).vertices[3]
+    pair = plan.motion.team.listed.argsort()[[4, 3]]  # at the start of edge 2 and the end of edge 1
+    assert np.flatnonzero(moved).tolist() == sorted(pair)
+    q, p, r = opened[pair[0]], plan.at(13.0).vertices[2], plan.at(13.0).vertices[3]
     assert (q - p) @ (r - p) < -0.99 * np.linalg.norm(q - p) * np.linalg.norm(r - p)
 
 

@@ -109,7 +109,7 @@ def test_the_assignment_is_the_best_of_all(seed: int) -> None:
     ends = np.stack([outline.vertices, np.roll(outline.vertices, -1, axis=0)], axis=1)
 
     def cost(assignment: Assignment) -> float:
-        places = assignment.drones(drones).reshape(4, 2, 3)[..., :2]
+        places = drones[assignment.drones].reshape(4, 2, 3)[..., :2]
         return float(np.sum((places - ends) ** 2))
 
     all_of_them = product(permutations(range(4)), product((False, True), repeat=4))

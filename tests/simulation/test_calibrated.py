@@ -28,6 +28,18 @@ def task() -> Task:
     return Task.of(planned("form_triangle").motion)
 
 
+def known_task() -> Task:
+    """The task of a plan that states how its drones are off."""
+    plain = task()
+    assert plain.team.assignment is not None
+    return replace(plain, team=plain.team.assignment.team(ho.Team(3, 2.4, quadrotor=OFF)))
+
+
+def place(drone: str) -> int:
+    """The index of a drone by its name in the problem."""
+    return task().team.drone_names.index(drone)
+
+
 def drones(**given: Any) -> FlownDrones:
     stiffness = np.full((6, 3), 4.75)
     return FlownDrones.of(task(), Settings(as_calibrated=OFF, **given), stiffness)
@@ -39,13 +51,14 @@ def test_tilts_explain_trims() -> None:
     still, upright = np.zeros((6, 3)), np.tile(np.eye(3), (6, 1, 1))
     bodies = RigidBodies(still, still, upright, np.ones((6, 3)))
     measured = found.measured(bodies)
-    for i, trim in ((0, [0.1, 0.0]), (3, [-0.03, 0.08]), (1, [0.0, 0.0])):
+    for name, trim in (("q0", [0.1, 0.0]), ("r1", [-0.03, 0.08]), ("r0", [0.0, 0.0])):
+        i = place(name)
         wanted = np.array([*(4.75 * np.array(trim)), mass[i] * GRAVITY])
         axis = wanted / np.linalg.norm(wanted)
         np.testing.assert_allclose(measured.attitudes[i, :, 2], axis, atol=1e-12)
     moments = np.random.default_rng(0).normal(size=(6, 3))
     thrusts, turned = found.actual(np.ones(6), moments)
-    np.testing.assert_allclose(thrusts, [1.0 / 1.1, 1.0, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(thrusts, np.where(np.arange(6) == place("q0"), 1.0 / 1.1, 1.0))
     np.testing.assert_allclose(  # power is the same in both frames
         np.sum(turned * bodies.rates, axis=1), np.sum(moments * measured.rates, axis=1)
     )
@@ -56,11 +69,10 @@ def test_tilts_explain_trims() -> None:
 
 
 def test_plans_add_the_trims_that_they_know() -> None:
-    plain = task()
-    known = replace(plain, team=ho.Team(3, 2.4, quadrotor=OFF))
+    plain, known = task(), known_task()
     stiffness = np.full((6, 3), 4.75)
     found = FlownDrones.of(known, Settings(), stiffness)
-    np.testing.assert_allclose(found.trims[0], [0.1, 0.0, 0.0])
+    np.testing.assert_allclose(found.trims[place("q0")], [0.1, 0.0, 0.0])
     np.testing.assert_allclose(found.turns, drones().turns)
     assert not np.any(drones().trims)  # known to nobody
     nominal = FlownDrones.of(plain, Settings(), stiffness)
@@ -84,8 +96,7 @@ def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> Non
 
 @pytest.mark.slow
 def test_drones_hover_beside_their_places_by_their_trims_unless_the_plan_knows_them() -> None:
-    plain = task()
-    known = replace(plain, team=ho.Team(3, 2.4, quadrotor=OFF))
+    plain, known = task(), known_task()
     settings = Settings(controller="mellinger", pull_test=False)
     for each, setup, left in (
         (plain, replace(settings, as_calibrated=OFF), 1.0),
@@ -93,5 +104,5 @@ def test_drones_hover_beside_their_places_by_their_trims_unless_the_plan_knows_t
     ):
         record = Simulation.of(each, setup).flight.record
         off = (record.drones - record.commanded)[100, :, :2]  # still hovering
-        np.testing.assert_allclose(off[0], [-0.1 * left, 0.0], atol=0.03)
-        np.testing.assert_allclose(off[3], [0.03 * left, -0.08 * left], atol=0.03)
+        np.testing.assert_allclose(off[place("q0")], [-0.1 * left, 0.0], atol=0.03)
+        np.testing.assert_allclose(off[place("r1")], [0.03 * left, -0.08 * left], atol=0.03)

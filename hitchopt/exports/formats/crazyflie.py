@@ -167,7 +167,7 @@ class Crazyswarm2(CrazyflieFormat):
             raise self.refusal(task)
         if len(breaks) <= MIN_ROWS:
             breaks = np.array([0.0, POLY.quantum * (breaks[-1] // (2 * POLY.quantum)), breaks[-1]])
-        curves = task.placed(fit_pieces(task.motion.drones, breaks, POLY))
+        curves = task.placed(fit_pieces(task.curves, breaks, POLY))
         powers = np.zeros((curves.pieces, len(task.names), 4, DEGREE + 1))
         for order in range(DEGREE + 1):  # of seconds
             powers[:, :, :3, order] = curves.ends(order)[0] / factorial(order)
@@ -236,11 +236,15 @@ def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> N
     np.savetxt(path, single, "%.9g", ",", header=header, comments="", encoding="ascii")
 
 
-def settings_text(task: ExportTask, first: Array) -> str:
-    """Return crazyflies.yaml (fileversion 3) for drones on the floor below points (D, 3) [m]."""
+def settings_text(task: ExportTask) -> str:
+    """Return crazyflies.yaml (fileversion 3) for drones that stand below their first places.
+
+    Places are the plan's: trims and offsets of setpoints do not move a drone on the floor.
+    """
     fleet, defaults = task.fleet, json.loads(_template("crazyswarm2.json"))
     robots = []
-    for member, (x, y, _) in zip(fleet.members, first.tolist(), strict=True):
+    standing = task.frame.points(task.planned(0.0)) + 0.0  # no negative zeros
+    for member, (x, y, _) in zip(fleet.members, standing.tolist(), strict=True):
         parameters = _merged(member.firmware_params, task.settings["parameters"][member.role])
         robots.append(
             f"  {member.name}:\n    enabled: true\n    uri: {json.dumps(member.uri)}\n"
@@ -283,7 +287,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
     pull = "held_pull" if task.holds_tension else "pull"
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
-        SETTINGS: settings_text(task, first),
+        SETTINGS: settings_text(task),
         "fly.py": _template("fly_script.txt").format(
             title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
             place=place,
@@ -413,7 +417,7 @@ class CompressedBytes(CrazyflieFormat):
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the bytes of every drone, refitted within the task's bound and rounded."""
         breaks = fit_breaks(task.motion.drones, SEGMENT, task.bound)
-        fit = task.placed(fit_pieces(task.motion.drones, breaks, SEGMENT))
+        fit = task.placed(fit_pieces(task.curves, breaks, SEGMENT))
         curves = round_points(fit, MILLI, EQUAL_ERRORS)
         durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)
         points = np.rint(curves.coefficients / MILLI).astype(np.int64)

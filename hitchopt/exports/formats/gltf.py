@@ -59,8 +59,9 @@ class Gltf(Format):
             single[-1] = np.nextafter(single[-1], np.float32(np.inf))
         times = document.numbers(single)
         appearance, bodies = scene.appearance, list[tuple[str, Array, Array]]()
-        meshes = document.meshes("drones", appearance.drone_parts())
-        for i, name in enumerate(task.names):
+        looks = document.meshes("drones", appearance.drone_parts())
+        meshes = [looks[i] for i in task.order]
+        for i, name in zip(task.order.tolist(), task.names, strict=True):
             bodies.append((name, scene.drones[:, i], scene.quaternions[:, i]))
         for i, solid in enumerate(appearance.objects):
             meshes += document.meshes("objects", [solid])
@@ -75,9 +76,9 @@ class Gltf(Format):
         cables = RigidSurface("cables", span, appearance.cable_colours)
         shapes = document.meshes("cables", [cables] if scene.cables.size else [])
         labels = [
-            group.label(f"cable {k}").replace(".", "_")
+            group.label(cable).replace(".", "_")
             for group in motion.groups
-            for k in range(group.motion.team.robots)
+            for cable in group.motion.team.cable_names
         ]
         for k, (name, shape) in enumerate(zip(labels, shapes, strict=True)):
             points = y_up(frame.points(scene.cables[:, k, SPANS]))

@@ -122,7 +122,7 @@ class MavsdkDroneShow(Format):
         ground = task.frame.points(np.array([0.0, 0.0, task.motion.requirements.floor]))[2]
         tables[..., 3] += ground - tables[0, :, 3]
         t, values = tables[rows:, 0, 0] - rise.duration, tables[rows:, :, 1:]
-        values[..., 6:] += task.samples(t)["cable_forces"] / task.motion.team.mass[:, None]
+        values[..., 6:] += task.samples(t)["cable_forces"] / task.masses[:, None]
         values[t > task.motion.duration, :, 6:] = 0.0
         return FileContents.of_samples(task.names, t, values, "ned", SMOOTH)
 
@@ -151,8 +151,9 @@ def rise_of(task: ExportTask) -> PiecewisePolynomial:
 def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
     """Raise InfeasibleError if drones start above one another, and cannot rise vertically."""
     motion, up = task.motion, _ascent(task)[..., None]
-    points = motion.drones.coefficients[0, ..., :1] + up * (rise.coefficients[:, None, None] - 1.0)
+    points = task.curves.coefficients[0, ..., :1] + up * (rise.coefficients[:, None, None] - 1.0)
     curves, phase = PiecewisePolynomial(rise.breaks, points), Phase("rise", 0, 0.0, rise.duration)
+    curves = curves.replaced(curves.coefficients[:, np.argsort(task.order)])
     ascent = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
     check = RULE_OF["separation"].check(ascent)
     if check is not None and not check.holds:
@@ -163,7 +164,7 @@ def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
 
 def _ascent(task: ExportTask) -> Array:
     """Return the displacement from the ground to the plan's first positions (D, 3) [m]."""
-    heights = task.motion.drones.coefficients[0, :, 2, :1] - task.motion.requirements.floor
+    heights = task.curves.coefficients[0, :, 2, :1] - task.motion.requirements.floor
     return heights * [0.0, 0.0, 1.0]
 
 
@@ -189,7 +190,7 @@ def rows_of(task: ExportTask, rise: PiecewisePolynomial) -> Array:
     t, up = index / task.rate, task.frame.vectors(_ascent(task))
     plan = task.samples(t[count:] - rise.duration)
     share, speed, acceleration = (rise.at(t[:count], k)[:, None, None] for k in range(3))
-    force = plan["cable_forces"][0] / task.motion.team.mass[:, None]
+    force = plan["cable_forces"][0] / task.masses[:, None]
     positions = plan["positions"][0] + (share - 1.0) * up
     ascent = positions, speed * up, acceleration * up - share * force
     states = plan["positions"], plan["velocities"], plan["feed_forward"]

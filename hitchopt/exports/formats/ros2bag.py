@@ -93,7 +93,7 @@ class Ros2Bag(Format):
         )
         if not task.settings:
             return FormatOutput((data, METADATA), notes)
-        text = settings_text(task, task.frame.points(task.motion.drones.at(0.0)))
+        text = settings_text(task)
         (folder / SETTINGS).write_text(text, encoding="utf-8", newline="\n")
         return FormatOutput((data, METADATA, SETTINGS), (*notes, *parameter_notes(task)))
 

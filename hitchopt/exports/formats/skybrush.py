@@ -123,7 +123,7 @@ class SkybrushShow(Format):
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
             notes = [f"rthPlan: {len(returns)} coordinated returns, from where drones stop at once"]
         breaks = fit_breaks(motion.drones, CUBIC, task.bound)
-        fit = task.frame.placed(fit_pieces(motion.drones, breaks, CUBIC))
+        fit = task.frame.placed(fit_pieces(task.curves, breaks, CUBIC))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
         # Independent rounding is better for drones at rest.
         independent = np.rint(fit.coefficients / quantum) * quantum

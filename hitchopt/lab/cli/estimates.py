@@ -71,6 +71,7 @@ def statics(
     if tolerance and not sizes:
         sizes = {f"{kind}_error": size for kind, size in DEFAULT_ERRORS.items()}
     errors = {key: ErrorSize.of(key, text) for key, text in sizes.items()}
+    parsed: list[float] = []
     if (lengths := conditions.get("cable_length")) is not None:
         try:
             parsed = [float(part) for part in lengths.split(",")]
@@ -84,6 +85,8 @@ def statics(
     hitches = [group for group in motion.groups if group.motion.team.has_cables]
     for group in hitches or motion.groups:
         part, folder = group.motion, path.parent / group.name
+        if len(parsed) == part.team.robots > 1:
+            conditions["cable_length"] = [parsed[robot] for robot in part.team.labels]
         t = list(times) if times else taut_times(part, samples)
         with ProgressBar("settling"):
             if errors:
@@ -242,7 +245,8 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     from hitchopt.lab.cli.simulating import spread_text
     from hitchopt.lab.simulation.judgement import Spread
 
-    team = calibration.task.team
+    task = calibration.task
+    team = task.team.of_problem
     estimates = [
         (f"length of cable {k} [m]", x, team.cable_length[k])
         for k, x in enumerate(calibration.lengths)
@@ -259,7 +263,8 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
             remarks.append(f"{name}: {estimate.remark}")
         rows.append({"quantity": name, **cells, "in the plan": float(planned)})
     columns = [*zip(team.point_names, calibration.vertex_errors.T, strict=True)]
-    columns += zip(team.drone_names, calibration.drone_errors.T, strict=True)
+    errors = calibration.drone_errors.T[task.team.listed]
+    columns += zip(team.drone_names, errors, strict=True)
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Distances to the plan [cm], mean ± standard deviation (largest)"
     remarks += [f"note: {note}" for note in calibration.recording.notes]

@@ -152,7 +152,7 @@ class Evaluation(OneLine):
         hitched, missing = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
         columns = [(team.point_names[p], hitched, off[:, p], stated[:, p]) for p in points]
         columns.append(("vertices", hitched, off[:, points], stated[:, points]))
-        drones = zip(team.drone_names, self.drone_errors.T, strict=True)
+        drones = zip(team.listed_names, self.drone_errors.T[team.listed], strict=True)
         columns += [(name, t >= 0.0, each, missing) for name, each in drones]
         spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
         for span in [*spans, ("all", float(t[0]), float(t[-1]))]:
@@ -466,7 +466,7 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
         top.plot(
             t, off, color=colour, lw=1.2, label=f"{name}: {summaries.get(name, 'not measured')}"
         )
-    for i, name in enumerate(team.drone_names):
+    for i, name in zip(team.listed.tolist(), team.listed_names, strict=True):
         look: Any = {"ls": "-" if i % 2 == 0 else "--", "lw": 0.9, "color": colours[i // 2]}
         bottom.plot(t, 1e3 * evaluation.drone_errors[:, i], label=name, **look)
     kind = "crossings" if evaluation.clasps is None else "clasps"

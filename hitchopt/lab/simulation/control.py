@@ -94,14 +94,19 @@ def flown_kinds(task: Task, settings: Settings) -> tuple[Quadrotor, ...]:
         return team.kinds
     task.require_one_team("drones as calibrated")
     try:
-        kinds = kinds_of(stated, team.robots, "robot", team.drone_names)
+        kinds = kinds_of(stated, team.robots, "robot", team.listed_names)
     except InputError as error:
         raise error.within("as_calibrated") from None
-    kinds = tuple(kind for kind in kinds for _ in range(team.drones // len(kinds)))
+    listed = [kind for kind in kinds for _ in range(team.drones // len(kinds))]
+    kinds = tuple(listed[drone] for drone in np.argsort(team.listed))
     pairs = zip(team.kinds, kinds, strict=True)
     return tuple(
         replace(kind, **{name: getattr(own, name) for name in MEASURED}) for kind, own in pairs
     )
+
+
+SCALED = ("mellinger", "pid")
+"""Controllers whose exported parameters contain the thrust factor that the plan states."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +115,7 @@ class FlownDrones:
 
     trims: Array  # (2n, 3) [m], that the plan knows: setpoints minus planned places
     turns: Array  # (2n, 3, 3), axes of the controllers' frames as columns, in those of the thrust
-    thrust_factors: Array  # (2n,), commanded over actual thrusts
+    thrust_factors: Array  # (2n,), commanded over actual thrusts, beyond what is exported
     drag: float  # [N s/m], over the speed
 
     @classmethod
@@ -125,7 +130,9 @@ class FlownDrones:
         drag = settings.perturbations.rotor_drag
         if drag is None:
             drag = ROTOR_DRAG if settings.as_calibrated is not None else 0.0
-        factors = np.array([kind.thrust_factor or 1.0 for kind in kinds])
+        flown = np.array([kind.thrust_factor or 1.0 for kind in kinds])
+        exported = [kind.controller in SCALED for kind in team.kinds]
+        factors = flown / np.where(exported, team.thrust_factor, 1.0)
         return cls(np.insert(team.trim, 2, 0.0, axis=1), turns, factors, drag)
 
     @cached_property
@@ -358,7 +365,8 @@ def desired_attitudes(desired: Array) -> Array:
 class VertexFeedback:
     """Feedback of vertices that are measured with noise and delay.
 
-    ``stiffness`` (2n, 3) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections.
+    ``stiffness`` (2n, 3) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections;
+    drones are in the order of their places.
     """
 
     def __init__(
@@ -366,10 +374,11 @@ class VertexFeedback:
     ) -> None:
         if task.motion is None:
             raise InputError("feedback", True, "with a plan", "give the plan's directory")
-        self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness)
+        self._listed, self._numbers = task.team.listed, np.argsort(task.team.listed)
+        self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness[self._listed])
         self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
         self._waiting: deque[tuple[float, Array]] = deque()
-        self.offsets = self._feedback.offsets
+        self.offsets = self._feedback.offsets[self._numbers]
 
     def corrected(self, setpoints: States, time: float, seconds: float, drones: Array) -> States:
         """Return corrected setpoints at a time [s] of the flight.
@@ -380,10 +389,11 @@ class VertexFeedback:
         while self._waiting and self._waiting[0][0] <= time - self._delay + ROUNDING:
             measured_at, vertices = self._waiting.popleft()
         measured = None if measured_at is None else self._start + measured_at
-        self._feedback.step(self._start + time, seconds, vertices, drones, measured=measured)
-        self.offsets = self._feedback.offsets
+        listed, step = drones[self._listed], self._feedback.step
+        step(self._start + time, seconds, vertices, listed, measured=measured)
+        self.offsets = self._feedback.offsets[self._numbers]
         positions = setpoints.positions + self.offsets
-        velocities = setpoints.velocities + self._feedback.velocities
+        velocities = setpoints.velocities + self._feedback.velocities[self._numbers]
         return replace(setpoints, positions=positions, velocities=velocities)
 
     def observe(self, time: float, vertices: Array) -> None:

@@ -158,6 +158,7 @@ class Simulation(OneLine):
         flight, errors = self.flight, self.errors
         record, team, cargo = flight.record, flight.task.team, flight.task.cargo
         rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
+        drones, cables = team.listed, team.edges
         vertices: Iterable[object] = team.layout.clasps
         if flight.task.groups:
             vertices = [team.point_names[point] for point in team.layout.clasps]
@@ -172,11 +173,11 @@ class Simulation(OneLine):
                 "bearing": record.bearing[rows],
             }),
             CABLES: ("cable", _cables(flight), t, {
-                "tension": record.tensions, "peak": record.peak_tensions,
+                "tension": record.tensions[:, cables], "peak": record.peak_tensions[:, cables],
             }),
-            DRONES: ("drone", team.drone_names, t, {
-                "x,y,z": record.drones, "error": off, "thrust": record.thrusts,
-                "tilt": record.tilts,
+            DRONES: ("drone", team.listed_names, t, {
+                "x,y,z": record.drones[:, drones], "error": off[:, drones],
+                "thrust": record.thrusts[:, drones], "tilt": record.tilts[:, drones],
             }),
             OBJECTS: ("object", cargo.names, t, {
                 "x,y,z,qw,qx,qy,qz": record.poses, "touched": record.touched,
@@ -249,7 +250,7 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
 
 
 def _cables(flight: Flight) -> Sequence[object]:
-    """Return the cables' names in files: indices, or names for several groups."""
+    """Return the cables' names in files, in order: indices, or names for several groups."""
     return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
 
 
@@ -284,7 +285,8 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     each = {name: asdict(Spread.of(errors.errors[:, c])) for c, name in enumerate(clasps)}
     means, peaks = np.mean(record.tensions, axis=0), np.max(record.peak_tensions, axis=0)
     ratios = [Spread.of(each).mean for each in tension_ratios(flight, errors.rows).T]
-    tensions = zip(_cables(flight), means.tolist(), peaks.tolist(), ratios, strict=True)
+    columns = (np.array(each)[team.edges].tolist() for each in (means, peaks, ratios))
+    tensions = zip(_cables(flight), *columns, strict=True)
     planned = [part.team.cable_density for part in flight.task.parts for _ in part.team.tension]
     return {
         "format": FORMAT,

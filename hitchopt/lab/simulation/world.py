@@ -9,6 +9,7 @@ contacts of drones with cables and with each other.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -211,8 +212,8 @@ class World:
 
 
 def cable_names(drones: Sequence[str]) -> list[str]:
-    """Return the names (n,) of the cables between drones q0, r0, …: cable 0, …, or a.cable 0, …."""
-    return ["cable ".join(name.rsplit("q", 1)) for name in drones[::2]]
+    """Return the names (n,) of the cables between drones such as a.q0, a.r0: a.cable 0, …."""
+    return [re.sub(r"[qr](\d+)$", r"cable \1", name) for name in drones[::2]]
 
 
 class InvalidRunError(HitchoptError):

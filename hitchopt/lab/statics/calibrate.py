@@ -133,7 +133,7 @@ class Calibration(OneLine):
     task: the plan.
     recording: the measurements.
     density: of the cables [kg/m], as assumed.
-    lengths: of each cable [m], between its drones along the sagging parts.
+    lengths: of each robot's cable [m], between its drones along the sagging parts.
     stiffness: level stiffness of the position loops of each robot's drones [N/m].
     friction: coefficient at the clasps.
     vertex_errors: (samples, points) [m], distances from the plan; nan if its hitch is not taut
@@ -156,10 +156,10 @@ class Calibration(OneLine):
 
         Values that are not determined are the plan's.
         """
-        team, missing = self.task.team, "of the plan: not determined"
+        team, missing = self.task.team.of_problem, "of the plan: not determined"
         lengths = [round(one.value, 4) for one in self.lengths]
         errors = ", ".join(f"{one.error:.1g}" for one in self.lengths)
-        names = [each.name for each in fields(Team) if each.name != "quadrotor"]
+        names = [each.name for each in fields(Team) if each.name not in ("quadrotor", "assignment")]
         values = {name: _yaml(getattr(team, name)) for name in names}
         values["cable_length"] = f"{_yaml(lengths)}  # ± {errors} m"
         values["cable_density"] = f"{_yaml(self.density)}  # as assumed"
@@ -274,8 +274,8 @@ def calibrate(
         task,
         recording,
         rope_density,
-        tuple(_median(arc[use]) for arc, use in zip(arcs.T, visible.T, strict=True)),
-        tuple(estimates[kinds.index(kind.uncalibrated)] for kind in team.quadrotor),
+        tuple(_median(arcs[visible[:, edge], edge]) for edge in team.edges),
+        tuple(estimates[kinds.index(kind.uncalibrated)] for kind in team.of_problem.quadrotor),
         friction,
         np.where(taut_at(task, t, TAUT_RATIO)[:, None], vertex_errors, np.nan),
         length(recording.drones - plan_at(task, t, setpoints)),

@@ -157,7 +157,7 @@ class Equilibrium(OneLine):
     def slack_cables(self) -> tuple[str, ...]:
         """Names of cables that are slack in any sample: c0, c1, …."""
         slack = self.slack.reshape(-1, self.team.robots).any(axis=0)
-        return tuple(f"c{k}" for k in np.flatnonzero(slack))
+        return tuple(f"c{k}" for k in sorted(np.array(self.team.labels)[slack].tolist()))
 
     @property
     def loose_clasps(self) -> tuple[str, ...]:

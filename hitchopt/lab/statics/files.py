@@ -86,14 +86,14 @@ def statics_content(rest: Equilibrium, ranges: Tolerance | None) -> dict[str, An
         cables |= {"smallest": ranges.tensions[..., 0], "largest": ranges.tensions[..., 1]}
         vertices |= {"half_widths": ranges.vertex_halves, "radius": ranges.radii}
     team = rest.team
-    for kind, names, columns in (
-        ("cables", [f"c{k}" for k in range(team.robots)], cables),
-        ("vertices", team.point_names, vertices),
-        ("drones", team.drone_names, drones),
+    for kind, names, order, columns in (
+        ("cables", [f"c{k}" for k in range(team.robots)], team.edges, cables),
+        ("vertices", team.point_names, range(team.layout.points), vertices),
+        ("drones", team.listed_names, team.listed, drones),
     ):
         content[kind] = [
             {"name": name, **{key: values[:, k].tolist() for key, values in columns.items()}}
-            for k, name in enumerate(names)
+            for name, k in zip(names, order, strict=True)
         ]
     return content
 
@@ -118,7 +118,7 @@ def draw_statics(rest: Equilibrium, ranges: Tolerance | None, width: float | Non
         left.fill_between(t, low, drawn, color="0.87", label=words, zorder=1)
     look: dict[str, Any] = {"marker": "o" if len(t) == 1 else None, "zorder": 3}
     for k, colour in enumerate(style.cable_colours(cables)):  # first ones are visible below others
-        label = f"cable {k} at rest" if cables <= MAX_NAMED else ""
+        label = f"{rest.team.cable_names[k]} at rest" if cables <= MAX_NAMED else ""
         wide = 1.2 + 2.4 * (1.0 - (k + 1) / cables)
         left.plot(t, rest.tensions[:, k], color=colour, lw=wide, label=label, **look)
     left.plot(t, rest.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")

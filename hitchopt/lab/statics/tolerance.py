@@ -164,7 +164,8 @@ class Tolerance(OneLine):
     def slack_cables(self) -> tuple[str, ...]:
         """Names of the cables that may be slack at some time."""
         slack = self.equilibrium.slack | (self.tensions[..., 0] <= 0.0)
-        return tuple(f"c{k}" for k in np.flatnonzero(slack.any(axis=0)))
+        robots = np.array(self.equilibrium.team.labels)[slack.any(axis=0)]
+        return tuple(f"c{k}" for k in sorted(robots.tolist()))
 
 
 def tolerance(

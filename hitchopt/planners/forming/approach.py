@@ -187,7 +187,7 @@ class GatheredApproach(Approach):
         scale = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
         goal = np.mean(goal, axis=0) + scale * (goal - np.mean(goal, axis=0))
         start[:, 2] = goal[:, 2] = np.max(drones[:, 2])
-        names = tuple(f"cable {k}" for k in range(self.team.robots))
+        names = self.team.cable_names
         drones = np.stack([drones, self._pairs(start, last)])
         return self._task(drones, start, goal, discs, names=names)
 

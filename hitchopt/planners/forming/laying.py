@@ -9,7 +9,7 @@ Each cable then lies on those below it in the order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import ClassVar
@@ -101,7 +101,7 @@ class RollPath:
         return drones
 
 
-def levels_of(layout: Layout, order: Sequence[int] | None) -> Indices:
+def levels_of(layout: Layout, order: Iterable[int] | None) -> Indices:
     """Return the levels (n,) of a ring's cables, 0 the lowest; those of neighbours differ.
 
     ``order`` lists the cables from bottom to top; None for alternating levels.

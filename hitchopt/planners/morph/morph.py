@@ -100,8 +100,9 @@ def check_shapes(path: Path) -> None:
     if np.min(legs) < MIN_LEG:
         j, cable, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
         remaining = legs[j, cable][layout.has_leg[cable]].sum()
-        where, shortest = (f"{'qr'[end]}{cable}",), float(legs[j, cable, end])
-        when, remedy = f"at {s[j]:.0%} of the path", f"cable {cable} leaves {remaining:.6g} m there"
+        where = (path.team.drone_names[2 * cable + end],)
+        shortest, when = float(legs[j, cable, end]), f"at {s[j]:.0%} of the path"
+        remedy = f"{path.team.cable_names[cable]} leaves {remaining:.6g} m there"
         raise InfeasibleError(
             [Violation("legs", shortest, MIN_LEG, "min", "m", where, when, remedy)]
         )

@@ -198,7 +198,7 @@ def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
         spans = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
         cable, worst = int(np.argmax(np.max(spans, axis=0))), float(np.max(spans))
         if worst >= 1.0:
-            where, when = (f"cable {cable}",), "between its drones' places"
+            where, when = (team.cable_names[cable],), "between its drones' places"
             remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
             raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
     loads = loads_at_rest(team, hanging_forces(team, drones))
