@@ -53,7 +53,6 @@ OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run s
 PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
 HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
-MIN_LIP = 0.01  # [m] smallest width of a lip beyond the edges that bear it
 PASSED = 0.4  # largest share of a cable's weight at a clasp that a cable below it may bear
 EXACT_RANGE, LINKS = 0.5, 96  # of hanging cables: range of exact distances [m], links
 OWN_DISTANCES = 2.0  # distance along a cable from which it counts for its drone, over the smallest
@@ -668,17 +667,6 @@ class Body:
         self.slabs = [slab for slab in (self.stem, self.rim) if slab]
         self.pose = np.array([*o["at"], math.cos(o["yaw"]), math.sin(o["yaw"])])
         self.centre = np.append(self.stem.centroid, 0.5 * (self.stem.lower + self.stem.upper))
-
-    def has_lip_on(self, contacts: Array) -> Mask:
-        """Return whether edges with contacts (m, c, 3) bear the body by its lip, without friction.
-
-        The rim's underside is at all contacts, and reaches beyond them.
-        """
-        if self.rim is None or self.height == self.stem.lower:
-            return np.zeros(len(contacts), dtype=bool)
-        below = np.abs(contacts[..., 2] - self.height) <= CONTACT_TOL
-        wide = self.rim.depth(contacts[..., :2]) >= MIN_LIP
-        return np.asarray(np.all(below & wide, axis=1))
 
 
 def tube_of(tracking: Any) -> tuple[float, float]:
@@ -1841,11 +1829,9 @@ def replay(
 
 def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     """Prove distances of a body to cables, other bodies, ground and walls."""
-    body, stem, allowed = p.bodies[b], p.bodies[b].stem, allowed_contacts(p, b)
-    held, items = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None], range(len(p.segments))
-    wrapped = p.grip[b][:, None] & (p.segments[:, 3] != p.segments[:, 4])  # edges, not legs
-    masks = p.taut[:, None] & ~held, held & ~wrapped
-    off, holding = (p.spans(on, items, p.segment_names) for on in masks)
+    body, allowed = p.bodies[b], allowed_contacts(p, b)
+    others = p.taut[:, None] & ~p.holding[b][:, p.segments[:, 2]]
+    off = p.spans(others, range(len(p.segments)), p.segment_names)
     free, clasping = (p.spans(on, range(p.n), p.cables) for on in (p.free, p.clasping))
     moving, carried = (p.spans(x[b], [0], [body.name]) for x in (p.moving, p.held))
     header = "penetration m min"
@@ -1900,8 +1886,21 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         if o != b and block.upper > block.lower and not (body.fixed and p.bodies[o].fixed):
             gap = partial(inner_gap, slab=slab, o=o, block=block)
             yield prove(header, 0.5 * POS_TOL, first, gap)
-    if body.height != stem.lower or body.rim is None:  # not for the pillar below a tray
-        yield prove(header, WRAP_TOL, holding, lambda s, j: stem.gap(*s.segment(j, b)))
+
+
+def clear_held(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that cables which hold a body do not enter it, nor the ground.
+
+    Edges touch a body that they grip: ``gripped`` proves how. A rim rests on cables only below it.
+    """
+    body, header = p.bodies[b], "penetration m min"
+    held, items = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None], range(len(p.segments))
+    wrapped, is_leg = p.grip[b][:, None], p.segments[:, 3] == p.segments[:, 4]
+    is_tray = body.rim is not None and body.height == body.stem.lower  # above what it rests on
+    masks = [held & (is_leg | ~wrapped) & (wrapped | (not is_tray)), held & wrapped]
+    for slab, on in zip(body.slabs, masks, strict=False):
+        s = p.spans(on, items, p.segment_names)
+        yield prove(header, WRAP_TOL, s, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
     s = p.spans(p.held[b], range(len(p.labels)), p.labels)
     yield prove(header, -WRAP_TOL, s, lambda s, i: s.point(i)[2] - p.floor)
 
@@ -2035,7 +2034,7 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
                 errors.append((n[0] * to[1] - n[1] * to[0] + stem.radius).where(valid))
         return maximum(*errors)
 
-    slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1) & ~body.has_lip_on(start)
+    slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
     yield prove("grip 1 min", 1.5, p.spans(on & slides, [0], [body.name]), grip_ratio)
     yield prove("equilibrium 1 max", 5e-3, p.spans(on, [0], [body.name]), residual)
     yield prove("grip wrap max", 3 * WRAP_TOL, p.spans(on, cables, p.cables), wrap_error)
@@ -2420,7 +2419,8 @@ def plan_rows(p: Plan) -> Iterator[Row]:
     bent = (bent_cables,) if np.any(p.bent) else ()
     for check in (consistency, drones, *taut, *bent, *((free_cables,) if p.n else ())):
         yield from check(p)
-    for check_of, b in product((resting, gripped, hinged, clear_objects), range(len(p.bodies))):
+    of_bodies = resting, gripped, hinged, clear_objects, clear_held
+    for check_of, b in product(of_bodies, range(len(p.bodies))):
         yield from check_of(p, b)
     yield from (*jumps(p), *interlacing(p))
 

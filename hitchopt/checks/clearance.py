@@ -586,7 +586,8 @@ KEEP_OUT = CheckRule(
 def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of taut cables and objects that they do not hold.
 
-    The distance is zero where a cable enters an object that it holds, or the ground.
+    The distance is zero where a cable enters an object that it holds, or the ground. A rim above
+    edges that grip a body bears on no cable.
     """
     taut = taut_cables(motion)
     part, names, points = taut.part, taut.names, Enclosed(taut.corners)
@@ -600,12 +601,14 @@ def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
         held = [p.hold.cables if p.hold and p.hold.object == name else () for p in motion.phases]
         touching = np.array([np.isin(cables, each) for each in [*held, ()]])
         active = ~touching[motion.phase_of_piece]
-        if each.stem is not None:  # below a flat tray, a cable is outside
-            gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None]  # edges may touch it
-            inner = (~gripped | (part % 3 != 1)) & ~active
-            body = Solid(each.slabs[0])
+        gripped = held_pieces(motion, name, HoldBy.GRIP)[:, None] & ~active
+        # Edges may touch a body that they grip; what rests on cables is above them there.
+        inner = (gripped & (part % 3 != 1)) if each.stem is None else ~active
+        inner &= ~gripped | (part % 3 != 1)
+        for slab, holding in zip(each.slabs, (inner, gripped), strict=False):
+            shape = Solid(slab)
             yield pairs_with_shape(
-                motion, points, names, name, body, pose, active=inner, formula=entry
+                motion, points, names, name, shape, pose, active=holding, formula=entry
             )
         for slab in each.slabs:
             yield pairs_with_shape(motion, points, names, name, Solid(slab), pose, active=active)

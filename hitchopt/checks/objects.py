@@ -44,7 +44,6 @@ from hitchopt.values import Array, Indices, known, lazy
 Mask = NDArray[np.bool_]
 
 GRIP_LIMIT = 1.5  # Slip load over load
-MIN_LIP = 0.01  # [m] Width of a lip beyond the cables on which it lies
 WRAP_GAP = 2e-5  # [m] Largest gap or overlap of an edge and the section it is wrapped around
 MIN_CHORD = 1e-9  # [m] Arcs with shorter chords are their chords
 # An edge leads to the object before it, and away from it behind it
@@ -266,22 +265,9 @@ def slip_ratio(spans: Gripped) -> Bound:
 
     It is minus infinity where edges are not wrapped around the object.
     """
-    carried = np.any(spans.share.c > 0.0, axis=(1, 2)) & ~_below_lip(spans)
+    carried = np.any(spans.share.c > 0.0, axis=(1, 2))
     ratio = _ratio(spans.slip_load, np.where(carried, spans.load * (1.0 + ROUNDING), 0.0))
     return Bound(np.where(_misplaced(spans), -math.inf, ratio.value), ratio.x)
-
-
-def _below_lip(spans: Gripped) -> Mask:
-    """Return on which spans (spans,) a lip of the object lies on all edges, and bears its weight.
-
-    The lip's underside is at the contacts, and it reaches beyond them.
-    """
-    rim, places = spans.body.rim, spans.places
-    if rim is None or rim.height == spans.body.lower:
-        return np.zeros(len(spans), dtype=np.bool_)
-    touching = np.abs(places[..., 2] - rim.height) <= PLACE_TOLERANCE
-    below = rim.section.clearance(places[..., :2])[0] <= -MIN_LIP
-    return np.asarray(np.all(touching & below, axis=(1, 2)))
 
 
 def _ratio(a: Array, b: Array) -> Bound:

@@ -132,7 +132,8 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
             require_certified(StepPlan(planner.motion(moves, "lift"), task.before), when)
     except InfeasibleError as error:
         robots = "use more robots, as hitchopt fit counts them"
-        hardware = robots if hold.by is HoldBy.REST else "use rougher cables, or give it a rim"
+        rim = "rest it on a rim with three robots" if hold.team.robots == 2 else "give it a rim"
+        hardware = robots if hold.by is HoldBy.REST else f"use rougher cables, or {rim}"
         capacities, max_mass = hold_capacity(planner, task.requirements)
         remedy = f"lower {name}.mass, or ask for another tension, or {hardware}{capacities}"
         mass, violations = planner.body.mass, list[Violation]()

@@ -46,6 +46,9 @@ NO_TURN = math.radians(2.0)
 EDGE = 0.02
 """[m] Smallest distance of clasps to the top and the bottom of an object."""
 
+BELOW_RIM = 0.03
+"""[m] Preferred distance of clasps to a rim above them, which cables must not touch."""
+
 
 def _height_error(requirements: Requirements) -> float:
     """Return by how much drones may be off in height [m]."""
@@ -98,7 +101,7 @@ class Tie(Step):
     around: ObjectOf
     at: Annotated[
         float | None,
-        Key(LENGTH, "Height of the clasps above its base; null: at its rim, or else high", 0.3),
+        Key(LENGTH, "Height of the clasps above its base; null: high, but below its rim", 0.3),
     ] = None
     tension: Annotated[
         float | None,
@@ -124,11 +127,12 @@ class Tie(Step):
         """Return the height of the clasps above the object's base [m]."""
         if self.at is not None:
             return self.at
-        if body.rim is not None:
-            return body.rim.height
+        lowest = needed_height(body, requirements)
         below = body.upper - max(EDGE, _height_error(requirements))
+        if body.rim is not None and body.rim.height - BELOW_RIM >= lowest:
+            below = min(below, body.rim.height - BELOW_RIM)
         preferred = min(float(body.centre_of_mass[2]) + PREFERRED_HINGE, below)
-        return min(max(needed_height(body, requirements), preferred), body.upper - EDGE)
+        return min(max(lowest, preferred), body.upper - EDGE)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to cables that grip the object."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,10 @@ from groups import part
 from plans import planned
 
 import hitchopt as ho
+from hitchopt import verify
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
@@ -22,6 +25,7 @@ from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.combined import combined
 from hitchopt.motion.motion import CableState, Group, Motion
+from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.polygons import grip_clasps
@@ -172,6 +176,57 @@ def test_translation_and_rotation_change_no_check() -> None:
     matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     moved = transformed(tied(), lambda x: x @ matrix.T + [3.0, -2.0, 0.0], matrix[:2, :2])
     same(tied(), moved)
+
+
+def under_a_rim(radius: float, above: float) -> tuple[Motion, str]:
+    """Return the drum as it is carried elsewhere, with a rim above the contacts, and its name."""
+    carried = part(cycle().motion, "carry", "carry")
+    c, s = np.cos(0.7), np.sin(0.7)
+    matrix = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    moved = transformed(carried, lambda x: x @ matrix.T + [3.0, -2.0, 0.0], matrix[:2, :2])
+    ((name, body),) = moved.requirements.objects.items()
+    rim = ho.Rim(Section(radius=radius), 0.35 + above)
+    objects = {name: replace(body, rim=rim)}
+    return moved.replaced(requirements=replace(moved.requirements, objects=objects)), name
+
+
+@pytest.mark.parametrize("above", [0.0, 0.002, 0.02, 0.045])
+@pytest.mark.parametrize("radius", [0.125, 0.14, 0.25, 0.6])
+def test_cables_that_hold_an_object_do_not_pass_through_its_rim(
+    radius: float, above: float, tmp_path: Path
+) -> None:
+    """Which bears on no cable, as these rise away from the body. Samples tell."""
+    motion, name = under_a_rim(radius, above)
+    times = np.linspace(0.0, motion.duration, 400)
+    begin, index = motion.drones.breaks[0], list(motion.requirements.objects).index(name)
+    pose = motion.poses.at(begin + times)[:, index]
+    x, v, contacts = (
+        each.at(begin + times) for each in (motion.drones, motion.vertices, motion.contacts)
+    )
+    ends = np.stack([v, np.roll(v, -1, axis=1)], axis=2)
+    pairs = x.reshape(ends.shape)
+    both = [np.stack(each, axis=-2) for each in ((contacts, ends), (ends, pairs))]
+    parts = np.concatenate([each.reshape(len(times), -1, 2, 3) for each in both], axis=1)
+    share = np.linspace(0.0, 1.0, 2001)[:, None]
+    points = parts[:, :, None, 0] + share * (parts[:, :, 1] - parts[:, :, 0])[:, :, None]
+    local = points - pose[:, None, None, :3]
+    level = np.linalg.norm(local[..., :2], axis=-1)
+    reaches = local[..., 2] >= 0.35 + above - 1e-5
+    expected = bool(np.any(reaches & (level <= radius)))
+    check = RULE_OF["object_clearance"].check(motion)
+    assert check is not None
+    assert check.holds is not expected
+    write_plan(tmp_path / "plan.npz", motion)
+    ((plan,), _) = verify.read(tmp_path / "plan.npz")
+    rows = [each for each in verify.clear_held(plan, index) if each.samples]
+    assert any(each.verdict != "proven" for each in rows) is expected
+
+
+def test_a_lip_saves_no_friction() -> None:
+    pot = {**DRUM, "to": 0.4, "mass": 0.1, "friction": 0.1, "rim": {"circle": 0.2, "at": 0.32}}
+    steps = [{"tie": {"around": "drum"}}, {"lift": {"by": 0.1}}]
+    with pytest.raises(ho.InfeasibleError, match=r"grip: 0\.\d+ is below the limit of 1\.5"):
+        ho.solve(problem(steps, pot))
 
 
 @pytest.mark.slow
