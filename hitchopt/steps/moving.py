@@ -310,6 +310,27 @@ class Morph(ShapeStep):
         """Return the hitch on the polygon."""
         return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
 
+    def fly(self, task: StepTask) -> StepPlan:
+        """Return the plan to the nearest legs, or to spread ones where these break a limit."""
+        nearest = attempt(partial(super().fly, task))
+        if isinstance(nearest, StepPlan):
+            return nearest
+        self.check_end(task.hitch, task)
+        if self.legs is not None or self._end_holds(task):
+            raise nearest
+        spread = attempt(partial(replace(self, legs="spread").fly, task))
+        if isinstance(spread, StepPlan):
+            return spread
+        raise nearest
+
+    def _end_holds(self, task: StepTask) -> bool:
+        """Return whether the hitch at the end keeps all limits at rest."""
+        try:
+            self.check_end(self.end(task).hitch, task)
+        except InfeasibleError:
+            return False
+        return True
+
     def direct_motion(self, task: StepTask, end: End) -> Motion:
         """Return the motion along straight lines."""
         from hitchopt.planners.morph.morph import StraightMorph

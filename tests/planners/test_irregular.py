@@ -135,6 +135,12 @@ def test_wild_pairs_are_planned_however_they_are_placed_and_numbered(change: str
     assert planned(CHANGES[change](pair_of(wild_morph(robots, seed)))).certificate.certified
 
 
+def test_heavy_cables_that_cannot_be_held_on_a_guess_spoil_no_search() -> None:
+    """On one of its guesses the clasps have no balance; others lead to a plan."""
+    problem = wild_morph(3, 9, heavy=True)
+    assert ho.solve(ho.problem_from_dict(problem)).certificate.certified
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("robots", [3, 4, 5, 6, 7, 8])

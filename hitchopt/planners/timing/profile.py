@@ -294,6 +294,8 @@ def fastest_profile(
     # to order 1, whether limited by acceleration or by speed.
     length = float(np.clip(np.median(acceleration / squared_speed), 1e-2, 1e9))
     unit = float(np.median(squared_speed)) * length
+    if not math.isfinite(length * unit):
+        raise TimingError("clasps have no balance on this path")
     scaled = np.stack([corners[0] / unit, corners[1] * length / unit])
     speeds = fastest_speeds(s * length, scaled)
     if speeds is None:
