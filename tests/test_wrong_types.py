@@ -266,11 +266,13 @@ def test_what_nothing_has_that_flies_is_refused(refusal: Refusal) -> None:
     assert_refused(*refusal)
 
 
-def test_copies_warn_as_records_do() -> None:
-    with pytest.warns(ho.UnitWarning, match="^speed: 800"):
-        limits = ho.Limits(speed=800)
-    with pytest.warns(ho.UnitWarning, match="^speed: 800"):
+def test_copies_warn_where_a_user_makes_them_only() -> None:
+    """Planners copy records with values that they compute; warnings are errors here."""
+    with pytest.warns(ho.UnitWarning, match="^speed: 200"):
+        limits = ho.Limits(speed=200)
+    with pytest.warns(ho.UnitWarning, match="^speed: 200"):
         replace(limits, jerk=10.0)
+    assert ho.form(TEAM, Q, R, TRIANGLE, limits=limits).certificate.certified
 
 
 def test_a_polygon_in_millimetres_says_so() -> None:

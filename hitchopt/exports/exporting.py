@@ -36,6 +36,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import stretched
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
 REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
@@ -206,7 +207,7 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
 
         def widened(motion: Motion) -> Motion:
             tube = with_trailing(_own_errors(motion), speed / stretch)
-            wider = replace(motion.requirements.limits, tracking=tube)
+            wider = with_fields(motion.requirements.limits, tracking=tube)
             return motion.replaced(requirements=replace(motion.requirements, limits=wider))
 
         return certify(planned.each_group(widened))[TRACKING_RADIUS.name]
@@ -363,14 +364,14 @@ def _remedies(kind: Format, task: ExportTask) -> Iterator[tuple[str, ExportTask]
             gains = stiffest_gains(only.mass, only.latency, only.controller)
             text = f"{gains}".replace("'", "")
             words = f"Set team.quadrotor.gains to {text} and solve again"
-            yield words, _flown_by(task, lambda kind: replace(kind, gains=gains))
+            yield words, _flown_by(task, lambda kind: with_fields(kind, gains=gains))
 
 
 def _without_integral(kind: Quadrotor) -> Quadrotor:
     """Return a kind of drones whose position loop has no integral."""
     if kind.controller is None:
-        return replace(kind, integral=False)
-    return replace(kind, gains=replace(Gains.of(kind.gains), ki=0.0))
+        return with_fields(kind, integral=False)
+    return with_fields(kind, gains=replace(Gains.of(kind.gains), ki=0.0))
 
 
 def _flown_by(task: ExportTask, change: Callable[[Quadrotor], Quadrotor]) -> ExportTask:
@@ -380,7 +381,7 @@ def _flown_by(task: ExportTask, change: Callable[[Quadrotor], Quadrotor]) -> Exp
         if not motion.has_cables:
             return motion
         kinds = tuple(map(change, motion.team.quadrotor))
-        return motion.replaced(team=replace(motion.team, quadrotor=kinds))
+        return motion.replaced(team=with_fields(motion.team, quadrotor=kinds))
 
     return replace(task, motion=task.motion.each_group(changed))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
@@ -44,6 +44,7 @@ from hitchopt.values.fields import (
     points,
     record_schema,
     store,
+    with_fields,
     words,
 )
 from hitchopt.values.units import check_lift
@@ -221,7 +222,7 @@ class Quadrotor(OneLine):
     @property
     def uncalibrated(self) -> Quadrotor:
         """The kind without what is measured on single drones."""
-        return replace(self, trim=None, thrust_factor=None, tracking=None)
+        return with_fields(self, trim=None, thrust_factor=None, tracking=None)
 
     def level_pull(self, tilt: float) -> tuple[float, str]:
         """Return the largest horizontal pull [N] at rest within a tilt [rad], and the limit."""

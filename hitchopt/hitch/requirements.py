@@ -23,6 +23,7 @@ from hitchopt.values.fields import (
     points,
     store,
     store_degrees,
+    with_fields,
 )
 
 ROUNDING_FACTOR = 1.0 + 2e-9
@@ -97,7 +98,7 @@ class Limits(OneLine):
         if self.reserve == 1.0:
             return self
         acceleration, jerk = self.reserve * self.acceleration, self.reserve * self.jerk
-        return replace(self, reserve=1.0, acceleration=acceleration, jerk=jerk)
+        return with_fields(self, reserve=1.0, acceleration=acceleration, jerk=jerk)
 
 
 @documented
@@ -273,7 +274,7 @@ class Requirements(ByValue):
             inward, down = np.array([off, off, 0.0]), np.array([off, off, off * ratio])
             lower, upper = arena.lower + inward, arena.upper - down
             arena = Arena(lower, upper) if np.all(lower < upper) else arena
-        limits = replace(limits, leg=limits.leg + 2.0 * off, tracking=0.0)
+        limits = with_fields(limits, leg=limits.leg + 2.0 * off, tracking=0.0)
         wider = self.separation.widened(off, ratio)
         return replace(
             self,
@@ -293,11 +294,11 @@ class Requirements(ByValue):
         off = team.tracking if limits.tracking is None else limits.tracking
         if off == limits.tracking and limits.tilt <= tilt:
             return self
-        return replace(self, limits=replace(limits, tilt=min(limits.tilt, tilt), tracking=off))
+        return replace(self, limits=with_fields(limits, tilt=min(limits.tilt, tilt), tracking=off))
 
     @property
     def untimed(self) -> Requirements:
         """The requirements without a limit on the plan's duration."""
         if self.limits.duration is None:
             return self
-        return replace(self, limits=replace(self.limits, duration=None))
+        return replace(self, limits=with_fields(self.limits, duration=None))

@@ -40,6 +40,7 @@ from hitchopt.steps.certified_motions import infeasible_error, rest_motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
+from hitchopt.values.fields import with_fields
 
 # Minimum part of a piece of the current plan that is flown [s]: derivatives of shorter pieces have
 # rounding errors
@@ -155,7 +156,7 @@ class Replanner(OneLine):
         self.motion, self._goal = replace(motion, requirements=self.requirements), goal
         self._limits = limits = self.requirements.with_reserve.limits
         if limits.body_rate is not None:  # the jerk that turns a hovering drone at this rate
-            self._limits = replace(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
+            self._limits = with_fields(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
         self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # load the solver before the first goal
             self._end(self._goal.polygon, self._goal.altitude)

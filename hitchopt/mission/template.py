@@ -20,7 +20,7 @@ from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam
 from hitchopt.planners.fitting import Range, fitting_lengths, fitting_tensions
 from hitchopt.storage.yaml_file import flow, parse_yaml, split_key, with_value
 from hitchopt.values import Array, integer
-from hitchopt.values.fields import EMPTY, keys_of
+from hitchopt.values.fields import EMPTY, keys_of, with_fields
 
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
@@ -117,7 +117,9 @@ def _fitting_polygons(
     length [m] of both.
     """
     radius, limits = required.separation.radius, required.limits
-    required = replace(required, limits=replace(limits, leg=max(limits.leg, TYING_LEG * radius)))
+    required = replace(
+        required, limits=with_fields(limits, leg=max(limits.leg, TYING_LEG * radius))
+    )
     for edge in np.round(EDGES * radius, 1).tolist():
         tied = np.round(regular_polygon(team.robots, edge, 0.5 * math.pi).vertices, 2) + 0.0
         pulled = tied + np.outer(np.arange(len(tied)) == 0, [0.0, round(PULL * edge, 2)])

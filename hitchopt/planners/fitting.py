@@ -29,6 +29,7 @@ from hitchopt.planners.carrying.polygons import (
     best_grip,
 )
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
 """Candidates of enclosing polygons: directions of stretch besides those of the section's sides,
@@ -155,7 +156,7 @@ def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, te
         return 0.0, largest
     vertices = np.stack([each.vertices for each in polygons])
     for tension in np.geomspace(largest, largest / MAX_TENSION_RATIO, TENSIONS).tolist():
-        stretched = replace(team, tension=np.full(team.robots, tension))
+        stretched = with_fields(team, tension=np.full(team.robots, tension))
         if _margin(stretched, vertices, requirements) < LIMIT_MARGIN:
             break
         smallest = tension
@@ -178,7 +179,7 @@ def _margins(
     first = math.ceil((float(needed) + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
     lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
     for cable in lengths[:: stride if balanced else STRIDE].tolist():
-        cut = replace(team, cable_length=cable * ratios)
+        cut = with_fields(team, cable_length=cable * ratios)
         yield cable, _margin(cut, vertices, requirements, balanced=balanced)
 
 

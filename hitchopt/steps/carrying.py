@@ -58,7 +58,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.straddling import Tie, Untie, check_hinge
 from hitchopt.values import Array
-from hitchopt.values.fields import Key, documented, points, words
+from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
 AROUND_SPEED, OBJECT_MARGIN = 0.15, 0.10
@@ -184,7 +184,7 @@ def at_around_speed(requirements: Requirements) -> Requirements:
     """Return requirements with the speed limit of hitches around objects."""
     limits = requirements.limits
     speed, vertex_speed = (min(x, AROUND_SPEED) for x in (limits.speed, limits.vertex_speed))
-    return replace(requirements, limits=replace(limits, speed=speed, vertex_speed=vertex_speed))
+    return replace(requirements, limits=with_fields(limits, speed=speed, vertex_speed=vertex_speed))
 
 
 def requirements_near(task: StepTask, name: str) -> Requirements:

@@ -64,7 +64,16 @@ from hitchopt.steps.step import (
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, as_array, bounded_points
-from hitchopt.values.fields import FLAGS, Key, documented, either, list_of, mapping_of, points
+from hitchopt.values.fields import (
+    FLAGS,
+    Key,
+    documented,
+    either,
+    list_of,
+    mapping_of,
+    points,
+    with_fields,
+)
 from hitchopt.values.units import DURATION, SPEED, TENSION
 
 if TYPE_CHECKING:
@@ -564,7 +573,7 @@ class FollowVertex(ActionStep):
             values = self.speed, limits.vertex_speed, "max", "m/s", (f"p{self.vertex}",), when
             remedy = "lower the step's speed, or raise limits.vertex_speed"
             raise InfeasibleError([Violation("vertex_speed", *values, remedy)])
-        slow = replace(task.requirements, limits=replace(limits, vertex_speed=self.speed))
+        slow = replace(task.requirements, limits=with_fields(limits, vertex_speed=self.speed))
         motion = self.direct_motion(task.within(slow, task.before), end)
         check = VERTEX_SPEED.check(motion)
         if check is not None and not check.holds:  # of points with times

@@ -44,7 +44,7 @@ from hitchopt.steps.step import (
     scaled_outline_edit,
 )
 from hitchopt.values import Array, Indices
-from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, words
+from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, with_fields, words
 from hitchopt.values.units import ALTITUDE
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ class Form(Step):
         for margin in CABLE_MARGINS:
             if clearance >= margin * cable:
                 break
-            separation = replace(requirements.separation, cable=margin * cable)
+            separation = with_fields(requirements.separation, cable=margin * cable)
             wider = replace(requirements, separation=separation)
             same_roll = RolledLegs("spread", spread.roll)
             hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)

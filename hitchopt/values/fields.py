@@ -171,6 +171,17 @@ def store_degrees(record: object, **degrees: float | None) -> None:
         object.__setattr__(record, name, radians)
 
 
+def with_fields(record: T, **fields: Any) -> T:
+    """Return a copy of a record with other values of some fields, which a computation has found.
+
+    Values are checked, but not warned of: those that remain have been, when the record was made.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UnitWarning)
+        copy: T = replace(record, **fields)  # type: ignore[type-var]
+    return copy
+
+
 def check_keywords(name: str, valid: Sequence[str], keywords: Iterable[str]) -> None:
     """Raise TypeError for a keyword that function ``name`` does not have; suggest a valid one."""
     for each in keywords:

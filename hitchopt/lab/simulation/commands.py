@@ -21,6 +21,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 # Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s], and its largest 16-bit number
 QUANTUM, MAX_COUNT = 1e-3, 32767
@@ -77,7 +78,9 @@ def named_controllers(task: Task) -> set[str | None]:
 
 def flown_team(team: Team, settings: Settings) -> Team:
     """Return the team with the controller and gains of the settings."""
-    return replace(team, quadrotor=tuple(_configured(kind, settings) for kind in team.quadrotor))
+    return with_fields(
+        team, quadrotor=tuple(_configured(kind, settings) for kind in team.quadrotor)
+    )
 
 
 def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
@@ -124,7 +127,7 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     hold_tension = not np.any(team.integral_gain > 0.0)
     unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
     kinds = tuple(kind.uncalibrated for kind in team.quadrotor) if hold_tension else unnamed
-    motion = motion.replaced(team=replace(team, quadrotor=kinds))
+    motion = motion.replaced(team=with_fields(team, quadrotor=kinds))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity
         options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)

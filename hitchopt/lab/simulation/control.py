@@ -36,6 +36,7 @@ from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 ROTOR_DRAG = 0.012  # Drag of rotors over the speed, measured on Crazyflies [N s/m]
 
@@ -101,7 +102,7 @@ def flown_kinds(task: Task, settings: Settings) -> tuple[Quadrotor, ...]:
     kinds = tuple(listed[drone] for drone in np.argsort(team.listed))
     pairs = zip(team.kinds, kinds, strict=True)
     return tuple(
-        replace(kind, **{name: getattr(own, name) for name in MEASURED}) for kind, own in pairs
+        with_fields(kind, **{name: getattr(own, name) for name in MEASURED}) for kind, own in pairs
     )
 
 

@@ -37,6 +37,7 @@ from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, nonnegative, points, positive
+from hitchopt.values.fields import with_fields
 
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Smallest ratio of slip load to load
@@ -288,7 +289,7 @@ def _tied(task: FitTask) -> Holding:
     for cable in lengths:
         kind, T, friction = task.kind, task.tension, task.clasp_friction
         team = Team(2, cable, cable_density=TIED_DENSITY, tension=T, quadrotor=kind)
-        team = replace(team, cable_friction=friction)
+        team = with_fields(team, cable_friction=friction)
         request = GripTask(task.section, 2, cable, T, friction, requirements, kind)
         try:
             grip = best_grip(request)

@@ -36,6 +36,7 @@ from hitchopt.planners.forming.stages import (
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 if TYPE_CHECKING:
     from hitchopt.planners.separation import SeparationTask
@@ -102,7 +103,7 @@ class Approach(ABC):
             name: LIMIT_SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")
         }
         requirements = replace(
-            self.requirements, limits=replace(limits, **rates), separation=separation
+            self.requirements, limits=with_fields(limits, **rates), separation=separation
         )
         return SeparationTask(start, goal, requirements, acceleration=accelerations, **bodies)
 
@@ -180,7 +181,7 @@ class GatheredApproach(Approach):
 
         separation, (halfway, last) = self.requirements.separation, self._headings
         radius, height = separation.radius, float(np.max(self.team.cable_length))
-        discs = replace(separation, radius=(1.0 + PAIR_SEPARATION) * radius, height=height)
+        discs = with_fields(separation, radius=(1.0 + PAIR_SEPARATION) * radius, height=height)
         start, goal = (0.5 * (each[0::2] + each[1::2]) for each in (self.start, self.goal))
         drones = self._before_gathering(start, halfway)
         closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)

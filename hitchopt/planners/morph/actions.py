@@ -38,6 +38,7 @@ from hitchopt.planners.timing.flight import (
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 UNIT_BREAKS = np.array([0.0, 1.0])  # Breakpoints of s for a path of one piece
 
@@ -265,7 +266,9 @@ class ActionMorph:
         # The action's own drones are those that the law moves with equal tensions and no weight.
         law = action.path()
         ideal = self.own_path if action.polygon is action.start.polygon else law
-        equal = replace(team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0)
+        equal = with_fields(
+            team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0
+        )
         ideal = replace(ideal, team=equal, roll=None)
         by_law, own = (_moving(each, s) for each in (law, ideal))
         hulls = motion.drones.coefficients

@@ -36,6 +36,7 @@ from hitchopt.planners.timing.profile import (
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, Indices
+from hitchopt.values.fields import with_fields
 
 
 def in_duration(motion: Motion, duration: float) -> Motion:
@@ -83,7 +84,7 @@ def fly(path: Path, requirements: Requirements, duration: float | None = None) -
     demands = demands_along(path, limits, GRID)
     if limits.body_rate is not None:  # the body rate is about jerk over thrust per mass
         smallest = float(np.min(length(demands.loads) / path.team.mass))
-        reduced = replace(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
+        reduced = with_fields(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
         demands = replace(demands, limits=reduced)
     profile = fastest_profile(path_grid(GRID), demands)
     ramp = max(acceleration_ramp(profile, demands), MIN_RAMP_SHARE * profile.duration)
