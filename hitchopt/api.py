@@ -225,7 +225,8 @@ class Mission(Problem):
             as sharing, with a roll_deg, at the step's end.
         duration: exactly that long [s]; without it as fast as the limits allow.
         blend: go on into the next step without a stop.
-        optimize: look for a faster route even where the straight one satisfies all limits.
+        optimize: look for a faster route even where the straight one satisfies all limits; by
+            default only where it takes more than 1.3 times as long as every drone and vertex alone.
         tension: range of tensions meanwhile [N].
         settle: where cables have friction and slid, duration of the swings that end the step, as by
             settle, in addition to its duration [s]; auto: as far as limits allow; or false.
@@ -650,7 +651,7 @@ class Mission(Problem):
         Parameters
         ----------
         around: name of the object.
-        at: height of the clasps above its base [m]; None: at its rim, or else high.
+        at: height of the clasps above its base [m]; None: high, but below its rim.
         tension: of all cables while they are tied [N]; None: low, as their weight permits.
         duration: exactly that long [s]; without it as fast as the limits allow.
         """
