@@ -146,6 +146,20 @@ def test_what_binds_is_told_with_time(q: Array, r: Array, keys: dict[str, Any], 
     assert all(when in violation.when for violation in raised.value.violations)
 
 
+def test_plans_go_on_from_the_end_of_one_that_has_exchanged_robots(tmp_path: Path) -> None:
+    """Also with unequal cables, whose robots the other plan's problem lists in another order."""
+    q = [[-1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, -1.0, 0.0]]
+    r = [[-0.5, 1.0, 0.0], [1.0, 0.5, 0.0], [0.5, -1.0, 0.0]]
+    triangle = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
+    end = ho.form(ho.Team(3, [2.4, 2.5, 2.6]), q, r, triangle).end
+    assert end.team.assignment is not None
+    assert end.team.assignment.robots != (0, 1, 2)
+    plan = ho.transport(end, [0.2, 0.1, 1.1])
+    plan.save(tmp_path, picture=False)
+    assert ho.load(tmp_path).certificate.certified
+    assert ho.release(end).certificate.certified
+
+
 def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused() -> None:
     """Two robots start with crossed cables, one over the other: no certified plan unties them."""
     q = np.array([[-0.6, -0.6, 2.0], [-0.6, 0.6, 2.6], [2.0, 2.0, 2.0]])
