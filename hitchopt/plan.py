@@ -16,7 +16,7 @@ from hitchopt.errors import FileError, InputError, OneLine, Progress, contained,
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_groups
 from hitchopt.motion.combined import combined
-from hitchopt.motion.loads import weightless_notes
+from hitchopt.motion.loads import assumption_notes, tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, read_saved_plan
 from hitchopt.motion.request import check_request
@@ -75,13 +75,16 @@ class Plan(OneLine):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: cables that count as weightless, as the problem states no density.
+        """Notes for the user: assumptions, and tracking errors below those of controllers.
 
-        A plan without the text of its problem states a density by one above 0.
+        Cables count as weightless if the problem states no density. A plan without the text of its
+        problem states a density by one above 0.
         """
         notes = list[str]()
         with contained("a note"):
             notes += weightless_notes(self.motion, self.problem)
+            notes += assumption_notes(self.motion, self.problem)
+            notes += tracking_warnings(self.motion)
         return tuple(notes)
 
     def _repr_html_(self) -> str:

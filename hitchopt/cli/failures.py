@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any, NoReturn
 
@@ -65,7 +65,7 @@ class SafeGroup(click.Group):
             try:
                 with exit_on_signals(), warnings.catch_warnings():
                     warnings.simplefilter("once", UnitWarning)
-                    warnings.showwarning = lambda words, *_: say(f"warning: {words}", err=True)
+                    warnings.showwarning = _reporter()
                     super().invoke(ctx)
             except click.exceptions.Exit as end:
                 code = end.exit_code
@@ -88,6 +88,23 @@ class SafeGroup(click.Group):
                 code = EXIT_USAGE
             output().finish(str(ctx.invoked_subcommand), code)
             ctx.exit(code)
+
+
+def _reporter() -> Callable[..., None]:
+    """Return a function that reports warnings; of copies of a value, under shorter keys, once."""
+    shown = set[tuple[str, str]]()
+
+    def report(warning: Warning, *_: object) -> None:
+        if isinstance(warning, UnitWarning):
+            keys = warning.key.split(".")
+            names = {(".".join(keys[i:]), warning.words) for i in range(len(keys))}
+            is_copy = (warning.key, warning.words) in shown
+            shown.update(names)
+            if is_copy:
+                return
+        say(f"warning: {warning}", err=True)
+
+    return report
 
 
 def exit_code(error: HitchoptError) -> int:

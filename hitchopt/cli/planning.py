@@ -119,6 +119,9 @@ def solve(
     except (InputError, FileError):
         raise  # nothing was solved: DIR stays as it is
     except HitchoptError as error:
+        for each in () if problem is None else problem.teams.values():
+            if warning := each.requirements.understated_tracking(each.team):
+                say(f"note: {each.name}: {warning}" if each.name else f"note: {warning}")
         is_searched = repair and not isinstance(error, TimeLimitError)
         seconds = max(end - time.monotonic(), MIN_SEARCH_TIME)
         edited = None if repair_to is None else (text, repair_to, take)

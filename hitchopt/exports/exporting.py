@@ -31,7 +31,7 @@ from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict,
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
 from hitchopt.hitch.forces import INTEGRAL, SLACK, undetermined_tension
-from hitchopt.motion.loads import weightless_notes
+from hitchopt.motion.loads import tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import stretched
 from hitchopt.storage.files import digest, replace_files, write_strict_json
@@ -148,6 +148,7 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
 
 def _notes(kind: Format, motion: Motion, options: ExportOptions) -> Iterator[str]:
     """Yield notes on tracking errors, trims of drones, velocities, and other plans in the air."""
+    yield from tracking_warnings(motion)
     yield from tracking_notes(motion)
     trim = 100.0 * float(np.max(np.linalg.norm(motion.team.trim, axis=1)))
     size = f"trims of drones, up to {trim:.3g} cm,"  # they turn with the heading

@@ -17,8 +17,10 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, NamedTuple
 
+import numpy as np
+
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import check_choice, form_of, positive, units
+from hitchopt.values import Array, check_choice, form_of, positive, units
 from hitchopt.values.fields import Key, Kind, Record, documented, either, mapping_of, one_or_each
 
 Pair = tuple[float, float]  # One horizontal value (x and y) and one vertical value (z)
@@ -112,6 +114,11 @@ class Tube(Record):
         """The tracking error as in files: a number for a ball, else the tube."""
         return self.level if self.height == self.level else self
 
+    def contains(self, errors: Array) -> bool:
+        """Return whether all errors (…, 3) [m] are within the tube."""
+        scaled = errors / np.array([1.0, 1.0, self.ratio])
+        return bool(np.max(np.linalg.norm(scaled, axis=-1), initial=0.0) <= self.level)
+
     def __str__(self) -> str:
         size = f"{self.level:.3g} m"
         return (
@@ -121,7 +128,7 @@ class Tube(Record):
         )
 
 
-TRACKING = either(units.DISTANCE, mapping_of(Tube))
+TRACKING = either(units.TRACKING_ERROR, mapping_of(Tube))
 """Tracking errors in files: a number, or level and height."""
 
 GAIN = float | Pair | None

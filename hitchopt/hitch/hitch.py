@@ -24,7 +24,7 @@ from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, ByValue, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
-from hitchopt.values.units import ALTITUDE
+from hitchopt.values.units import PLACED_ALTITUDE
 
 LEG_TOLERANCE, SAGGING_LEG_TOLERANCE = 1e-4, 1e-2
 """Tolerances of a prescribed leg at a chain's end, relative to its cable's length: of massless
@@ -83,7 +83,9 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
         )
         if lengths[worst] > UNIT_ERROR_RATIO * team.cable_length[worst]:
             remedy += f"; if millimetres were meant, {1e-3 * lengths[worst]:.3g} m"
-        raise _refusal(slack[worst], 0.0, "min", team.cable_names[worst], remedy)
+        straight = team.cable_length[worst] - lengths[worst]
+        lacking = straight if straight < 0.0 else slack[worst]  # sags of longer edges mean nothing
+        raise _refusal(lacking, 0.0, "min", team.cable_names[worst], remedy)
     return slack
 
 
@@ -184,7 +186,7 @@ class Hitch(ByValue):
             raise InputError("legs", q_legs, bound, "give one per robot")
         d = checked_legs(team, d, slack)
         d.setflags(write=False)
-        height = ALTITUDE.check("altitude", altitude)
+        height = PLACED_ALTITUDE.check("altitude", altitude)
         angles = checked_roll(team, roll)
         values = {"team": team, "polygon": outline, "altitude": height, "q_legs": d, "roll": angles}
         store(self, **values)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, replace
 from typing import Annotated, Any
@@ -10,7 +11,7 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InputError, OneLine
+from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.flight_controller import TRACKING, Tube
 from hitchopt.hitch.team import Team
@@ -138,7 +139,9 @@ class Separation(Record):
         height = self.height / ratio
         height = math.sqrt((height**2 + self.radius * off) * (1.0 + off / self.radius)) * ratio
         cable, crossing = self.cable + 2.0 * off, self.crossing + 2.0 * off
-        return Separation(self.radius + off, height, cable, crossing, self.object + off)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UnitWarning)  # these values are of the team's errors
+            return Separation(self.radius + off, height, cable, crossing, self.object + off)
 
 
 CORNER = points((3,), "x, y, z", largest=units.MAX_WALL)
@@ -295,6 +298,18 @@ class Requirements(ByValue):
         if off == limits.tracking and limits.tilt <= tilt:
             return self
         return replace(self, limits=with_fields(limits, tilt=min(limits.tilt, tilt), tracking=off))
+
+    def understated_tracking(self, team: Team) -> str:
+        """Return a warning of ``limits.tracking`` below a team's own errors; empty without one."""
+        stated, own = self.limits.tube, Tube.of(team.tracking)
+        if stated.level >= own.level and max(stated.height, stated.level) >= own.height:
+            return ""
+        names = sorted({kind.loop.name for kind in team.quadrotor if kind.loop.name})
+        source = f"the gains of {', '.join(names)}" if names else "its drones' measurements"
+        return (
+            f"limits.tracking is {stated}, but {source} lead to {own}: larger errors than "
+            f"limits.tracking are not certified; keep it only if it was measured"
+        )
 
     @property
     def untimed(self) -> Requirements:

@@ -364,11 +364,12 @@ def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
 
 
 def retuning_changes(problem: Problem) -> Iterator[Change]:
-    """Yield changes to the smallest tracking error, and to the stiffest gains of controllers."""
-    if (error := problem.limits.tube.largest) > MIN_TRACKING:
-        edits = (Edit("limits.tracking", MIN_TRACKING),)
-        relative, changed = MIN_TRACKING / error - 1.0, with_edits(problem, edits)
-        yield Change("limits.tracking", "", error, MIN_TRACKING, "m", relative, changed, edits)
+    """Yield changes to the controllers' tracking error, and to the stiffest gains."""
+    own = max(MIN_TRACKING, Tube.of(problem.team.tracking).largest)
+    if (error := problem.limits.tube.largest) > own:
+        edits = (Edit("limits.tracking", own),)
+        relative, changed = own / error - 1.0, with_edits(problem, edits)
+        yield Change("limits.tracking", "", error, own, "m", relative, changed, edits)
     kinds = problem.team.quadrotor
     controlled = [kind for kind in kinds if kind.controller is not None]
     if all(kind.loop.tracking == MIN_TRACKING for kind in controlled):

@@ -205,6 +205,10 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
         for other in others.values() if isinstance(others, dict) else ():
             if isinstance(other, dict) and isinstance(other.get("plan"), str) and other["plan"]:
                 other["plan"] = str(folder / other["plan"])
+    if isinstance(values, dict) and isinstance(mission := values.get("mission"), dict):
+        first = f"- {next(iter(mission), 'hold')}: {{…}}"
+        bound = "a list of steps"
+        raise InputError("mission", mission, bound, f"begin each step with a dash: {first}")
     remedies = {} if form is TEAMS_FORM else FOREIGN[is_swarm]
     if form is HITCH_FORM and value_at(values, ("mission", 0, "form")) is not None:
         robots = value_at(values, ("team", "robots"))

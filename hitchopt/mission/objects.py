@@ -14,12 +14,20 @@ from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.steps.step import OBJECT_NAME, POINT3
 from hitchopt.values import Array
 from hitchopt.values.fields import FLAGS, Key, dict_of, mapping_of, points, strings
-from hitchopt.values.units import ANGLE, COORDINATE, LENGTH, NONNEGATIVE, POSITIVE
+from hitchopt.values.units import (
+    ANGLE,
+    FRICTION,
+    OBJECT_HEIGHT,
+    OBJECT_MASS,
+    OBJECT_RADIUS,
+    USUAL_OUTLINE,
+    within_usual,
+)
 
 MAX_OBJECTS = 100
 SECTION_KEYS = ("outline", "circle", "file")
 
-CORNERS = points((None, 2), "x, y", 3, MAX_CORNERS)
+CORNERS = within_usual(points((None, 2), "x, y", 3, MAX_CORNERS), USUAL_OUTLINE, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +37,7 @@ class SectionKeys:
     outline: Annotated[
         Array | None, Key(CORNERS, "Corners [x, y] [m] of a convex outline, in either sense")
     ] = None
-    circle: Annotated[float | None, Key(LENGTH, "Radius of a circle")] = None
+    circle: Annotated[float | None, Key(OBJECT_RADIUS, "Radius of a circle")] = None
 
     def __post_init__(self) -> None:
         names = [name for name in SECTION_KEYS if hasattr(self, name)]
@@ -43,7 +51,7 @@ class SectionKeys:
 class RimKeys(SectionKeys):
     """A rim or tray that may rest on cables."""
 
-    at: Annotated[float, Key(COORDINATE, "Height above the object's base")] = 0.2
+    at: Annotated[float, Key(OBJECT_HEIGHT, "Height above the object's base")] = 0.2
 
     def rim(self) -> Rim:
         """Return the rim."""
@@ -58,14 +66,14 @@ class ObjectKeys(SectionKeys):
         str | None,
         Key(strings(1000, 1), "Drawing of its outline, in metres, relative to this file"),
     ] = None
-    lower: Annotated[float, Key(COORDINATE, "Height of its floor above its base", name="from")] = (
-        0.0
-    )
-    upper: Annotated[float, Key(COORDINATE, "Height of its ceiling above its base", name="to")] = (
-        0.3
-    )
-    mass: Annotated[float, Key(POSITIVE, "Mass [kg]")] = 0.1
-    friction: Annotated[float, Key(NONNEGATIVE, "Coefficient of friction, with cables")] = 0.5
+    lower: Annotated[
+        float, Key(OBJECT_HEIGHT, "Height of its floor above its base", name="from")
+    ] = 0.0
+    upper: Annotated[
+        float, Key(OBJECT_HEIGHT, "Height of its ceiling above its base", name="to")
+    ] = 0.3
+    mass: Annotated[float, Key(OBJECT_MASS, "Mass")] = 0.1
+    friction: Annotated[float, Key(FRICTION, "Coefficient of friction, with cables")] = 0.5
     at: Annotated[
         Array, Key(POINT3, "Where the origin of its base stands, [x, y, z] [m]", [1, 0, 0])
     ]

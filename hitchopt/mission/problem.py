@@ -15,7 +15,7 @@ from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_remedy
-from hitchopt.hitch.quadrotor import quadrotors
+from hitchopt.hitch.quadrotor import Quadrotor, quadrotors
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,
@@ -60,6 +60,7 @@ from hitchopt.values.fields import (
     either,
     integers,
     join_key,
+    keys_of,
     list_of,
     mapping_of,
     one_or_each,
@@ -420,7 +421,14 @@ def check_team_names(teams: Any, start: Any, mission: Any) -> None:
                 raise InputError(join_key(path, name), value, "under the name of a team", remedy)
 
 
-TEAMS = dict_of(by_key({"robots": mapping_of(Team), "drones": SWARM_TEAM}), NAME, MAX_GROUPS)
+OF_QUADROTORS = {
+    name: f"it belongs to the drones: write quadrotor: {{model: NAME, {name}: …}}"
+    for name in keys_of(Quadrotor).keys() - keys_of(Team).keys()
+}
+"""Remedies for keys of drones that are written into the team."""
+
+TEAM = mapping_of(Team, remedies=OF_QUADROTORS)
+TEAMS = dict_of(by_key({"robots": TEAM, "drones": SWARM_TEAM}), NAME, MAX_GROUPS)
 STARTS = dict_of(either(START, SWARM_PLACES), NAME, MAX_GROUPS)
 ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 1, MAX_STEPS)
 """Teams, their starts, and the items of their mission, by the names of teams."""
@@ -449,7 +457,7 @@ class Problem(ByValue):
     """
 
     complete: ClassVar[bool] = True  # whether the mission has all of its steps
-    team: Annotated[Any, Key(mapping_of(Team), "The team", {"robots": 3, "cable_length": 2.4})]
+    team: Annotated[Any, Key(TEAM, "The team", {"robots": 3, "cable_length": 2.4})]
     start: Annotated[
         Any, Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}})
     ]

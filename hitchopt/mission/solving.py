@@ -15,7 +15,7 @@ from hitchopt.checks import merged
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController
+from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Tube
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
@@ -46,11 +46,19 @@ WIDENED = frozenset(
 """Checks of distances that ``limits.tracking`` widens."""
 
 
-def _with_tracking_advice(error: InfeasibleError, requirements: Requirements) -> InfeasibleError:
-    """Return an error with advice on distances that ``limits.tracking`` widens."""
+def _with_tracking_advice(
+    error: InfeasibleError, requirements: Requirements, team: Team
+) -> InfeasibleError:
+    """Return an error with advice on distances that tracking errors widen."""
     if not (tube := requirements.limits.tube).level:
         return error
-    advice = f"let drones be off by less: limits.tracking of {tube} widens this distance"
+    if tube == Tube.of(team.tracking):
+        advice = (
+            f"choose a stiffer controller: this distance is wider for its tracking errors of "
+            f"{tube}; state limits.tracking only if measured errors are smaller"
+        )
+    else:
+        advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
     violations = [
         replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
         for each in error.violations
@@ -117,7 +125,7 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     except TimeLimitError:
         raise
     except InfeasibleError as error:
-        advised = _with_tracking_advice(error, mission.requirements)
+        advised = _with_tracking_advice(error, mission.requirements, mission.team)
         raise advised.of_group(mission.name) from None
 
 

@@ -88,6 +88,31 @@ def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
         )
 
 
+def assumption_notes(motion: Motion, problem: str = "") -> Iterator[str]:
+    """Yield a note for every held object whose mass or friction the problem does not state."""
+    data = parse_yaml(problem) if problem else None
+    sections = data.get("objects") if isinstance(data, dict) else None
+    if not isinstance(sections, dict):
+        return
+    for group in motion.groups:
+        own = group.motion
+        for name in dict.fromkeys(p.hold.object for p in own.phases if p.hold is not None):
+            section, body = sections.get(name), own.requirements.objects[name]
+            values = {"mass": f"a mass of {body.mass:g} kg", "friction": f"{body.friction:g}"}
+            values["friction"] = f"a coefficient of friction of {body.friction:g}"
+            missing = [key for key in values if isinstance(section, dict) and key not in section]
+            if missing:
+                assumed = " and ".join(values[key] for key in missing)
+                yield f"objects.{name}: {assumed} assumed; state {' and '.join(missing)}"
+
+
+def tracking_warnings(motion: Motion) -> Iterator[str]:
+    """Yield a warning for every team whose stated tracking error is below its controllers'."""
+    for group in motion.groups:
+        if warning := group.motion.requirements.understated_tracking(group.motion.team):
+            yield f"{group.name}: {warning}" if group.name else warning
+
+
 def sags(motion: Motion, density: float) -> Array:
     """Return the depth of clasps (pieces, clasps) [m] below a hitch of weightless cables.
 

@@ -27,7 +27,7 @@ from hitchopt.motion.request import PLANNER_ONLY, REMEDY, check_same, decoded, e
 from hitchopt.motion.retiming import shifted
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
-from hitchopt.storage.files import digest
+from hitchopt.storage.files import PREVIOUS, digest
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Indices, line, text
 
@@ -189,7 +189,10 @@ def read_saved_plan(path: Path) -> SavedPlan:
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             words = f"{path}: there is no such file" if path.name != PLAN else ""
             words = words or f'No plan in "{path.parent}"'
-            raise FileError(f"{words}: name a directory that hitchopt solve -o wrote.") from None
+            remedy = "name a directory that hitchopt solve -o wrote"
+            if path.name == PLAN and (path.parent / PREVIOUS / PLAN).is_file():
+                remedy = f"the last certified plan is in {path.parent / PREVIOUS}"
+            raise FileError(f"{words}: {remedy}.") from None
         if isinstance(error, KeyError):
             reason = f"not a plan that hitchopt wrote: {error} is missing"
         elif isinstance(error, OSError) and error.strerror:

@@ -41,13 +41,22 @@ from hitchopt.values.fields import (
     strings,
     words,
 )
-from hitchopt.values.units import DURATION, LENGTH, LENGTH_OR_ZERO, ROLL, quantity, warn_of_unit
+from hitchopt.values.units import (
+    DURATION,
+    LENGTH,
+    LENGTH_OR_ZERO,
+    ROLL,
+    USUAL_OUTLINE,
+    quantity,
+    warn_of_unit,
+    within_usual,
+)
 
 # Kinds of values, and fields shared by several kinds of steps.
 
 OBJECT_NAME = strings(50, 1, "[A-Za-z0-9_ -]+", "of letters, digits, spaces, - and _")
 POINT2, POINT3 = points((2,), "x, y"), points((3,), "x, y, z")
-OUTLINE = points((None, 2), "x, y", 3, MAX_ROBOTS + 1, Outline)
+OUTLINE = within_usual(points((None, 2), "x, y", 3, MAX_ROBOTS + 1, Outline), USUAL_OUTLINE, 0.7)
 INDEX = integers(0, MAX_ROBOTS - 1)
 
 OUTLINE_TEXT = (

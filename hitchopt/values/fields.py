@@ -503,17 +503,21 @@ def one_or_each(kind: Kind, min_length: int, max_length: int) -> Kind:
 
 
 def mapping_of(
-    record: type[T], build: Callable[[T], Any] | None = None, exclude: Collection[str] = ()
+    record: type[T],
+    build: Callable[[T], Any] | None = None,
+    exclude: Collection[str] = (),
+    remedies: Mapping[str, str] | None = None,
 ) -> Kind:
     """Return the kind of a record; in files it is a mapping of its keys.
 
-    ``build`` returns the value for a record that only holds keys; keys in ``exclude`` are unknown.
+    ``build`` returns the value for a record that only holds keys; keys in ``exclude`` are unknown,
+    and ``remedies`` say where some unknown keys belong.
     """
 
     def check(key: str, value: Any) -> Any:
         if isinstance(value, record):
             return value
-        arguments = arguments_from(keys_of(record), key, value, exclude)
+        arguments = arguments_from(keys_of(record), key, value, exclude, remedies)
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UnitWarning)  # already issued for the keys

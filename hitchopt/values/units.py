@@ -6,7 +6,12 @@ import dataclasses
 import math
 import sys
 import warnings
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.values import MAX_COORDINATE, SCALAR, finite
@@ -35,6 +40,7 @@ def quantity(
     allowed: Range = (TINY, HUGE),
     others: tuple[tuple[str, float], ...] = (),
     below: float = math.inf,
+    typical: float | None = None,
 ) -> Kind:
     """Return the kind of a physical quantity.
 
@@ -45,6 +51,7 @@ def quantity(
     allowed: range outside of which a value is refused.
     others: other units, with their sizes in the expected unit.
     below: exclusive upper bound, in addition to the range.
+    typical: value by which another unit is guessed; by default the middle of the usual range.
     """
     (low, high), (minimum, maximum) = usual, allowed
 
@@ -52,9 +59,8 @@ def quantity(
         """Return a remedy: the value in the most plausible other unit, else the fallback."""
         plausible = [(name, number * size) for name, size in others if low <= number * size <= high]
         if plausible and number:
-            middle = math.sqrt(max(low, 1e-3) * min(high, 1e3))
-            name, value = min(plausible, key=lambda each: abs(math.log(abs(each[1]) / middle)))
-            return f"if {name} were meant, {value:.3g}"
+            middle = math.sqrt(max(low, 1e-3) * min(high, 1e3)) if typical is None else typical
+            return likely_unit(plausible, middle)
         return fallback or (f"give it in {unit}" if unit else "give a plain number")
 
     def check(key: str, value: object) -> float:
@@ -86,6 +92,30 @@ def quantity(
     return Kind((SCALAR,), check, schema, unit, degrees)
 
 
+def likely_unit(values: Sequence[tuple[str, float]], typical: float) -> str:
+    """Return a remedy: the value, among those in several units, closest to a typical one."""
+    name, value = min(values, key=lambda each: abs(math.log(abs(each[1]) / typical)))
+    return f"if {name} were meant, {value:.3g}"
+
+
+def within_usual(kind: Kind, usual: float, typical: float) -> Kind:
+    """Return a kind of points [m] that warns of coordinates beyond ±``usual`` [m].
+
+    ``typical`` is a coordinate by which another unit is guessed.
+    """
+
+    def check(key: str, value: Any) -> Any:
+        checked = kind.check(key, value)
+        largest = float(np.max(np.abs(checked), initial=0.0)) if np.ndim(checked) else 0.0
+        if largest > usual:
+            values = [(name, largest * size) for name, size in LENGTHS if largest * size <= usual]
+            words = f"{largest:g} m; usual coordinates are within ±{usual:g} m"
+            warn_of_unit(UnitWarning(key, f"{words}; {likely_unit(values, typical)}"))
+        return checked
+
+    return replace(kind, check=check)
+
+
 DEGREE = math.pi / 180.0  # One degree [rad]
 MAX_WALL = 1e5  # [m] Largest coordinate of an arena's walls, which may be far away
 
@@ -114,10 +144,16 @@ JERK = quantity("m/s³", (1e-3, 1e4), (TINY, 1e9), (("mm/s³", 1e-3), ("cm/s³",
 LEG = quantity("m", (1e-3, 20.0), (TINY, 1e4), LENGTHS)
 ELLIPSOID = quantity("m", (0.01, 10.0), (TINY, 1e4), LENGTHS)
 DISTANCE = quantity("m", (0.0, 10.0), (0.0, 1e4), LENGTHS)
+OBJECT_RADIUS = quantity("m", (1e-3, 10.0), (TINY, HUGE), LENGTHS, typical=0.2)
+OBJECT_HEIGHT = quantity("m", (-20.0, 20.0), (-HUGE, HUGE), LENGTHS, typical=0.3)
+OBJECT_MASS = quantity("kg", (1e-4, 20.0), (TINY, HUGE), GRAMS)
+TRACKING_ERROR = quantity("m", (0.0, 2.0), (0.0, 1e4), LENGTHS, typical=0.05)
+USUAL_OUTLINE = 30.0  # [m] Largest usual coordinate of a polygon of clasps, or of an object
 LENGTH = quantity("m", UNBOUNDED)
 LENGTH_OR_ZERO = quantity("m", UNBOUNDED, (0.0, HUGE))
 NEAR = (-MAX_COORDINATE, MAX_COORDINATE)
-ALTITUDE = quantity("m", NEAR, NEAR, LENGTHS)
+ALTITUDE = quantity("m", (-50.0, 50.0), NEAR, LENGTHS, typical=1.5)
+PLACED_ALTITUDE = quantity("m", NEAR, NEAR, LENGTHS)
 WALL = quantity("m", (-2e3, 2e3), (-MAX_WALL, MAX_WALL), LENGTHS)
 COORDINATE = quantity("m", UNBOUNDED, (-HUGE, HUGE))
 DURATION = quantity("s", (1e-3, 1e5), (TINY, 1e9), (("milliseconds", 1e-3),))

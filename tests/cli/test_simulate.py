@@ -44,6 +44,20 @@ def read(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+@pytest.mark.parametrize(("allowed", "words"), [(0.1, "as allowed for"), (1e-4, "more than allow")])
+def test_errors_are_compared_with_what_was_allowed_for(
+    place: Path, allowed: float, words: str
+) -> None:
+    drone = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
+    team = ho.Team(3, 2.4, tension=0.3, cable_density=0.01, cable_friction=0.1, quadrotor=drone)
+    hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
+    limits = ho.Limits(tracking=allowed)
+    ho.hold(hitch, seconds=0.1, limits=limits).save(place / "out", picture=False)
+    result = run("simulate", place / "out")
+    assert re.search(rf"drones were off by up to .* m upright, {words}", result.stdout)
+    assert f"limits.tracking is {allowed:.3g} m" in result.stdout
+
+
 @pytest.mark.slow
 def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None:
     result = run("simulate", solved, code=0)

@@ -183,7 +183,6 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     ("mission[3].move_vertex.blend", 1, r"1: must be true or"),
     ("mission[7].transport.to[0]", 1e6, r"mission[7].transport.to = [1000000.0, 1.2, 1.6]: m"),
     ("mission[7].transport.yaw_deg", 1801, r"[7].transport.yaw_deg = 1801: must be from -1800"),
-    ("mission", {"hold": {}}, r"{'hold': {}}: must be a list; write a list in bracket"),
     ("mission", [], "[]: must be given; add mission: [{hold: {seconds: 1.0}}]"),
     (
         "mission[2]",
@@ -211,8 +210,49 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
         "crate = ['outline', 'circle']: must be a mapping with exactly one of",
     ),
     ("title", "x" * 201, r": must be at most 200 characters long; shorten it"),
+    ("mission", {"hold": {"seconds": 1}}, "a list of steps; begin each step with a dash: - hold:"),
+    ("team.mass", 0.14, "it belongs to the drones: write quadrotor: {model: NAME, mass: …}"),
+    ("team.quadrotor[1]", "brushless", "did you mean crazyflie_2.1_brushless?"),
     (["a\x1b[31m b"], 1, r"'a\x1b[31m b' = 1: must be a known key; use one of team, start"),
 ]
+
+
+UNITS: list[tuple[str, object, str]] = [
+    ("start.hitch.altitude", 180.0, "centimetres were meant, 1.8"),
+    ("start.hitch.altitude", 900.0, "millimetres were meant, 0.9"),
+    ("start.hitch.polygon", [[0, -900], [-300, 450], [300, 450]], "millimetres were meant, 0.9"),
+    ("limits.tracking", 6, "centimetres were meant, 0.06"),
+    ("objects.box.mass", 120, "grams were meant, 0.12"),
+    ("objects.box.circle", 150, "millimetres were meant, 0.15"),
+    ("objects.box.to", 250, "millimetres were meant, 0.25"),
+    ("objects.box.from", -30, "centimetres were meant, -0.3"),
+    ("objects.box.friction", 50, "per cent were meant, 0.5"),
+    ("objects.box.rim", {"circle": 0.3, "at": 40}, "centimetres were meant, 0.4"),
+    ("objects.box.outline", [[0, 0], [0, 300], [200, 0]], "millimetres were meant, 0.3"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "likely"), UNITS)
+def test_the_likely_unit_is_named_once(key: str, value: object, likely: str) -> None:
+    body = {} if "outline" in key else {"circle": 0.1}
+    data: Any = {
+        "team": {"robots": 3, "cable_length": 2.4},
+        "start": {"hitch": {"polygon": [[0, -0.9], [-0.3, 0.45], [0.3, 0.45]], "altitude": 1.0}},
+        "limits": {},
+        "objects": {"box": {**body, "at": [3, 0, 0]}},
+        "mission": [{"hold": {"seconds": 1}}],
+    }
+    *path, name = key.split(".")
+    section = data
+    for each in path:
+        section = section[each]
+    section[name] = value
+    with pytest.warns(ho.UnitWarning) as caught, contextlib.suppress(InputError):
+        problem_from_dict(data)
+    messages = [str(each.message) for each in caught]
+    assert likely in messages[0]
+    assert messages[0].startswith(key)
+    assert len({message.split(": ", 1)[1] for message in messages}) == 1
 
 
 @pytest.mark.parametrize(("key", "value", "message"), FAULTS, ids=[f[2][:40] for f in FAULTS])

@@ -20,6 +20,7 @@ from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.abort import Aborts
+from hitchopt.mission.changes import retuning_changes
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.verify import verify
 
@@ -272,11 +273,54 @@ def test_certificate_and_verify_agree_on_the_largest_tube(tmp_path: Path) -> Non
 def test_a_specified_tracking_that_is_too_large_is_suggested_as_that_of_retuned_drones() -> None:
     problem: Any = ho.load_problem(PROBLEMS / "form_triangle.yaml")
     wide = replace(problem, limits=replace(problem.limits, tracking=0.5))
-    with pytest.raises(InfeasibleError, match="let drones be off by less") as caught:
+    with pytest.raises(InfeasibleError, match="but only to measured errors") as caught:
         ho.solve(wide)
     (first, *_) = find_suggestions(wide, caught.value, 600.0)
     assert (first.change.key, first.change.new) == ("limits.tracking", 0.05)
     assert first.change.relative == pytest.approx(-0.9)
+
+
+SOFT = ho.Quadrotor(0.25, 5.5, controller="px4", gains={"kp": 2.5, "kd": 1.25})
+
+
+@pytest.mark.parametrize(
+    ("stated", "kind", "warned"),
+    [
+        (0.06, SOFT, True),
+        (0.0, SOFT, True),
+        ({"level": 0.2, "height": 0.06}, SOFT, False),  # a height below the level is the level
+        (0.08, SOFT, False),
+        (None, SOFT, False),
+        (0.06, replace(SOFT, tracking=0.05), False),  # calibrated
+        (0.01, ho.Quadrotor(0.25, 5.5), False),  # without a controller nothing is known
+    ],
+)
+def test_a_stated_error_below_that_of_the_gains_is_warned_of(
+    stated: Any, kind: ho.Quadrotor, *, warned: bool
+) -> None:
+    """By every command, with both figures; it is kept, as it may have been measured."""
+    team = ho.Team(3, 2.4, tension=0.8, cable_density=0.005, quadrotor=kind)
+    tracking = ho.Tube(**stated) if isinstance(stated, dict) else stated
+    hitch = ho.Hitch.spread(team, ho.regular_polygon(3, 0.9), altitude=1.5)
+    plan = ho.hold(hitch, 1.0, limits=ho.Limits(tracking=tracking))
+    notes = [note for note in plan.notes if "limits.tracking is" in note]
+    assert len(notes) == warned
+    if warned:
+        assert (
+            f"limits.tracking is {tracking:.3g} m, but the gains of px4 lead to 0.0762 m"
+            in notes[0]
+        )
+        assert plan.motion.requirements.limits.tracking == tracking
+
+
+def test_no_suggestion_understates_the_errors_of_gains() -> None:
+    problem: Any = ho.load_problem(PROBLEMS / "form_triangle.yaml")
+    team = replace(problem.team, quadrotor=replace(SOFT, mass=0.132, max_thrust=2.6))
+    wide = replace(problem, team=team, limits=replace(problem.limits, tracking=0.5))
+    changes = [each for each in retuning_changes(wide) if each.key == "limits.tracking"]
+    own = ho.Tube.of(team.tracking).largest
+    assert [each.new for each in changes] == [own]
+    assert own > 0.05
 
 
 def test_aborts_keep_what_the_plan_keeps() -> None:
@@ -302,7 +346,7 @@ def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
     ("controller", "constraint", "words"),
     [
         ("pid", "feed_forward", "to one of mellinger, lee, px4"),
-        ("lee", "cable_clearance", "limits.tracking of 0.35 m widens this distance"),
+        ("lee", "cable_clearance", "is wider for its tracking errors of 0.35 m"),
     ],
 )
 def test_infeasible_tracking_is_refused_by_name(

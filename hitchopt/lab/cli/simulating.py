@@ -200,7 +200,12 @@ def _simulate_one(
     task: Task, settings: Settings, folder: Path, directory: Path, format: str, width: float | None
 ) -> None:
     """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
-    from hitchopt.lab.simulation.judgement import FAILED, NOT_SIMULATED, UNSIMULATED
+    from hitchopt.lab.simulation.judgement import (
+        FAILED,
+        NOT_SIMULATED,
+        UNSIMULATED,
+        tracking_verdict,
+    )
     from hitchopt.lab.simulation.report import Simulation, ending, summary
     from hitchopt.motion.plan_file import read_saved_plan
 
@@ -211,6 +216,8 @@ def _simulate_one(
         simulation.save(folder, saved.title, saved.motion, format, width)
     message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
     say(message, directory=str(folder), simulation=summary(simulation))
+    if words := tracking_verdict(simulation.flight):
+        say(words, tracking=words)
     if simulation.errors.t.size and not task.groups:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(directory)])
         say(f"for the table in LaTeX: {command}")

@@ -133,6 +133,24 @@ def tension_ratios(flight: Flight, rows: NDArray[np.int64]) -> Array:
     return np.asarray(flight.record.tensions[rows] / planned)
 
 
+def tracking_verdict(flight: Flight) -> str:
+    """Return in words the largest errors of drones, and what the plan allows for; empty without.
+
+    Errors are distances from the planned positions, level and upright.
+    """
+    record, tube, task = flight.record, _tube_of(flight), flight.task
+    during = record.t <= task.duration + ROUNDING
+    errors = record.drones[during] - task.states.positions[record.index[during]]
+    if task.motion is None or errors.size == 0:
+        return ""
+    level, upright = np.hypot(errors[..., 0], errors[..., 1]), np.abs(errors[..., 2])
+    largest = f"{np.max(level):.3g} m level, {np.max(upright):.3g} m upright"
+    if tube.level == 0.0:
+        return f"drones were off by {largest}; the plan allows for no errors (limits.tracking)"
+    state = "as allowed for" if tube.contains(errors) else "more than allowed for"
+    return f"drones were off by up to {largest}, {state}: limits.tracking is {tube}"
+
+
 def tracking_errors(flight: Flight) -> Array:
     """Return distances of drones from their setpoints during the plan (samples, 2n) [m]."""
     record = flight.record
