@@ -35,7 +35,7 @@ from hitchopt.planners.carrying.planner import OPENING_TENSIONS, tying_tension
 from hitchopt.steps import STEP_KINDS, STEPS
 from hitchopt.steps.carrying import TensionStep, TransportObject, goal_of
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
-from hitchopt.steps.moving import FollowVertex, MoveStep, Transport
+from hitchopt.steps.moving import FollowVertex, MoveStep
 from hitchopt.steps.step import (
     LEGS,
     LEGS_TEXT,
@@ -307,12 +307,11 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
             tension_range = smallest * _least_share(team), max(map(np.max, tensions))
             hold = name, HoldBy.GRIP.value
         outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
+        shown = step.shown_at_end(team, requirements)
         if name:
             moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
             requirements = replace(requirements, objects=objects | moved)
-        if isinstance(step, Form | Transport):
-            altitude = step.altitude if isinstance(step, Form) else float(step.to[2])
-        altitude = None if hasattr(step, "object") else altitude
+        altitude = None if hasattr(step, "object") else shown.get("altitude", altitude)
         request: dict[str, Any] = {
             "tension": getattr(step, "tension", None) if hold is None else tension_range,
             "holds": [] if hold is None else [hold],
@@ -326,6 +325,8 @@ def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
             request["polygon"] = outline.vertices
         if outline is not None and altitude is not None:
             request["altitude"] = altitude
+        if not step.blends:
+            request |= shown
         if step.prescribed_duration is not None:
             request["seconds"] = step.prescribed_duration
         if stage.stage in (Stage.FREE, Stage.AROUND):

@@ -221,6 +221,7 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
             "holds": [*dict.fromkeys(holds)],
             "polygon": places[:, :2] if motion.formed[last] else None,
             "altitude": float(np.mean(places[:, 2])) if motion.formed[last] else None,
+            "heights": motion.drones.coefficients[last, :, 2, -1],
             "objects": dict(zip(names, poses, strict=True)),
         }
         if not motion.team.has_cables:

@@ -453,6 +453,15 @@ class Step(Record, ABC):
         """
         return None
 
+    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
+        """Return what a motion at the step's end shows of the step's keys.
+
+        Names and units are those of ``hitchopt.motion.request.mission_of``; the requirements have
+        the objects at their places before the step. A stored plan that shows something else is not
+        a plan of its problem.
+        """
+        return {}
+
     @abstractmethod
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, from rest to rest.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
@@ -133,6 +133,11 @@ class Tie(Step):
             below = min(below, body.rim.height - BELOW_RIM)
         preferred = min(float(body.centre_of_mass[2]) + PREFERRED_HINGE, below)
         return min(max(lowest, preferred), body.upper - EDGE)
+
+    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
+        """Return the altitude of the clasps, unless the planner chooses it."""
+        base = float(requirements.objects[self.around].at[2])
+        return {} if self.at is None else {"altitude": base + self.at}
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan to cables that grip the object."""

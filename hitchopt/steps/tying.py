@@ -104,6 +104,10 @@ class Form(Step):
                 raise InputError("order", order, bound, "leave it out, or list all robots")
         return super().resolved_for(team)
 
+    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
+        """Return the altitude of the hitch."""
+        return {"altitude": self.altitude}
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from free cables to a hitch.
 
@@ -370,6 +374,10 @@ class Land(Step):
 
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
+
+    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:
+        """Return the heights of drones on the ground."""
+        return {"heights": np.full(team.drones, requirements.floor)}
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan straight down."""

@@ -32,6 +32,7 @@ from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import CURVES, Motion
 from hitchopt.motion.plan_file import read_plan, read_saved_plan, write_plan
 from hitchopt.motion.request import check_request, decoded, encoded, request_of
+from hitchopt.motion.retiming import truncated
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.verify import UnreadableError, consistency, read
@@ -314,6 +315,24 @@ def test_objects_are_carried_as_requested(old: str, new: str, key: str) -> None:
     assert old in text
     with pytest.raises(ho.InputError, match=re.escape(key)):
         check_request(request_in(text.replace(old, new), motion.requirements.objects), motion)
+
+
+def test_what_a_step_says_of_its_end_is_shown_by_the_motion() -> None:
+    """Of the height at which cables are tied, and of the ground on which drones land."""
+    text, motion = (
+        (PROBLEMS / "two_robots_drum.yaml").read_text(),
+        planned("two_robots_drum").motion,
+    )
+    objects = motion.requirements.objects
+    check_request(request_in(text, objects), motion)
+    assert "at: 0.35" in text
+    for height in ("0.31", "0.36"):
+        with pytest.raises(ho.InputError, match=r"request\.mission\[0\]\.altitude"):
+            check_request(request_in(text.replace("at: 0.35", f"at: {height}"), objects), motion)
+    check_request(request_in(text.replace(", at: 0.35", ""), objects), motion)  # planners choose
+    hovering = truncated(motion, motion.duration - 0.3)
+    with pytest.raises(ho.InputError, match=r"request\.mission\[5\]\.heights\[0\]"):
+        check_request(request_in(text, objects), hovering)
 
 
 ASKED = (
