@@ -59,10 +59,19 @@ def _with_tracking_advice(
         )
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
-    violations = [
-        replace(each, remedy=_remedy(each, advice)) if each.constraint in WIDENED else each
-        for each in error.violations
-    ]
+    of_two = (
+        f"two cables are tied only if drones are off by no more upright than level: set "
+        f"limits.tracking to {tube.level:g} if it was measured, or use three robots"
+    )
+    tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
+    violations = list[Violation]()
+    for each in error.violations:
+        if each.constraint in WIDENED:
+            violations.append(replace(each, remedy=_remedy(each, advice)))
+        elif each.constraint == "tracking_radius" and tied_by_two and tube.ratio > 1.0:
+            violations.append(replace(each, remedy=of_two))
+        else:
+            violations.append(each)
     return InfeasibleError(violations, error.note)
 
 

@@ -21,6 +21,7 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.abort import Aborts
 from hitchopt.mission.changes import retuning_changes
+from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.verify import verify
 
@@ -311,6 +312,15 @@ def test_a_stated_error_below_that_of_the_gains_is_warned_of(
             in notes[0]
         )
         assert plan.motion.requirements.limits.tracking == tracking
+
+
+def test_two_cables_name_the_height_of_errors_that_keeps_them_from_being_tied() -> None:
+    """Followed, the remedy is certified."""
+    text = (PROBLEMS / "two_robots_drum.yaml").read_text()
+    tall = text.replace("tilt_deg: 60", "tilt_deg: 60, tracking: {level: 0.05, height: 0.1}")
+    with pytest.raises(InfeasibleError, match=r"tracking_radius: .* set limits\.tracking to 0\.05"):
+        ho.solve(parse_problem(tall))
+    assert ho.solve(parse_problem(tall.replace("height: 0.1", "height: 0.05"))).certificate
 
 
 def test_no_suggestion_understates_the_errors_of_gains() -> None:
