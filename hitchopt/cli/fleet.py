@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
 from hitchopt.cli.options import PATH, command, completing, option, plan_path
-from hitchopt.cli.output import ProgressBar, certificate_table, record, say, table
+from hitchopt.cli.output import ProgressBar, certificate_table, record, say, show_places, table
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 from hitchopt.exports.options import HOMES, ROS_DISTROS, STORAGES
 
@@ -87,6 +87,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import ExportOptions
+    from hitchopt.exports.placing import read_fleet
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.values.fields import Missing
 
@@ -106,6 +107,11 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         saved = read_saved_plan(path)
         motion, title, problem = saved
         exports = export_motion(motion, title, parsed, output, progress, problem)
+    addresses = dict[str, str]()
+    if parsed.fleet is not None:
+        members = read_fleet(parsed.fleet, motion.team.listed_names).members
+        addresses = {each.role: f"{each.name}, {each.uri}" for each in members}
+    show_places(motion, addresses)
     entries, said = [], set[str]()
     for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)

@@ -208,6 +208,37 @@ def show_notes(plan: ho.Plan) -> None:
     record(notes=plan.notes)
 
 
+MAX_PLACES = 40  # Drones whose places are printed; all are in the JSON output
+
+
+def show_places(motion: ho.Motion, addresses: Mapping[str, str] | None = None) -> None:
+    """Report where drones of the problem are on the hitch, unless robot k holds edge k.
+
+    ``addresses`` are those of drones by name.
+    """
+    rows = list[dict[str, str]]()
+    for group in motion.groups:
+        team = group.motion.team
+        if team.assignment is None or team.assignment.is_identity:
+            continue
+        ends = team.layout.anchors.tolist()
+        for name, place in zip(team.listed_names, team.listed.tolist(), strict=True):
+            edge, end = divmod(place, 2)
+            row = {
+                "drone": group.label(name),
+                "place": f"edge {edge}, {('start', 'end')[end]}",
+                "vertex": team.point_names[ends[place]],
+                "leg": f"{'de'[end]}_{edge}",
+                "mass": f"{1e3 * team.mass[place]:.4g} g",
+            }
+            if addresses:
+                row["address"] = addresses[group.label(name)]
+            rows.append(row)
+    if rows:
+        more = f"… and {len(rows) - MAX_PLACES} more\n" if len(rows) > MAX_PLACES else ""
+        say(f"{table('Places of drones', rows[:MAX_PLACES])}\n{more}", places=rows)
+
+
 def phase_table(phases: Sequence[ho.Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
     rows = []

@@ -25,6 +25,7 @@ from hitchopt.cli.output import (
     record,
     say,
     show_notes,
+    show_places,
     show_plan,
     span_text,
     table,
@@ -164,6 +165,7 @@ def _plan(
     with ProgressBar("planning", limit) as progress:
         plan = replace(ho.solve(problem, progress=progress, limit=limit), problem=text)
     show_plan(plan.title, plan.motion, plan.certificate)
+    show_places(plan.motion)
     for group in plan.motion.groups:
         _show_models(group.motion.team)
     with contained("a note on tracking"):

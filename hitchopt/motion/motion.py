@@ -192,7 +192,8 @@ class Motion(OneLine):
     ----------
     team: the robots.
     requirements: limits, distances, and objects that the motion must respect.
-    drones: shape (2n, 3) [m], in the order q0, r0, q1, r1, …; (N, 3) for single drones.
+    drones: shape (2n, 3) [m], in the order of their places on the hitch, as ``team.drone_names``;
+        (N, 3) for single drones. ``Plan.at`` and all files have the order of the problem.
     vertices: shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
     legs: shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has no leg.
     tensions: shape (n,) [N].

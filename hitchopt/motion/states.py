@@ -57,7 +57,8 @@ class States(OneLine):
     ----------
     t: (…) [s], from the plan's start.
     formed: (…), whether the hitch exists; False for a swarm without cables.
-    positions: (…, 2n, 3) [m], of the drones q0, r0, q1, r1, …, or d0, d1, … of a swarm.
+    positions: (…, 2n, 3) [m], of the drones q0, r0, q1, r1, …, or d0, d1, … of a swarm, in the
+        order of the problem.
     velocities, accelerations, jerks: (…, 2n, 3) [m/s], [m/s²], [m/s³]; at a break, those of the
         later piece.
     cable_forces: (…, 2n, 3) [N], of the cable on each drone: of its leg (of its edge at a chain's
@@ -65,8 +66,8 @@ class States(OneLine):
     cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]. These, legs and tensions are only
         meaningful while the hitch exists.
-    legs: (…, n, 2) [m], ``d_k`` and ``e_k``.
-    tensions: (…, n) [N].
+    legs: (…, n, 2) [m], of the drones q and r of every robot.
+    tensions: (…, n) [N], of the robots' cables.
     object_poses: (…, objects, 5): x, y, z [m] of their bases, cosine and sine of yaw.
     load_share: (…, objects), share of each object's weight that clasps carry.
     masses: (…, 2n) [kg], of the drones.
