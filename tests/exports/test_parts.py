@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from exported_plans import task_of
-from plans import GOOD, planned
+from plans import GOOD, PROBLEMS, planned, planned_of
+from ruamel.yaml import YAML
 
 import hitchopt as ho
 from hitchopt.exports.contents import read_manifest
@@ -105,11 +106,10 @@ def is_named(path: Path) -> bool:
 
 
 FAST = ("crazyflie_triangle", "form_triangle")
-CROWDED = "lay_hexagon"  # Its drones come too close for set points outward of them
 NAMED = [
     pytest.param(path.stem, marks=() if path.stem in FAST else pytest.mark.slow)
     for path in GOOD
-    if is_named(path) and path.stem != CROWDED
+    if is_named(path)
 ]
 
 
@@ -124,6 +124,12 @@ def test_problems_with_named_drones_export_to_crazyflies(name: str, tmp_path: Pa
 def test_a_refusal_names_what_binds_in_the_parts_not_that_the_whole_is_too_long(
     tmp_path: Path,
 ) -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"^separation: (.|\n)*set points") as caught:
-        planned(CROWDED).export("crazyswarm2", tmp_path)
+    """The drones of a smaller hexagon with longer cables come too close for outward set points."""
+    problem = YAML(typ="safe").load(PROBLEMS / "lay_hexagon.yaml")
+    problem["team"]["cable_length"] = 1.9
+    angles = np.radians([90.0, 30.0, -30.0, -90.0, -150.0, 150.0])
+    polygon = np.column_stack([np.cos(angles), np.sin(angles)]).round(3)
+    problem["mission"][0]["form"]["polygon"] = polygon.tolist()
+    with pytest.raises(ho.InfeasibleError, match=r"^separation: ") as caught:
+        planned_of(problem).export("crazyswarm2", tmp_path)
     assert [each.constraint for each in caught.value.violations] == ["separation"]
