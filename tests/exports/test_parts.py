@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from exported_plans import task_of
 from plans import GOOD, PROBLEMS, planned, planned_of
 from ruamel.yaml import YAML
 
 import hitchopt as ho
+from hitchopt.cli import main
 from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.format import ExportTask, format_of
 from hitchopt.exports.held_tension import REST_TIME, held_tension
@@ -133,3 +135,13 @@ def test_a_refusal_names_what_binds_in_the_parts_not_that_the_whole_is_too_long(
     with pytest.raises(ho.InfeasibleError, match=r"^separation: ") as caught:
         planned_of(problem).export("crazyswarm2", tmp_path)
     assert [each.constraint for each in caught.value.violations] == ["separation"]
+
+
+@pytest.mark.slow
+def test_the_problem_of_init_exports_to_crazyflies(tmp_path: Path) -> None:
+    path = tmp_path / "problem.yaml"
+    done = CliRunner().invoke(main, ["init", str(path)])
+    assert done.exit_code == 0, done.output
+    parts = ho.solve(path).export("crazyswarm2", tmp_path / "show")
+    assert len(parts) > 1
+    assert not any(part.goes_slack for part in parts)
