@@ -263,15 +263,16 @@ class TeamMission:
     def request(self) -> dict[str, Any]:
         """The request that its plan must satisfy (``hitchopt.motion.request``)."""
         start: dict[str, Any] = {"drones": self.start}
-        team, fixed = self.team, Assignment.fixed(self.team.robots)
+        team = self.team
         form = next((step for step in self.steps if isinstance(step, Form)), None)
         if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
-            start["assignment"] = (team.assignment or fixed).to_dict()  # of the plan that ended so
+            assignment = team.assignment or Assignment.fixed(team.robots)
+            start["assignment"] = assignment.to_dict()  # of the plan that ended so
             team = team.of_problem
         elif form is not None and form.assign == "fixed":
-            start["assignment"] = fixed.to_dict()
+            start["assignment"] = Assignment.fixed(team.robots).to_dict()
         return request_fields(team, self.requirements, start, [*_requested_steps(self)])
 
     @property
