@@ -12,26 +12,27 @@ import numpy as np
 from hitchopt import verify as second
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
+from hitchopt.verify import cables, driver, links, objects, teams, tying
 
 Rows = Callable[..., Iterator[second.Row]]
-OF_WHOLE: set[Rows] = {second.jumps, second.interlacing}
-OF_TAUT: set[Rows] = {second.taut_cables}
-OF_BENT: set[Rows] = {second.bent_cables}
-OF_BODIES: set[Rows] = {second.resting, second.gripped, second.hinged, second.clear_objects}
-OF_PAIRS: set[Rows] = {second.between_plans, second.object_distances}
+OF_WHOLE: set[Rows] = {driver.jumps, links.interlacing}
+OF_TAUT: set[Rows] = {cables.taut_cables}
+OF_BENT: set[Rows] = {tying.bent_cables}
+OF_BODIES: set[Rows] = {objects.resting, objects.gripped, objects.hinged, objects.clear_objects}
+OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances}
 
-TAUT = second.bent_cables, second.taut_cables, second.laid_cables
+TAUT = tying.bent_cables, cables.taut_cables, tying.laid_cables
 ROWS: dict[str, tuple[Rows, ...]] = {
-    "interlacing": (second.interlacing,),
-    "continuity": (second.jumps,),
-    "consistency": (second.consistency,),
-    "laid": (second.bent_cables, second.laid_cables),
+    "interlacing": (links.interlacing,),
+    "continuity": (driver.jumps,),
+    "consistency": (driver.consistency,),
+    "laid": (tying.bent_cables, tying.laid_cables),
     **dict.fromkeys(("cable_length", "equilibrium", "contact"), TAUT),
-    "crossing": (*TAUT, second.between_plans),
-    "tension": (second.jumps, second.taut_cables),
-    **dict.fromkeys(("span", "drawn"), (second.free_cables,)),
-    "grip": (second.gripped, second.taut_cables),
-    **dict.fromkeys(("hinge", "support"), (second.hinged,)),
+    "crossing": (*TAUT, teams.between_plans),
+    "tension": (driver.jumps, cables.taut_cables),
+    **dict.fromkeys(("span", "drawn"), (tying.free_cables,)),
+    "grip": (objects.gripped, cables.taut_cables),
+    **dict.fromkeys(("hinge", "support"), (objects.hinged,)),
 }
 """Functions of ``verify`` that have the rows of a limit."""
 
@@ -62,14 +63,14 @@ def opinion(path: Path, *functions: Rows) -> Iterator[second.Row]:
             yield from chain(*map(rows, own))
 
 
-def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[second.Pair]:
+def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[teams.Pair]:
     """Yield a pair of plans, for objects in both orders."""
     keys = p.settings["separation"]
     wide = {key: max(each.settings["separation"][key] for each in own) for key in keys}
     off = max(each.tube[0] for each in own), max(each.tube[1] for each in own)
-    yield second.Pair(p, q, wide, off)
-    if rows is second.object_distances:
-        yield second.Pair(q, p, wide, off)
+    yield teams.Pair(p, q, wide, off)
+    if rows is teams.object_distances:
+        yield teams.Pair(q, p, wide, off)
 
 
 def violated(rows: Iterable[second.Row]) -> set[str]:

@@ -31,6 +31,7 @@ from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, needed_height
 from hitchopt.values import Array
+from hitchopt.verify import objects
 
 DRUM: dict[str, Any] = {"circle": 0.12, "to": 0.4, "mass": 0.08, "friction": 0.5}
 AT = [0.4, -0.3, 0.0]
@@ -218,13 +219,13 @@ def test_cables_that_hold_an_object_do_not_pass_through_its_rim(
     assert check.holds is not expected
     write_plan(tmp_path / "plan.npz", motion)
     ((plan,), _) = verify.read(tmp_path / "plan.npz")
-    rows = [each for each in verify.clear_held(plan, index) if each.samples]
+    rows = [each for each in objects.clear_held(plan, index) if each.samples]
     assert any(each.verdict != "proven" for each in rows) is expected
 
 
 def test_a_lip_saves_no_friction() -> None:
     pot = {**DRUM, "to": 0.4, "mass": 0.1, "friction": 0.1, "rim": {"circle": 0.2, "at": 0.32}}
-    steps = [{"tie": {"around": "drum"}}, {"lift": {"by": 0.1}}]
+    steps: list[dict[str, Any]] = [{"tie": {"around": "drum"}}, {"lift": {"by": 0.1}}]
     with pytest.raises(ho.InfeasibleError, match=r"grip: 0\.\d+ is below the limit of 1\.5"):
         ho.solve(problem(steps, pot))
 

@@ -14,7 +14,6 @@ from plans import planned
 from second_opinions import opinion_of, violated
 
 import hitchopt as ho
-from hitchopt import verify
 from hitchopt.checks.across import check_across
 from hitchopt.checks.bodies import cable_sheets
 from hitchopt.checks.registry import RULE_OF
@@ -25,6 +24,7 @@ from hitchopt.motion.retiming import on_breaks_of, shifted, slice_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
+from hitchopt.verify import objects, teams, tying
 
 DEEP = ho.Arena([-50.0, -50.0, -20.0], [50.0, 50.0, 20.0])
 TYING = ("tie_carry_untie", "form_square", "lay_triangle")
@@ -132,7 +132,7 @@ def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> N
     assert check.where == ("cable 0", "q2")
     assert phase.start <= check.time <= phase.end
     assert not row(caught, "crossing").holds  # the cable passes the region, not the chord
-    rows = opinion_of(caught, tmp_path, verify.free_cables)
+    rows = opinion_of(caught, tmp_path, tying.free_cables)
     assert {"cable_clearance", "crossing"} <= violated(rows)
 
 
@@ -166,7 +166,7 @@ def test_ones_own_objects_keep_off_a_cable_that_is_tied(state: CableState, tmp_p
         finer = on_breaks_of(whole, breaks)
         visited = finer.replaced(requirements=needs, poses=on_breaks(poses, breaks))
         assert row(visited, "object_clearance").holds is kept
-        broken = violated(opinion_of(visited, tmp_path, verify.clear_objects))
+        broken = violated(opinion_of(visited, tmp_path, objects.clear_objects))
         assert ("object_clearance" not in broken) is kept
 
 
@@ -185,7 +185,7 @@ def test_objects_of_other_teams_keep_off_a_cable_that_is_tied(
         check = check_across(RULE_OF["object_clearance"], motion)
         assert check is not None
         assert check.holds is kept
-        broken = violated(opinion_of(motion, tmp_path, verify.object_distances))
+        broken = violated(opinion_of(motion, tmp_path, teams.object_distances))
         assert ("object_clearance" not in broken) is kept
 
 
@@ -251,4 +251,4 @@ def test_stated_vertices_beside_the_edges_do_not_free_these(tmp_path: Path) -> N
     assert check is not None
     assert check.bound < 0.01
     assert abs(check.time - t) < 0.1
-    assert "cable_clearance" in violated(opinion_of(motion, tmp_path, verify.between_plans))
+    assert "cable_clearance" in violated(opinion_of(motion, tmp_path, teams.between_plans))

@@ -13,7 +13,6 @@ from motions import altered, row, smooth_step, still
 from second_opinions import Rows, opinion_of
 from test_interlacing import stages_of, wrong
 
-from hitchopt import verify as second
 from hitchopt.checks import certify, clasps
 from hitchopt.cli import main
 from hitchopt.geometry import regular_polygon
@@ -26,6 +25,7 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
+from hitchopt.verify import cables, links
 
 OUTLINE = np.array([[-0.4, 0.9], [1.0, 0.9], [1.0, -0.5], [-0.4, -0.5]])
 LEGS = np.array([0.36, 0.64, 0.5, 0.5])  # q_1 and r_0 keep off each other where they pass
@@ -156,9 +156,9 @@ def test_links_are_followed_through_a_hitch(degrees: float, clasp: int, tmp_path
     assert not wrong(*stages, there)  # nothing is let go: clasps that bear hold on
     flown = [*stages, there, *reversed_stages(stages)]
     assert wrong(*flown) == {f"p{clasp}"}
-    assert unproven(concatenated(flown), tmp_path, second.interlacing) == {"interlacing"}
+    assert unproven(concatenated(flown), tmp_path, links.interlacing) == {"interlacing"}
     joined = concatenated([*stages, there, back, *reversed_stages(stages)])
-    assert not unproven(joined, tmp_path, second.interlacing)
+    assert not unproven(joined, tmp_path, links.interlacing)
 
 
 @pytest.mark.parametrize(("degrees", "holds"), [(140, True), (160, False), (-160, False)])
@@ -166,7 +166,7 @@ def test_loads_open_a_clasp_sooner(degrees: float, holds: bool, tmp_path: Path) 
     """Each cable carries half of the load: contact is only a part of the bending force."""
     motion = square(1, degrees, 0.03)
     assert row(motion, "equilibrium").holds is holds
-    assert ("contact" in unproven(motion, tmp_path, second.taut_cables)) is not holds
+    assert ("contact" in unproven(motion, tmp_path, cables.taut_cables)) is not holds
 
 
 def test_touching_parts_fail_for_any_required_distance(tmp_path: Path) -> None:

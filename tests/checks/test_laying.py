@@ -15,7 +15,6 @@ from second_opinions import Rows, opinion_of
 from test_interlacing import stages_of as swaps_of
 
 import hitchopt as ho
-from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import roll_changes
 from hitchopt.hitch import Hitch, Team
@@ -34,11 +33,12 @@ from hitchopt.planners.forming.laying import (
     split_for_rolling,
 )
 from hitchopt.planners.forming.stages import reversed_stages, stage, straight_lines
+from hitchopt.verify import links
 
 SPEC = Requirements()
 RINGS = {3: (1.3, 2.3), 6: (1.0, 1.9)}
 LAYING, ROLLING = CableState.LAYING, CableState.ROLLING
-ORDER = second.interlacing
+ORDER = links.interlacing
 
 
 @cache

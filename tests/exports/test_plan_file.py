@@ -35,7 +35,8 @@ from hitchopt.motion.request import check_request, decoded, encoded, request_of
 from hitchopt.motion.retiming import truncated
 from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import parse_yaml
-from hitchopt.verify import UnreadableError, consistency, read
+from hitchopt.verify import UnreadableError, read
+from hitchopt.verify.driver import consistency
 
 TITLE = 'Ein "Dreieck", 三角 \\ – with everything'
 

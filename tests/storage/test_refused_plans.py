@@ -20,6 +20,7 @@ from hitchopt import verify as second
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.cli import main as main_command
 from hitchopt.motion.plan_file import FORMAT, read_plan, write_plan
+from hitchopt.verify import links, teams
 
 FORGED = Path(__file__).parent / "refused_plans"
 REFUSED = {
@@ -31,9 +32,9 @@ REFUSED = {
 """Forged plans, and the limits that they violate."""
 
 ROWS = {
-    "cable_clearance": second.between_plans,
-    "downwash": second.object_distances,
-    "interlacing": second.interlacing,
+    "cable_clearance": teams.between_plans,
+    "downwash": teams.object_distances,
+    "interlacing": links.interlacing,
 }
 """Functions of ``verify`` that find it."""
 

@@ -33,6 +33,7 @@ from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.request import check_request, request_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from hitchopt.verify import drones, teams
 
 Change = Callable[[dict[str, Any], dict[str, Any]], object]
 
@@ -73,8 +74,8 @@ def test_distances_across_agree(name: str, tmp_path: Path) -> None:
     separation = vars(motion.requirements.separation)
     for p, q in combinations([*own, *others], 2):
         for one, two in ((p, q), (q, p)) if p in own else ():
-            pair = second.Pair(one, two, separation, (0.0, 0.0))
-            for row in (*second.between_plans(pair), *second.object_distances(pair)):
+            pair = teams.Pair(one, two, separation, (0.0, 0.0))
+            for row in (*teams.between_plans(pair), *teams.object_distances(pair)):
                 if row.samples:
                     found[row.name] = min(found.get(row.name, np.inf), row.worst)
     checks = {rule: check_across(RULE_OF[rule], motion) for rule in ACROSS}
@@ -321,7 +322,7 @@ def test_broken_limits_of_one_team_are_found(limit: str, tmp_path: Path) -> None
     check = check_of(RULE_OF[limit], read_plan(path))
     assert check is not None
     assert not check.holds
-    rows = second.drones if limit == "speed" else second.between_plans
+    rows = drones.drones if limit == "speed" else teams.between_plans
     assert limit in violated(opinion(path, rows))
 
 

@@ -21,6 +21,7 @@ from hitchopt.plan import read_requested_plan
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
+from hitchopt.verify import driver, spans
 
 Settings = dict[str, Any]
 Arrays = dict[str, Any]
@@ -478,7 +479,7 @@ def verdicts(lie: Lie, path: Path) -> Iterator[tuple[str, str]]:
     try:
         if lie.found in ("", REFUSED):  # else a limit is broken, whatever was requested
             read_requested_plan(path)
-        for row in second.plan_rows(second.read(path)[0][0]):
+        for row in driver.plan_rows(second.read(path)[0][0]):
             yield row.name, row.verdict
     except (second.UnreadableError, FileError):
         yield REFUSED, "violated"
@@ -495,7 +496,7 @@ def test_plans_that_tell_none_are_proven(name: str, tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("lie", LIES, ids=lambda lie: f"{lie.plan}: {lie.words}")
 def test_lies_are_found(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(second, "BUDGET", 300_000)
+    monkeypatch.setattr(spans, "BUDGET", 300_000)
     found = [*verdicts(lie, tmp_path / "plan.npz")]
     if lie.found:
         assert any(

@@ -21,6 +21,7 @@ from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.objects import Section
 from hitchopt.objects.bodies import Rim
 from hitchopt.values import Array, Indices
+from hitchopt.verify import spans
 
 Change = Callable[[Motion], Motion]
 REFUSED = "refused"
@@ -291,7 +292,7 @@ def test_parts_as_they_are_are_proven(name: str, tmp_path: Path) -> None:
     ],
 )
 def test_lies_are_refused(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(second, "BUDGET", 300_000)
+    monkeypatch.setattr(spans, "BUDGET", 300_000)
     motion = lie.change(parts(lie.part))
     if lie.check in RULE_OF:
         check = check_of(RULE_OF[lie.check], motion)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,7 +21,9 @@ from plans import PROBLEMS, planned
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
-from hitchopt.verify import Curve, Line, Spans
+from hitchopt.verify import arithmetic, catenary, shapes, spans
+from hitchopt.verify.arithmetic import Curve, Line
+from hitchopt.verify.spans import Spans
 
 QUICK = (
     *("triangle", "open_chain", "friction", "weight_hexagon", "form_square"),
@@ -68,14 +71,21 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_script_needs_numpy_alone(tmp_path: Path) -> None:
+def test_a_copy_of_the_folder_needs_numpy_alone(tmp_path: Path) -> None:
     saved("triangle", tmp_path)
-    script = tmp_path / "second_opinion.py"
-    script.write_bytes(Path(second.__file__).read_bytes())
-    code = (
-        "import runpy, sys; sys.modules['hitchopt'] = None; sys.modules['scipy'] = None; "
-        f"sys.argv = ['x', {str(tmp_path)!r}]; runpy.run_path({str(script)!r}, run_name='__main__')"
-    )
+    shutil.copytree(Path(second.__file__).parent, tmp_path / "second_opinion")
+    code = f"""
+import runpy, sys
+before = {{*sys.modules}}
+sys.path.insert(0, {str(tmp_path)!r})
+sys.argv = ["second_opinion", {str(tmp_path)!r}]
+try:
+    runpy.run_module("second_opinion", run_name="__main__")
+finally:
+    known = {{*sys.stdlib_module_names, "numpy", "second_opinion"}}
+    needed = {{name.partition(".")[0] for name in {{*sys.modules}} - before}}
+    assert needed <= known, needed - known
+"""
     for status, words in ((0, PROVEN), (2, "not a plan")):
         told = subprocess.run(
             [sys.executable, "-I", "-c", code], capture_output=True, text=True, check=False
@@ -117,7 +127,7 @@ def test_solve_verifies_where_asked(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_spent_budget_proves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     saved("triangle", tmp_path)
-    monkeypatch.setattr(second, "BUDGET", 100)
+    monkeypatch.setattr(spans, "BUDGET", 100)
     verdicts = {row.name: row.verdict for row in second.verify(tmp_path)}
     assert verdicts["cable_length"] == "not proven"
 
@@ -127,11 +137,11 @@ FORMULAS: dict[str, Callable[[Line, Line], Line]] = {
     "norm": lambda x, _: x.norm(),
     "direction": lambda x, _: x.unit(),
     "inverse": lambda x, _: x.norm().inverse(),
-    "angle": second.angle,
+    "angle": arithmetic.angle,
     "turning": lambda x, y: x.cross(y) * x.dot(x).inverse(),
-    "clipped": lambda x, _: second.minimum(second.maximum(x[0], 2.0), 2.1),
-    "joined": lambda x, y: second.concatenate(x[0] * y[1], y[2], x.norm()) * second.UP,
-    "least": lambda x, y: second.minimum(x[0], y[1], -x[2]),
+    "clipped": lambda x, _: arithmetic.minimum(arithmetic.maximum(x[0], 2.0), 2.1),
+    "joined": lambda x, y: arithmetic.concatenate(x[0] * y[1], y[2], x.norm()) * arithmetic.UP,
+    "least": lambda x, y: arithmetic.minimum(x[0], y[1], -x[2]),
 }
 
 
@@ -139,7 +149,7 @@ WIDE = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 """What is not known of a wide span is infinite, or not a number."""
 
 
-def spans(seed: int, width: float, offset: float) -> Spans:
+def spans_of(seed: int, width: float, offset: float) -> Spans:
     """Return spans of polynomials; cables hang between them."""
     rng = np.random.default_rng(seed)
     plan: Any = SimpleNamespace(h=np.array([0.7, 1.3]), breaks=np.array([0.0, 0.7, 2.0]))
@@ -155,14 +165,14 @@ def spans(seed: int, width: float, offset: float) -> Spans:
 def test_values_and_slopes_stay_within_their_bounds(formula: str, width: float) -> None:
     make = FORMULAS[formula]
     for seed in range(5):
-        s = spans(seed, width, 2.0)
+        s = spans_of(seed, width, 2.0)
         i = s.item[:, 0]
         found, far = make(s.point(i), s.point(i + 4)), np.zeros(8)
         for share in np.linspace(-1.0, 1.0, 41):
             there = s.subspan(float(share), 1e-9)
             now = make(there.point(i), there.point(i + 4))
-            far = np.maximum(far, second.norm(now.v - found.v))
-            assert not np.any(second.norm(now.g - found.g) > found.q * (1.0 + 1e-9) + 1e-9)
+            far = np.maximum(far, arithmetic.norm(now.v - found.v))
+            assert not np.any(arithmetic.norm(now.g - found.g) > found.q * (1.0 + 1e-9) + 1e-9)
         assert not np.any(far > found.deviation * (1.0 + 1e-9) + 1e-12)
         if width == 0.001:  # and they are of use
             assert np.median(found.deviation / np.maximum(far, 1e-9)) < 1.5
@@ -174,23 +184,23 @@ def test_values_and_slopes_stay_within_their_bounds(formula: str, width: float) 
 def test_hanging_cables_move_no_farther_than_told(
     width: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(second, "LINKS", 200)
+    monkeypatch.setattr(catenary, "LINKS", 200)
     for seed in range(2):
-        s = spans(seed, width, 0.0)
+        s = spans_of(seed, width, 0.0)
         k = s.item[:, 0]
-        links = second.catenary_links(s, k)
+        links = catenary.catenary_links(s, k)
         cable, far = links.cable, links.sag
-        lowest, pull = second.lowest_height(s, k), second.catenary_force(s, 2 * k)
-        length = sum(second.norm(b.v - a.v) for a, b in pairwise(cable))
+        lowest, pull = catenary.lowest_height(s, k), catenary.catenary_force(s, 2 * k)
+        length = sum(arithmetic.norm(b.v - a.v) for a, b in pairwise(cable))
         assert length == pytest.approx(60.0 * np.ones(8), rel=0.01)
         for share in np.linspace(-1.0, 1.0, 5):
             there = s.subspan(float(share), 1e-9)
-            for x in second.catenary_links(there, k).cable[::40]:
-                ways = [second.closest(x.v, x.v, a.v, b.v) for a, b in pairwise(cable)]
-                apart = np.min([second.norm(way) for way in ways], axis=0)
+            for x in catenary.catenary_links(there, k).cable[::40]:
+                ways = [shapes.closest(x.v, x.v, a.v, b.v) for a, b in pairwise(cable)]
+                apart = np.min([arithmetic.norm(way) for way in ways], axis=0)
                 assert not np.any(
                     apart > far[:, 0] + np.max([y.deviation for y in cable], axis=0) + 1e-9
                 )
-            assert not np.any(second.lowest_height(there, k).v[:, 0] < lowest.low - 1e-9)
-            off = second.catenary_force(there, 2 * k).v - pull.v
-            assert not np.any(second.norm(off) > pull.deviation)
+            assert not np.any(catenary.lowest_height(there, k).v[:, 0] < lowest.low - 1e-9)
+            off = catenary.catenary_force(there, 2 * k).v - pull.v
+            assert not np.any(arithmetic.norm(off) > pull.deviation)

@@ -1,0 +1,221 @@
+"""Taut cables: lengths, balance at clasps, contact, friction and convexity."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from .arithmetic import BIG, DEGREES, UP, Index, Line, Mask, angle, maximum, minimum, norm
+from .drones import wall_gap
+from .reading import REST_TOL, WRAP_TOL, Plan
+from .shapes import distance
+from .spans import MIN_TENSION, G, Row, Spans, prove
+
+OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
+
+
+def taut_cables(p: Plan) -> Iterator[Row]:
+    """Prove distances, lengths and shapes of hitches, tensions, and force residuals of clasps."""
+    on, lim, ties, names = p.taut, p.limits, p.segments[:, 3:], p.segment_names
+    clasps = p.spans(p.formed, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
+    legs, cables = p.spans(on, np.flatnonzero(p.leg), p.names), p.spans(on, range(p.n), p.cables)
+    vertices = p.spans(p.formed, range(p.V.start, p.V.stop), p.labels)
+    own = np.where(p.leg, np.arange(p.N), p.anchor)  # other end of the segment at each drone
+    foreign = np.argwhere(np.all(p.segments[:, :2] != own[:, None, None], axis=2))
+    shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
+    pairs = p.spans(on, np.argwhere(np.triu(~shared, 1)), names, names)
+
+    def turn_margin(s: Spans, _: Index) -> Line:
+        """Return the margin of the total turn to more than one turn, or to one for a chain."""
+        return -total_turn(s) + (361.0 if p.closed else 360.0)
+
+    def range_excess(s: Spans, k: Index) -> Line:
+        """Return ``T - T_max``, or ``T_min - T`` outside ramps."""
+        x, (low, high) = p.tensions.on(s, k), p.tension_range[s.piece, k, :, None].swapaxes(0, 1)
+        return maximum(x - high, -x + np.where(p.ramp[s.piece, None], 0.0, low))
+
+    def friction_excess(s: Spans, i: Index) -> Line:
+        """Return excesses of legs' tensions beyond ``e^{-μθ} T`` and ``e^{μθ} T``."""
+        x, T, ratio = p.pulls.on(s, i), p.tensions.on(s, i // 2), capstan(s, i)
+        return maximum(x - T * ratio, T - x * ratio) * maximum(T, MIN_TENSION).inverse()
+
+    def bend(s: Spans, k: Index) -> Line:
+        (a, b), (first, last) = s.edge(k), (s.point(i) for i in p.edges[1:3, k])
+        return maximum(a.unit().cross(b.unit()).norm(), (last - first).norm())
+
+    def arena_gap(s: Spans, j: Index, *, leg: bool) -> Line:
+        """Return distances of segments to walls, with a sag of ``ρ g s² / 8 T`` at the middle."""
+        (a, b), k = s.segment(j), p.segments[j, 2]
+        chord, T = b - a, p.pulls.on(s, p.segments[j, 1]) if leg else p.tensions.on(s, k)
+        sag = chord.dot(chord) * s.inverse_tension(T, k) * (0.125 * p.weight)
+        inner = wall_gap(s, [a + chord * x for x in (0.25, 0.5, 0.75)], sag)
+        return minimum(wall_gap(s, [a, b]), inner)
+
+    for j in np.split(np.arange(len(p.segments)), [int(np.sum(p.leg))]):
+        yield prove(p.arena_row, 0.0, p.spans(on, j, names), partial(arena_gap, leg=not j[0]))
+    s = p.spans(on, foreign, p.names, names)
+    near = partial(distance, ratio=p.ratio)
+    yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
+    yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
+    speed = "vertex_speed m/s max", lim["vertex_speed"]
+    yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())
+    yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
+    yield prove("cable_length 1 max", 1e-4, cables, length_error)
+    yield prove("equilibrium 1 max", 5e-3, clasps, force_residual)
+    closed = clasps.select(p.state[clasps.piece] == "hitched")
+    yield prove("contact deg max", OPEN_ROLL, closed, roll_angle)
+    if p.weight or np.any(p.load) or np.any(p.active):
+        yield prove("contact 1 max", 0.0, closed, contact)
+    yield prove("convexity deg min", 0.0, clasps, exterior_angle)
+    yield prove("convexity turn min", 0.0, p.spans(p.formed, [0], ["outline"]), turn_margin)
+    yield prove("tension N max", 1e-4, cables, range_excess)
+    if p.frictional:
+        yield prove("equilibrium 1 max", 5e-3, legs, friction_excess)
+    if p.has_contacts:
+        straight = p.spans(on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
+        yield prove("grip bend max", 2 * WRAP_TOL, straight, bend)
+
+
+def capstan(s: Spans, i: Index) -> Line:
+    """Return ``e^{μθ}`` for the angle θ between leg and edge at the clasps of drones i."""
+    leaving, arriving = s.edge(i // 2)
+    q = np.broadcast_to(i % 2 == 0, len(s.x))
+    theta = angle(-s.leg_chord(i), leaving.where(q) - arriving.where(~q))
+    return (theta * s.plan.mu).map(np.exp, np.exp)
+
+
+def length_error(s: Spans, k: Index) -> Line:
+    """Return ``|d + l + e - L| / L``, or errors of stored legs.
+
+    Segments of chord s at a slope α are longer than s by ``(ρ g τ / T)² s³ cos² α / 24``.
+    """
+    p, (leaving, arriving), excess = s.plan, s.edge(k), wrapped_length(s, k) - s.plan.length[k]
+    segments = [(x.norm(), x) for x in (s.leg(2 * k), s.leg(2 * k + 1))]
+    errors = [(p.legs.on(s, 2 * k + end) - segments[end][0]).norm() for end in (0, 1)]
+    pulled = maximum(p.tensions.on(s, k), p.min_tension[s.piece, k]).inverse() * p.weight
+    for chord, x in [*segments, (leaving.norm() + arriving.norm(), leaving + arriving)]:
+        excess = excess + chord + chord * x[:2].dot(x[:2]) * pulled * pulled * (1.0 / 24.0)
+    for b in range(len(p.bodies)):
+        share = p.load_share.on(s, b)
+        excess = excess - share * share * p.length_loss[b, s.piece, k, None]
+    return maximum(excess.norm(), *errors) * (1.0 / p.length[k])
+
+
+def wrapped_length(s: Spans, k: Index) -> Line:
+    """Return lengths of edges along gripped objects: ``2 R arcsin(c / 2 R)``, or sides."""
+    p, ends = s.plan, [s.point(i) for i in s.plan.edges[1:3, k]]
+    total = chord = (ends[1] - ends[0]).norm()
+    for b in map(int, np.flatnonzero(np.any(p.grip, axis=1))):
+        stem, on = p.bodies[b].stem, p.grip[b, s.piece]
+        if stem.round:
+            half = chord * (0.5 / stem.radius)
+            half = half.map(np.arcsin, lambda x: 1.0 / np.sqrt(1.0 - x**2))
+            wrapped = half * (2.0 * stem.radius)
+        else:
+            ring = np.append(0.0, np.cumsum(norm(stem.sides)))
+            gaps = [norm(s.local(b, x).v[:, None, :2] - stem.core) for x in ends]
+            first, last = (ring[np.argmin(x, axis=1), None] for x in gaps)
+            wrapped = s.zero + np.where(chord.v < REST_TOL, 0.0, (last - first) % ring[-1])
+        total = total.where(~on) + wrapped.where(on)
+    return total
+
+
+def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line], Line]:
+    """Return directions and pulls of ``q̂_k, u_k, r̂_{k-1}, u_{k-1}``; weights and body forces.
+
+    ``P q̂_k + P_k u_k + P' r̂_{k-1} - P_{k-1} u_{k-1} - W ẑ + w = 0``. W is the sum of ``τ (½ g load
+    + ½ ρ g (L - other leg))`` of both cables; ``w = -m μ (a_k + g b ẑ) + m h (G·a) ẑ`` with the
+    load share b, the clasp's shares μ and G of mass and moments, and the height h above clasps.
+    """
+    p, k, j = s.plan, s.plan.clasps[c], s.plan.behind[c]
+    chords = s.leg_chord(2 * k), s.edge(k)[0], s.leg_chord(2 * j + 1), s.edge(j)[1]
+    factor, body_force, weights = s.zero + 1.0, s.zero * UP, []
+    for b, body in enumerate(p.bodies):
+        share, (mass, x, y) = p.load_share.on(s, b), p.shares[b, s.piece, c, :, None].swapaxes(0, 1)
+        factor = factor - share * share * p.pull_loss[b, s.piece, None]
+        a = s.rotated(b, s.world(b, body.centre, 2))
+        moment = (a[0] * x + a[1] * y) * UP * (body.centre[2] - body.height)
+        inertia = (moment - s.point(p.begin[k], 2) * mass).where(p.moving[b, s.piece])
+        body_force = body_force + (inertia - share * mass * G * UP) * body.mass
+    for cable, other in ((k, 2 * k + 1), (j, 2 * j)):
+        length = -s.leg(other).norm().where(p.leg[other]) + p.length[cable]
+        weights.append(s.tautness(cable) * (length * (0.5 * p.weight) + 0.5 * G * p.load[c]) * UP)
+    pulls = [s.pull(2 * k), s.edge_pull(k) * factor, s.pull(2 * j + 1), s.edge_pull(j) * factor]
+    return [x.unit() for x in chords], pulls, weights, body_force
+
+
+def force_residual(s: Spans, c: Index) -> Line:
+    """Return the force residual of a clasp, over the smaller tension of its cables."""
+    u, P, (a, b), body_force = clasp_forces(s, c)
+    total = u[0] * P[0] + u[1] * P[1] + u[2] * P[2] - u[3] * P[3] - a - b + body_force
+    return total.norm() * maximum(minimum(P[1], P[3]), MIN_TENSION).inverse()
+
+
+def roll_angle(s: Spans, c: Index) -> Line:
+    """Return the roll of pairs about the sum of their legs' pulls [deg]; at 180° clasps are open.
+
+    It is the angle from ``u_k + u_{k-1}`` to the difference of the pulls, both normal to their sum;
+    zero where tensions vanish at the ends of ramps.
+    """
+    k, j = s.plan.clasps[c], s.plan.behind[c]
+    q, r = (s.leg_chord(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
+    axis = (q + r).unit()
+    bisector = s.edge(k)[0].unit() + s.edge(j)[1].unit()
+    components = [x - axis * axis.dot(x) for x in (bisector, q - r)]
+    return (angle(*components) * DEGREES).where(has_tension(s, k, j))
+
+
+def has_tension(s: Spans, *cables: Index) -> Mask:
+    """Return a mask (m,) of cables under tension, which excludes the ends of ramps."""
+    weakest = minimum(*(s.plan.tensions.on(s, k) for k in cables))
+    return np.asarray((weakest.high > MIN_TENSION) | ~s.plan.ramp[s.piece])
+
+
+def contact(s: Spans, c: Index) -> Line:
+    """Return contact products over the weaker pull: negative while the cables press together.
+
+    ``C = W_k ẑ - P q̂_k - P_k u_k - ½ w``; the products are C·q̂_k, C·u_k, -C·r̂_{k-1}, C·u_{k-1}.
+    With different tensions due to friction they are the means of both products of a cable.
+    """
+    p, (u, P, weights, body_force) = s.plan, clasp_forces(s, c)
+    C, weakest = weights[0] - u[0] * P[0] - u[1] * P[1] - body_force * 0.5, minimum(P[1], P[3])
+    tensioned = has_tension(s, p.clasps[c], p.behind[c])
+    products = [C.dot(u[0]), C.dot(u[1]), -C.dot(u[2]), C.dot(u[3])]
+    if p.frictional:
+        products = [(products[i] + products[i + 1]) * 0.5 for i in (0, 2)]
+    largest = maximum(*products) * weakest.inverse()
+    return largest.where(tensioned) - np.where(tensioned, 0.0, 1.0)[:, None]
+
+
+def wrap_angle(s: Spans, k: Index) -> Line:
+    """Return angles by which edges turn along an object in the horizontal plane [rad]."""
+    return angle(*(x[:2] for x in s.edge(k)))
+
+
+def total_turn(s: Spans) -> Line:
+    """Return sums of exterior angles, and of the turns of two cables along an object [deg]."""
+    turns = [exterior_angle(s, c) for c in range(len(s.plan.clasps))]
+    turns += [wrap_angle(s, k) * DEGREES for k in range(2 * s.plan.two)]
+    return sum(turns, s.zero)
+
+
+def exterior_angle(s: Spans, c: Index) -> Line:
+    """Return exterior angles at clasps in the horizontal plane [deg]; clockwise is positive."""
+    p, k, x = s.plan, s.plan.clasps[c], s.point(s.plan.begin[s.plan.clasps[c]])
+    a, b = (x - s.point(p.begin[p.behind[c]]))[:2], (s.point(p.end[k]) - x)[:2]
+    if p.two:  # edges bend around an object
+        a, b = s.edge(p.behind[c])[1][:2], s.edge(k)[0][:2]
+    right = a[1] * b[0] - a[0] * b[1]
+    turn = angle(a, b) * DEGREES * np.where(right.v < 0.0, -1.0, 1.0)
+    return Line(turn.v, turn.g, np.where(right.low * right.high > 0.0, turn.q, BIG), s.t)
+
+
+def crossing_parts(s: Spans, c: Index) -> Iterator[tuple[list[Line], list[Line]]]:
+    """Yield pairs of straight parts beyond an object on which bent cables of a clasp cross.
+
+    They are of the cable ahead, towards its q, and of the one behind, towards its r.
+    """
+    yield from product(s.halves(s.plan.clasps[c], 0), s.halves(s.plan.behind[c], 1))

@@ -1,0 +1,224 @@
+"""All rows of a file, and what a command line says of them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import chain, combinations, product, repeat
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .arithmetic import POS_TOL, Array, norm, varies
+from .cables import OPEN_ROLL, taut_cables
+from .catenary import lowest_height
+from .drones import drones
+from .links import interlacing, roll_changes
+from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
+from .reading import CONTACT_TOL, DRAWN, LAID, ROLLING, Plan, UnreadableError, read
+from .shapes import to_frame
+from .spans import RESOLUTION, Fault, Row, Worst, fault_row, worst_row
+from .teams import Pair, between_plans, object_distances
+from .tying import bent_cables, free_cables
+
+PASSING = {"proven", "warning"}  # the ground is unknown without an arena, hence warnings
+
+
+def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
+    """Check jumps of curves at joints of pieces, as sums over time, and jumps of thrusts and pulls.
+
+    With ``rests``, the plan must be at rest at its ends.
+    """
+    bodies, both = [body.name for body in p.bodies], (p.taut[1:] & p.taut[:-1])[:, None]
+
+    def jump(c: Array, names: Sequence[str], on: Any = True, fold: Any = np.max) -> Iterator[Worst]:
+        x = norm(c[1:, ..., 0] - c[:-1, ..., -1]) * on
+        if x.size:
+            i = int(np.argmax(each := fold(x, axis=0)))
+            yield float(each[i]), float(p.breaks[np.argmax(x[:, i]) + 1]), names[i]
+
+    def total(x: Array, axis: int) -> Array:
+        """Return sums of jumps above rounding errors."""
+        jumps = np.sum(np.where(x > 1e-9, x, 0.0), axis)
+        return np.asarray(np.maximum(jumps, np.max(x, axis)))
+
+    values, summed = list[Worst](), partial(jump, fold=total)
+    for k in range(3):
+        curves = (p.points.c[k][:, : p.N], p.names), (p.poses.c[k], bodies)
+        values += chain(*(summed(curve, names) for curve, names in curves))
+        values += summed(p.points.c[k][:, p.V], p.labels[p.V], both)
+        if np.any(p.bent):  # inner ends of legs
+            values += summed(p.points.c[k][:, p.anchor], p.names, both)
+        values += summed(p.legs.c[k], p.names, both)
+        for (curve, names), end in product(curves, (0, -1) if rests and k else ()):
+            time = repeat(float(p.breaks[end]))
+            values += zip(norm(curve[end, ..., end]).tolist(), time, names, strict=False)
+    yield worst_row("continuity", "m", 1e-6, values)
+    if not p.n:
+        return
+    drones = p.spans(p.all_pieces, range(p.N))
+    with np.errstate(all="ignore"):
+        ends = [drones.subspan(end).thrust(drones.item[:, 0]).v for end in (-1.0, 1.0)]
+    on = p.taut[:, None, None, None]
+    values = [*jump(np.stack(ends, -1).reshape(-1, p.N, 3, 2), p.names)]
+    values += [*jump(p.tensions.c[0] * on, p.cables), *jump(p.pulls.c[0] * on, p.names)]
+    # At both ends of a range, tensions are the team's unless an object is held there
+    held, ranged = np.pad(np.any(p.held, axis=0), 1, "edge"), np.append(p.range_phase, -1)
+    for q, end in product(np.flatnonzero(p.formed & (p.range_phase >= 0)), (0, -1)):
+        o = q - 1 - 2 * end  # without a range, but with the same hold, beyond the plan
+        if ranged[o] != ranged[q] and not (held[q + 1] and held[o + 1]):
+            error = np.max(np.abs(p.tensions.c[0][q, :, :, end] - p.team))
+            values.append((float(error), float(p.breaks[q - end]), "range"))
+    yield worst_row("tension", "N", 1e-4, values)
+
+
+def consistency(p: Plan) -> Iterator[Row]:
+    """Check phases and objects for contradictions, and the duration."""
+    yield fault_row("consistency", (*phase_faults(p), *object_faults(p)))
+    if p.limits["duration"] is not None:
+        end = float(p.breaks[-1])
+        yield worst_row("duration", "s", p.limits["duration"], [(end, end, "")])
+
+
+def phase_faults(p: Plan) -> Iterator[Fault]:
+    """Yield contradictions between curves and the states of cables in phases."""
+    c = p.points.c[0][:, : p.N]
+    for i, phase in enumerate(p.phases):
+        at, state, on = phase["start"], phase["state"], p.phase == i
+        s, k = p.spans(on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
+        pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
+        yield at, pulls, "tensions or legs without a hitch"
+        if state == LAID:
+            yield at, varies((c[:, 1::2] - c[:, 0::2])[on]), "cables turn while they are laid"
+        if state == ROLLING and np.any(on):
+            legs = p.legs.c[0][on]  # change as they sag, or as weight passes
+            lowest = np.min(p.min_tension[on], axis=0)
+            sag = (p.weight / lowest) ** 2 / 24.0 * np.max(legs, (0, -1)).reshape(p.n, 2) ** 3
+            drift = (sag + 1e-4).reshape(legs.shape[1:-1])
+            rolls = varies(p.points.c[0][on][:, p.V]) or varies(legs, drift)
+            yield at, rolls, "vertices or legs move while pairs roll"
+            T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
+            other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
+            busy = np.any(p.load) or np.any((p.rest | p.active)[:, on]) or other
+            yield at, bool(busy), "pairs with loads or unequal tensions roll"
+            start, change, _ = roll_changes(p, np.flatnonzero(on))
+            shut = np.abs([start, start + change]) < OPEN_ROLL
+            yield at, bool(np.all(shut)), "no pair rolls or lies across"
+        if state == DRAWN and np.any(on):
+            yield at, varies(c[on][:, :, 2]), "drones change their heights as cables are drawn taut"
+        if p.two and np.any(on & p.formed):
+            yield at, phase["hold"] is None, "two cables are tied around nothing"
+        if p.n and state == "on the ground":
+            with np.errstate(all="ignore"):
+                depth = [np.min(lowest_height(s.subspan(x), k).v) for x in (-1.0, 0.0, 1.0)]
+            high = min(depth) - p.floor > p.settings["separation"]["cable"] + RESOLUTION
+            high |= varies(c[on][:, :, :2])
+            yield at, high, "cables do not lie on the ground as stated"
+        if state == "clasping":
+            middle = 0.5 * (c[on][:, 2 * p.clasps] + c[on][:, 2 * p.behind + 1])
+            yield at, varies(middle, RESOLUTION), "drones do not turn about each other"
+        if state == "being tightened":
+            over = s.route_length(k).v.reshape(-1, p.n) - (1.0 - 1e-4) * p.length[:, 0]
+            full = np.sum(p.h[on] * (over @ p.team[:, 0] > 0.0)) > 0.5 * np.sum(p.h[on])
+            yield at, full, "cables stated as slack have their full length"
+
+
+def object_faults(p: Plan) -> Iterator[Fault]:
+    """Yield objects without support, that move unheld, or with inconsistent load shares."""
+    c = p.poses.c[0]
+    for b, body in enumerate(p.bodies):
+        moving, busy, lifted, s = p.moving[b], p.active[b], p.lifted[b], p.spans(p.all_pieces, [b])
+        head = [norm(p.poses.at(s.subspan(x), b)[:, 3:]) for x in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+        under = np.array([support_below(p, b, x)[0] for x in c[..., 0]])
+        falls = (np.abs(c[:, b, 2, 0] + body.stem.lower - under) > POS_TOL) & ~lifted & ~moving
+        loose, share = p.rest[b] & (body.rim is None or not p.closed), p.load_share.c[0][:, b, 0]
+        if p.n and not np.all(loose):
+            seen = to_frame(c[:, b, None, :, 0], p.points.c[0][:, p.V, :, 0])
+            side, to = (np.roll(seen, -1, 1) - seen)[..., :2], body.centre[:2] - seen[..., :2]
+            right = side[..., 1] * to[..., 0] - side[..., 0] * to[..., 1] > 0.0
+            below = seen[..., 2] <= body.height + CONTACT_TOL
+            loose |= p.rest[b] & ~np.all(right & below, axis=1)
+        for wrong, words in (
+            (np.max(np.abs(np.array(head) - 1.0), axis=0) > POS_TOL, "has an invalid heading"),
+            (busy & ~(p.held[b] & p.formed), "moves or has a load share without a hold"),
+            (moving & ~lifted, "moves without a load share of 1"),
+            (np.any((share < 0.0) | (share > 1.0), axis=-1), "has a load share outside 0 to 1"),
+            (busy & body.fixed, "is fixed but moves"),
+            (falls & (not body.fixed), "has no support"),
+            (p.grip[b] & (not p.n or not p.has_contacts), "is gripped by straight edges"),
+            (loose, "is not inside the clasps below its rim"),
+        ):
+            yield float(p.breaks[np.argmax(wrong)]), bool(np.any(wrong)), f"{body.name} {words}"
+
+
+def plan_rows(p: Plan) -> Iterator[Row]:
+    """Yield the rows of all checks, several for some limits."""
+    taut = (taut_cables,) if np.any(p.taut) else ()
+    bent = (bent_cables,) if np.any(p.bent) else ()
+    for check in (consistency, drones, *taut, *bent, *((free_cables,) if p.n else ())):
+        yield from check(p)
+    of_bodies = resting, gripped, hinged, clear_objects, clear_held
+    for check_of, b in product(of_bodies, range(len(p.bodies))):
+        yield from check_of(p, b)
+    yield from (*jumps(p), *interlacing(p))
+
+
+def verify(path: str | Path) -> Iterator[Row]:
+    """Yield a row for every limit of a plan; UnreadableError if the file is not a plan."""
+    path = Path(path)
+    own, others = read(path / "plan.npz" if path.is_dir() else path)
+    rows, order = [row for p in own for row in plan_rows(p)], ("violated", "not proven", "proven")
+    if len(own) + len(others) > 1:
+        rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
+        rows += (row for row in rests if row.name == "continuity")
+    keys = own[0].settings["separation"]
+    off = max(p.tube[0] for p in own), max(p.tube[1] for p in own)
+    wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
+    for p, q in combinations([*own, *others], 2):
+        if p in own:
+            one, two = Pair(p, q, wide, off), Pair(q, p, wide, off)
+            rows += [*between_plans(one), *object_distances(one), *object_distances(two)]
+    rows = [row for row in rows if row.samples]
+    for name, unit in dict.fromkeys((row.name, row.unit) for row in rows):
+        same = [row for row in rows if (row.name, row.unit) == (name, unit)]
+        sign = 1.0 if same[0].sense == "min" else -1.0
+
+        def rank(row: Row, sign: float = sign) -> tuple[int, float]:  # limits of teams may differ
+            return order.index(row.verdict), sign * (row.worst - row.limit) / abs(row.limit or 1.0)
+
+        worst = min(same, key=rank)
+        verdict = "warning" if name == "ground" and worst.verdict != "proven" else worst.verdict
+        yield worst._replace(verdict=verdict, samples=sum(row.samples for row in same))
+
+
+def cells(row: Row) -> tuple[str, ...]:
+    """Return cells of a row: check, worst, limit, unit, place, time and verdict."""
+    shape, sense = row.unit in ("turn", "wrap", "bend"), "≥" if row.sense == "min" else "≤"
+    name, unit = (f"{row.name} ({row.unit})", "") if shape else (row.name, row.unit.strip("1"))
+    worst, limit, when = f"{row.worst:.5g}", f"{sense} {row.limit:.4g}", f"{row.time:.3f} s"
+    return name, worst, limit, unit, row.where, when, row.verdict
+
+
+def verdict(rows: Sequence[Row]) -> str:
+    """Return the verdict of all rows in words."""
+    bad = dict.fromkeys(row.name for row in rows if row.verdict not in PASSING)
+    return f"not proven: {', '.join(bad)}" if bad else "proven: every limit holds at all times"
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Print the rows of the plan in a directory; return 0 proven, 3 not proven, 2 unreadable."""
+    if len(arguments) != 1:
+        sys.stderr.write("usage: python -m hitchopt.verify DIR\n")
+        return 2
+    rows = []
+    try:
+        for row in verify(arguments[0]):
+            rows.append(row)
+            sys.stdout.write("{:16} {:>10} {:8} {:5} {:16} {:>9} {}\n".format(*cells(row)))
+    except UnreadableError as error:
+        sys.stderr.write(f"{arguments[0]}: not a plan, or a damaged one: {error}\n")
+        return 2
+    sys.stdout.write(f"{verdict(rows)}\n")
+    return 0 if all(row.verdict in PASSING for row in rows) else 3

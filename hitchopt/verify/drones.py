@@ -1,0 +1,67 @@
+"""Drones: distances, rates, forces and walls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+import numpy as np
+
+from .arithmetic import BIG, DEGREES, UP, Index, Line, angle, minimum, norm
+from .reading import Body, Plan
+from .shapes import Slab
+from .spans import G, Row, Spans, prove
+
+
+def drones(p: Plan) -> Iterator[Row]:
+    """Prove distances, rates and forces of drones."""
+    s, lim, sep = p.spans(p.all_pieces, range(p.N), p.names), p.limits, p.sep
+    pairs = p.spans(p.all_pieces, np.column_stack(np.triu_indices(p.N, 1)), p.names, p.names)
+
+    def turning(s: Spans, i: Index) -> Line:
+        """Return ``|f × f'| / |f|²``: the rotation rate of the thrust."""
+        u = s.thrust(i).unit()
+        return Line(norm(u.g)[:, None], s.zero.g, u.q / s.t, s.t) * DEGREES
+
+    def to_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
+        return slab.gap(s.local(b, s.point(i)), ratio=p.ratio)
+
+    def over_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
+        return slab.below(s.local(b, s.point(i)) * p.wash, p.wash_lead)
+
+    ratio = "separation ratio min", 1.0
+    yield prove(*ratio, pairs, lambda s, i, j: ((s.point(i) - s.point(j)) * p.scale).norm())
+    for k, header in enumerate(("speed m/s max", "acceleration m/s² max", "jerk m/s³ max"), 1):
+        limit = lim[header.split()[0]] * (lim["reserve"] if k > 1 else 1.0)  # reserved for stops
+        yield prove(header, limit, s, lambda s, i, k=k: s.point(i, k).norm())
+    share, tilt = 1.0 / p.max_thrust, lim["tilt"] * DEGREES
+    yield prove("thrust share max", 1.0, s, lambda s, i: s.thrust(i).norm() * share[i])
+    yield prove("tilt deg max", tilt, s, lambda s, i: angle(s.thrust(i), s.zero + UP) * DEGREES)
+    if lim["body_rate"] is not None:
+        yield prove("body_rate deg/s max", lim["body_rate"] * DEGREES, s, turning)
+    yield prove(p.arena_row, 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
+    keep_out = "keep_out m min", sep["radius"]
+    for b, slab in [*p.slabs, *p.walls]:
+        gap = partial(to_slab, b=b, slab=slab)
+        yield prove(*keep_out, s, gap)
+    for b, slab in [] if p.n else p.slabs:
+        if moves(p, p.bodies[b]):
+            over = partial(over_slab, b=b, slab=slab.scaled(p.wash))
+            yield prove("downwash ratio min", 1.0, s, over)
+
+
+def moves(p: Plan, body: Body) -> bool:
+    """Return whether the largest thrust of a drone exceeds the friction of a body that stands."""
+    grip = body.friction * body.mass * G
+    return not body.fixed and grip < float(np.max(p.max_thrust))
+
+
+def wall_gap(s: Spans, x: Sequence[Line], depth: Line | float = 0.0, radius: float = 0.0) -> Line:
+    """Return the distance to walls or ground from points with a horizontal radius and a depth."""
+    arena = s.plan.arena or {"lower": [-BIG, -BIG, 0.0], "upper": [BIG] * 3}
+    lower, upper = np.array(arena["lower"]), np.array(arena["upper"])
+    error = s.plan.tracking  # except for the floor, on which drones stand
+    gaps = [(each - lower)[k] - radius - error for each in x for k in range(2)]
+    gaps += [(-each + upper)[k] - radius - error for each in x for k in range(2)]
+    gaps += [(-each + upper)[2] - error * s.plan.ratio for each in x]
+    return minimum(*gaps, *(each[2] - lower[2] - depth for each in x))

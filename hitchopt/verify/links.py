@@ -1,0 +1,262 @@
+"""Links of cables: half crossings along a plan, against the states of phases."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from functools import partial
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from .arithmetic import (
+    BIG,
+    DEGREES,
+    POS_TOL,
+    Array,
+    Index,
+    Items,
+    Line,
+    Mask,
+    maximum,
+    norm,
+    normalize,
+)
+from .cables import OPEN_ROLL, crossing_parts, has_tension
+from .catenary import catenary, catenary_depth
+from .reading import BENT, CROSSINGS, LAID, MIN_GAP, ROLLING, SAG_TOL, Plan
+from .shapes import distance, intersections, signed_distance
+from .spans import Fault, Row, Spans, fault_row, prove
+
+PAST_ROLL = 0.286  # [deg] largest roll past 180°, where cables pull by 5e-3 of their tension
+
+
+def past_roll(s: Spans, c: Index, sense: Array) -> Line:
+    """Return 0 where pairs certainly do not roll past lying across; otherwise negative values.
+
+    From lying across, at -180° times its sense, a pair rolls to its clasp, and may pass it by a
+    right angle.
+    """
+    k, j = s.plan.clasps[c], s.plan.behind[c]
+    q, r = (s.leg_chord(i).unit() * s.pull(i) for i in (2 * k, 2 * j + 1))
+    axis, bisector = (q + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+    sine = axis.cross(bisector).dot(q - r) * sense[s.piece, c, None]
+    cosine = axis.dot(bisector) * axis.dot(q - r) - bisector.dot(q - r)
+    x = maximum(sine + cosine * math.tan(PAST_ROLL / DEGREES), -cosine).where(has_tension(s, k, j))
+    return Line(np.minimum(x.v, 0.0), s.zero.g, np.where(x.low >= 0.0, 0.0, BIG), s.t)
+
+
+def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
+    """Return how bent cables cross beyond the object on a run of pieces, for every clasp (c,).
+
+    Values: the sign of signed distances, and height orders at the start and at the end, 1 if the
+    cable ahead is above; 0 if cables do not clearly cross at any sample.
+    """
+    count, parts = len(p.clasps), 8
+    x = np.tile(np.repeat((np.arange(parts) + 0.5) / parts, count), len(run))
+    c = np.tile(np.arange(count), parts * len(run))
+    s = Spans(p, np.repeat(run, parts * count), c[:, None], x, 0.0 * x)
+    gaps = np.zeros((len(c), 4))
+    with np.errstate(all="ignore"):
+        for k, (a, b) in enumerate(crossing_parts(s, c)):
+            u, w = ((y[1] - y[0]).v for y in (a, b))
+            inside = intersections(a[0].v, u, b[0].v, w)[0]
+            gaps[:, k] = np.where(np.isnan(inside), 0.0, signed_distance(a, b).v[:, 0])
+    gaps = gaps.reshape(-1, count, 4).swapaxes(1, 2).reshape(-1, count)
+    largest = gaps[np.argmax(np.abs(gaps), axis=0), np.arange(count)]
+    sign = np.sign(largest) * (np.abs(largest) > 2.0 * SAG_TOL + MIN_GAP)
+    orders = []
+    for q, end in ((run[0], -1.0), (run[-1], 1.0)):
+        t = p.spans(np.arange(len(p.h)) == q, range(count)).subspan(end)
+        a, b = next(crossing_parts(t, t.item[:, 0]))
+        up = np.cross((a[1] - a[0]).v, (b[1] - b[0]).v)[:, 2]
+        orders.append(sign * np.sign(up))
+    return sign, orders[0], orders[1]
+
+
+def cable_heights(s: Spans, k: Items, share: Array) -> Array:
+    """Return heights (m,) of hanging cables at relative positions along their chords."""
+    with np.errstate(all="ignore"):
+        chord, g = (x.v for x in catenary(s, 2 * k))
+        depth = catenary_depth(s.plan.length[k, 0], chord[:, 2], g[:, 0], 2.0 * share - 1.0)
+    return np.asarray(s.point(2 * k).v[:, 2] + share * chord[:, 2] - depth)
+
+
+def crossing_heights(p: Plan, q: int, end: int) -> Array:
+    """Return heights of cables over those behind where they cross at an end of piece q, or nan."""
+    s = p.spans(np.arange(len(p.h)) == q, p.clasps).subspan(2.0 * end - 1.0)
+    chords = [(s.point(2 * k).v, s.q_to_r(k).v) for k in (p.clasps, p.behind)]
+    x, y = intersections(*chords[0], *chords[1])
+    return cable_heights(s, p.clasps, x) - cable_heights(s, p.behind, y)
+
+
+def roll_changes(p: Plan, run: Items) -> tuple[Array, Array, Mask]:
+    """Return rolls at the start of a run, their changes (c,) [deg], and a mask of valid changes.
+
+    Rolls are sampled several times per piece, so that legs turn by much less than a right angle.
+    """
+    count, parts = len(p.clasps), 6
+    places = np.repeat((np.arange(parts) + 0.5) / parts, count)
+    q, x = np.repeat(run, len(places)), np.asarray(np.tile(places, len(run)), np.float64)
+    c = np.tile(np.arange(count), parts * len(run))
+    s = Spans(p, q, c[:, None], x, 0.0 * x + 0.5 / parts)
+    k, j = p.clasps[c], p.behind[c]
+    with np.errstate(all="ignore"):  # legs may vanish
+        q_, r = (s.leg_chord(i).unit() for i in (2 * k, 2 * j + 1))
+        axis, u = (q_ + r).unit(), s.edge(k)[0].unit() + s.edge(j)[1].unit()
+        m, m0 = (y - axis * axis.dot(y) for y in (q_ - r, u))
+        valid = (m.deviation < 0.5 * norm(m.v)) & (m0.deviation < 0.1 * norm(m0.v))
+    sine = np.sum(np.cross(m0.v, axis.v) * m.v, -1)
+    angles = np.degrees(np.arctan2(sine, np.sum(m0.v * m.v, -1))).reshape(-1, count)
+    steps = (np.diff(angles, axis=0) + 180.0) % 360.0 - 180.0
+    return angles[0], np.sum(steps, axis=0), np.all(valid.reshape(-1, count), axis=0)
+
+
+def rolled(
+    p: Plan, run: Items, linked: Mask, sense: Array, order: Array, before: str, after: str
+) -> tuple[Array, Array, list[tuple[Mask, str]]]:
+    """Return senses and height orders (c,) after pairs have rolled, and masks of faults.
+
+    ``before`` and ``after`` are the states of cables before and after, empty at ends of the plan.
+    """
+    start, change, valid = roll_changes(p, run)
+    opened = np.abs(start) >= OPEN_ROLL
+    valid &= (opened == (order != 0.0)) & (opened | linked)
+    sense = np.where(order != 0.0, order, sense)
+    roll = start + 180.0 * sense  # relative to lying across
+    roll = np.where(opened, (roll + 180.0) % 360.0 - 180.0, roll) + change
+    across = np.abs(roll) <= 180.0 - OPEN_ROLL
+    short = ~across & (np.abs(roll - 180.0 * sense) >= OPEN_ROLL)
+    faults = [(opened & (not before), "a clasp is open at the start")]
+    faults += [(~valid, "unlinked cables roll")]
+    faults += [(short | across & (after == "hitched"), "pairs do not roll by a half turn")]
+    return sense, np.where(across, sense, 0.0), faults
+
+
+def replay(
+    p: Plan, half_crossings: Array, sense: Array, order: Array
+) -> tuple[list[Fault], Array, Array]:
+    """Replay half crossings of neighbours that are laid and roll, and add them to an array.
+
+    ``sense`` and ``order`` (c,) are senses of links and height orders at the start, 1 if a cable
+    lies on the one behind.
+    Returns faults and, on pieces with vertical motion, the sign (m, c) of the upper cable, and the
+    smallest height of its q over the other one's, times that sign; on pieces that roll, the sign is
+    that of the sense.
+    """
+    m, count, faults = len(p.h), len(p.clasps), list[Fault]()
+    sign, least = np.zeros((m, count)), np.full((m, count), -BIG)
+    runs = [(str(s), np.array([*q])) for s, q in groupby(range(m), lambda q: p.state[q])]
+    names = ["", *(s for s, _ in runs), ""]
+    i, j = np.minimum(p.clasps, p.behind), np.maximum(p.clasps, p.behind)
+
+    def check(q: int, wrong: Any, text: str) -> None:
+        faults.append((float(p.breaks[q]), bool(np.any(wrong)), text))
+
+    for at, (state, run) in enumerate(runs):
+        before, after, q = names[at], names[at + 2], int(run[0])
+        number = np.sum(half_crossings[i, j, : q + 1], axis=-1) / (1 + p.two)
+        linked = np.abs(number) == 1.0
+        if state == LAID:
+            check(q, (before != ROLLING) & (linked | (order != 0.0)), "linked cables are laid")
+            for vertical, part in groupby(run.tolist(), lambda q: bool(p.vertical[q])):
+                pieces = [*part]
+                lifted = before == ROLLING and pieces[0] == q
+                lowered = after == ROLLING and pieces[-1] == run[-1]
+                contact, e = lifted or lowered, int(not lifted)  # the end at which they touch
+                check(q, contact and (lowered == lifted or not vertical), "touching cables move")
+                if not vertical:
+                    continue
+                near, far = (crossing_heights(p, pieces[x - 1], 1 - x) for x in (1 - e, e))
+                upper, apart = np.sign(np.nan_to_num(far)), np.isnan(far) & (not contact)
+                clear = apart | (np.abs(far) >= p.crossing_limit[1])
+                check(q, ~clear, "the height order of cables is not clear")
+                x = p.points.c[0][pieces[-e], :, 2, -e]
+                rise = (x[2 * p.clasps] - x[2 * p.behind]) * upper
+                floor = rise if contact else rise - upper * near + p.crossing_limit[1]
+                sign[pieces], least[pieces] = upper, np.where(apart, -BIG, floor)
+                check(q, contact and ~(np.abs(near) <= SAG_TOL), "cables do not touch")
+                check(q, lifted and upper != order, "a cable is lifted through another one")
+                order = upper if lowered else 0.0 * upper
+            if before == ROLLING:
+                half_crossings[i, j, q + 1] -= sense
+        elif state == BENT:
+            _, first, last = bent_orders(p, run)
+            check(q, (before != ROLLING) & ((number != 0.0) | (order != 0.0)), "linked cables bend")
+            check(q, (before == ROLLING) & (first != order), "cables are lifted through each other")
+            check(q, (after == ROLLING) & (last == 0.0), "the height order of cables is not clear")
+            np.subtract.at(half_crossings[..., q + 1], (i, j), sense * (before == ROLLING))
+            order = last * (after == ROLLING)
+        elif state == ROLLING:
+            np.add.at(half_crossings[..., run[-1] + 1], (i, j), np.where(linked, 0.0, order))
+            sense, order, wrong = rolled(p, run, linked, sense, order, before, after)
+            sign[run] = sense
+            for each, text in wrong:
+                check(q, each, text)
+        elif state == "hitched" and before not in ("", ROLLING):
+            sense = number
+    return faults, sign, least
+
+
+def interlacing(p: Plan) -> Iterator[Row]:
+    """Check the crossings of all pairs of cables against the states of phases."""
+    if np.any(p.free) or np.any(np.isin(p.state, (LAID, ROLLING, BENT))):
+        yield fault_row("interlacing", link_faults(p))
+
+
+def link_faults(p: Plan) -> Iterator[Fault]:
+    """Count crossings of chords on pieces on which cables are free now or later.
+
+    A hitch keeps its links: chords are followed through it if cables are released later. On spans
+    on which chords may touch, each must provably cross the other, projected along their common
+    normal; the sign of ``(q_j - q_i)·((r_i - q_i) × (r_j - q_j))`` changes with each crossing.
+    """
+    n, m = p.n, len(p.h)
+    half_crossings = np.zeros((n, n, m + 1))  # initial ones, then those of each piece
+
+    def sign(s: Spans, end: float) -> Array:
+        """Return the sign at an end of spans; at joints the one of the later piece."""
+        x = s.x + end * s.w
+        later = (x >= 1.0) & (s.piece < m - 1)
+        there = Spans(p, s.piece + later, s.item, np.where(later, 0.0, x), 0.0 * x)
+        i, j = s.item.T
+        off = (there.point(2 * j) - there.point(2 * i)).v
+        return np.asarray(np.sign(np.sum(off * np.cross(there.q_to_r(i).v, there.q_to_r(j).v), -1)))
+
+    def decided(s: Spans, i: Index, j: Index) -> Line:
+        ends, chords = (s.ends(i), s.ends(j)), (s.q_to_r(i), s.q_to_r(j))
+        apart = distance(*ends).low > POS_TOL
+        normal, crosses = normalize(np.cross(chords[0].v, chords[1].v)), ~apart
+        for chord, (base, _), others in zip(chords, ends, ends[::-1], strict=True):
+            a, b = (chord.cross(x - base).dot(normal) for x in others)
+            crosses &= ((a.low > 0) & (b.high < 0)) | ((a.high < 0) & (b.low > 0))
+        step = 0.5 * (sign(s, 1.0) - sign(s, -1.0)) * crosses
+        np.add.at(half_crossings, (*s.item.T, s.piece + 1), step)
+        return Line(s.zero.v, s.zero.g, np.where(apart | crosses, 0.0, BIG), s.t)
+
+    # replay checks laid or rolling neighbours
+    both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, BENT))
+    later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))
+    loose = later_free[:, None] & ~(laid[:, None] & p.clasped[both])
+    pairs = p.spans(loose, np.column_stack(both), p.cables, p.cables)
+    row = prove("interlacing 1 min", 0.0, pairs, decided)
+    yield row.time, row.verdict != "proven", row.where
+    i, j = np.minimum(*p.pair), np.maximum(*p.pair)
+    linked = np.full(len(p.clasps), float(p.formed[0]))  # as a hitch at the start is
+    half_crossings[i, j, 0] = linked * (1 + p.two)
+    if np.any(laid):
+        faults, sense, _ = replay(p, half_crossings, linked, 0.0 * linked)
+        s = p.spans(p.state == ROLLING, range(len(p.clasps)), p.labels[p.V])
+        row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=sense))
+        past = row.verdict != "proven", f"the pair at {row.where} rolls past lying across"
+        yield from (*faults, (row.time, *past))
+    count = np.cumsum(half_crossings, axis=-1)
+    numbers = np.array([CROSSINGS.get(state, -1) for state in p.state]) * (1 + p.two)
+    expected = np.where(p.clasped[..., None], numbers, 0)
+    same = np.concatenate([[False], p.formed[1:] & p.formed[:-1], [False]])  # within a hitch
+    wrong = (np.abs(count[..., 1:]) != expected) & ~same[1:]
+    wrong = (wrong | (np.abs(count[..., :-1]) != expected) & ~same[:-1]) & (expected >= 0)
+    wrong[..., -1] |= (count[..., -1] != 0.0) & ~p.formed[-1]
+    for k, o, q in np.argwhere(wrong & np.triu(np.ones((n, n), dtype=bool), 1)[..., None]):
+        yield float(p.breaks[q]), True, f"{p.cables[k]}, {p.cables[o]}"

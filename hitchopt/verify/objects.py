@@ -1,0 +1,278 @@
+"""Objects: distances, supports, rims, grips and hinges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import product
+
+import numpy as np
+
+from .arithmetic import (
+    BIG,
+    POS_TOL,
+    UP,
+    Array,
+    Index,
+    Line,
+    Mask,
+    maximum,
+    minimum,
+    norm,
+    normalize,
+)
+from .cables import capstan, wrap_angle
+from .catenary import lowest_height, shift
+from .drones import wall_gap
+from .reading import CONTACT_TOL, DRAWN, EXACT_RANGE, WRAP_TOL, Plan
+from .shapes import Slab, to_frame
+from .spans import MIN_TENSION, G, Row, Spans, prove
+
+HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
+
+
+def clear_objects(p: Plan, b: int) -> Iterator[Row]:
+    """Prove distances of a body to cables, other bodies, ground and walls."""
+    body, allowed = p.bodies[b], allowed_contacts(p, b)
+    others = p.taut[:, None] & ~p.holding[b][:, p.segments[:, 2]]
+    off = p.spans(others, range(len(p.segments)), p.segment_names)
+    free, clasping = (p.spans(on, range(p.n), p.cables) for on in (p.free, p.clasping))
+    moving, carried = (p.spans(x[b], [0], [body.name]) for x in (p.moving, p.held))
+    header = "penetration m min"
+
+    def hanging_gap(s: Spans, k: Index, slab: Slab) -> Line:
+        """Return heights of hanging cables above the body, or horizontal distances of chords."""
+        height = (lowest_height(s, k) - p.poses.on(s, b)[2] - slab.upper) * (1.0 / p.ratio)
+        height = height - shift(s, k)
+        height = height.where(~np.isin(p.state[s.piece], ("on the ground", DRAWN)))
+        return maximum(slab.enlarged(0.0, -BIG, BIG).gap(*s.ends(k, b)), height)
+
+    def hull_gap(s: Spans, k: Index, slab: Slab) -> Line:
+        *outline, lowest = s.hull(k, b)
+        tall = slab.enlarged(0.0, -BIG, BIG)
+        height = (lowest[2] - slab.upper) * (1.0 / p.ratio)
+        return maximum(tall.gap(*outline, outline[0]), height)
+
+    def arena_gap(s: Spans, _: Index, slab: Slab) -> Line:
+        """Return distances to walls and ceiling; the floor is a contact."""
+        top = [s.world(b, np.append(x, slab.upper)) for x in slab.core]
+        return wall_gap(s, top, -BIG, slab.radius)
+
+    def other_gap(s: Spans, _: Index, o: int, slab: Slab, block: Slab) -> Line:
+        height = s.local(o, s.world(b, UP * slab.lower))[2] - block.upper
+        touching = ((height + 2.0 * POS_TOL) * 1e6).where(allowed[s.piece, o])
+        return maximum(body_gap(s, b, slab, s, o, block, p.ratio), touching)
+
+    ground = -1, Slab(None, BIG, -BIG, p.floor)
+    for slab in body.slabs:
+        near = partial(slab.gap, ratio=p.ratio)
+        yield prove(*p.object_limit, off, lambda s, j, near=near: near(*s.segment(j, b)))
+        yield prove(*p.object_limit, free, partial(hanging_gap, slab=slab))
+        reach = p.object_limit[1] + slab.radius + float(np.max(norm(slab.core))) + EXACT_RANGE
+        place = p.poses.on(clasping, b)[:3]
+        close = clasping.near_hulls(clasping.item[:, 0], place, reach)
+        yield prove(*p.object_limit, close, partial(hull_gap, slab=slab))
+        for o, block in (ground, *p.slabs):
+            if o != b:
+                gap = partial(other_gap, o=o, slab=slab, block=block)
+                yield prove(*p.object_limit, moving, gap)
+        yield prove(p.arena_row, 0.0, carried, partial(arena_gap, slab=slab))
+
+    def inner_gap(s: Spans, _: Index, slab: Slab, o: int, block: Slab) -> Line:
+        """Return the distance to a slightly smaller body, as surfaces may touch."""
+        core = None if block.round else block.core + 1e-5 * (block.centroid - block.core)
+        heights = block.lower + POS_TOL, block.upper - POS_TOL
+        inner = Slab(core, (1.0 - 1e-5) * block.radius, *heights)
+        return maximum(body_gap(s, b, slab, s, o, inner), body_gap(s, o, inner, s, b, slab))
+
+    first = p.spans(np.arange(len(p.h)) == 0, [0], [body.name]).subspan(-1.0)
+    for slab, (o, block) in product(body.slabs, p.slabs):
+        if o != b and block.upper > block.lower and not (body.fixed and p.bodies[o].fixed):
+            gap = partial(inner_gap, slab=slab, o=o, block=block)
+            yield prove(header, 0.5 * POS_TOL, first, gap)
+
+
+def clear_held(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that cables which hold a body do not enter it, nor the ground.
+
+    Edges touch a body that they grip: ``gripped`` proves how. A rim rests on cables only below it.
+    """
+    body, header = p.bodies[b], "penetration m min"
+    held, items = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None], range(len(p.segments))
+    wrapped, is_leg = p.grip[b][:, None], p.segments[:, 3] == p.segments[:, 4]
+    is_tray = body.rim is not None and body.height == body.stem.lower  # above what it rests on
+    masks = [held & (is_leg | ~wrapped) & (wrapped | (not is_tray)), held & wrapped]
+    for slab, on in zip(body.slabs, masks, strict=False):
+        s = p.spans(on, items, p.segment_names)
+        yield prove(header, WRAP_TOL, s, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
+    s = p.spans(p.held[b], range(len(p.labels)), p.labels)
+    yield prove(header, -WRAP_TOL, s, lambda s, i: s.point(i)[2] - p.floor)
+
+
+def body_gap(
+    s: Spans, b: int, slab: Slab, t: Spans, o: int, block: Slab, ratio: float = 1.0
+) -> Line:
+    """Return the distance of a slab of body b of spans s to a block of body o of spans t.
+
+    Heights are divided by a ratio.
+    """
+    ring = [t.local(o, s.world(b, np.append(x, slab.lower))) for x in (*slab.core, slab.core[0])]
+    lower = block.lower - slab.upper + slab.lower
+    return block.enlarged(slab.radius, lower, block.upper).gap(*ring, ratio=ratio)
+
+
+def allowed_contacts(p: Plan, b: int) -> Mask:
+    """Return a mask of supports of a body by piece, the ground last, at lifts and descents."""
+    c, bottom = p.poses.c[0], p.bodies[b].stem.lower
+    vertical = np.all(np.ptp(c[:, b, [0, 1, 3, 4]], axis=-1) <= POS_TOL, axis=-1)
+    runs, allowed = np.cumsum(~vertical), np.zeros((len(c), len(p.bodies) + 1), dtype=bool)
+    for q, end in ((q, end) for q in np.flatnonzero(vertical) for end in (0, -1)):
+        top, support = support_below(p, b, c[q, ..., end])
+        if abs(c[q, b, 2, end] + bottom - top) <= POS_TOL or (q == 0 and end == 0):
+            allowed[vertical & (runs == runs[q]), support] = True
+    return allowed
+
+
+def support_below(p: Plan, b: int, poses: Array) -> tuple[float, int]:
+    """Return the height and the index of the support under a body (-1: the ground)."""
+    c, (x, y, z), supports = poses[b], p.bodies[b].centre, [(p.floor, -1)]
+    centre = c[:3] + [c[3] * x - c[4] * y, c[4] * x + c[3] * y, z]
+    for o, other in enumerate(p.bodies):
+        top = float(poses[o, 2] + other.stem.upper)
+        inside = other.stem.depth(to_frame(poses[o], centre)[:2]) >= 0.0
+        supports += [(top, o)] if o != b and inside and top <= centre[2] + POS_TOL else []
+    return max(supports)
+
+
+def resting(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that clasps keep their places, and that friction and support hold the rim."""
+    body, on, rim = p.bodies[b], p.rest[b] & p.active[b], p.bodies[b].rim
+    if rim is None or not p.closed:
+        return
+    q = p.hold_start[b]
+    places = to_frame(p.poses.c[0][q, b, None, :, 0], p.points.c[0][q, p.V, :, 0])
+
+    def drift(s: Spans, j: Index) -> Line:
+        """Return drifts of clasps since the start of the hold, and from depths below the rim."""
+        x, at = s.local(b, s.point(p.begin[j])), places[s.piece, j]
+        depth, lifted = p.rim_depth[b, s.piece, None], p.lifted[b, s.piece, None]
+        upper = np.where(lifted, depth, 0.0) - rim.lower
+        outside = np.where(rim.depth(at[:, :2]) > CONTACT_TOL, 0.0, 1.0)[:, None]
+        return maximum((x[:2] - at[:, :2]).norm(), -x[2] + rim.lower - depth, x[2] + upper, outside)
+
+    def friction_margin(s: Spans, j: Index) -> Line:
+        a = s.point(p.begin[j], 2)
+        return (a[2] + G) * body.friction - a[:2].norm()
+
+    def support_margin(s: Spans, j: Index) -> Line:
+        """Return ``n·(c - p_k) - h n·a / (g + a_z)`` of every side's inward normal n."""
+        side = (places[s.piece, (j + 1) % p.n] - places[s.piece, j])[:, :2]
+        n = normalize(np.stack([side[:, 1], -side[:, 0]], -1))
+        a, x = s.rotated(b, s.world(b, body.centre, 2)), s.local(b, s.point(p.begin[j]))
+        lean = a[:2].dot(n) * (a[2] + G).inverse() * (float(body.centre[2]) - rim.lower)
+        return (-x[:2] + body.centre[:2]).dot(n) - lean - 2.0 * CONTACT_TOL
+
+    s, lifted = (p.spans(x, range(p.n), p.labels[p.V]) for x in (on, on & p.lifted[b]))
+    yield prove("rim m max", CONTACT_TOL, s, drift)
+    yield prove("rim m/s² min", 0.0, s, friction_margin)
+    yield prove("support m min", 0.0, lifted, support_margin)
+
+
+def gripped(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that edges around a gripped body hold it, balance it, and are tangent to it."""
+    body, stem, on, cables = p.bodies[b], p.bodies[b].stem, p.grip[b], range(p.n)
+    arms, radius = norm(stem.core - stem.centroid), float(np.max(norm(stem.core))) + stem.radius
+    turning = (np.max(arms) + stem.radius) ** 2 / (stem.radius or np.min(arms))
+    q, contacts = p.hold_start[b], p.edges[1:3].ravel()
+    start = to_frame(p.poses.c[0][q, b, None, :, 0], p.points.c[0][q, ..., 0][:, contacts])
+    tangent = normalize(start[..., :2] - stem.centroid)[..., ::-1] * [-1.0, 1.0]
+
+    def grip_ratio(s: Spans, _: Index) -> Line:
+        """Return slip load ``μ Σ T_k e^{-μ' β} θ_k`` over load ``m (b (g + a_z) + α R² / r)``."""
+        slip = s.zero
+        for k in cables:
+            weaker = (p.pulls.on(s, i) * capstan(s, i).inverse() for i in (2 * k, 2 * k + 1))
+            slip = slip + wrap_angle(s, k) * minimum(*weaker) * body.friction
+        a = p.poses.on(s, b, 2)
+        load = (p.load_share.on(s, b) * (a[2] + G) + a[3:].norm() * turning) * body.mass
+        return slip * maximum(load, 1e-6).inverse()
+
+    def residual(s: Spans, _: Index) -> Line:
+        """Return force and moment residuals over the smallest tension, less ground friction."""
+        lifted, share, centre = p.lifted[b, s.piece], p.load_share.on(s, b), s.world(b, body.centre)
+        a, moment = s.world(b, body.centre, 2).where(lifted), s.zero * UP
+        force = -(a + share * UP * G) * body.mass
+        for k in cables:
+            leaving, arriving = s.edge(k)
+            for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
+                pull = u * s.edge_pull(k)
+                force = force + pull
+                moment = moment + (s.point(p.edges[1 + end, k]) - centre).cross(pull)
+        friction = (-share + 1.0) * (body.friction * body.mass * G)
+        standing = maximum(force[:2].norm() - friction, force[2].norm()).where(~lifted)
+        flying = maximum(force.norm(), moment.norm() * (1.0 / radius)).where(lifted)
+        tension = maximum(minimum(*(s.edge_pull(k) for k in cables)), MIN_TENSION)
+        return (flying + standing) * tension.inverse()
+
+    def rotation(s: Spans, _: Index) -> Line:
+        """Return the mean rotation against the contacts since the start of the hold [m]."""
+        arms = [s.local(b, s.point(int(i)))[:2] - stem.centroid for i in contacts]
+        turns = sum((x.unit().dot(tangent[s.piece, j]) for j, x in enumerate(arms)), s.zero)
+        return turns.norm() * (radius / len(contacts))
+
+    def wrap_error(s: Spans, k: Index) -> Line:
+        """Return errors of contacts, and depths of straight parts inside the section."""
+        ends, (leaving, arriving) = [s.local(b, s.point(i)) for i in p.edges[1:3, k]], s.edge(k)
+        bend = norm(np.cross(normalize(leaving.v), normalize(arriving.v)))
+        bent = (norm(ends[1].v - ends[0].v) > WRAP_TOL) | (bend > 2.0 * WRAP_TOL)
+        errors = [leaving[0] * arriving[1] - leaving[1] * arriving[0]]  # [m²] turns to the left
+        for x, edge in zip(ends, s.edge(k), strict=True):
+            corner = stem.core[np.argmin(norm(x.v[:, None, :2] - stem.core), axis=1)]
+            gap, rise = (x[:2] - corner).norm() - stem.radius, x[2] - start[s.piece, k, 2:]
+            bounds = gap.norm(), rise.norm(), x[2] - stem.upper, -x[2] + stem.lower
+            errors += [y.where(bent) for y in bounds]
+            u = s.rotated(b, edge)[:2]
+            valid, n = u.norm().high > WRAP_TOL, u.unit()
+            for corner in stem.core:
+                to = -x[:2] + corner
+                errors.append((n[0] * to[1] - n[1] * to[0] + stem.radius).where(valid))
+        return maximum(*errors)
+
+    slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
+    yield prove("grip 1 min", 1.5, p.spans(on & slides, [0], [body.name]), grip_ratio)
+    yield prove("equilibrium 1 max", 5e-3, p.spans(on, [0], [body.name]), residual)
+    yield prove("grip wrap max", 3 * WRAP_TOL, p.spans(on, cables, p.cables), wrap_error)
+    yield prove("grip wrap max", CONTACT_TOL, p.spans(on & p.active[b], [0], [body.name]), rotation)
+
+
+def hinged(p: Plan, b: int) -> Iterator[Row]:
+    """Prove that a body does not fall over two clasps, nor over its foot as cables bend around it.
+
+    All forces of both cables' legs pass through the line through their clasps.
+    """
+    body, stem, held = p.bodies[b], p.bodies[b].stem, p.grip[b] & p.two
+
+    def hinge(s: Spans, j: Index) -> Line:
+        """Return heights of clasps above the centre of mass."""
+        return s.point(p.begin[j])[2] - s.world(b, body.centre)[2]
+
+    def foot(s: Spans, _: Index) -> Line:
+        """Return distances of the force line of a standing body from the edge of its foot.
+
+        Edges pull at contacts. The foot is the largest disc about the centre of the section.
+        """
+        base, weight = s.world(b, np.append(stem.centroid, stem.lower)), G * body.mass
+        down, moment = s.zero + weight, s.zero * UP
+        for k in (0, 1):
+            leaving, arriving = s.edge(k)
+            for end, u in ((0, -leaving.unit()), (1, arriving.unit())):
+                pull = u * s.edge_pull(k)
+                down = down - pull[2]
+                moment = moment + (s.point(p.edges[1 + end, k]) - base).cross(pull)
+        return (down * float(stem.depth(stem.centroid)) - moment[:2].norm()) * (1.0 / weight)
+
+    loaded = held & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
+    clasps = p.spans(loaded, range(p.n), p.labels[p.V])
+    yield prove("hinge m min", HINGE + p.tracking * p.ratio, clasps, hinge)
+    standing = held & p.bent & (not body.fixed)
+    yield prove("support m min", 0.0, p.spans(standing, [0], [body.name]), foot)

@@ -1,0 +1,276 @@
+"""Spans of time with the terms of all formulas, and proofs of limits by halving them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from .arithmetic import BIG, TOLERANCE, UP, Array, Index, Items, Line, concatenate, maximum, minimum
+from .catenary import catenary_force
+
+if TYPE_CHECKING:
+    from .reading import Plan
+
+Names = Sequence[Sequence[str]]
+Fault = tuple[float, bool, str]  # time [s], whether it applies, text
+Worst = tuple[float, float, str]  # value, time [s], place
+
+G = 9.81  # [m/s²]
+MIN_TENSION = 1e-3  # [N] smallest divisor of forces
+RESOLUTION = 1e-3  # of worst values, relative to limits
+BUDGET = 6_000_000  # samples of a limit
+CHUNK = 8192  # samples at once
+DEPTH = 46  # halvings
+CLASPING = "clasping"
+
+
+class Row(NamedTuple):
+    """Verdict on a limit: the worst sampled value, its time [s] and place."""
+
+    name: str
+    unit: str
+    verdict: str
+    worst: float
+    limit: float
+    sense: str
+    time: float
+    where: str
+    samples: int
+
+
+class Spans:
+    """Spans of time with items (m, c): piece (m,), relative midpoint x (m,) and half width w (m,).
+
+    ``names`` are lists of names for each column of items; ``moving`` is 0 before and after a plan,
+    at rest, else 1. Methods are terms of formulas, for drones i, vertices j, cables k and bodies b
+    (m,).
+    """
+
+    def __init__(
+        self, plan: Plan, piece: Items, item: Items, x: Array, w: Array, names: Names = ()
+    ) -> None:
+        self.plan, self.piece, self.item, self.x, self.w = plan, piece, item, x, w
+        self.t, self.names = np.maximum(w * plan.h[piece], 1e-12), names
+        self.moving, self._weights = 1.0 + 0.0 * x, dict[int, Array]()
+        self.zero = Line(0.0 * x[:, None], 0.0 * x[:, None], 0.0 * x, self.t)
+        self.time = plan.breaks[piece] + x * plan.h[piece]
+
+    def weights(self, n: int) -> Array:
+        """Return Bernstein polynomials of degree n at midpoints (m, n + 1)."""
+        if n not in self._weights:
+            x, j = self.x[:, None], np.arange(n + 1)
+            binomials = np.array([math.comb(n, k) for k in j.tolist()], dtype=float)
+            self._weights[n] = binomials * x**j * (1.0 - x) ** (n - j)
+        return self._weights[n]
+
+    def select(self, k: Any) -> Spans:
+        """Return selected spans."""
+        return Spans(self.plan, self.piece[k], self.item[k], self.x[k], self.w[k], self.names)
+
+    def subspan(self, middle: Array | float, width: float = 0.0) -> Spans:
+        """Return parts of spans: midpoint and half width are relative to the half width."""
+        x, w = self.x + middle * self.w, width * self.w
+        return Spans(self.plan, self.piece, self.item, x, w, self.names)
+
+    def point(self, i: Index, k: int = 0) -> Line:
+        """Return k-th derivatives of points."""
+        return self.plan.points.on(self, i, k)
+
+    def edge(self, k: Index) -> list[Line]:
+        """Return edge vectors at ``p_k`` and at ``p_{k+1}``."""
+        a, b, c, d = (self.point(i) for i in self.plan.edges[:, k])
+        return [b - a, d - c]
+
+    def leg(self, i: Index) -> Line:
+        """Return legs from their inner ends; zero at the ends of a chain."""
+        return self.point(i) - self.point(self.plan.anchor[i])
+
+    def halves(self, k: Index, end: int) -> list[list[Line]]:
+        """Return both ends of edge and leg beyond the contact at an end of cables, inside first."""
+        inner, outer = self.point(self.plan.edges[3 * end, k]), self.point(2 * k + end)
+        return [[self.point(self.plan.edges[1 + end, k]), inner], [inner, outer]]
+
+    def ends(self, k: Index, b: int = -1) -> list[Line]:
+        """Return both drones of cables in the frame of body b."""
+        return [self.local(b, self.point(2 * k + end)) for end in (0, 1)]
+
+    def level_chord(self, k: Index) -> list[Line]:
+        """Return both drones of cables in the horizontal plane."""
+        return [x[:2] for x in self.ends(k)]
+
+    def sheet(self, k: Index) -> list[Line]:
+        """Return corners of vertical triangles that contain hanging cables."""
+        q, r = self.ends(k)
+        return [q, r, (q + r - UP * self.plan.length[k]) * 0.5]
+
+    def strip(self, k: Index) -> list[Line]:
+        """Return corners of vertical strips below chords that contain laid cables.
+
+        A cable is at most ``½ √(L² - c²) c / s`` below a chord c of horizontal length s.
+        """
+        q, r = self.ends(k)
+        ratio = 1.0 - self.plan.sag[k] - 1e-4  # smallest chord over length
+        depth = (r - q).norm() * (r - q)[:2].norm().inverse() * self.plan.length[k]
+        depth = depth * (0.5 * np.sqrt(1.0 - ratio**2))
+        return [q, r, q - depth * UP, r - depth * UP]
+
+    def hull(self, k: Index, b: int = -1) -> list[Line]:
+        """Return corners of upright regions that contain cables which clasp or are tightened.
+
+        In plan view they span the hull of chord and route, over the middles of pairs that turn or
+        over the vertices, and over the vertices of the hitch before or after.
+        """
+        p, ends = self.plan, []
+        turning = p.state[self.piece] == CLASPING
+        for vertex in (p.begin[k], p.end[k]):
+            one, other = p.pairs[vertex - p.N].T
+            middle = (self.point(one) + self.point(other)) * 0.5
+            clasp = middle.where(turning) + self.point(vertex).where(~turning)
+            tied = p.tied_vertices[self.piece, vertex - p.N]
+            taut = (self.zero + tied).where(p.tied[self.piece]) + clasp.where(~p.tied[self.piece])
+            ends.append([self.local(b, clasp), self.local(b, taut)])
+        (a, c), (d, e) = ends
+        q, r = self.ends(k, b)
+        return [q, a, c, e, d, r, (q + r - UP * p.length[k]) * 0.5]
+
+    def near_hulls(self, k: Index, x: Line, reach: float) -> Spans:
+        """Return the spans on which points may be within a level reach of the hulls of cables."""
+        if not len(self.x):
+            return self
+        q, *corners = (corner[:2] for corner in self.hull(k)[:-1])
+        size = np.max([(corner - q).norm().high for corner in corners], axis=0)
+        return self.select((x[:2] - q).norm().low < reach + size)
+
+    def segment(self, j: Index, b: int = -1) -> list[Line]:
+        """Return both ends of straight segments of taut cables in the frame of body b."""
+        return [self.local(b, self.point(self.plan.segments[j, end])) for end in (0, 1)]
+
+    def q_to_r(self, k: Index) -> Line:
+        """Return vectors from q to r of cables."""
+        return self.point(2 * k + 1) - self.point(2 * k)
+
+    def route_length(self, k: Index) -> Line:
+        """Return lengths of cables along their vertices."""
+        parts = self.leg(2 * k), self.leg(2 * k + 1), *self.edge(k)
+        return sum((x.norm() for x in parts), self.zero)
+
+    def leg_chord(self, i: Index) -> Line:
+        """Return legs to drones; at the ends of a chain, edges to drones."""
+        return self.point(i) - self.point(self.plan.pull_point[i])
+
+    def tautness(self, k: Index) -> Line:
+        """Return the tautness τ of cables: ``T / T_stated``, at most 1."""
+        ratio = self.plan.tensions.on(self, k) * (1.0 / self.plan.min_tension[self.piece, k])
+        return minimum(ratio, 1.0).where(self.plan.taut[self.piece])
+
+    def inverse_tension(self, T: Line, k: Index) -> Line:
+        """Return ``τ / T`` of segments of cables k of tension T."""
+        p = self.plan
+        ratio = maximum(p.tensions.on(self, k), p.min_tension[self.piece, k]).inverse()
+        if not p.frictional:
+            return ratio
+        taut = self.tautness(k).low >= 1.0  # leg and edge tensions differ for taut cables only
+        return ratio.where(~taut) + maximum(T, MIN_TENSION).inverse().where(taut)
+
+    def chord_force(self, T: Line, k: Index, square: Line) -> Line:
+        """Return ``√(T² - (w/2)² cos² γ)``: the chord force of segments of tension T.
+
+        ``square`` is the squared horizontal length, and w the weight, ``τ ρ g`` per length.
+        """
+        if self.plan.weight == 0.0:
+            return T
+        half = self.inverse_tension(T, k) * (0.5 * self.plan.weight)
+        rest = square * half * half
+        return T * rest.map(lambda x: np.sqrt(1.0 - x), lambda x: -0.5 / np.sqrt(1.0 - x))
+
+    def pull(self, i: Index) -> Line:
+        """Return ``P = (w/2) sin γ + √(T² - (w/2)² cos² γ)``: forces of legs along their chords."""
+        leg, k = self.leg_chord(i), i // 2
+        weight = leg[2] * self.tautness(k) * (0.5 * self.plan.weight)
+        return self.chord_force(self.plan.pulls.on(self, i), k, leg[:2].dot(leg[:2])) + weight
+
+    def edge_pull(self, k: Index) -> Line:
+        """Return the pull of edges; edges around objects have their full length, arcs included."""
+        edge = (self.point(self.plan.end[k]) - self.point(self.plan.begin[k]))[:2]
+        if self.plan.has_contacts:
+            edge = -(self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()) + self.plan.length[k]
+        return self.chord_force(self.plan.tensions.on(self, k), k, edge.dot(edge))
+
+    def thrust(self, i: Index) -> Line:
+        """Return ``m (a + g ẑ) + P û + ½ ρ g d τ ẑ - (1 - τ) w``; w is a hanging cable's force."""
+        p, force = self.plan, (self.point(i, 2) + G * UP) * self.plan.mass[i]
+        if p.n:
+            leg, tau = self.leg_chord(i), self.tautness(i // 2)
+            taut = leg.unit() * self.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
+            force = force + taut.where(p.taut[self.piece])
+            if p.weight > 0.0 and np.any(tau.low < 1.0):
+                slack = -tau + 1.0
+                hanging = catenary_force(self, i) * slack * p.weight
+                force = force - hanging.where(slack.high > TOLERANCE)
+        return force
+
+    def local(self, b: int, x: Line) -> Line:
+        """Return points in the frame of body b; -1 is the world."""
+        return x if b < 0 else self.rotated(b, x - self.plan.poses.on(self, b)[:3])
+
+    def rotated(self, b: int, x: Line) -> Line:
+        """Return vectors in axes that turn with body b."""
+        pose = self.plan.poses.on(self, b)
+        c, r = pose[3], pose[4]
+        return concatenate(x[0] * c + x[1] * r, x[1] * c - x[0] * r, x[2])
+
+    def world(self, b: int, x: Array, k: int = 0) -> Line:
+        """Return the k-th derivative of the world position of a point x (3,) of body b."""
+        pose, up = self.plan.poses.on(self, b, k), float(x[2]) * (k == 0)
+        c, r = pose[3], pose[4]
+        return pose[:3] + concatenate(c * x[0] - r * x[1], r * x[0] + c * x[1], self.zero + up)
+
+
+def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> Row:
+    """Halve spans until a limit is proven on all of them and the worst value is resolved.
+
+    ``header`` is the name, the unit, and the sense min or max of the limit. The formula takes spans
+    and the columns of their items.
+    """
+    name, unit, sense = header.split()
+    sign = 1.0 if sense == "min" else -1.0
+    target = sign * limit - TOLERANCE * max(abs(limit), s.plan.size if unit == "m" else 0.0)
+    worst, time, where, verdict, samples, depth = math.inf, 0.0, "", "proven", 0, 0
+    while len(s.x):
+        bounds = []
+        for part in (s.select(slice(i, i + CHUNK)) for i in range(0, len(s.x), CHUNK)):
+            with np.errstate(all="ignore"):
+                x = formula(part, *part.item.T) * sign
+            bounds.append(np.nan_to_num(x.low, nan=-BIG))
+            value = np.nan_to_num(x.v[:, 0], nan=-BIG)
+            i = int(np.argmin(value))
+            if value[i] < worst:
+                worst, time = float(value[i]), float(part.time[i])
+                where = ", ".join(s.names[c][k] for c, k in enumerate(part.item[i]))
+        bound, depth, samples = np.concatenate(bounds), depth + 1, samples + len(s.x)
+        undecided = bound < target
+        error = max(RESOLUTION * max(abs(limit), 1e-3), 0.02 * (worst - target))
+        if worst < target or (np.any(undecided) and (samples > BUDGET or depth > DEPTH)):
+            verdict = "violated" if worst < target else "not proven"
+            break
+        s = s.select(undecided | ((bound < worst - error) & (samples < BUDGET // 3)))
+        s = s.select(np.repeat(np.arange(len(s.x)), 2)).subspan(np.tile([-0.5, 0.5], len(s.x)), 0.5)
+    return Row(name, unit, verdict, sign * worst, limit, sense, time, where, samples)
+
+
+def worst_row(name: str, unit: str, limit: float, values: Sequence[Worst]) -> Row:
+    """Return a row of the largest of values with times and places."""
+    worst, time, where = max(values, default=(0.0, 0.0, ""))
+    verdict = "proven" if worst <= limit + TOLERANCE * max(abs(limit), 1.0) else "violated"
+    return Row(name, unit, verdict, worst, limit, "max", time, where, 1)
+
+
+def fault_row(name: str, faults: Iterable[Fault]) -> Row:
+    """Return a row of faults: the number of kinds, the first time, and texts."""
+    wrong = sorted((time, text) for time, applies, text in faults if applies)
+    kinds = [*dict.fromkeys(text for _, text in wrong)]
+    values = [(float(len(kinds)), wrong[0][0], ", ".join(kinds[:6]))] if wrong else []
+    return worst_row(name, "1", 0.0, values)

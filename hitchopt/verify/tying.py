@@ -1,0 +1,225 @@
+"""Cables before they are tied and after: hanging, drawn taut, laid, and bent around an object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from itertools import chain, pairwise, product
+
+import numpy as np
+
+from .arithmetic import (
+    FAR,
+    POS_TOL,
+    UP,
+    Index,
+    Line,
+    Mask,
+    concatenate,
+    maximum,
+    minimum,
+    norm,
+    normalize,
+    runs_of,
+)
+from .cables import crossing_parts
+from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
+from .links import bent_orders, replay
+from .reading import DRAWN, EXACT_RANGE, LAID, MIN_GAP, SAG_TOL, TIGHTENED, UNLINKED, Plan
+from .shapes import distance, hull_distance, prism_gap, signed_distance
+from .spans import CLASPING, MIN_TENSION, RESOLUTION, Row, Spans, prove
+
+PASSED = 0.4  # largest share of a cable's weight at a clasp that a cable below it may bear
+
+
+def bent_cables(p: Plan) -> Iterator[Row]:
+    """Prove that two cables bend around an object, balanced, and do not pass through each other.
+
+    Their arcs are on opposite sides of a line. They cross beyond the object only, with the same one
+    above until they are apart; their other straight parts are apart. Without an object between
+    them, all of their parts are.
+    """
+    legs = p.spans(p.bent, range(p.N), p.names)
+    clasps = p.spans(p.bent, range(len(p.clasps)), p.labels[p.V])
+    both = p.spans(p.bent, [[0, 1]], p.cables, p.cables)
+    signs, first = np.zeros((len(p.h), len(p.clasps))), np.arange(p.N) % 2 == 0
+    for run in runs_of(p.bent):
+        signs[run] = bent_orders(p, run)[0]
+
+    def opposite(s: Spans, *_: Index) -> Line:
+        """Return distances of arcs across a line [m], less than 0 where they may be on one side.
+
+        An arc turns by less than half a turn. It is on the side of its contacts if both straight
+        parts of its edge have the normal to that side on their left.
+        """
+        left = [[concatenate(-x[1], x[0]) for x in s.edge(k)] for k in (0, 1)]
+        first, second = (normalize(x.v) + normalize(y.v) for x, y in left)
+        n = normalize(first - second)
+        contacts = ([s.point(int(i))[:2] for i in p.edges[1:3, k]] for k in (0, 1))
+        gaps = [(a - b).dot(n) for a, b in product(*contacts)]
+        return minimum(*gaps, *(x.dot(n) for x in left[0]), *(x.dot(-n) for x in left[1]))
+
+    def residual(s: Spans, i: Index) -> Line:
+        """Return forces where legs meet edges, over the tension.
+
+        Not counted are PASSED of the weight, which the other cable may bear, and level forces of
+        second order, ``(½ ρ g L / T)²``, as both are chords of one sagging cable.
+        """
+        k, (leaving, arriving) = i // 2, s.edge(i // 2)
+        edge = leaving.where(first[i]) - arriving.where(~first[i])
+        other, pull = s.leg(i + 1 - 2 * (i % 2)).norm(), s.edge_pull(k)
+        weight = s.tautness(k) * (-other + p.length[k]) * (0.5 * p.weight)
+        force = s.leg_chord(i).unit() * s.pull(i) + edge.unit() * pull - weight * UP
+        share = maximum(minimum(pull, s.pull(i)), MIN_TENSION).inverse()
+        loss = s.inverse_tension(p.tensions.on(s, k), k) * p.length[k] * (0.5 * p.weight)
+        level = maximum(force[:2].norm() * share - loss * loss, 0.0)
+        upright = maximum((force[2].norm() - weight * PASSED) * share, 0.0)
+        return concatenate(level, upright).norm()
+
+    def apart(s: Spans, i: Index, j: Index) -> Line:
+        """Return distances of straight parts of cables that are at different ends of an object."""
+        pairs = (product(s.halves(i, end), s.halves(j, end)) for end in (0, 1))
+        return minimum(*(distance(a, b) for a, b in chain(*pairs)))
+
+    def above(s: Spans, c: Index) -> Line:
+        """Return signed distances of cables that cross, or large ones where they are apart."""
+        sign, gaps = signs[s.piece, c, None], list[Line]()
+        for a, b in crossing_parts(s, c):
+            crossed = signed_distance(a, b) * sign - np.where(sign == 0.0, FAR, 0.0)
+            gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
+        return minimum(*gaps)
+
+    yield prove("equilibrium 1 max", 5e-3, legs, residual)
+    yield prove("crossing m min", MIN_GAP, both, opposite)
+    yield prove("crossing m min", SAG_TOL, both, apart)
+    cable, parts = p.segments[:, 2], p.segment_names
+    pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
+    loose = p.spans(p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
+    near = partial(distance, ratio=p.ratio)
+    yield prove(*p.crossing_limit, loose, lambda s, i, j: near(s.segment(i), s.segment(j)))
+    yield prove("laid m min", -SAG_TOL, clasps, above)
+
+
+def free_cables(p: Plan) -> Iterator[Row]:
+    """Prove distances of cables that lie, hang, clasp or are tightened."""
+    k, ground, ends = range(p.n), p.state == "on the ground", (p.names, p.cables)
+    pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
+    clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
+    both = p.spans(p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
+    drawn, level = p.state == DRAWN, ground | (p.state == DRAWN)
+    free, hanging = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~level))
+    lying, tightened = p.spans(p.free & level, foreign, *ends), p.state == TIGHTENED
+    apart = p.clasping[:, None] & ~p.clasped[pairs]
+    loose = p.spans(apart, np.column_stack(pairs), p.cables, p.cables)
+    on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
+    turning = np.any(on_clasps == foreign[:, :1, None], axis=(1, 2))
+    beside = p.clasping[:, None] & ~(turning & (p.state == CLASPING)[:, None])
+
+    def to_cable(s: Spans, i: Index, k: Index) -> Line:
+        links = catenary_links(s, k)
+        gaps = (distance([s.point(i)], x, p.ratio) for x in pairwise(links.cable))
+        return minimum(*gaps) - links.sag - shift(s, k)
+
+    def to_hull(s: Spans, i: Index, k: Index) -> Line:
+        return prism_gap([s.point(i)], s.hull(k), p.ratio)
+
+    def chord_share(s: Spans, k: Index) -> Line:
+        """Return chords, longer by errors of both ends, over lengths.
+
+        Where cables are drawn taut, errors change the tension at which they are straight.
+        """
+        chord, error = s.q_to_r(k), np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)
+        if p.ratio == 1.0:
+            return (chord.norm() + error) * (1.0 / p.length[k])
+        level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio
+        return concatenate(level, height).norm() * (1.0 / p.length[k])
+
+    def between_hulls(s: Spans, i: Index, j: Index) -> Line:
+        return hull_distance(*([x[:2] for x in s.hull(k)[:-1]] for k in (i, j)))
+
+    def to_sheet(s: Spans, i: Index, k: Index) -> Line:
+        """Return distances of drones from sheets between hanging cables and their chords."""
+        links = catenary_links(s, k)
+        lower = [x - UP * links.sag for x in links.cable]
+        parts = zip(pairwise(links.chord), pairwise(lower), strict=True)
+        return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in parts))
+
+    span, chord = ("span 1 max", 1.0), Spans.level_chord
+    yield prove(*span, free, chord_share)
+    yield prove(*p.crossing_limit, both, lambda s, i, j: distance(chord(s, i), chord(s, j)))
+    yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
+    yield prove(*p.cable_limit, hanging, above_floor)
+    # Distances of a point of a cable to both ends sum to at most its length
+    s = p.spans(p.free & ~level, foreign, *ends)
+    total = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
+    reach = (p.sep["cable"] + EXACT_RANGE) * p.ratio
+    s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
+    yield prove(*p.cable_limit, s, to_cable)
+    yield prove("cable_loops m min", POS_TOL, s, to_sheet)
+    own = np.column_stack([np.arange(p.N), np.arange(p.N) // 2])
+    yield prove(*p.cable_limit, p.spans(p.free & ~level, own, *ends), own_cable_gap)
+    yield prove(*p.crossing_limit, loose, between_hulls)
+    s = p.spans(beside, foreign, *ends)
+    s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)
+    yield prove(*p.cable_limit, s, to_hull)
+    longer = "cable_length 1 max", 1e-4  # bound of lengths along vertices
+    s = p.spans(tightened, k, p.cables)
+    yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
+    yield from laid_cables(p)
+    yield from drawn_cables(p)
+
+
+def drawn_cables(p: Plan) -> Iterator[Row]:
+    """Prove that drones of cables drawn taut move either apart or together, above the ground.
+
+    Cables hang lowest where their drones are nearest.
+    """
+    for run in runs_of(p.state == DRAWN):
+        s = p.spans(np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
+        ends = [s.select(s.piece == q).subspan(x) for q, x in ((run[0], -1.0), (run[-1], 1.0))]
+        first, last = (norm(x.q_to_r(x.item[:, 0]).v) for x in ends)
+        parting = first <= last
+        for x, lowest in zip(ends, (parting, ~parting), strict=True):
+            yield prove(*p.cable_limit, x.select(lowest), above_floor)
+
+        def drawing(s: Spans, k: Index, parting: Mask = parting) -> Line:
+            """Return the rate at which drones move apart, or together, times their distance."""
+            rate = s.q_to_r(k).dot(s.point(2 * k + 1, 1) - s.point(2 * k, 1))
+            return rate * np.where(parting[k], 1.0, -1.0)[:, None]
+
+        yield prove("drawn m²/s min", -RESOLUTION, s, drawing)
+
+
+def laid_cables(p: Plan) -> Iterator[Row]:
+    """Prove lengths of single taut cables, and distances of laid neighbours."""
+    laid = p.state == LAID
+    s = p.spans(laid, range(p.n), p.cables)
+
+    def length_error(s: Spans, k: Index) -> Line:
+        """Return ``|c (1 + (ρ g L / T)² cos² α / 24) - L| / L`` of chords c."""
+        chord = s.q_to_r(k)
+        x = chord.norm() * (1.0 / p.length[k])
+        x = x + x * chord[:2].dot(chord[:2]) * (p.sag[k] / p.length[k] ** 2) - 1.0
+        return x.norm() - 0.2 * p.sag[k]  # tolerance of an eighth of the tension
+
+    def gap(s: Spans, k: Index, j: Index) -> Line:
+        """Return the horizontal distance, or the height of one cable over the other."""
+        tops = [maximum(*(x[2] for x in s.ends(i))) for i in (j, k)]
+        heights = lowest_height(s, k) - tops[0], lowest_height(s, j) - tops[1]
+        return maximum(
+            distance(s.level_chord(k), s.level_chord(j)), *(x * (1.0 / p.ratio) for x in heights)
+        )
+
+    yield prove("cable_length 1 max", 1e-4, s, length_error)
+    pairs = p.spans(laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
+    yield prove(*p.crossing_limit, pairs, gap)
+    half_crossings, unlinked = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps))
+    _, sign, least = replay(p, half_crossings, unlinked, unlinked)
+    s = p.spans(laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
+
+    def above(s: Spans, c: Index) -> Line:
+        """Return the height of the upper cable over its smallest allowed height."""
+        z = s.point(2 * p.clasps[c])[2] - s.point(2 * p.behind[c])[2]
+        return z * sign[s.piece, c, None] - least[s.piece, c, None]
+
+    yield prove("laid m min", -POS_TOL, s, above)
