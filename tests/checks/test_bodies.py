@@ -129,7 +129,7 @@ def test_ones_own_drones_keep_off_a_cable_that_is_tightened(tmp_path: Path) -> N
     caught = whole.replaced(drones=PiecewisePolynomial(breaks, c))
     check = row(caught, "cable_clearance")
     assert not check.holds
-    assert check.where == ("cable 0", "q2")
+    assert check.where == (whole.team.cable_names[0], whole.team.drone_names[4])
     assert phase.start <= check.time <= phase.end
     assert not row(caught, "crossing").holds  # the cable passes the region, not the chord
     rows = opinion_of(caught, tmp_path, tying.free_cables)

@@ -144,7 +144,7 @@ def test_no_leg_and_no_tension_without_a_hitch(part: str) -> None:
     motion = planned("form_triangle").motion
     first = int(np.argmax(motion.phase_of_piece == index_of(motion, "tighten")))
     changed = altered(motion, part, plus((first, 1), 0.1))
-    assert refused(changed) == {"cable 1"}
+    assert refused(changed) == {motion.team.cable_names[1]}
     assert row(changed, "interlacing").where[0].endswith("(tighten)")
 
 

@@ -126,7 +126,7 @@ def test_nothing_moves_on_a_ramp(part: str) -> None:
     result = check(altered(finer, part, plus((piece, ..., 4), 1e-6)))
     assert not result.holds
     assert result.worst == pytest.approx(0.45, abs=1e-3)
-    assert result.where == (f"cable {np.argmax(motion.team.tension)}",)
+    assert result.where == (motion.team.cable_names[int(np.argmax(motion.team.tension))],)
 
 
 def test_ramps_are_next_to_spans_without_a_hitch() -> None:
