@@ -80,7 +80,7 @@ def figures(outcomes: Sequence[Outcome]) -> tuple[object, ...]:
     planned = (
         np.mean([each.plan.duration - REST for each in outcomes]),
         np.mean([each.elapsed for each in outcomes]),
-        min(each.plan.certificate["separation"].bound for each in outcomes),
+        min(each.plan.certificate["separation"].worst for each in outcomes),
     )
     if not runs:
         return (*planned, "", "", "", "")

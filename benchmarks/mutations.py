@@ -33,7 +33,7 @@ import json, pathlib, sys
 from hitchopt.checks import certify
 from hitchopt.motion.plan_file import read_plan
 found = certify(read_plan(pathlib.Path(sys.argv[1])), reports=())
-rows = [[c.name, c.holds, c.bound, c.limit] for c in found.checks]
+rows = [[c.name, c.holds, c.worst, c.limit] for c in found.checks]
 print(json.dumps([found.certified, rows]))
 """
 

@@ -310,7 +310,7 @@ def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) 
     axes, height_ratio = ellipsoid_axes(motion.requirements), motion.requirements.height_ratio
     for check in filter(None, checks):
         if check.name in DISTANCES and PARTS[check.name] is not OF_PAIRS:
-            slack = max(check.bound - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
+            slack = max(check.worst - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
             terms.append(WorstCase(slack, check.time, check.where))
 
     def above(scale: Array, **options: Any) -> Iterator[Moving]:

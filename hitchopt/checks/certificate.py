@@ -60,7 +60,8 @@ class Check(OneLine):
     ----------
     name: as in the certificate's table (README).
     holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
-    worst: bound of the quantity for all t, rounding included; None if nothing was evaluated.
+    worst: bound of the quantity for all t, rounding included; an infinity that holds if nothing was
+        evaluated, which is null in files.
     limit: in the same unit; None if the quantity is only reported.
     sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
     unit: such as ``m`` or ``ratio``.
@@ -72,7 +73,7 @@ class Check(OneLine):
 
     name: str
     holds: bool
-    worst: float | None
+    worst: float
     limit: float | None
     sense: str
     unit: str
@@ -97,11 +98,11 @@ class Check(OneLine):
         """Return the check; it holds without a limit, or within its tolerance for ``size``.
 
         Files cannot store infinities and nan: they become the largest number and the worst one. An
-        infinity that holds is the extremum of an empty set: ``worst`` is None, ``where`` is empty.
+        infinity that holds is the extremum of an empty set, and ``where`` is empty.
         """
         largest, limit = sys.float_info.max, None if limit is None else float(limit)
         if worst == _empty_value(sense):
-            return cls(name, True, None, limit, sense, unit, float(time), (), gamma=gamma)
+            return cls(name, True, float(worst), limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
         bound = outward if limit is None else with_tolerance(limit, sense, size)
@@ -121,14 +122,14 @@ class Check(OneLine):
         digits that distinguish it. Without a limit, its column shows the assumed gamma.
         """
         worst, limit = "–", "–" if self.gamma is None else f"γ = {self.gamma:g}"
-        if self.worst is not None:
+        if self.is_evaluated:
             rounding = abs(self.worst) <= TOLERANCE * max(1.0, abs(self.limit or 0.0))
             other = math.nan if self.holds else self.number
             worst = distinct(0.0 if rounding and self.holds else self.worst, other, DIGITS)[0]
         if self.limit is not None:
             limit = f"{'≥' if self.sense == 'min' else '≤'} {self.limit:.{DIGITS}g}"
         more = len(self.where) - MAX_NAMES
-        timed = self.worst is not None and math.isfinite(self.time)
+        timed = self.is_evaluated and math.isfinite(self.time)
         return {
             "check": self.title,
             "worst": worst,
@@ -141,7 +142,7 @@ class Check(OneLine):
     def violation(self, when: str, remedy: str) -> Violation:
         """Return a check that does not hold as a violation."""
         return Violation(
-            self.name, self.bound, self.number, self.sense, self.unit, self.where, when, remedy
+            self.name, self.worst, self.number, self.sense, self.unit, self.where, when, remedy
         )
 
     @property
@@ -150,9 +151,9 @@ class Check(OneLine):
         return math.nan if self.limit is None else self.limit
 
     @property
-    def bound(self) -> float:
-        """The worst value; an infinity that holds if nothing was evaluated."""
-        return _empty_value(self.sense) if self.worst is None else self.worst
+    def is_evaluated(self) -> bool:
+        """Whether anything was evaluated."""
+        return math.isfinite(self.worst)
 
     @property
     def utilization(self) -> float:
@@ -162,8 +163,8 @@ class Check(OneLine):
         """
         out = -1.0 if self.sense == "min" else 1.0
         if self.limit is None:
-            return out * self.bound
-        return out * (self.bound - self.limit) / (abs(self.limit) or 1.0)
+            return out * self.worst
+        return out * (self.worst - self.limit) / (abs(self.limit) or 1.0)
 
 
 def _empty_value(sense: str) -> float:
@@ -175,7 +176,7 @@ def worst_of(checks: Iterable[Check | None]) -> Check | None:
     """Return the worst of one quantity's checks over several time spans; None if there is none."""
     worst: Check | None = None
     for check in filter(None, checks):  # the first one of those that tie
-        tie = TIE * max(1.0, abs(worst.utilization)) if worst and worst.worst is not None else 0.0
+        tie = TIE * max(1.0, abs(worst.utilization)) if worst and worst.is_evaluated else 0.0
         if worst is None or check.utilization > worst.utilization + tie:
             worst = check
     return worst
@@ -272,6 +273,7 @@ class Certificate(OneLine):
 def _entry(check: Check) -> dict[str, Any]:
     """Return a check's entry in ``certificate.json``; gamma is left out if None."""
     entry = asdict(check) | {"where": list(check.where)}
+    entry |= {"worst": check.worst if check.is_evaluated else None}
     return {key: value for key, value in entry.items() if key != "gamma" or value is not None}
 
 

@@ -817,4 +817,4 @@ def below_ground(motion: Motion) -> Check | None:
     open_ = Arena([-UNBOUNDED, -UNBOUNDED, 0.0], [UNBOUNDED, UNBOUNDED, UNBOUNDED])
     needed = replace(motion.requirements, arena=open_)
     check = ARENA.check(motion.replaced(requirements=needed))
-    return None if check is None or check.bound >= -CONTACT_GAP else check
+    return None if check is None or check.worst >= -CONTACT_GAP else check

@@ -178,7 +178,7 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
 
 def _slack(check: Check) -> float:
     """Return the slack of a distance beyond its limit [m]; infinite if nothing was evaluated."""
-    return max(check.bound - check.number, 0.0)
+    return max(check.worst - check.number, 0.0)
 
 
 def _is_hanging(result: SpanResult) -> bool:
@@ -204,7 +204,7 @@ def _excess(spans: Drones) -> Bound:
 
 def _hanging_radius(span: Motion, check: Check) -> float:
     """Return the largest radius at which hanging cables keep their clearance [m]."""
-    if check.worst is None:
+    if not check.is_evaluated:
         return math.inf
     slack, approach = _slack(check), approach_of(span)
     low, high = 0.0, slack
@@ -221,7 +221,7 @@ def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
     evaluated.
     """
     axes, names = ellipsoid_axes(motion.requirements), motion.team.drone_names
-    lower = max(0.5 * float(np.min(axes)) * (check.bound - 1.0), 0.0)
+    lower = max(0.5 * float(np.min(axes)) * (check.worst - 1.0), 0.0)
     if term.worst <= lower:
         return term
     points = motion.drones.coefficients[:, :, None]

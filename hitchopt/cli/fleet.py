@@ -181,7 +181,7 @@ def _say_report(report: Report) -> None:
     figures: list[tuple[str, float | None, float | None]] = [
         ("speed [m/s]", flight.speed, flight.speed_limit),
         ("acceleration [m/s²]", flight.acceleration, flight.acceleration_limit),
-        *((f"{own.name} [{own.unit}], the show's own", own.bound, own.limit) for own in flight.own),
+        *((f"{own.name} [{own.unit}], the show's own", own.worst, own.limit) for own in flight.own),
         ("separation [ellipsoids]", flight.separation, 1.0),
         ("reach from the origin [m]", flight.reach, None),
         ("pieces of a drone", max(fact.pieces or 0 for fact in facts) or None, None),

@@ -197,7 +197,7 @@ def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> Non
 
     low = below_ground(motion)
     if low is not None:
-        depth = f"{', '.join(low.where)} is {-low.bound:.4g} m below z = 0 at t = {low.time:.4g} s"
+        depth = f"{', '.join(low.where)} is {-low.worst:.4g} m below z = 0 at t = {low.time:.4g} s"
         say(f"warning: {depth}; give an arena, whose floor is the ground", err=True)
 
 

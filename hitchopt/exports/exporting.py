@@ -218,7 +218,7 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
     if check.holds:
         note = f"distances allow for drones that follow positions alone and {size}"
         return replace(task, trailing=check, notes=(*task.notes, note))
-    room = check.bound - own.level - kind.accuracy  # for trailing, of errors level
+    room = check.worst - own.level - kind.accuracy  # for trailing, of errors level
     first = math.ceil(101.0 * speed * lags[0] / room) / 100.0 if room > 0.0 else math.inf
     needed = with_trailing(own, max(speed, planned.requirements.limits.speed))  # of another plan
     needed = Tube(*(math.ceil(100.0 * x) / 100.0 for x in (needed.level, needed.height)))

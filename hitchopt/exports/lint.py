@@ -249,9 +249,9 @@ def _joint_flight(
         jumps = [max(jump, largest_jump(extended, order)) for order, jump in enumerate(jumps)]
         longest = max(longest, float(np.max(window.durations)))
         last = window.slice_pieces(slice(window.pieces - 1, window.pieces))
-    values = defaultdict(lambda: math.nan, {name: check.bound for name, check in checks.items()})
-    if (fastest := checks.get("speed")) is not None and fastest.bound > SPEED_OF_SOUND:
-        reason = f"flies at {fastest.bound:.3g} m/s at t = {fastest.time:g} s, faster than sound"
+    values = defaultdict(lambda: math.nan, {name: check.worst for name, check in checks.items()})
+    if (fastest := checks.get("speed")) is not None and fastest.worst > SPEED_OF_SOUND:
+        reason = f"flies at {fastest.worst:.3g} m/s at t = {fastest.time:g} s, faster than sound"
         raise FileError(f"{fastest.where[0]} {reason}; are its times in other units?")
     flight = JointFlight(
         float(last.breaks[-1]) - start,
@@ -316,7 +316,7 @@ def _checks(
             motion = Motion.single(Swarm(len(drones)), requirements, part, ())
             if (check := RULE_OF["separation"].check(motion)) is not None:
                 where = tuple(names[drones[int(drone[1:])]] for drone in check.where)
-                yield Check.of(key, check.bound * ratio, ratio, "min", unit, check.time, where)
+                yield Check.of(key, check.worst * ratio, ratio, "min", unit, check.time, where)
 
 
 def _above(
@@ -346,7 +346,7 @@ def _violation(check: Check, *, is_default: bool) -> Finding:
     """Return the error that a limit is violated, or a warning for a default limit."""
     unit = "" if check.unit == "ratio" else f" {check.unit}"
     relation = "below" if check.sense == "min" else "above"
-    reason = f"{check.bound:.4g}{unit} at t = {check.time:.4g} s is {relation} "
+    reason = f"{check.worst:.4g}{unit} at t = {check.time:.4g} s is {relation} "
     reason += f"{check.limit:.4g}{unit}{', a default limit' if is_default else ''}; "
     reason += REMEDIES.get(check.name, "fly it more slowly")
     reason += f", or set --{check.name}" if is_default else ""

@@ -77,7 +77,7 @@ class Verdict:
         for check in self.violated:
             rule = RULE_OF[check.name]
             planned = check_of(rule, motion, exported=True) or check
-            values = f"{planned.bound:.6g}, the export loses {abs(check.bound - planned.bound):.3g}"
+            values = f"{planned.worst:.6g}, the export loses {abs(check.worst - planned.worst):.3g}"
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
             remedy = SLOWER_REMEDY if rule.derivative > 0 else MARGIN_REMEDY
             violations.append(check.violation(when, remedy))

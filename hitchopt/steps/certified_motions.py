@@ -126,7 +126,7 @@ def _separation_shortfall(check: Check, motion: Motion) -> str:
     if np.ptp(heights) > LEVEL_TOLERANCE:
         return ""
     diameter = 2.0 * motion.requirements.separation.radius
-    required, distance = diameter * check.number, diameter * check.bound
+    required, distance = diameter * check.number, diameter * check.worst
     return f"{distance:.3g} m apart, {required - distance:.3g} m too close: "
 
 

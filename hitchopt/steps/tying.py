@@ -154,7 +154,7 @@ class Form(Step):
             return split_for_rolling(halves, senses_of(team.layout, levels), requirements)
         spread = split_hitch(team, self.polygon, self.altitude, "spread", requirements)
         cable = requirements.separation.cable
-        clearance = rest_plan(spread, requirements).certificate["cable_clearance"].bound
+        clearance = rest_plan(spread, requirements).certificate["cable_clearance"].worst
         for margin in CABLE_MARGINS:
             if clearance >= margin * cable:
                 break

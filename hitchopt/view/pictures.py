@@ -84,7 +84,7 @@ class Panel:
     def worst_of(self, certificate: Certificate) -> tuple[float, float] | None:
         """Return time and value of the certificate's worst, in the label's unit, if it has one."""
         for check in (check for check in certificate.checks if check.name == self.name):
-            value = check.bound / (check.number if self.share else 1.0)
+            value = check.worst / (check.number if self.share else 1.0)
             return (check.time, value) if abs(value) < MAX_DRAWN else None
         return None
 

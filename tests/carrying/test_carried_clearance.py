@@ -44,7 +44,7 @@ def moved(to: float = 0.0, **objects: Any) -> ho.Plan:
 
 
 def clearance(plan: ho.Plan) -> float:
-    return plan.certificate["object_clearance"].bound
+    return plan.certificate["object_clearance"].worst
 
 
 def too_close(body: str) -> Any:

@@ -47,7 +47,7 @@ def test_a_pause_starts_when_the_carried_object_stays_in_balance(kind: str) -> N
     player.pause()
     assert balanced(flown.motion, player.ahead)
     seconds = float(np.sum(player.ahead.duration))
-    assert 0.5 < seconds <= flown.certificate["stoppable"].bound
+    assert 0.5 < seconds <= flown.certificate["stoppable"].worst
     player.step(seconds)
     assert player.resting
     player.resume()
@@ -163,4 +163,4 @@ def test_jumps_of_objects_break_continuity() -> None:
     found = check(replace(motion, poses=motion.poses.replaced(poses)), "continuity")
     assert (check(motion, "continuity").holds, found.holds) == (True, False)
     assert found.where == ("tray",)
-    assert found.bound == pytest.approx(1e-3, abs=1e-6)
+    assert found.worst == pytest.approx(1e-3, abs=1e-6)

@@ -121,7 +121,7 @@ def test_support_is_below_the_force_line(motion: Motion, pushed: list[float]) ->
     onward = (np.roll(p, -1, axis=1) - p)[..., :2]
     inward = unit(np.stack([onward[..., 1], -onward[..., 0]], axis=-1))
     apart = float(np.min(np.sum(inward * (foot[:, None] - p[..., :2]), axis=-1)))
-    assert apart - 2.2e-3 <= check(flown, "support").bound <= apart
+    assert apart - 2.2e-3 <= check(flown, "support").worst <= apart
 
 
 @pytest.mark.parametrize(

@@ -39,9 +39,9 @@ def assert_sound(
     for check in (each for each in counted if each.name in result):
         name, value = check.name, result[check.name]
         if math.isinf(value):  # a chain of two has no cables that could cross
-            assert (check.worst, check.holds, check.where) == (None, True, ())
+            assert (check.is_evaluated, check.holds, check.where) == (False, True, ())
             continue
-        worst = check.bound
+        worst = check.worst
         if name == "thrust":  # as a share of the largest
             worst /= motion.team.max_thrust[motion.team.drone_names.index(check.where[0])]
         outside = value - worst if check.sense == "min" else worst - value

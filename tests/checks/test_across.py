@@ -133,7 +133,7 @@ def test_no_sample_exceeds_a_bound_between_groups(kinds: str, seed: int) -> None
     both = combined([Group("a", first), Group("b", second)])
     for name, value in sampled(first, second, times).items():
         checks = [check_of(RULE_OF[name], motion) for motion in (both, first, second)]
-        known, *own = (math.inf if check is None else check.bound for check in checks)
+        known, *own = (math.inf if check is None else check.worst for check in checks)
         least = min(value, *own)
         if math.isinf(least):  # no cables
             assert math.isinf(known)
@@ -143,7 +143,7 @@ def test_no_sample_exceeds_a_bound_between_groups(kinds: str, seed: int) -> None
 
 
 def worst(certificate: Certificate) -> dict[str, float]:
-    return {check.name: check.bound for check in certificate.checks}
+    return {check.name: check.worst for check in certificate.checks}
 
 
 @pytest.mark.parametrize("kinds", ["tt", "th", "ts"])
@@ -215,9 +215,9 @@ def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool
         both.reverse()
     certificate = across(*both)
     check = certificate["keep_out"]
-    assert check.bound == pytest.approx(0.3 - 0.1, abs=1e-4)  # of radius 0.1, passed 0.3 m away
+    assert check.worst == pytest.approx(0.3 - 0.1, abs=1e-4)  # of radius 0.1, passed 0.3 m away
     # The drone is off toward the object, which is off as far as vertices that carry it.
-    slack = check.bound - SEPARATION.radius
+    slack = check.worst - SEPARATION.radius
     whole = combined([Group("a", both[0]), Group("b", both[1])])
     for gamma in (0.5, 1.0, 3.0):
         radius = certify(whole, gamma=gamma)["tracking_radius"]
@@ -244,7 +244,7 @@ def test_tracking_radius_is_half_of_the_slack_between_groups(
         return certify(combined([Group("a", both[0]), Group("b", both[1])]))["tracking_radius"]
 
     slack = 0.5 * (1.0 - limit) / (ratio if away[2] else 1.0)
-    assert radius(0.01).bound == pytest.approx(slack, rel=1e-4)
+    assert radius(0.01).worst == pytest.approx(slack, rel=1e-4)
     assert not radius(0.5).holds
 
 
@@ -260,5 +260,5 @@ def test_what_flies_far_away_changes_no_check(*, several: bool) -> None:
     both = combined([Group("a", one), other]) if several else one.replaced(others=(other,))
     alone, found = certify(one), certify(both)
     for check in alone.checks:
-        bound = pytest.approx(check.bound, rel=1e-6, abs=1e-5)  # b rounds at its coordinates
-        assert found[check.name].bound == bound, check.name
+        bound = pytest.approx(check.worst, rel=1e-6, abs=1e-5)  # b rounds at its coordinates
+        assert found[check.name].worst == bound, check.name

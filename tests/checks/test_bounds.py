@@ -238,7 +238,7 @@ def test_no_sample_exceeds_a_bound(name: str, seed: int) -> None:
     assert_sound(motion, case.count, case.gap, case.least, case.only)
     if name in {"hitch", "loaded hitch", "chain"}:
         for check, most in HELD.items():
-            assert row(motion, check).bound < most
+            assert row(motion, check).worst < most
 
 
 def test_close_pairs_are_named() -> None:
@@ -246,7 +246,7 @@ def test_close_pairs_are_named() -> None:
     assert row(apart(0, 0.8), "cable_clearance").where[0] == "ground"
     assert row(under(0), "cable_clearance").where == ("q1", "cable 0")
     check = row(inward(0), "convexity")
-    assert (check.where, check.bound < -10.0) == (("p0",), True)
+    assert (check.where, check.worst < -10.0) == (("p0",), True)
     assert not row(wrong_chain(0), "cable_length").holds
 
 

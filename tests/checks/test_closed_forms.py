@@ -79,7 +79,7 @@ def test_an_approach_of_a_millisecond_is_detected() -> None:
     check = row(darting, "separation")
     assert row(motion, "separation").worst == pytest.approx(at_100_hz, rel=1e-3)
     assert in_between < 0.3 * at_100_hz
-    assert in_between >= check.bound >= 0.99 * in_between
+    assert in_between >= check.worst >= 0.99 * in_between
     assert check.where == ("q0", "r1")
     assert 1.0011 <= check.time <= 1.0021
 
@@ -269,12 +269,12 @@ def test_open_clasps_have_an_infinite_residual() -> None:
     through = altered(held, "drones", exchanged)
     assert sampled(through, np.array([0.5]))["equilibrium"] < 1e-9
     result = row(through, "equilibrium")
-    assert result.bound > 1e300
+    assert result.worst > 1e300
     assert not result.holds
 
 
 def test_body_rate_is_zero_at_rest_and_unbounded_in_free_fall() -> None:
-    assert row(replaced(triangle(), body_rate=1.0), "body_rate").bound < 1e-6
+    assert row(replaced(triangle(), body_rate=1.0), "body_rate").worst < 1e-6
     fall = [[[0.0, 0.0, 9.0 - k * 9.81 / 2.0]] for k in (0.0, 0.0, 1.0)]
     c = np.moveaxis(np.array(fall), 0, -1)[None]
     dropped = replaced(lines([[0, 0, 9]], [[0, 0, 9]]), body_rate=1.0)
@@ -289,7 +289,7 @@ def test_jumps_of_position_velocity_and_acceleration(power: int, jump: float) ->
     # On the second piece: jump · (t - 0.5)^power / power!, as Bernstein coefficients.
     path[1, 1] = [[1.0, 1.0, 1.0], [0.0, 0.75, 1.5], [0.0, 0.0, 1.125]][power]
     check = row(added(motion, 1, jump * path), "continuity")
-    assert row(motion, "continuity").bound < 1e-10
+    assert row(motion, "continuity").worst < 1e-10
     assert check.worst == pytest.approx(jump, rel=1e-6)
     assert (check.time, check.where, check.holds) == (0.5, ("r0",), False)
     whole = row(held_at(triangle(), [0.0, 1.0]), "continuity")  # a single piece: no joint
@@ -313,7 +313,7 @@ def test_a_chain_that_curls_up_on_the_way_is_refused() -> None:
         motion = outlined(chain(84.0, 5), corners(84.0, 5), corners(last, 5))
         check = row(motion, "convexity")
         value = sampled(motion, np.linspace(0.0, motion.duration, 999))["convexity"]
-        assert check.bound <= value
+        assert check.worst <= value
         assert value == pytest.approx(360.0 - 4 * last)
         assert check.where == ("p0", "p5")
         most.append(check.holds)
@@ -352,10 +352,10 @@ def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> 
             return row(here.replaced(requirements=walled, vertices=vertices_), "arena")
 
         floor = room([-9, -9, z - 0.2], [9, 9, 9])
-        assert floor.bound == pytest.approx(0.2 - sag, rel=1e-6)
+        assert floor.worst == pytest.approx(0.2 - sag, rel=1e-6)
         assert floor.holds == (sag < 0.2)
         assert density == 0.0 or floor.where[0].startswith("edge")
-        assert room([-9, -9, -9], [9, np.max(drones[:, 1]) + 0.07, 9]).bound == pytest.approx(0.07)
+        assert room([-9, -9, -9], [9, np.max(drones[:, 1]) + 0.07, 9]).worst == pytest.approx(0.07)
         for lift in (-0.3, 0.3):  # vertices alone
             assert not room([-9, -9, z - 0.25], [9, 9, z + 0.25], lift).holds
 
@@ -372,7 +372,7 @@ def test_heights_below_ground_are_reported_without_an_arena() -> None:
     }
     result = below_ground(motion.replaced(**parts))
     assert result is not None
-    assert result.bound == pytest.approx(-0.3)
+    assert result.worst == pytest.approx(-0.3)
     arena = Arena([-9, -9, -1], [9, 9, 9])
     walled = replace(motion.requirements, arena=arena)
     assert below_ground(motion.replaced(requirements=walled, **parts)) is None

@@ -108,7 +108,7 @@ def test_ratios_of_pulls_at_zero_tension_are_limits(leaned: Motion, factor: floa
     motion = altered(motion, "leg_tensions", lambda _: pulls)
     times, only = np.linspace(1e-3, leaned.duration, 4_001), {"equilibrium"}
     worst = sampled(motion, times, only)["equilibrium"]
-    assert row(motion, "equilibrium").bound == pytest.approx(worst, rel=2e-3)
+    assert row(motion, "equilibrium").worst == pytest.approx(worst, rel=2e-3)
 
 
 def test_legs_may_pull_within_friction_of_the_range(leaned: Motion) -> None:
@@ -119,7 +119,7 @@ def test_legs_may_pull_within_friction_of_the_range(leaned: Motion) -> None:
         pulls = changed.pulls.at(np.linspace(0.0, leaned.duration, 4_001)).reshape(most.shape)
         worst = float(np.max(np.maximum(pulls - T * most, T / most - pulls)))
         result = row(changed, "tension")
-        assert 0.01 < worst <= result.bound <= worst * 1.001 + 1e-6
+        assert 0.01 < worst <= result.worst <= worst * 1.001 + 1e-6
         assert result.where[0] in leaned.team.drone_names
     assert row(replace(changed, team=team(1.0)), "tension").holds
 

@@ -176,7 +176,7 @@ def test_a_stated_range_begins_and_ends_with_the_teams_tension(factor: float) ->
     """However wide it is said to be, and it ends with its phase."""
     motion = swinging(1e-7, 10.0)
     assert check(motion).holds
-    assert check(altered(motion, "tensions", scaled(factor))).bound > 0.3
+    assert check(altered(motion, "tensions", scaled(factor))).worst > 0.3
     half = (replace(motion.phases[0], end=1.0), Phase("morph", 1, 1.0, 2.0, tension=(0.3, 0.5)))
     result = check(replace(motion, phases=half))
     assert result.worst == pytest.approx(0.06, abs=2e-6)

@@ -63,9 +63,9 @@ def test_the_radius_matches_samples(name: str) -> None:
     breaks, check = motion.drones.breaks, radius_of(motion)
     least = tracking_radius(motion, np.union1d(np.linspace(breaks[0], breaks[-1], 201), breaks))
     if not row(motion, "separation").holds:
-        assert check.bound == 0.0
+        assert check.worst == 0.0
     else:
-        assert 0.95 * least - 1e-6 <= check.bound <= least * (1.0 + 1e-4)
+        assert 0.95 * least - 1e-6 <= check.worst <= least * (1.0 + 1e-4)
 
 
 def with_tracking(motion: Motion, tracking: float | ho.Tube | None) -> Motion:
@@ -80,7 +80,7 @@ def test_distances_hold_for_errors_up_to_the_radius(seed: int, gamma: float, rat
     """In random directions, and all bodies toward the middle."""
     motion, rng = random_motion(4 + seed, seed, arena=ARENA), np.random.default_rng(seed)
     motion = with_tracking(motion, ho.Tube(0.02, 0.02 * ratio))
-    radius, requirements = radius_of(motion, gamma).bound, motion.requirements
+    radius, requirements = radius_of(motion, gamma).worst, motion.requirements
     assert radius > 1e-3
     times = np.linspace(0.0, motion.duration, 101)
 
@@ -122,7 +122,7 @@ def test_tubes_of_equal_axes_are_numbers_and_higher_ones_never_help(name: str) -
     )
     assert balls == [number, number]
     radii = [
-        radius_of(with_tracking(motion, ho.Tube(0.02, 0.02 * ratio))).bound
+        radius_of(with_tracking(motion, ho.Tube(0.02, 0.02 * ratio))).worst
         for ratio in (1.0, 1.2, 5.0)
     ]
     assert radii == sorted(radii, reverse=True)
@@ -132,9 +132,9 @@ def test_upright_errors_do_not_bring_level_neighbours_nearer() -> None:
     places = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     beside, above = lines(places, places), lines(places[:, ::-1], places[:, ::-1])
     for tube, moved in ((ho.Tube(0.08, 0.2), 1.0), (ho.Tube(0.08, 0.4), 1.0)):
-        radius = radius_of(with_tracking(beside, tube)).bound
+        radius = radius_of(with_tracking(beside, tube)).worst
         assert radius == pytest.approx(0.5 * (moved - 0.24), rel=1e-3)
-        radius = radius_of(with_tracking(above, tube)).bound
+        radius = radius_of(with_tracking(above, tube)).worst
         assert radius == pytest.approx(0.5 * (moved - 0.6) * tube.level / tube.height, rel=1e-3)
 
 
@@ -142,7 +142,7 @@ def test_upright_errors_do_not_bring_level_neighbours_nearer() -> None:
 def test_upright_errors_bring_drones_nearer_to_what_is_below(ratio: float) -> None:
     prism = Prism([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]], 0.0, 1.0)
     above = lines([[0.0, 0.0, 1.9]], [[0.1, 0.0, 1.9]], keep_out=(prism,))
-    radius = radius_of(with_tracking(above, ho.Tube(0.08, 0.08 * ratio))).bound
+    radius = radius_of(with_tracking(above, ho.Tube(0.08, 0.08 * ratio))).worst
     assert radius == pytest.approx(0.9 / ratio - 0.12, rel=1e-4)
 
 
@@ -168,7 +168,7 @@ def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int, ratio: flo
     drones, team = PiecewisePolynomial.constant([0.0, 1.0], ends), Team(2, length, topology="open")
     arena = Arena([-50.0, -50.0, floor], [50.0, 50.0, 50.0])
     tube = ho.Tube(0.02, 0.02 * ratio)
-    radius = radius_of(with_tracking(free_motion(team, drones, arena=arena), tube)).bound
+    radius = radius_of(with_tracking(free_motion(team, drones, arena=arena), tube)).worst
     shifts = rng.normal(size=(400, 2, 3)) - [0.0, 0.0, 2.0]
     shifts[:200, 0] += way / np.linalg.norm(way)
     shifts[:200, 1] -= way / np.linalg.norm(way)
@@ -185,12 +185,12 @@ def test_drones_and_hanging_cables_may_go_toward_each_other(seed: int) -> None:
     team, drones = random_flight(seed, n=3, pieces=1)
     motion = free_motion(team, drones)
     most = tracking_radius(motion, np.linspace(0.0, motion.duration, 201))
-    assert 0.0 <= radius_of(motion).bound <= most * (1.0 + 1e-4)
+    assert 0.0 <= radius_of(motion).worst <= most * (1.0 + 1e-4)
 
 
 def test_larger_gammas_never_help_and_are_stated() -> None:
     motion = random_motion(4, 7)
-    radii = [radius_of(motion, gamma).bound for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
+    radii = [radius_of(motion, gamma).worst for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
     assert radii == sorted(radii, reverse=True)
     certificate = certify(motion, gamma=1.5)
     *others, entry, _ = certificate.to_dict()["checks"]
@@ -213,15 +213,15 @@ def test_binding_distances_are_named() -> None:
     shortest = row(short, "legs")
     for gamma in (1.0, 3.0):
         check = radius_of(short, gamma)
-        assert check.bound == pytest.approx((shortest.bound - 0.39) / (1.0 + gamma), rel=1e-6)
+        assert check.worst == pytest.approx((shortest.worst - 0.39) / (1.0 + gamma), rel=1e-6)
         assert check.where == shortest.where
-    assert radius_of(keeping(limits=Limits(leg=0.9))).bound == 0.0
+    assert radius_of(keeping(limits=Limits(leg=0.9))).worst == 0.0
     for name, limit, both in (("crossing", "crossing", 6.0), ("cable_clearance", "cable", 4.0)):
-        near = keeping(separation=Separation(**{limit: row(motion, name).bound - 1e-3}))
+        near = keeping(separation=Separation(**{limit: row(motion, name).worst - 1e-3}))
         for gamma, number in ((1.0, 2.0), (3.0, both)):
-            assert radius_of(near, gamma).bound == pytest.approx(1e-3 / number, rel=1e-3), name
+            assert radius_of(near, gamma).worst == pytest.approx(1e-3 / number, rel=1e-3), name
     low = keeping(arena=Arena([-9, -9, 0.999], [9, 9, 3]))
-    assert radius_of(low).bound == pytest.approx(1e-3, rel=1e-6)
+    assert radius_of(low).worst == pytest.approx(1e-3, rel=1e-6)
 
 
 def test_every_check_has_a_part_or_a_reason() -> None:
@@ -260,7 +260,7 @@ def test_single_drones_keep_all_distances_up_to_the_radius(
         hover = lines(place[None], place[None], objects={"plate": plate}, separation=WIDE)
         return with_tracking(hover, ho.Tube(0.01, 0.01 * ratio))
 
-    radius = radius_of(motion(place)).bound
+    radius = radius_of(motion(place)).worst
     assert 0.0 < radius < 1.0
     rng = np.random.default_rng(3)
     ways = rng.normal(size=(150, 3))
@@ -291,7 +291,7 @@ def test_the_floor_is_ignored_for_standing_drones() -> None:
             moved = drones.replaced(drones.coefficients + shift)
             arena = Arena(lower + shift, upper + shift)
             check = radius_of(single(moved, arena=arena))
-            assert check.bound == pytest.approx(left, rel=1e-6)
+            assert check.worst == pytest.approx(left, rel=1e-6)
 
 
 def swarm(n: int, seed: int) -> Motion:

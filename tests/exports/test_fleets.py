@@ -175,7 +175,7 @@ def test_exports_of_groups_are_read_back_and_certified(tmp_path: Path) -> None:
     planned = {check.name: check for check in certify(motion).checks}
     for check in part.verdict.checks:
         if check.name in ("separation", "speed", "thrust", "tilt", "crossing"):
-            assert check.bound == pytest.approx(planned[check.name].bound, rel=1e-3)
+            assert check.worst == pytest.approx(planned[check.name].worst, rel=1e-3)
         assert all(place[:2] in ("a.", "b.") for place in check.where)
     assert {"cable_clearance", "crossing", "cable_length"} <= {c.name for c in part.verdict.checks}
 

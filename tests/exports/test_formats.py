@@ -105,7 +105,7 @@ def test_the_file_is_the_plan(name: str, frame: str, motion: str, tmp_path: Path
     assert (linted.kind, linted.frame, len(linted.facts)) == (name, frame, len(team.drone_names))
     receiver = read_manifest(tmp_path).get("receiver", {})
     begin = receiver.get("plan_begins_s", 0.0)
-    checks = {check.name: check.bound for check in verdict.checks}
+    checks = {check.name: check.worst for check in verdict.checks}
     assert linted.flight.separation == pytest.approx(checks["separation"], rel=2e-3)
     assert linted.flight.speed == pytest.approx(max(checks["speed"], 0.5 * (begin > 0)), rel=2e-3)
     assert linted.flight.duration == pytest.approx(verdict.duration + begin)

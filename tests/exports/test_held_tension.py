@@ -253,7 +253,7 @@ def test_positions_alone_are_certified_for_drones_that_trail_them(
     speed = float(np.max(np.linalg.norm(held.motion.drones.at(t, 1), axis=-1)))
     assert check.name == "tracking_radius"
     assert speed / 4.75 < check.number < 1.5 * speed / 4.75
-    assert check.bound == plan.certificate["tracking_radius"].bound
+    assert check.worst == plan.certificate["tracking_radius"].worst
     assert any("trail them by v kd/kp, up to 0.17 m" in note for note in done.notes)
     said = json.loads((tmp_path / "export.json").read_text())["checks"][-1]
     assert (said["name"], said["limit"]) == (check.name, check.limit)
@@ -297,7 +297,7 @@ def test_errors_to_plan_with_are_those_that_positions_alone_need(
     plan: ho.Plan, tmp_path: Path, own: float | ho.Tube
 ) -> None:
     """They count the trailing once: a plan that keeps distances by less is refused."""
-    radius = plan.certificate["tracking_radius"].bound
+    radius = plan.certificate["tracking_radius"].worst
 
     def export(tracking: float | ho.Tube, stated: float | ho.Tube | None) -> None:
         need = plan.motion.requirements

@@ -625,7 +625,7 @@ def test_distances_count_above_the_lowest_altitude(
     apart = np.linalg.norm(places[:, i] - places[:, j], axis=-1)
     least = lowest if lowest is not None else 2.5 if kind == "outdoor" else -math.inf
     counted = (places[..., 2] > least)[:, i] & (places[..., 2] > least)[:, j]
-    assert check.bound == pytest.approx(np.min(apart[counted]), abs=0.02)
+    assert check.worst == pytest.approx(np.min(apart[counted]), abs=0.02)
     told = [f.message for f in found.findings if f.rule == "minDistance"]
     assert told == (
         [] if least == -math.inf else [f"counts above {least:g} m, where both drones are"]

@@ -94,7 +94,7 @@ def test_windows_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> No
     one, many = found
     assert many.position.worst == pytest.approx(one.position.worst)
     assert one.position.worst > 9e-4
-    bounds = [{check.name: check.bound for check in verdict.checks} for verdict in found]
+    bounds = [{check.name: check.worst for check in verdict.checks} for verdict in found]
     assert bounds[1] == pytest.approx(bounds[0], rel=3e-4, abs=1e-6)
 
 

@@ -334,7 +334,7 @@ def test_no_drone_carries_two(altitude: float, share: float) -> None:
     phase = ho.Phase("hover", 0, 0.0, 2.0, state=CableState.FREE)
     hovering = PiecewisePolynomial.constant([0.0, 2.0], places, 7)
     found, without = survivable(ho.Motion.single(team, Requirements(), hovering, [phase]))
-    assert (found.bound, found.where) == (share, tuple(each.drone for each in without))
+    assert (found.worst, found.where) == (share, tuple(each.drone for each in without))
     told = [(each.drone, each.start, each.end) for each in without]
     assert told == ([] if share else [(name, 0.0, 2.0) for name in team.drone_names])
     assert all(f"{each.drone} hangs on its partner 0.19" in each.reason for each in without)
@@ -343,6 +343,6 @@ def test_no_drone_carries_two(altitude: float, share: float) -> None:
 def test_single_drones_land_clear_of_the_lost_one() -> None:
     motion = planned("swarms/head_on").motion
     found, _ = survivable(motion, every=0.5 * motion.duration)
-    assert (found.bound, found.method) == (1.0, "sampled")
+    assert (found.worst, found.method) == (1.0, "sampled")
     last = Reactions(motion).plan("d0", 1.0).motion.drones
     assert np.max(last.at(last.breaks[-1])[:, 2]) <= 2e-3

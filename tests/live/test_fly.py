@@ -98,7 +98,7 @@ def test_a_pause_takes_no_longer_than_the_certificate_reports() -> None:
     for time in np.random.default_rng(3).uniform(0.0, plan.duration, 12):
         player = Player(plan, float(time))
         seconds = player.pause()
-        assert seconds <= plan.certificate["stoppable"].bound + 1e-9
+        assert seconds <= plan.certificate["stoppable"].worst + 1e-9
         player.step(0.3 * seconds)
         assert player.pause() <= 0.7 * seconds + 1e-9  # asked again
         before, here, after = (player.step(each) for each in (0.0, 1e-4, 1e-4))

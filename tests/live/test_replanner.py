@@ -205,7 +205,7 @@ def test_plans_can_be_left_just_after_a_break(late: float) -> None:
     assert answer.plan.certificate.certified
     for check in certify(answer.ahead.untimed, reports=()).checks:
         rough = answer.certificate[check.name]
-        outward = (rough.bound - check.bound) * (1.0 if check.sense == "max" else -1.0)
-        size = max(1.0, abs(check.bound))
+        outward = (rough.worst - check.worst) * (1.0 if check.sense == "max" else -1.0)
+        size = max(1.0, abs(check.worst))
         assert -1e-4 * size <= outward <= 0.1 * size, check.name
         assert rough.holds

@@ -124,7 +124,7 @@ def test_one_limit_binds_near_the_optimal_duration(limits: Limits, binding: str)
     plan = ho.morph(start, goal.polygon, goal.q_legs, limits=limits, separation=loose)
     check = plan.certificate[binding]
     assert plan.certificate.certified
-    assert check.bound >= 0.985 * (check.limit or 0.0)
+    assert check.worst >= 0.985 * (check.limit or 0.0)
     fine = np.linspace(0.0, 1.0, 1001)
     exact = Demands.along(ShapePath.straight(start, goal), limits, fine)
     optimum = fastest_profile(fine, exact).duration
@@ -206,11 +206,11 @@ def test_plans_keep_a_body_rate_and_come_close_to_it(name: str, rate: float) -> 
     check = plan.certificate["body_rate"]
     assert check.limit == pytest.approx(rate)
     assert plan.certificate.certified
-    assert 0.9 * rate < check.bound <= rate
+    assert 0.9 * rate < check.worst <= rate
     assert plan.duration > planned(name).duration
     states = plan.at(np.linspace(0.0, plan.duration, 3001))
     level = np.degrees(np.linalg.norm(states.body_rates[..., :2], axis=-1))
-    assert 0.85 * rate < np.max(level) <= check.bound
+    assert 0.85 * rate < np.max(level) <= check.worst
 
 
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
@@ -233,7 +233,7 @@ def test_the_stretch_of_a_known_turn_is_exact() -> None:
 def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:
     motion = planned("triangle").motion
     rest = math.atan(0.4 / (0.132 * 9.81))
-    tilt = 0.5 * (rest + math.radians(planned("triangle").certificate["tilt"].bound))
+    tilt = 0.5 * (rest + math.radians(planned("triangle").certificate["tilt"].worst))
     tight = replace(motion.requirements, limits=replace(motion.requirements.limits, tilt=tilt))
     stretch = needed_stretch(replace(motion, requirements=tight))
     assert stretch > 1.05

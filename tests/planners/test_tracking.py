@@ -242,7 +242,7 @@ def test_plans_keep_every_distance_with_tracking_errors(name: str, tmp_path: Pat
         arrays = dict(file)
     settings = json.loads(str(arrays["settings"]))
     limits = settings["groups"][0]["records"]["requirements"]["limits"]
-    for wider in (2.0 * check.bound, {"level": 1.5 * check.bound, "height": 4.0 * check.bound}):
+    for wider in (2.0 * check.worst, {"level": 1.5 * check.worst, "height": 4.0 * check.worst}):
         limits["tracking"] = wider
         arrays["settings"] = np.array(json.dumps(settings))
         np.savez(tmp_path / "plan.npz", **arrays)
@@ -385,13 +385,13 @@ def test_objects_count_toward_a_specified_limit() -> None:
     """Cables and a held object reduce the tracking radius by their own clearance."""
     motion = planned("carry_tray").motion
     alone = certify(motion)
-    near = alone["object_clearance"].bound - 0.5 * alone["tracking_radius"].bound
+    near = alone["object_clearance"].worst - 0.5 * alone["tracking_radius"].worst
     separation = replace(motion.requirements.separation, object=near)  # nearer than drones
     need, bounds = replace(motion.requirements, separation=separation), []
     for off in (None, 0.01):
         limits = replace(need.limits, tracking=off)
         found = certify(replace(motion, requirements=replace(need, limits=limits)))
-        bounds.append(found["tracking_radius"].bound)
-    left = found["object_clearance"].bound - need.separation.object
+        bounds.append(found["tracking_radius"].worst)
+    left = found["object_clearance"].worst - need.separation.object
     assert bounds[1] == pytest.approx(min(bounds[0], left), rel=1e-6)
     assert bounds[1] < bounds[0]

@@ -329,7 +329,7 @@ def plan_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
         start = motion.drones.at(min(float(time), motion.duration))
         for entries in _return_candidates(motion, time, start, frame):
             checks = return_checks(motion, entries, start, _landing_speed(motion), frame)
-            separations = (check.bound for check in checks if check.name == "separation")
+            separations = (check.worst for check in checks if check.name == "separation")
             has_margin = all(bound >= MIN_SEPARATION for bound in separations)
             if has_margin and all(check.holds for check in checks):
                 returns.append(entries)

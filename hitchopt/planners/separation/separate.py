@@ -259,7 +259,7 @@ def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
         for check in checks
         if not check.holds
     )
-    closest = next((check.bound for check in checks if check.name == "separation"), math.inf)
+    closest = next((check.worst for check in checks if check.name == "separation"), math.inf)
     return CurveBounds(coefficients, duration, closest, tuple(violations))
 
 
