@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 # Threads of OpenBLAS only wait for small matrices; the command line sets the same.
 export OPENBLAS_NUM_THREADS ?= 1
 
-.PHONY: demo film coverage test test-slow test-all test-kernels browser lint docs site gallery screenshots package smoke test-3.11 test-3.12 test-3.13 test-lowest clean
+.PHONY: demo film coverage test test-slow test-all test-kernels browser lint types docs site gallery screenshots package smoke test-3.11 test-3.12 test-3.13 test-lowest clean
 
 # Plans a real problem and says where to look.
 demo: $(VENV)/.installed
@@ -56,6 +56,10 @@ lint: $(VENV)/.tested
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+# Checks the types of scripts as users write them with the type checker of many editors.
+types: $(VENV)/.tested
+	$(BIN)/pyright
 
 # Builds the documentation, its tutorials executed; open docs/_build/html/index.html.
 docs: $(VENV)/.documented

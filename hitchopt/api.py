@@ -6,7 +6,7 @@ for each kind of step. ``single_steps.py`` has functions that plan one step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
@@ -46,19 +46,19 @@ from hitchopt.steps.step import Step
 from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.steps.tying import Assign, CloseVertex, Form, Land, OpenVertex, Release
 from hitchopt.storage.yaml_file import read_text
-from hitchopt.values import check_instance, path, positive, text
+from hitchopt.values import Points, check_instance, path, positive, text
 from hitchopt.values.fields import suggest_keywords
 
 if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
 
-Polygon = Outline | ArrayLike
+Polygon = Outline | Points
 """Vertices [x, y] [m] of a hitch, clockwise seen from above."""
 
 SettleTime = float | Literal["auto", False]
 """Duration [s] of the swings that end a step of cables with friction."""
 
-Legs = str | Sequence[float] | ArrayLike | Mapping[str, Any]
+Legs = str | Points | Mapping[str, Any]
 """Legs as an argument: a mode, (n,) ``d_k`` [m], or a mapping with sharing and roll_deg."""
 
 
@@ -360,7 +360,7 @@ class Mission(Problem):
     def follow_vertex(
         self,
         vertex: int,
-        path: ArrayLike,
+        path: Points,
         legs: Legs | None = None,
         speed: float | None = None,
         settle: SettleTime = "auto",
@@ -605,7 +605,7 @@ class Mission(Problem):
         tension: float | None = None,
         yaw: float = 0.0,
         lift: float = 0.3,
-        via: ArrayLike | None = None,
+        via: Points | None = None,
     ) -> Self:
         """Take an object and set it down elsewhere, in seven steps, or more by ``via``.
 

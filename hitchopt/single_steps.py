@@ -31,7 +31,7 @@ from hitchopt.steps.moving import (
 )
 from hitchopt.steps.step import Step
 from hitchopt.steps.tying import Assign, Form, Land, OpenVertex, Release
-from hitchopt.values import check_instance, positive
+from hitchopt.values import Points, check_instance, positive
 from hitchopt.values.fields import suggest_keywords
 
 
@@ -248,7 +248,7 @@ def adjust(
 def follow_vertex(
     start: Hitch,
     vertex: int,
-    path: ArrayLike,
+    path: Points,
     legs: Legs | None = None,
     speed: float | None = None,
     settle: SettleTime = "auto",
@@ -327,8 +327,8 @@ def transport(
 @suggest_keywords
 def form(
     team: Team,
-    q: ArrayLike,
-    r: ArrayLike,
+    q: Points,
+    r: Points,
     polygon: Polygon,
     altitude: float = 1.0,
     legs: Legs | None = None,
@@ -489,8 +489,8 @@ def release(
 @suggest_keywords
 def land(
     team: Team,
-    q: ArrayLike,
-    r: ArrayLike,
+    q: Points,
+    r: Points,
     duration: float | None = None,
     *,
     limits: Limits | None = None,

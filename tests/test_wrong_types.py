@@ -43,7 +43,7 @@ RECORDS: dict[str, Any] = {
     "title": "",
 }
 BEGUN: dict[str, ho.Mission] = {
-    **dict.fromkeys(("form", "land"), ho.Mission(TEAM, ho.DronesStart(Q, R))),  # type: ignore[arg-type]
+    **dict.fromkeys(("form", "land"), ho.Mission(TEAM, ho.DronesStart(Q, R))),
     **{"enclose": CRATE, "transport_object": CRATE, "grasp": ENCLOSED, "lift": HELD},
     **{"carry": HELD.lift(0.1), "set_down": HELD.lift(0.1), "loosen": HELD},
     "leave": ENCLOSED,

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import EXCHANGED, InputError
 from hitchopt.geometry.vectors import cross, rotated, turn
-from hitchopt.values import Array, ByValue, finite, integer, points, positive
+from hitchopt.values import Array, ByValue, Points, finite, integer, points, positive
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: a clasp at a flatter vertex would hold nothing."""
@@ -38,7 +38,7 @@ class Outline(ByValue, ABC):
     vertices: Array
     closed: ClassVar[bool]
 
-    def __init__(self, vertices: Outline | ArrayLike) -> None:
+    def __init__(self, vertices: Outline | Points) -> None:
         if isinstance(vertices, Outline):
             vertices = vertices.vertices
         bound, remedy = "a list of at least 3 points [x, y]", "write [[x, y], …] in metres"

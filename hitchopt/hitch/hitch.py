@@ -22,7 +22,7 @@ from hitchopt.hitch.forces import (
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
-from hitchopt.values import Array, ByValue, as_array, check_instance
+from hitchopt.values import Array, ByValue, Points, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import PLACED_ALTITUDE
 
@@ -34,7 +34,7 @@ ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
 UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit
 
 
-def checked_polygon(team: Team, polygon: Outline | ArrayLike) -> Outline:
+def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
     """Return ``polygon`` as an outline with the team's topology and count, or raise InputError."""
     check_instance("team", team, Team)
     closed, points = team.layout.closed, team.layout.points
@@ -173,7 +173,7 @@ class Hitch(ByValue):
     def __init__(
         self,
         team: Team,
-        polygon: Outline | ArrayLike,
+        polygon: Outline | Points,
         altitude: float,
         q_legs: ArrayLike,
         roll: ArrayLike = 0.0,
@@ -200,7 +200,7 @@ class Hitch(ByValue):
     @classmethod
     @suggest_keywords
     def balanced(
-        cls, team: Team, polygon: Outline | ArrayLike, altitude: float = 1.0, roll: ArrayLike = 0.0
+        cls, team: Team, polygon: Outline | Points, altitude: float = 1.0, roll: ArrayLike = 0.0
     ) -> Hitch:
         """Return the hitch with ``d_k = e_k = (L_k - l_k)/2``, the paper's balanced configuration.
 
@@ -215,7 +215,7 @@ class Hitch(ByValue):
     def spread(
         cls,
         team: Team,
-        polygon: Outline | ArrayLike,
+        polygon: Outline | Points,
         altitude: float = 1.0,
         *,
         limits: Limits | None = None,
@@ -250,7 +250,7 @@ class Hitch(ByValue):
     def nearest(
         cls,
         team: Team,
-        polygon: Outline | ArrayLike,
+        polygon: Outline | Points,
         altitude: float,
         fractions: ArrayLike,
         *,

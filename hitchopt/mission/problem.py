@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -48,7 +48,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.straddling import Tie
 from hitchopt.steps.tying import Form, check_rollable
-from hitchopt.values import Array, ByValue, check_instance, closest_word, sequence, text
+from hitchopt.values import Array, ByValue, Points, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
     Missing,
@@ -203,6 +203,11 @@ class DronesStart(Record):
     r: Annotated[
         Array, Key(_PLACES, "Places (n, 3) [m], [x, y, z] per robot", [[0, 1, 1], [1, 1, 1]])
     ]
+
+    if TYPE_CHECKING:
+
+        def __init__(self, q: Points, r: Points) -> None:
+            """Convert places to arrays."""
 
     @property
     def drones(self) -> Array:

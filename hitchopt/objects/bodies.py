@@ -15,6 +15,7 @@ from hitchopt.geometry.vectors import dot, first_smallest, left_of, length, unit
 from hitchopt.values import (
     Array,
     ByValue,
+    Points,
     as_array,
     check_instance,
     coordinate,
@@ -47,7 +48,7 @@ class Section(ByValue):
     outline: Array | None
     radius: float | None
 
-    def __init__(self, outline: ArrayLike | None = None, radius: float | None = None) -> None:
+    def __init__(self, outline: Points | None = None, radius: float | None = None) -> None:
         if (outline is None) == (radius is None):
             remedy = "give either an outline or a circle's radius"
             raise InputError("outline", outline, "given where no radius is", remedy)
@@ -151,7 +152,7 @@ class Section(ByValue):
         return np.where(inside, 0.0, np.maximum(gaps - self.rounding, 0.0))
 
 
-def _clockwise(outline: ArrayLike) -> Array:
+def _clockwise(outline: Points) -> Array:
     """Return the corners of a convex outline clockwise, starting with its first one."""
     from scipy.spatial import ConvexHull, QhullError
 

@@ -23,6 +23,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import SETTLE, CableState, Motion, Phase, concatenated
 from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Points
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
@@ -135,7 +136,7 @@ def _separation_shortfall(check: Check, motion: Motion) -> str:
 
 def split_hitch(
     team: Team,
-    polygon: Outline | ArrayLike,
+    polygon: Outline | Points,
     altitude: float,
     legs: SlackSplit,
     requirements: Requirements,

@@ -19,6 +19,11 @@ from hitchopt.errors import InputError, OneLine
 
 Array = NDArray[np.float64]  # Type of arrays of real numbers
 Indices = NDArray[np.intp]  # Type of arrays of indices
+Points = ArrayLike | Sequence[Any]
+"""Type of points that callers give: all that numpy converts to an array.
+
+To type checkers ``[[0, -1], [-0.4, 0.5]]``, which mixes integers and floats, is a list of objects.
+"""
 T = TypeVar("T")
 
 if TYPE_CHECKING:

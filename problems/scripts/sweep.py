@@ -2,16 +2,14 @@
 
 import hitchopt as ho
 
-problem = {
-    "team": {"robots": 3, "cable_length": 2.4},
-    "start": {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}},
-    "mission": [{"morph": {"polygon": [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}],
-}
+start = {"hitch": {"polygon": [[0, -1], [-0.4, 0.5], [0.4, 0.5]], "altitude": 1.0}}
+mission = [{"morph": {"polygon": [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}]
 parameters = {"team.tension": [0.3, 0.6, 2.5], "team.cable_length": [2.2, 2.4]}
 
 for tension in parameters["team.tension"]:
     for length in parameters["team.cable_length"]:
-        problem["team"] |= {"tension": tension, "cable_length": length}
+        team = {"robots": 3, "tension": tension, "cable_length": length}
+        problem = {"team": team, "start": start, "mission": mission}
         try:
             plan = ho.solve(ho.problem_from_dict(problem))
             result = f"{plan.duration:.2f} s"
