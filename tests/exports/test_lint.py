@@ -277,6 +277,23 @@ def test_unknown_files_are_refused(files: dict[str, str], told: str, tmp_path: P
         lint(tmp_path)
 
 
+@pytest.mark.parametrize("head", ["duration,x^0\n", ""])
+@pytest.mark.parametrize(
+    ("degree", "told"),
+    [
+        (8, "holds polynomials of degree 8, 37 numbers in a line; drones take degree 7: fit"),
+        (5, "not 33"),
+    ],
+)
+def test_trajectories_of_other_degrees_are_named(
+    degree: int, told: str, head: str, tmp_path: Path
+) -> None:
+    line = ",".join(["1.0", *["0.0"] * (4 * (degree + 1))])
+    (tmp_path / "d0.csv").write_text(f"{head}{line}\n{line}\n")
+    with pytest.raises(FileError, match=told if head or degree == 8 else "no known format"):
+        lint(tmp_path)
+
+
 def test_bags_of_other_messages_and_slow_ones(tmp_path: Path) -> None:
     store, kind = message_types(), "std_msgs/msg/String"
     with Writer(tmp_path / "bag", version=9) as bag:

@@ -135,6 +135,7 @@ POWERS = tuple(f"{axis}^{i}" for axis in ("x", "y", "z", "yaw") for i in range(D
 HEADER = ",".join(("duration", *POWERS))
 PIECE_BYTES = 4 * (1 + len(POWERS))  # Size of a piece in the drone's memory [B]
 MAX_PIECES = BYTES // PIECE_BYTES  # Number of pieces in a drone's memory: 31
+MAX_NAMED_DEGREE = 12  # Largest degree that messages name
 MIN_ROWS = 2  # Minimum number of rows of a file, for the reader of Crazyswarm2
 LANDED = 0.04  # Height at which landing stops the motors [m], unless drones hover below it
 
@@ -150,7 +151,7 @@ class Crazyswarm2(CrazyflieFormat):
 
     name = "crazyswarm2"
     file = "{name}.csv"
-    header = r"duration|([^,]*,){32}[^,]*$"  # or any 33 columns
+    header = r"duration|([^,]*,){32}(([^,]*,){4})?[^,]*$"  # or any 33 columns, or 37 of degree 8
     endings = several = (".csv",)
     kind = POLY
     smooth = 2
@@ -193,8 +194,7 @@ class Crazyswarm2(CrazyflieFormat):
             text = list(text_lines(path))
         rows = numeric_table(text.copy, str(path), first=2)  # readers skip one line
         if rows.width != 1 + len(POWERS):
-            reason = f"has {rows.width} numbers in a line, not {1 + len(POWERS)}; {COMMA_REMEDY}"
-            raise FileError(f"{path}: {reason}")
+            raise FileError(f"{path}: {_width_error(rows.width)}")
         table = rows.numbers(range(rows.width))
         with np.errstate(over="ignore"):  # reported below
             table = table.astype(np.float32).astype(np.float64)
@@ -226,6 +226,15 @@ class Crazyswarm2(CrazyflieFormat):
         curve = PiecewisePolynomial(curves.breaks, curves.coefficients[:, :3])
         frame, size = text[0].partition("frame:")[2].strip(), len(table) * PIECE_BYTES
         return Trajectory(path.stem, curve, size, frame, tuple(findings))
+
+
+def _width_error(width: int) -> str:
+    """Return the reason why lines of a number of cells are no pieces of a trajectory."""
+    degree, rest = divmod(width - 5, 4)  # A duration, and coefficients of x, y, z and yaw
+    if rest == 0 and DEGREE < degree <= MAX_NAMED_DEGREE:
+        what = f"holds polynomials of degree {degree}, {width} numbers in a line"
+        return f"{what}; drones take degree {DEGREE}: fit the trajectory again with that degree"
+    return f"has {width} numbers in a line, not {1 + len(POWERS)}; {COMMA_REMEDY}"
 
 
 def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> None:

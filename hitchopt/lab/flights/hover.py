@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import combinations_with_replacement
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -257,17 +258,56 @@ def calibrate_hover(
     return HoverCalibration(drones, notes)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Rest:
-    """A settled part: its times, trims in the world and the body's frame, and their error."""
+    """A settled part of a hover, or a part in motion whose trim is fitted.
+
+    Attributes
+    ----------
+    hover: the drone's hover.
+    source: where the set point is known from, as in ``DroneHover.set_point``.
+    mask: (times,), the part's samples.
+    world, body: trims (2,) in the world, and in the body's frame at yaw 0 [m].
+    yaw: mean yaw [rad].
+    error: standard error of the trims [m].
+    """
 
     hover: HoverSeries
     source: str
     mask: NDArray[np.bool_]
-    world: Array  # (2,) [m]
-    body: Array  # (2,) [m]
-    yaw: float  # [rad]
-    error: float  # [m]
+    world: Array
+    body: Array
+    yaw: float
+    error: float
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return int(np.sum(self.mask))
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s]."""
+        return self.samples / RATE
+
+    @property
+    def in_motion(self) -> bool:
+        return self.source == IN_MOTION
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the level position [m]."""
+        places = self.hover.x[self.mask, :2]
+        return float(np.sqrt(np.sum(np.var(places, axis=0))))
+
+    @property
+    def tilt(self) -> Array:
+        """Mean tilt (2,) in the body's frame at yaw 0; nan if it is not known."""
+        return self.hover.tilt(self)
+
+    def trim(self, frame: str) -> Array:
+        """Return the trim (2,) in a frame, ``body`` or ``world`` [m]."""
+        return self.body if frame == "body" else self.world
 
 
 class HoverSeries:
@@ -456,99 +496,144 @@ class HoverSeries:
 
 
 def _drone(name: str, hovers: Sequence[HoverSeries], known: Mapping[str, float]) -> DroneHover:
-    """Return what hovers tell of a drone, without the trims that all drones' tilts lead to expect.
+    """Return the findings about a drone, but for the trims that all drones' tilts lead to expect.
 
     Raises InputError for trims that differ by more than their errors.
     """
-    parts = [rest for hover in hovers for rest in (*hover.rests(), *hover.response(known))]
+    parts = [part for hover in hovers for part in (*hover.rests(), *hover.response(known))]
     if not parts:
-        known_points = any(np.isfinite(hover.set_point[:, 0]).any() for hover in hovers)
-        reason = "it is never at rest in flight" if known_points else "its set point is unknown"
-        remedy = "hover for ten seconds" if known_points else "record commands, or from the ground"
-        if not any(hover.flying.any() for hover in hovers):
-            reason = "it does not fly"
-        lags = [hover.lag(None) for hover in hovers]
-        lag, error = next((each for each in lags if not math.isnan(each[0])), lags[0])
-        return DroneHover(name, lag=lag, lag_error=error, remarks=(f"{reason}; {remedy}",))
-    worst = {
-        frame: max(((_ratio(a, b, frame), a, b) for a in parts for b in parts), key=itemgetter(0))
-        for frame in ("body", "world")
-    }
-    yaws, fixed_to = np.degrees(np.unwrap([rest.yaw for rest in parts])), ""
-    if np.ptp(yaws) > TURNED:
-        fixed_to = min(worst, key=lambda frame: worst[frame][0])
-    frame = fixed_to or "body"
-    _refuse_changed(name, frame, *worst[frame])
-    trim, error = _combined(parts, frame)
-    at_rest = [rest for rest in parts if rest.source != IN_MOTION]
-    places = [rest.hover.x[rest.mask, :2] for rest in at_rest]
-    spreads = [float(np.sqrt(np.sum(np.var(x, axis=0)))) for x in places]
-    tilts = np.stack([rest.hover.tilt(rest) for rest in at_rest or parts])
-    times = np.array([float(np.sum(rest.mask)) for rest in at_rest or parts])
-    times[np.isnan(tilts[:, 0])] = 0.0
-    tilt = times @ np.nan_to_num(tilts) / np.sum(times) if np.any(times) else np.full(2, np.nan)
-    longest = max(at_rest or parts, key=lambda rest: int(np.sum(rest.mask)))
-    hovers = [hover for hover in hovers if any(rest.hover is hover for rest in parts)]
-    remarks = list[str]()
-    if any(hover.estimated for hover in hovers) and not np.isnan(tilt[0]):
-        remarks.append("the tilt is the one that the drone estimates")
-    if all(np.isnan(hover.axis).all() for hover in hovers):
-        remarks.append("no attitude is recorded: yaw is taken as 0")
-    thrust_factor, thrust_error = _thrust_factor(at_rest, known.get("mass"))
-    if math.isnan(thrust_factor) and any(hover.thrust is not None for hover in hovers):
-        remarks.append("thrust factors need mass=")
-    lags = [lag for lag in (hover.lag(trim) for hover in hovers) if not math.isnan(lag[0])]
-    lag, lag_error = min(lags, key=lambda each: each[1], default=(math.nan, math.nan))
-    expected_lag = math.nan
-    if {"kp", "kd"} <= set(known):
-        expected_lag = 0.0 if any(hover.moving for hover in hovers) else known["kd"] / known["kp"]
-    tubes = [hover.tracking(trim, [x for x in parts if x.hover is hover]) for hover in hovers]
+        return _restless_drone(name, hovers)
+    frame, fixed_to = _frame_of_trims(name, parts)
+    trim, trim_error = _mean_trim(parts, frame)
+    settled = [part for part in parts if not part.in_motion]
+    shown = settled or parts  # Parts that show the drone's tilt and yaw
+    tilt, longest = _mean_tilt(shown), max(shown, key=lambda part: part.samples)
+    used = [hover for hover in hovers if any(part.hover is hover for part in parts)]
+    thrust_factor, thrust_error = _thrust_factor(settled, known.get("mass"))
+    lag, lag_error = _best_lag(used, trim)
     return DroneHover(
         name,
         (float(trim[0]), float(trim[1])),
-        error,
+        trim_error,
         longest.source,
-        sum(float(np.sum(rest.mask)) / RATE for rest in at_rest),
+        sum(part.seconds for part in settled),
         (float(tilt[0]), float(tilt[1])),
         math.degrees(math.atan(math.hypot(*tilt))),
         fixed_to=fixed_to,
-        spread=max(spreads, default=math.nan),
+        spread=max((part.spread for part in settled), default=math.nan),
         yaw_deg=math.degrees(longest.yaw),
         thrust_factor=thrust_factor,
         thrust_factor_error=thrust_error,
         lag=lag,
         lag_error=lag_error,
-        expected_lag=expected_lag,
-        tracking={axis: max(tube[axis] for tube in tubes) for axis in ("level", "height")},
-        remarks=tuple(remarks),
+        expected_lag=_expected_lag(used, known),
+        tracking=_largest_tracking(used, parts, trim),
+        remarks=tuple(_remarks(used, tilt, thrust_factor)),
     )
 
 
-def _refuse_changed(name: str, frame: str, ratio: float, *rests: _Rest) -> None:
-    """Raise InputError for two trims in a frame that differ by more than their errors."""
-    if ratio <= MAX_RATIO:
-        return
-    trims = [(100.0 * getattr(rest, frame)).tolist() for rest in rests]
-    pairs = zip(trims, rests, strict=True)
-    places = [f"[{x:.1f}, {y:.1f}] cm in {rest.hover.label}" for (x, y), rest in pairs]
-    errors = " and ".join(f"{100.0 * rest.error:.1f}" for rest in rests)
+def _restless_drone(name: str, hovers: Sequence[HoverSeries]) -> DroneHover:
+    """Return a drone that is never at rest in flight with a known set point; it may have a lag."""
+    if not any(hover.flying.any() for hover in hovers):
+        reason, remedy = "it does not fly", "hover for ten seconds"
+    elif any(np.isfinite(hover.set_point[:, 0]).any() for hover in hovers):
+        reason, remedy = "it is never at rest in flight", "hover for ten seconds"
+    else:
+        reason, remedy = "its set point is unknown", "record commands, or from the ground"
+    lags = [hover.lag(None) for hover in hovers]
+    lag, error = next((each for each in lags if not math.isnan(each[0])), lags[0])
+    return DroneHover(name, lag=lag, lag_error=error, remarks=(f"{reason}; {remedy}",))
+
+
+def _frame_of_trims(name: str, parts: Sequence[_Rest]) -> tuple[str, str]:
+    """Return the frame in which trims agree best, and the same if turns of the drone show it.
+
+    Raises InputError if trims differ in this frame by more than their errors.
+    """
+    pairs = list(combinations_with_replacement(parts, 2))
+    farthest = {
+        frame: max(pairs, key=lambda pair: _ratio(*pair, frame=frame))
+        for frame in ("body", "world")
+    }
+    yaws = np.degrees(np.unwrap([part.yaw for part in parts]))
+    has_turned = np.ptp(yaws) > TURNED
+    frame = "body"
+    if has_turned:
+        frame = min(farthest, key=lambda frame: _ratio(*farthest[frame], frame=frame))
+    first, second = farthest[frame]
+    if _ratio(first, second, frame=frame) > MAX_RATIO:
+        raise _changed_trim(name, frame, first, second)
+    return frame, frame if has_turned else ""
+
+
+def _ratio(first: _Rest, second: _Rest, *, frame: str) -> float:
+    """Return the distance of two trims over its standard error."""
+    error = math.hypot(first.error, second.error, math.sqrt(2.0) * REPEATABILITY)
+    return float(math.dist(first.trim(frame), second.trim(frame))) / error
+
+
+def _changed_trim(name: str, frame: str, *parts: _Rest) -> InputError:
+    """Return the error for two trims in a frame that differ by more than their errors."""
+    places = list[str]()
+    for part in parts:
+        x, y = (100.0 * part.trim(frame)).tolist()
+        places.append(f"[{x:.1f}, {y:.1f}] cm in {part.hover.label}")
+    errors = " and ".join(f"{100.0 * part.error:.1f}" for part in parts)
     bound = f"equal within {MAX_RATIO:g} standard errors, of {errors} cm"
     remedy = "its rigid body was redefined, or it was bent, in between: calibrate the last hover"
-    raise InputError(f"trim of {name}", f"{places[0]}, but {places[1]}", bound, remedy)
+    return InputError(f"trim of {name}", f"{places[0]}, but {places[1]}", bound, remedy)
 
 
-def _combined(parts: Sequence[_Rest], frame: str) -> tuple[Array, float]:
-    """Return the mean trim (2,) in a frame, and its standard error [m]."""
-    trims = np.stack([getattr(rest, frame) for rest in parts])
-    weights = np.array([1.0 / rest.error**2 for rest in parts])
+def _mean_trim(parts: Sequence[_Rest], frame: str) -> tuple[Array, float]:
+    """Return the mean trim (2,) in a frame, weighed by errors, and its standard error [m]."""
+    trims = np.stack([part.trim(frame) for part in parts])
+    weights = np.array([1.0 / part.error**2 for part in parts])
     mean = weights @ trims / np.sum(weights)
     return mean, math.hypot(1.0 / math.sqrt(float(np.sum(weights))), REPEATABILITY)
 
 
-def _ratio(a: _Rest, b: _Rest, frame: str) -> float:
-    """Return the distance of two trims over its standard error."""
-    error = math.hypot(a.error, b.error, math.sqrt(2.0) * REPEATABILITY)
-    return float(math.dist(getattr(a, frame), getattr(b, frame))) / error
+def _mean_tilt(parts: Sequence[_Rest]) -> Array:
+    """Return the mean tilt (2,) over the time in which it is known; nan if it never is."""
+    tilts = np.stack([part.tilt for part in parts])
+    is_known = np.isfinite(tilts[:, 0])
+    if not np.any(is_known):
+        return np.full(2, np.nan)
+    samples = np.array([part.samples for part in parts], np.float64)
+    return np.asarray(np.average(tilts[is_known], axis=0, weights=samples[is_known]))
+
+
+def _best_lag(hovers: Sequence[HoverSeries], trim: Array) -> tuple[float, float]:
+    """Return the lag with the smallest standard error, and that error [s]; nan if there is none."""
+    lags = [hover.lag(trim) for hover in hovers]
+    known = [(lag, error) for lag, error in lags if not math.isnan(lag)]
+    return min(known, key=itemgetter(1), default=(math.nan, math.nan))
+
+
+def _expected_lag(hovers: Sequence[HoverSeries], known: Mapping[str, float]) -> float:
+    """Return the lag by the gains [s]: 0 where velocities are commanded too; nan without gains."""
+    if not {"kp", "kd"} <= set(known):
+        return math.nan
+    return 0.0 if any(hover.moving for hover in hovers) else known["kd"] / known["kp"]
+
+
+def _largest_tracking(
+    hovers: Sequence[HoverSeries], parts: Sequence[_Rest], trim: Array
+) -> dict[str, float]:
+    """Return the largest distances from set points plus trim, level and in height [m]."""
+    tubes = [
+        hover.tracking(trim, [part for part in parts if part.hover is hover]) for hover in hovers
+    ]
+    return {axis: max(tube[axis] for tube in tubes) for axis in ("level", "height")}
+
+
+def _remarks(hovers: Sequence[HoverSeries], tilt: Array, thrust_factor: float) -> Iterator[str]:
+    """Yield what is not determined, or estimated by the drone."""
+    if any(hover.estimated for hover in hovers) and not np.isnan(tilt[0]):
+        yield "the tilt is the one that the drone estimates"
+    if all(np.isnan(hover.axis).all() for hover in hovers):
+        yield "no attitude is recorded: yaw is taken as 0"
+    if math.isnan(thrust_factor) and any(hover.thrust is not None for hover in hovers):
+        yield "thrust factors need mass="
 
 
 def _thrust_factor(parts: Sequence[_Rest], mass: float | None) -> tuple[float, float]:
