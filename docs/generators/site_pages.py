@@ -5,7 +5,7 @@ from __future__ import annotations
 from generators.check_facts import write_check_facts, write_formulas
 from generators.gallery_page import write_gallery
 from generators.problem_collection import ROOT
-from generators.schema_page import write_schema_page
+from generators.schema_page import write_schema_page, write_study_page
 from generators.script_page import write_script_page
 
 DOCS = ROOT / "docs"
@@ -16,6 +16,7 @@ INCLUDED = "```{{include}} ../../../benchmarks/results/{}\n:relative-images:\n``
 def write_pages() -> None:
     """Write generated pages whose text has changed, so that others are not rebuilt."""
     texts = {DOCS / "reference/generated/problem_file.md": write_schema_page(), **write_gallery()}
+    texts[DOCS / "reference/generated/study_file.md"] = write_study_page()
     texts[DOCS / "reference/generated/formulas.md"] = write_formulas()
     texts[DOCS / "how_to/generated/scripts.md"] = write_script_page()
     for name, text in write_check_facts().items():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,8 @@ import click
 from hitchopt.cli import main
 from hitchopt.cli.output import output
 from hitchopt.errors import InputError
+from hitchopt.values import FLAG, closest_word
+from hitchopt.values.fields import Key
 
 
 class NonEmptyPath(click.Path):
@@ -54,6 +56,51 @@ def option(
     elif value is False:
         settings["is_flag"] = True
     return click.Option(names.split(), **settings, **more)
+
+
+def key_option(names: str, key: Key, metavar: str | None = None) -> click.Option:
+    """Return the option for a key of a record, whose default is left to the record.
+
+    Flags have two names, such as ``--upload/--stream``, to be set and unset.
+    """
+    description = f"{key.described(key.kind)}.".replace("null:", "default:")
+    if key.kind.forms == (FLAG,):
+        return option(names, description, None)
+    if choices := key.kind.schema.get("enum"):
+        return option(names, description, str, choices=choices)
+    kind = int if key.kind.schema["type"] == "integer" else float
+    return option(names, description, kind, metavar or key.kind.unit.upper())
+
+
+def assignment_option(name: str, description: str, keys: Mapping[str, Key]) -> click.Option:
+    """Return the option for values of keys, ``KEY=VALUE``, that may be given several times.
+
+    Its value is a mapping of fields to values.
+    """
+    meanings = {name: key.described(key.kind) for name, key in keys.items()}
+    listed = "; ".join(
+        f"{name}: {meaning[0].lower()}{meaning[1:].replace('; null:', ', by default')}"
+        for name, meaning in meanings.items()
+    )
+
+    def assigned(_: click.Context, option: click.Parameter, pairs: Sequence[str]) -> dict[str, Any]:
+        return dict(_assignment(option.opts[0], pair, keys) for pair in pairs)
+
+    words = f"{description} Keys are {listed}."
+    return option(name, words, str, "KEY=VALUE", multiple=True, callback=assigned)
+
+
+def _assignment(option: str, pair: str, keys: Mapping[str, Key]) -> tuple[str, Any]:
+    """Return the field and the value of a text ``KEY=VALUE`` of an option."""
+    from hitchopt.storage.yaml_file import parse_yaml  # heavy
+
+    name, equals, value = pair.partition("=")
+    name = name.strip().replace("-", "_")
+    if not equals:
+        raise InputError(option, pair, "KEY=VALUE", f"write {next(iter(keys))}=0.1")
+    if name not in keys:
+        raise InputError(option, name, "a known key", closest_word(name, list(keys)))
+    return name, keys[name].from_file(f"{option} {name}", parse_yaml(value, option))
 
 
 def width_option(of: str) -> click.Option:

@@ -487,13 +487,13 @@ def _title(path: Path) -> str:
 
 def problem_text(path: Path) -> str:
     """Return the text of a problem file with its modeline and the filled-in template."""
-    from hitchopt.mission.template import expand_sections
+    from hitchopt.mission.template import expand_sections, key_lines
 
     text = path.read_text(encoding="utf-8")
     if path.stem != f"template_{STUDY}":
         return MODELINE + expand_sections(text)
-    keys = import_module("hitchopt.lab.sweeps.study").SimulateKeys
-    return expand_sections(text, simulate=(keys, "#  ", ()))
+    keys = import_module("hitchopt.lab.sweeps.study").simulate_keys()
+    return expand_sections(text, simulate=key_lines(keys, "#  "))
 
 
 def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES) -> Path:

@@ -116,6 +116,11 @@ def within_usual(kind: Kind, usual: float, typical: float) -> Kind:
     return replace(kind, check=check)
 
 
+def deviation(largest: float) -> Kind:
+    """Return the kind of relative errors; larger numbers are probably percentages."""
+    return quantity("", (0.0, largest), (0.0, largest), (("per cent", 1e-2),))
+
+
 DEGREE = math.pi / 180.0  # One degree [rad]
 MAX_WALL = 1e5  # [m] Largest coordinate of an arena's walls, which may be far away
 
@@ -134,13 +139,17 @@ LOAD = quantity("kg", (0.0, 100.0), (0.0, 1e4), GRAMS)
 THRUST = quantity("N", (0.05, 5e3), (1e-4, 1e6), GRAMS_OF_FORCE)
 TENSION = quantity("N", (0.002, 500.0), (1e-6, 1e6), GRAMS_OF_FORCE)
 DENSITY = quantity("kg/m", (0.0, 1.0), (0.0, 100.0), (("grams per metre", 1e-3),))
+LIGHT_DENSITY = quantity("kg/m", (0.0, 1.0), (TINY, 100.0), (("grams per metre", 1e-3),))
 FRICTION = quantity("", (0.0, 3.0), (0.0, 1e9), (("per cent", 1e-2),))
 STIFFNESS = quantity("N/m", (0.01, 1e5), (1e-6, 1e9), (("N/mm", 1e3),))
+FORCE = quantity("N", (0.0, 500.0), (0.0, 1e6), GRAMS_OF_FORCE)
+DRAG = quantity("N s/m", (0.0, 10.0), (0.0, 1e3))
 DAMPING = quantity("N s/m", UNBOUNDED)
 INTEGRAL = quantity("N/(m s)", UNBOUNDED, (0.0, HUGE))
 SPEED = quantity("m/s", (1e-3, 100.0), (TINY, 1e5), (("mm/s", 1e-3), ("cm/s", 1e-2)))
 ACCELERATION = quantity("m/s²", (1e-3, 200.0), (TINY, 1e6), (("mm/s²", 1e-3), ("cm/s²", 1e-2)))
 JERK = quantity("m/s³", (1e-3, 1e4), (TINY, 1e9), (("mm/s³", 1e-3), ("cm/s³", 1e-2)))
+SPEED_OR_ZERO = quantity("m/s", (0.0, 100.0), (0.0, 1e5), (("mm/s", 1e-3), ("cm/s", 1e-2)))
 LEG = quantity("m", (1e-3, 20.0), (TINY, 1e4), LENGTHS)
 ELLIPSOID = quantity("m", (0.01, 10.0), (TINY, 1e4), LENGTHS)
 DISTANCE = quantity("m", (0.0, 10.0), (0.0, 1e4), LENGTHS)
@@ -159,6 +168,7 @@ COORDINATE = quantity("m", UNBOUNDED, (-HUGE, HUGE))
 DURATION = quantity("s", (1e-3, 1e5), (TINY, 1e9), (("milliseconds", 1e-3),))
 START_TIME = quantity("s", (0.0, 1e5), (0.0, 1e9), (("milliseconds", 1e-3),))
 LATENCY = quantity("s", (1e-3, 1.0), (0.0, 10.0), (("milliseconds", 1e-3),))
+DELAY = quantity("s", (0.0, 1.0), (0.0, 10.0), (("milliseconds", 1e-3),))
 SHARE = quantity("", UNBOUNDED, (TINY, 1.0))
 THRUST_FACTOR = quantity("", (0.5, 2.0), (0.1, 10.0), (("per cent", 1e-2),))
 RIGHT_ANGLE = 0.5 * math.pi

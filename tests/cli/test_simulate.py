@@ -8,15 +8,19 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import click
 import numpy as np
 import pytest
 from commands import run
 
 import hitchopt as ho
+from hitchopt.cli import main
 from hitchopt.lab.cli.simulating import spread_text
 from hitchopt.lab.simulation.judgement import Spread
+from hitchopt.lab.simulation.settings import perturbation_keys, settings_of
 from hitchopt.lab.statics.files import statics_content
 from hitchopt.storage.files import strict_json
+from hitchopt.storage.yaml_file import parse_yaml
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -96,7 +100,17 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
 
 @pytest.mark.slow
 def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
-    options = ["--runs", "1", "--processes", "1", "--seed", "7", "--perturbed", "--noise", "0"]
+    options = [
+        "--runs",
+        "1",
+        "--processes",
+        "1",
+        "--seed",
+        "7",
+        "--perturbed",
+        "--perturb",
+        "noise=0",
+    ]
     result = run("simulate", solved, "-o", "campaign", *options, code=0)
     rate = "1 of 1 flights succeeded: 100.0% (20.7% to 100.0% at 95 %), seeds 7 to 7"
     assert rate in result.stdout
@@ -136,13 +150,23 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
     [
         ("simulate --preset fine", "'fine' is not one of 'fast', 'accurate'"),
         ("simulate --preste fast", "No such option"),
-        ("simulate --noise -1", "noise = -1.0: must be at least 0"),
-        ("simulate --stiffness 0", "stiffness = 0.0: must be"),
-        ("simulate --cable-error 0.5", "--cable-error = 0.5: must be at most 0.1"),
-        ("simulate --friction -0.1", "friction = -0.1: must be at least 0"),
-        ("simulate --lag nan", "lag = nan"),
-        ("simulate --stiffness 60", "is unstable, as its thrust lags; lower it"),
-        ("simulate --density 0.00001", "density = 1e-05: must be at least"),
+        ("simulate --perturb noise=-1", "--perturb noise = -1: must be at least 0"),
+        ("simulate --perturb stiffness=0", "--perturb stiffness = 0: must be"),
+        (
+            "simulate --perturb cable_error=0.5",
+            "cable_error = 0.5: must be from 0 to 0.1; if per cent",
+        ),
+        ("simulate --perturb friction=-0.1", "friction = -0.1: must be at least 0"),
+        ("simulate --perturb lag=.nan", "lag = nan"),
+        ("simulate --perturb lag=late", "--perturb lag = 'late': must be a number"),
+        (
+            "simulate --perturb wnd=0.1",
+            "--perturb = 'wnd': must be a known key; did you mean wind?",
+        ),
+        ("simulate --perturb wind", "--perturb = 'wind': must be KEY=VALUE; write noise=0.1"),
+        ("simulate --perturb wind=[", "--perturb:1:"),
+        ("simulate --perturb stiffness=60", "is unstable, as its thrust lags; lower it"),
+        ("simulate --perturb density=0.00001", "density = 1e-05: must be at least"),
         ("simulate --runs 0", "runs = 0: must be at least 1; give 1 or more"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("statics --at -1", "t = "),
@@ -159,6 +183,28 @@ def test_invalid_options_end_with_2(solved: Path, words: str, told: str) -> None
     assert told in run(command, solved, *place, *options, code=2).stderr
     assert {path.name for path in solved.iterdir()} == before
     assert not Path("x").exists()
+
+
+VALUES = {"downwash": "false", "lag": "0.05", "rotor_drag": "0.01", "friction": "0.2"}
+"""Values in texts of keys of --perturb; 0.07 of others."""
+
+
+def test_every_perturbation_is_a_key_of_the_option(solved: Path) -> None:
+    """Several are set at once, with hyphens or underscores."""
+    keys = perturbation_keys()
+    texts = {name: VALUES.get(name, "0.07") for name in keys}
+    options = [f"--perturb={name.replace('_', '-')}={text}" for name, text in texts.items()]
+    command = main.get_command(click.Context(main), "simulate")
+    assert command is not None
+    context = command.make_context("simulate", [str(solved), "--perturbed", *options])
+    given = context.params["perturb"]
+    assert given == {name: parse_yaml(text) for name, text in texts.items()}
+    settings = settings_of("fast", perturbed=True, **given)
+    for name, value in given.items():
+        record = settings.perturbations if hasattr(settings.perturbations, name) else settings
+        assert getattr(record, name) == value
+    (option,) = (each for each in command.params if each.name == "perturb")
+    assert all(f"{name}: " in (getattr(option, "help", "") or "") for name in keys)
 
 
 REAL = "--cable-length 2.39,2.41,2.4 --density 0.004 --load 0.002 --stiffness 8"

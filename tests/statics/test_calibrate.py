@@ -499,7 +499,9 @@ def test_vertices_are_estimated_from_markers_first() -> None:
 
 @pytest.mark.slow
 def test_a_simulated_flight_is_calibrated_from_its_files(plan_folder: Path) -> None:
-    simulated = run("simulate", plan_folder, "--stiffness", "6", "--density", "0.012")
+    simulated = run(
+        "simulate", plan_folder, "--perturb", "stiffness=6", "--perturb", "density=0.012"
+    )
     assert simulated.exit_code == 0, simulated.output
     result = ho.calibrate(plan_folder / "simulation")  # the plan is in the parent folder
     assert result.density == 0.012

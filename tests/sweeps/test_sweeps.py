@@ -19,6 +19,7 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.lab.simulation.settings import ESTIMATORS, flight_keys, settings_of
 from hitchopt.lab.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
 from hitchopt.lab.sweeps.sweep import (
     PICTURE,
@@ -94,6 +95,46 @@ def test_values_are_set_in_a_copy() -> None:
 def test_invalid_studies_are_refused_by_key(change: dict[str, Any], words: str) -> None:
     with pytest.raises(ho.HitchoptError, match=words):
         study_from_dict({"problem": PROBLEM, **change})
+
+
+FLIGHT: dict[str, Any] = {
+    "noise": 0.02, "velocity_noise": 0.05, "wind": 0.1, "steady_wind": 0.02, "lag": 0.04,
+    "cable_error": 0.01, "start_error": 0.03, "downwash": False, "vertex_noise": 0.004,
+    "vertex_delay": 0.03, "object_mass": 0.2, "object_friction": 0.3, "object_place": 0.01,
+    "rotor_drag": 0.02, "seed": 3, "friction": 0.2, "density": 0.01, "stiffness": 6.0,
+    "pull_test": False, "feedback": False, "controller": "lee", "gains": {"kp": 3.0},
+    "estimator": "crazyflie", "upload": True, "latency": 0.02,
+    "as_calibrated": {"q0": {"trim": [0.01, 0.0]}},
+}  # fmt: skip
+"""A value of every key of simulated flights."""
+
+
+def test_studies_take_all_settings_of_simulated_flights() -> None:
+    assert set(FLIGHT) == set(flight_keys())
+    (case,) = study_from_dict({"problem": PROBLEM, "simulate": FLIGHT}).cases()
+    assert case.simulate is not None
+    assert len(case.digest) == 64
+    keys: dict[str, Any] = {**case.simulate, "seed": case.seed}
+    settings = settings_of(**keys)
+    for name, value in FLIGHT.items():
+        record = settings.perturbations if hasattr(settings.perturbations, name) else settings
+        expected = {"gains": ho.Gains(3.0), "estimator": ESTIMATORS["crazyflie"]}.get(name, value)
+        assert getattr(record, name) == expected, name
+
+
+@pytest.mark.parametrize("name", sorted(FLIGHT.keys() - {"seed"}))
+def test_every_setting_of_a_flight_is_a_parameter(name: str) -> None:
+    values = {f"simulate.{name}": [None, FLIGHT[name]]}
+    given = {"problem": PROBLEM, "parameters": values, "simulate": {}}
+    simulated = [case.simulate or {} for case in study_from_dict(given).cases()]
+    assert [keys[name] for keys in simulated] == [None, FLIGHT[name]]
+
+
+@pytest.mark.parametrize("name", sorted(FLIGHT.keys() - {"as_calibrated"}))
+def test_settings_of_flights_are_checked_by_key(name: str) -> None:
+    given = {"problem": PROBLEM, "simulate": {name: [-1]}}
+    with pytest.raises(ho.InputError, match=rf"^simulate\.{name} = \[-1\]: must be "):
+        study_from_dict(given)
 
 
 def test_cases_have_digests_of_all_their_inputs() -> None:

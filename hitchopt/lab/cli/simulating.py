@@ -10,20 +10,31 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, option, picture_options, plan_path, width_option
+from hitchopt.cli.options import (
+    PATH,
+    assignment_option,
+    command,
+    key_option,
+    option,
+    picture_options,
+    plan_path,
+    width_option,
+)
 from hitchopt.cli.output import ProgressBar, known_text, quantities, say, span_text, table
 from hitchopt.errors import InputError
+from hitchopt.lab.simulation.settings import Settings, perturbation_keys
+from hitchopt.values.fields import keys_of
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from hitchopt.lab.simulation.judgement import Spread
     from hitchopt.lab.simulation.report import Simulation
-    from hitchopt.lab.simulation.settings import Settings
     from hitchopt.lab.simulation.task import Task
     from hitchopt.lab.sweeps.campaign import Campaign
     from hitchopt.lab.sweeps.sweep import Summary
 
+KEYS = keys_of(Settings)  # Keys of settings, which some options set
 RESULTS = "simulation"  # Default directory of the results, in DIR
 OBJECT_COLUMNS = ("name", "placed", "tilted", "turned", "slipped", "free")
 # Errors of all vertices, and their labels
@@ -47,7 +58,7 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         choices=("fast", "accurate"),
     ),
     option("--runs", "Simulate N flights, with seeds S, S+1, ….", int, "N"),
-    option("--seed", "Random seed.", 0, "S"),
+    key_option("--seed", KEYS["seed"], "S"),
     option("--processes", "Processes; by default all processors.", int, "P"),
     option(
         "--perturbed",
@@ -55,59 +66,15 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         "0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place;"
         " or as given. The team's cable friction always acts.",
     ),
-    option("--noise", "Error of measured positions per axis [m].", float, "M"),
-    option("--velocity-noise", "Error of velocities per axis [m/s].", float, "M/S"),
-    option("--wind", "Force of gusts on every drone [N].", float, "N"),
-    option("--steady-wind", "Constant level force on drones [N].", float, "N"),
-    option("--lag", "Time constant of the thrust [s].", float, "S"),
-    option("--vertex-noise", "Error of measured vertices per axis [m].", float, "M"),
-    option("--vertex-delay", "Age of measured vertices [s].", float, "S"),
-    option("--cable-error", "Relative error of cable lengths.", float, "X"),
-    option("--start-error", "Error of starts per axis [m].", float, "M"),
-    option("--downwash/--no-downwash", "Whether drones push down those below them.", None),
-    option("--object-mass", "Largest error of objects' masses.", float, "X"),
-    option("--object-friction", "Largest error of objects' friction, relative.", float, "X"),
-    option("--object-place", "Largest error of objects' places [m].", float, "M"),
-    option("--stiffness", "Position-loop stiffness (default: the team's).", float, "N/M"),
-    option("--friction", "Cable friction (default: the team's).", float, "MU"),
-    option(
-        "--density",
-        "Cable density (default: the team's; for weightless cables the lightest that holds).",
-        float,
-        "KG/M",
+    assignment_option(
+        "--perturb",
+        "Value of a disturbance, or of a parameter of the plan, such as wind=0.1; may be repeated.",
+        perturbation_keys(),
     ),
-    option(
-        "--controller",
-        "mellinger, lee, pid, px4 or ideal, a simplified one (default: the controller of the "
-        "team's drones, with its filter and exported files). Gains are the team's if it names "
-        "this controller, else the stiffest that fly.",
-        str,
-        "NAME",
-    ),
-    option(
-        "--estimator",
-        "State estimator: exact states but for --noise and --velocity-noise; a Crazyflie's "
-        "filter on motion capture (100 Hz, 1 mm, --latency) and an IMU, as exports set it; or "
-        "with the firmware's parameters for rigid bodies or for one marker (default: crazyflie "
-        "for a Crazyflie's controller of the team, else ideal).",
-        str,
-        choices=("ideal", "crazyflie", "firmware", "one_marker"),
-    ),
-    option(
-        "--latency",
-        "Delay of motion capture and streamed setpoints, with such a filter (default: the "
-        "team's, or 0.01).",
-        float,
-        "SECONDS",
-    ),
-    option(
-        "--upload/--stream",
-        "Fly exported files, which hold the tension by offsets if the controller has no "
-        "integral, or streamed setpoints (default: files if the team's controller holds the "
-        "tension with them).",
-        None,
-    ),
-    option("--rotor-drag", "Drag of drones over their speed.", float, "N·S/M"),
+    key_option("--controller", KEYS["controller"]),
+    key_option("--estimator", KEYS["estimator"]),
+    key_option("--latency", KEYS["latency"], "SECONDS"),
+    key_option("--upload/--stream", KEYS["upload"]),
     option(
         "--as-calibrated",
         "Trims, thrust factors and rotor drag (0.012 N s/m) of drones in FILE, which hitchopt "
@@ -115,7 +82,7 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         PATH,
         "FILE",
     ),
-    option("--feedback", "Correct setpoints by measured vertices, as ho.Feedback does."),
+    key_option("--feedback/--no-feedback", KEYS["feedback"]),
     option(
         "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
     ),
@@ -129,6 +96,7 @@ def simulate(
     processes: int | None,
     lose: str | None,
     as_calibrated: Path | None,
+    perturb: Mapping[str, Any],
     format: str,
     width: float | None,
     *,
@@ -156,7 +124,7 @@ def simulate(
         raise InputError("lose", lose, "of a single flight", "leave out --runs")
     if as_calibrated is not None:
         options["as_calibrated"] = read_calibrated(as_calibrated)
-    settings = settings_of(**options)
+    settings = settings_of(**options, **perturb)
     with ProgressBar("reading the plan"):
         task = read_task(directory)
     if lose is not None:

@@ -119,7 +119,7 @@ class Ropes:
         if self.largest_tension < needed:
             needed_density = self.density * needed / self.largest_tension
             bound = f"at least {needed_density:.3g} kg/m to bear {needed:.3g} N"
-            raise InputError("density", self.density, bound, "simulate heavier cables (--density)")
+            raise InputError("density", self.density, bound, "simulate heavier cables (density=)")
 
 
 def largest_tension(task: Task) -> float:

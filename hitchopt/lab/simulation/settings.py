@@ -1,11 +1,15 @@
-"""Settings of a simulated flight: resolution of the ropes, and disturbances."""
+"""Settings of a simulated flight: resolution of the ropes, and disturbances.
+
+Perturbations and settings declare their keys, from which the command line, studies and their pages
+follow.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch.flight_controller import (
@@ -16,20 +20,50 @@ from hitchopt.hitch.flight_controller import (
     EstimatorParameters,
     Gains,
 )
-from hitchopt.values import check_choice, nonnegative, positive
-
-# Largest relative deviations; larger numbers are probably percentages
-MAX_DEVIATIONS = {"cable_error": 0.1, "object_mass": 0.9, "object_friction": 0.9}
+from hitchopt.values import WORD, nonnegative
+from hitchopt.values.fields import (
+    ANYTHING,
+    FLAGS,
+    Key,
+    Kind,
+    Record,
+    integers,
+    keys_of,
+    mapping_of,
+    words,
+)
+from hitchopt.values.units import (
+    DELAY,
+    DISTANCE,
+    DRAG,
+    FORCE,
+    FRICTION,
+    LIGHT_DENSITY,
+    SPEED_OR_ZERO,
+    STIFFNESS,
+    deviation,
+)
 
 SHORT_LAG, MOTOR_LAG = 0.02, 0.03  # Time constants of the motors' thrust [s]
 IDEAL = "ideal"  # Name of the simplified controller, and of exact states in place of a filter
+MAX_SEED = 2**63 - 1
+
+ESTIMATORS: Mapping[str, EstimatorParameters | str] = {
+    IDEAL: IDEAL, "crazyflie": HELD, "firmware": FIRMWARE, "one_marker": ONE_MARKER
+}  # fmt: skip
+"""Estimators by name: exact states, the exported parameters, and the firmware's defaults with a
+rigid body or with one marker."""
 
 
-def _check(record: object, checked: Callable[[str, object], float], *names: str) -> None:
-    """Validate the named values of a frozen record, except None."""
-    for name in names:
-        if (value := getattr(record, name)) is not None:
-            object.__setattr__(record, name, checked(name, value))
+def _estimator(key: str, value: object) -> EstimatorParameters | str:
+    """Return parameters as they are, and a name of ESTIMATORS."""
+    if isinstance(value, EstimatorParameters):
+        return value
+    name: str = words(*ESTIMATORS).check(key, value)
+    return name
+
+
+ESTIMATOR = Kind((WORD,), _estimator, {"enum": [*ESTIMATORS]})
 
 
 @dataclass(frozen=True)
@@ -53,38 +87,43 @@ ACCURATE = Preset("accurate", 0.010, 0.012, 0.0004)
 PRESETS = {preset.name: preset for preset in (FAST, ACCURATE)}
 
 
-@dataclass(frozen=True)
-class Perturbations(OneLine):
+@dataclass(frozen=True, eq=False)
+class Perturbations(Record):
     """Disturbances that the plan does not model, all drawn from one seed.
 
     Errors are standard deviations, of vectors per axis; those of objects are the largest.
     """
 
-    noise: float = 0.0  # error of measured drone positions [m]
-    velocity_noise: float = 0.0  # error of measured velocities [m/s]
-    wind: float = 0.0  # root mean square of the gust force on a drone [N]
-    steady_wind: float = 0.0  # constant level force on every drone, in one random direction [N]
-    # time constant of the motors' thrust [s]; None: MOTOR_LAG of a flight controller, else
-    # SHORT_LAG, to which the attitude loop adds another 60 ms
-    lag: float | None = None
-    cable_error: float = 0.0  # error of the cable lengths, relative
-    start_error: float = 0.0  # error of the drones' start positions [m]
-    downwash: bool = False  # whether drones push down drones below them
-    # error of measured vertices, independent at every measurement [m], and their age when they
-    # arrive [s]; vertices are only measured for feedback
-    vertex_noise: float = 0.0
-    vertex_delay: float = 0.0
-    object_mass: float = 0.0  # error of objects' masses, relative
-    object_friction: float = 0.0  # error of objects' friction, relative
-    object_place: float = 0.0  # distance of movable objects from their planned positions [m]
-    # drag of drones over their speed [N s/m]; None: 0.012 of calibrated drones, else 0
-    rotor_drag: float | None = None
-
-    def __post_init__(self) -> None:
-        _check(self, nonnegative, *(name for name in vars(self) if name != "downwash"))
-        for name, most in MAX_DEVIATIONS.items():
-            if getattr(self, name) > most:
-                raise InputError(name, getattr(self, name), f"at most {most}", "give a fraction")
+    noise: Annotated[float, Key(DISTANCE, "Error of measured positions per axis")] = 0.0
+    velocity_noise: Annotated[float, Key(SPEED_OR_ZERO, "Error of velocities per axis")] = 0.0
+    wind: Annotated[float, Key(FORCE, "Root mean square of the gusts' force on a drone")] = 0.0
+    steady_wind: Annotated[float, Key(FORCE, "Constant level force on every drone")] = 0.0
+    lag: Annotated[
+        float | None,
+        Key(
+            DELAY,
+            f"Time constant of the motors' thrust; null: {MOTOR_LAG} s of a flight controller, "
+            f"else {SHORT_LAG} s, to which the attitude loop adds another 0.06 s",
+        ),
+    ] = None
+    cable_error: Annotated[float, Key(deviation(0.1), "Error of cable lengths, relative")] = 0.0
+    start_error: Annotated[float, Key(DISTANCE, "Error of starts per axis")] = 0.0
+    downwash: Annotated[bool, Key(FLAGS, "Whether drones push down those below them")] = False
+    vertex_noise: Annotated[
+        float, Key(DISTANCE, "Error of measured vertices per axis, for feedback")
+    ] = 0.0
+    vertex_delay: Annotated[float, Key(DELAY, "Age of measured vertices when they arrive")] = 0.0
+    object_mass: Annotated[
+        float, Key(deviation(0.9), "Largest error of objects' masses, relative")
+    ] = 0.0
+    object_friction: Annotated[
+        float, Key(deviation(0.9), "Largest error of objects' friction, relative")
+    ] = 0.0
+    object_place: Annotated[float, Key(DISTANCE, "Largest error of movable objects' places")] = 0.0
+    rotor_drag: Annotated[
+        float | None,
+        Key(DRAG, "Drag of drones over their speed; null: 0.012 of calibrated drones, else 0"),
+    ] = None
 
 
 CALM = Perturbations()
@@ -124,64 +163,105 @@ class Loss(OneLine):
         return cls(match[1], float(match[2]))
 
 
-@dataclass(frozen=True)
-class Settings(OneLine):
-    """Settings of one simulated flight; None is what the plan states."""
+@dataclass(frozen=True, eq=False)
+class Settings(Record):
+    """Settings of one simulated flight; None is what the plan states.
 
-    preset: Preset = FAST  # resolution of the ropes
-    perturbations: Perturbations = CALM  # disturbances
-    seed: int = 0  # of all random numbers
-    friction: float | None = None  # coefficient at the clasps
-    # cable density [kg/m]; None: the team's, or for cables without weight that of the lightest
-    # ropes that the preset holds. It is unknown to the drones
-    density: float | None = None
-    # of the drones' position loops [N/m]; None: the team's, or 36/s² times their masses for rigid
-    # drones
-    stiffness: float | None = None
-    pull_test: bool = True  # whether the flight ends with a pull test, if no drone is lost
-    lost: Loss | None = None  # loss of a drone; None: no loss
-    feedback: bool = False  # whether measured vertices correct setpoints, as ``Feedback`` does
-    # ``mellinger``, ``lee``, ``pid`` or ``px4``, or ``ideal``: a simplified one. None: that of the
-    # team's drones, with the filter and the setpoints of exports to it; ``ideal`` if they name
-    # none, or several
-    controller: str | None = None
-    # of its position loops; None: those of the team's drones with this controller, for others the
-    # stiffest stable ones
-    gains: Gains | Mapping[str, Any] | None = None
-    # state estimator from motion capture and IMU, in place of ``noise`` and ``velocity_noise``;
-    # ``ideal``: exact states with these errors. None: ``ideal`` if a controller is given or has
-    # another filter, else the Crazyflie's as exports set it
-    estimator: EstimatorParameters | str | None = None
-    # whether drones fly exported files, which hold the tension by offsets, or streamed setpoints.
-    # None: streamed if a controller is given, cannot hold the tension, or has no memory for the
-    # plan
-    upload: bool | None = None
-    # delay of motion capture, and of streamed setpoints, with an estimator [s]; None: that of the
-    # team's drones, or 0.01
-    latency: float | None = None
-    # what was measured on drones that fly, a mapping of their names as in ``team.quadrotor``,
-    # whatever the plan knows of them
-    as_calibrated: Mapping[str, Any] | None = None
+    Attributes without a key are ``preset``, the resolution of the ropes; ``perturbations``; and
+    ``lost``, the loss of a drone, if any.
+    """
+
+    preset: Preset = FAST
+    perturbations: Perturbations = CALM
+    seed: Annotated[int, Key(integers(0, MAX_SEED), "Random seed")] = 0
+    friction: Annotated[float | None, Key(FRICTION, "Cable friction; null: the team's")] = None
+    density: Annotated[
+        float | None,
+        Key(
+            LIGHT_DENSITY,
+            "Cable density, unknown to the drones; null: the team's, or for weightless cables the "
+            "lightest that the preset holds",
+        ),
+    ] = None
+    stiffness: Annotated[
+        float | None,
+        Key(
+            STIFFNESS,
+            "Stiffness of the drones' position loops; null: the team's, or 36/s² times the masses "
+            "of rigid drones",
+        ),
+    ] = None
+    pull_test: Annotated[bool, Key(FLAGS, "Whether the flight ends with a pull test")] = True
+    lost: Loss | None = None
+    feedback: Annotated[
+        bool, Key(FLAGS, "Correct setpoints by measured vertices, as ho.Feedback does")
+    ] = False
+    controller: Annotated[
+        str | None,
+        Key(
+            words(*CONTROLLERS, IDEAL),
+            "Flight controller, ideal being a simplified one; null: that of the team's drones, "
+            "with its filter and exported files. Gains are the team's if it names this "
+            "controller, else the stiffest that fly",
+        ),
+    ] = None
+    gains: Annotated[
+        Gains | Mapping[str, Any] | None,
+        Key(
+            mapping_of(Gains),
+            "Gains of the controller's position loops; null: the team's if it names this "
+            "controller, else the stiffest stable ones",
+        ),
+    ] = None
+    estimator: Annotated[
+        EstimatorParameters | str | None,
+        Key(
+            ESTIMATOR,
+            "State estimator: ideal for exact states but for noise and velocity_noise; crazyflie "
+            "for a Crazyflie's filter on motion capture (100 Hz, 1 mm, latency) and an IMU, as "
+            "exports set it; firmware or one_marker for that with the firmware's parameters for "
+            "rigid bodies or for one marker; null: crazyflie for a Crazyflie's controller of the "
+            "team, else ideal",
+        ),
+    ] = None
+    upload: Annotated[
+        bool | None,
+        Key(
+            FLAGS,
+            "Fly exported files, which hold the tension by offsets if the controller has no "
+            "integral, or streamed setpoints; null: files if the team's controller holds the "
+            "tension with them",
+        ),
+    ] = None
+    latency: Annotated[
+        float | None,
+        Key(
+            DELAY,
+            "Delay of motion capture and streamed setpoints, with a filter; null: the team's, or "
+            "0.01 s",
+        ),
+    ] = None
+    as_calibrated: Annotated[
+        Mapping[str, Any] | None,
+        Key(
+            ANYTHING,
+            "What was measured on drones that fly, by name as in team.quadrotor, overriding the "
+            "plan's values; null: nothing",
+        ),
+    ] = None
 
     def __post_init__(self) -> None:
-        if self.controller is not None:
-            check_choice("controller", self.controller, (*CONTROLLERS, IDEAL))
+        super().__post_init__()
         if self.controller == IDEAL:
             for name in ("gains", "estimator", "upload"):
                 if (value := getattr(self, name)) and value != IDEAL:
                     remedy = f"name one of {', '.join(CONTROLLERS)}"
                     raise InputError(name, value, "left out without a controller", remedy)
         if isinstance(self.estimator, str):
-            check_choice("estimator", self.estimator, (IDEAL,))
-        if self.gains is not None:
-            object.__setattr__(self, "gains", Gains.of(self.gains))
+            object.__setattr__(self, "estimator", ESTIMATORS[self.estimator])
         if self.upload and self.feedback:
             bound = "left out with upload"
             raise InputError("feedback", True, bound, "uploaded files cannot be corrected")
-        if isinstance(self.seed, bool) or self.seed < 0:
-            raise InputError("seed", self.seed, "a whole number, at least 0", "0 will do")
-        _check(self, nonnegative, "friction", "latency")
-        _check(self, positive, "density", "stiffness")
 
     @property
     def lag(self) -> float:
@@ -190,23 +270,27 @@ class Settings(OneLine):
         return usual if self.perturbations.lag is None else self.perturbations.lag
 
 
-ESTIMATORS: Mapping[str, EstimatorParameters | str] = {
-    IDEAL: IDEAL, "crazyflie": HELD, "firmware": FIRMWARE, "one_marker": ONE_MARKER
-}  # fmt: skip
-"""Estimators by name: exact states, the exported parameters, and the firmware's defaults with a
-rigid body or with one marker."""
+PHYSICAL = ("friction", "density", "stiffness")
+"""Settings that replace parameters of the plan, as perturbations do."""
+
+
+def perturbation_keys() -> dict[str, Key]:
+    """Return the keys of perturbations, and of settings that replace parameters of the plan."""
+    settings = keys_of(Settings)
+    return keys_of(Perturbations) | {name: settings[name] for name in PHYSICAL}
+
+
+def flight_keys() -> dict[str, Key]:
+    """Return the keys of perturbations and of settings."""
+    return keys_of(Perturbations) | keys_of(Settings)
 
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
     """Return settings from names of their fields and of perturbations; None counts as absent.
 
-    Other perturbations are INDOOR if ``perturbed``, else CALM. The estimator may be a name of
-    ESTIMATORS.
+    Other perturbations are INDOOR if ``perturbed``, else CALM.
     """
     usual = INDOOR if perturbed else CALM
     stated = {name: value for name, value in given.items() if value is not None}
     changes = {name: stated.pop(name) for name in vars(usual) if name in stated}
-    if isinstance(name := stated.get("estimator"), str):
-        check_choice("estimator", name, tuple(ESTIMATORS))
-        stated["estimator"] = ESTIMATORS[name]
     return Settings(preset=PRESETS[preset], perturbations=replace(usual, **changes), **stated)

@@ -227,7 +227,7 @@ class InvalidRunError(HitchoptError):
         self, quantity: str, broken: str, time: float, where: str, *, exact: bool = False
     ) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        remedy = "take a higher --density" if exact else f"take {FINER}"
+        remedy = "take a higher density" if exact else f"take {FINER}"
         words = f"ropes may have passed each other; {remedy}"
         super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
 

@@ -17,6 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hitchopt.errors import FileError, InputError, OneLine, short
+from hitchopt.lab.simulation.settings import MAX_SEED, PRESETS, flight_keys
 from hitchopt.mission.problem import TITLE
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
 from hitchopt.values.fields import (
@@ -28,12 +29,14 @@ from hitchopt.values.fields import (
     either,
     integers,
     join_key,
+    keys_of,
     list_of,
     mapping_of,
+    plain_mapping_of,
     strings,
     words,
 )
-from hitchopt.values.units import NONNEGATIVE, NUMBER, POSITIVE
+from hitchopt.values.units import NUMBER, POSITIVE
 
 Point = dict[str, Plain]
 """One value of every parameter, by key path."""
@@ -141,26 +144,24 @@ def versions() -> dict[str, str]:
     return {name: metadata.version(name) for name in LIBRARIES if name in installed}
 
 
-OptionalNumber = float | None
-
-
 @dataclass(frozen=True)
 class SimulateKeys:
-    """Options of a flight of every plan in the rope simulation."""
+    """Flights of every plan in the rope simulation."""
 
     seeds: Annotated[int, Key(integers(1, 100_000), "Flights per plan")] = 1
-    seed: Annotated[int, Key(integers(0, 2**63 - 1), "Seed of the first flight")] = 0
-    preset: Annotated[str, Key(words("fast", "accurate"), "Resolution of ropes")] = "fast"
+    seed: Annotated[int, Key(integers(0, MAX_SEED), "Seed of the first flight")] = 0
+    preset: Annotated[str, Key(words(*PRESETS), "Resolution of ropes")] = "fast"
     perturbed: Annotated[bool, Key(FLAGS, "The usual perturbations")] = True
-    noise: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of measured positions [m]")] = None
-    velocity_noise: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of velocities [m/s]")] = None
-    wind: Annotated[OptionalNumber, Key(NONNEGATIVE, "Force of gusts [N]")] = None
-    steady_wind: Annotated[OptionalNumber, Key(NONNEGATIVE, "Constant level force [N]")] = None
-    cable_error: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of lengths, relative")] = None
-    start_error: Annotated[OptionalNumber, Key(NONNEGATIVE, "Of starts, per axis [m]")] = None
-    friction: Annotated[OptionalNumber, Key(NONNEGATIVE, "Replaces the team's")] = None
-    density: Annotated[OptionalNumber, Key(POSITIVE, "Replaces the team's [kg/m]")] = None
-    stiffness: Annotated[OptionalNumber, Key(POSITIVE, "Of position loops [N/m]")] = None
+
+
+def simulate_keys() -> dict[str, Key]:
+    """Return the keys of flights: those of ``SimulateKeys``, of perturbations and of settings.
+
+    Without a value the latter are as usual, or as the plan states.
+    """
+    own, others = keys_of(SimulateKeys), flight_keys()
+    optional = {name: replace(others[name], default=None) for name in others if name not in own}
+    return own | optional
 
 
 @dataclass(frozen=True)
@@ -180,9 +181,13 @@ class StudyKeys:
         ),
     ] = field(default_factory=dict)
     limit: Annotated[float, Key(POSITIVE, "Time limit of a plan [s]")] = 600.0
-    simulate: Annotated[SimulateKeys | None, Key(mapping_of(SimulateKeys), "Simulated flights")] = (
-        None
-    )
+    simulate: Annotated[
+        dict[str, Plain] | None,
+        Key(
+            plain_mapping_of("SimulateKeys", "Simulated flights of every plan.", simulate_keys()),
+            "Simulated flights",
+        ),
+    ] = None
 
 
 STUDY = mapping_of(StudyKeys)
@@ -212,7 +217,7 @@ class Study(OneLine):
     def _cases_at(self, points: list[Point]) -> Iterator[Case]:
         """Yield the cases of all problems at some points, without seeds."""
         options = self.keys.simulate
-        sections = {} if options is None else {"simulate": vars(options)}
+        sections = {} if options is None else {"simulate": vars(SimulateKeys()) | options}
         outlines: dict[Path, Plain] = {}
         for (name, folder, base), point in itertools.product(self.problems, points):
             keys = with_values(base | sections, point)
