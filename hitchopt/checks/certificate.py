@@ -253,7 +253,7 @@ class Certificate(OneLine):
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
         lines = [
-            f"{broken_limit(c.name, c.bound, c.number, c.sense, c.unit, c.where)}, "
+            f"{broken_limit(c.name, c.worst, c.number, c.sense, c.unit, c.where)}, "
             f"t = {c.time:.4g} s"
             for c in self.violated
         ]

@@ -185,6 +185,8 @@ def read_saved_plan(path: Path) -> SavedPlan:
         if version == FORMAT:
             return _saved_plan(path)
     except READ_ERRORS as error:
+        if isinstance(error, FileError) and str(error).startswith(f"{path}: "):
+            raise
         reason = f"not a plan that hitchopt wrote, or a damaged one: {error or repr(error)}"
         if isinstance(error, FileNotFoundError | NotADirectoryError):
             words = f"{path}: there is no such file" if path.name != PLAN else ""

@@ -88,7 +88,8 @@ def test_files_that_never_end_are_refused(
         path.symlink_to("/dev/zero")
     words = refused(*command.replace("PLAN", str(plan)).split())
     kind = "a pipe" if special == "pipe" else "a device"
-    assert f"{file}: is {kind}, not a file" in words or "it is no file on a disk" in words, words
+    assert words.count(f"{file}: is {kind}, not a file; name a file on a disk") == 1, words
+    assert words.count("\n") == 1
 
 
 def test_a_pipe_that_the_shell_has_opened_is_read(place: Path) -> None:
