@@ -258,7 +258,7 @@ def test_an_invalid_run_names_no_preset_that_it_uses(preset: Preset) -> None:
     world = hanging_cables(preset=preset)
     world.place([world.cables[0].copy(), world.cables[0] + [0.0, 0.5 * preset.diameter, 0.0]])
     world.step()
-    with pytest.raises(worlds.InvalidRunError, match="a higher --density") as caught:
+    with pytest.raises(worlds.InvalidRunError, match="a higher density") as caught:
         check_valid(world, 0.25)
     assert ("--preset accurate" in str(caught.value)) == (preset is FAST)
 

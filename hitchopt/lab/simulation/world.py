@@ -73,7 +73,7 @@ LOOSE_CHANGES, TAUT_CHANGES = (0.8, 1.05), (0.95, 1.002)
 # may pass through each other
 MAX_STRAIN, MAX_PENETRATION = 0.02, 0.3
 
-FINER = "--preset accurate or a higher --density"  # Remedies of coarse ropes
+FINER = "preset accurate or a higher density"  # Remedies of coarse ropes
 
 
 @dataclass(frozen=True, eq=False)
