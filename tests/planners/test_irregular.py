@@ -75,6 +75,15 @@ def test_a_morph_passes_a_pole_in_its_way() -> None:
     assert plan.certificate.certified
 
 
+def test_a_chain_turns_by_half_a_turn() -> None:
+    """Its straight path collapses; its edges turn evenly."""
+    arc = np.array([[-1.0, 0.0], [-0.7, 0.8], [0.2, 1.1], [1.0, 0.7]])
+    start = ho.Hitch.spread(ho.Team(3, 2.2, topology="open"), arc, 1.5)
+    plan = ho.morph(start, -arc)
+    assert "edges turned 180°" in plan.phases[0].remark
+    assert plan.certificate.certified
+
+
 def test_a_straight_route_far_from_its_bound_is_replaced() -> None:
     """Linear fractions move the drones of a triangle 2.5 times as long as its vertices."""
     plan = planned(PAIRS[48])
