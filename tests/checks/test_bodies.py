@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from by_hand import Samples, cable_points, clasped_outlines, hull_gaps, point_to_segment
-from motions import row, through
+from motions import free_motion, random_flight, row, through
 from plans import planned
 from second_opinions import opinion_of, violated
 
@@ -252,3 +252,22 @@ def test_stated_vertices_beside_the_edges_do_not_free_these(tmp_path: Path) -> N
     assert check.worst < 0.01
     assert abs(check.time - t) < 0.1
     assert "cable_clearance" in violated(opinion_of(motion, tmp_path, teams.between_plans))
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+@pytest.mark.parametrize("n", [3, 4, 5])
+def test_clasps_turn_about_the_middles_of_their_pairs(n: int, topology: str) -> None:
+    """Vertex p_k is that of q_k and r_{k-1}; a chain ends at its first q and its last r."""
+    team, drones = random_flight(n, n=n, pieces=2)
+    team = replace(team, topology=topology)
+    sheets = cable_sheets(free_motion(team, drones, CableState.CLASPING))
+    assert sheets.outline == 6
+    begin, end = drones.breaks[[0, -1]]
+    for t in np.linspace(begin, end, 7):
+        corners = PiecewisePolynomial(drones.breaks, sheets.corners).at(t)
+        q, r = drones.at(t).reshape(n, 2, 3).swapaxes(0, 1)
+        for k in range(n):
+            starts = q[k] if topology == "open" and k == 0 else 0.5 * (q[k] + r[k - 1])
+            is_last = topology == "open" and k == n - 1
+            ends = r[k] if is_last else 0.5 * (q[(k + 1) % n] + r[k])
+            np.testing.assert_allclose(corners[k, [0, 1, 4, 5]], [q[k], starts, ends, r[k]])

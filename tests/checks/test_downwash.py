@@ -68,6 +68,28 @@ def test_only_what_the_largest_thrust_would_push_along_counts(box: dict[str, flo
     assert body.fixed or body.mass * body.friction * 9.81 > thrust
 
 
+@pytest.mark.parametrize("order", [1, -1])
+@pytest.mark.parametrize(("share", "counts"), [(0.9, True), (1.1, False)])
+def test_the_strongest_drone_of_a_team_decides_what_it_would_move(
+    order: int, share: float, *, counts: bool, tmp_path: Path
+) -> None:
+    """With a friction of a share of its largest thrust; weaker ones make no difference."""
+    kinds = [ho.Quadrotor(max_thrust=x) for x in (2.0, 5.0, 3.0)][::order]
+    friction, far = share * 5.0 / (0.4 * 9.81), np.array([2.0, 2.0, 0.0])
+    alone = hover(np.array([0.0, 0.0, TOP + 0.2]), mass=0.4, friction=friction)
+    (place,) = alone.drones.at(0.0)
+    places = np.array([place, place + far, place - far])
+    objects = alone.requirements.objects
+    flown = lines(places, places, separation=SEPARATION, objects=dict(objects))
+    motion = flown.replaced(team=ho.Swarm(3, quadrotor=kinds))
+    names = {check.name for check in certify(motion, reports=()).checks}
+    assert ("downwash" in names) is counts
+    write_plan(tmp_path / "plan.npz", motion)
+    rows = {each.name: each.verdict for each in verify.verify(tmp_path)}
+    assert ("downwash" in rows) is counts
+    assert not counts or rows["downwash"] == "violated"
+
+
 @pytest.mark.parametrize(
     "seed", [0, 1, 5, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3, 4))]
 )
