@@ -232,14 +232,15 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
     """Return the largest jump of a tension or thrust, or distance of a tension to its range [N].
 
     While the hitch exists, every cable has the team's tension, or one in the range of its phase, or
-    on a ramp one from 0 to the team's. Pulls of legs are within the range of friction. Without a
-    hitch, tensions and pulls count as 0.
+    on a ramp one from 0 to the smallest of that range. Pulls of legs are within the range of
+    friction. Without a hitch, tensions and pulls count as 0.
     """
     cases = [_pull_jump(motion), _thrust_jump(motion)]
     if np.any(motion.taut):
         ranges = np.moveaxis(stated_tensions(motion), -1, 0)
         if not np.all(motion.taut):  # ramps are next to spans without a hitch
-            ranges[0] = np.where(_ramps(motion), 0.0, ranges[0])
+            ramps = _ramps(motion)
+            ranges = np.where(ramps, [np.zeros_like(ranges[0]), ranges[0]], ranges)
         cases += [_out_of_range(motion, Cables, motion.tensions.coefficients, ranges)]
         cases += [_end_deviation(motion)]
         if motion.has_friction:
@@ -322,13 +323,14 @@ def _end_deviation(motion: Motion) -> WorstCase:
 def _ramps(motion: Motion) -> Mask:
     """Return on which pieces tensions ramp up after, or down before, a span without a hitch.
 
-    The mask is (pieces, n). Nothing moves on a ramp, and it ends at the team's tension.
+    The mask is (pieces, n). Nothing moves on a ramp, and it ends at the smallest tension that its
+    phase states, from which on cables are taut.
     """
     resting, unhitched = motion.taut, ~motion.taut
     for part in (motion.drones, motion.vertices):
         resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= REST_DRIFT)
     ends = motion.tensions.coefficients[..., [0, -1]]
-    lowest = np.minimum(stated_tensions(motion)[..., 0], motion.team.tension)
+    lowest = stated_tensions(motion)[..., 0]
     is_low = lowest[..., None] - ends > TENSION_LIMIT
     ramps = np.zeros(is_low.shape[:2], dtype=np.bool_)
     for flip in (slice(None), slice(None, None, -1)):  # forward in time, and backward

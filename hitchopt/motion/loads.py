@@ -136,11 +136,11 @@ def tautness(motion: Motion) -> Array:
     """Return the tautness of cables (pieces, n, degree + 1), from 0 (hanging free) to 1 (straight).
 
     It is the weight with which forces blend from those of a hanging cable to those of a taut one
-    (``forces.cable_forces``): ``T / T_stated``, T_stated the smaller of the team's tension and the
-    smallest one of the phase, each Bernstein coefficient clipped to [0, 1]. Slack cables have 0. As
-    a polynomial it is continuous wherever tensions are.
+    (``forces.cable_forces``): ``T / T_stated``, T_stated the smallest tension of the phase, each
+    Bernstein coefficient clipped to [0, 1]. Slack cables have 0. As a polynomial it is continuous
+    wherever tensions are. Ramps end at T_stated, as the check ``tension`` verifies.
     """
-    lowest = np.minimum(stated_tensions(motion)[..., :1], motion.team.tension[:, None])
+    lowest = stated_tensions(motion)[..., :1]
     shares = motion.tensions.coefficients / ((1.0 - TENSION_ROUNDING) * lowest)
     return np.where(motion.taut[:, None, None], np.clip(shares, 0.0, 1.0), 0.0)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from .arithmetic import BIG, DEGREES, UP, Index, Line, Mask, angle, maximum, minimum, norm
 from .drones import wall_gap
-from .reading import REST_TOL, WRAP_TOL, Plan
+from .reading import REST_TOL, TAUT_TOL, WRAP_TOL, Plan
 from .shapes import distance
 from .spans import MIN_TENSION, G, Row, Spans, prove
 
@@ -33,9 +33,11 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         return -total_turn(s) + (361.0 if p.closed else 360.0)
 
     def range_excess(s: Spans, k: Index) -> Line:
-        """Return ``T - T_max``, or ``T_min - T`` outside ramps."""
+        """Return ``T - T_max``, or ``T_min - T``; on ramps from 0 to T_min their excesses."""
         x, (low, high) = p.tensions.on(s, k), p.tension_range[s.piece, k, :, None].swapaxes(0, 1)
-        return maximum(x - high, -x + np.where(p.ramp[s.piece, None], 0.0, low))
+        ends = p.tensions.c[0][s.piece, k, 0][:, [0, -1]]
+        rises = p.ramp[s.piece, None] & (np.min(ends, axis=1, keepdims=True) < low - TAUT_TOL)
+        return maximum(x - np.where(rises, low, high), -x + np.where(rises, 0.0, low))
 
     def friction_excess(s: Spans, i: Index) -> Line:
         """Return excesses of legs' tensions beyond ``e^{-μθ} T`` and ``e^{μθ} T``."""

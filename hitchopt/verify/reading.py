@@ -34,6 +34,7 @@ REST_TOL = 1e-9  # [m] of the file format, as the next two
 CONTACT_TOL = 1e-4  # [m]
 WRAP_TOL = 2e-5  # [m]
 MIN_GAP = 1e-4  # [m] smallest distance of cables that cannot pass through each other
+TAUT_TOL = 1e-4  # [N] largest difference of a tension from that of taut cables
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
 EXACT_RANGE = 0.5  # [m] of exact distances of hanging cables
 MAX_COEFFS = 61  # coefficients of a curve
@@ -384,7 +385,7 @@ class Plan:
                 within = self.breaks[:-1] >= phase["start"] - POS_TOL
                 within &= self.breaks[1:] <= phase["end"] + POS_TOL
                 self.range_phase[within], self.tension_range[within] = i, phase["tension"]
-        self.min_tension = np.minimum(self.tension_range[..., :1], self.team)
+        self.min_tension = self.tension_range[..., :1]  # from which on cables are taut
         self.sag = np.asarray(np.square(self.weight * self.length / self.team) / 24.0)  # relative
         # Straight segments of taut cables: both points, cable, and vertices at the ends (k, 5).
         ends, on = self.edges[:: 1 if self.has_contacts else 3], np.flatnonzero(self.leg)

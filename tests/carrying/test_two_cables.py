@@ -179,6 +179,49 @@ def test_translation_and_rotation_change_no_check() -> None:
     same(tied(), moved)
 
 
+@cache
+def tied_harder() -> Motion:
+    """A drum that is tied with more than the team's tension."""
+    body = {**DRUM, "circle": 0.13, "mass": 0.07}
+    tie = {"tie": {"around": "drum", "at": 0.25, "tension": 1.0}}
+    return ho.solve(problem([tie], body, tension=0.6, cable_length=2.5)).motion
+
+
+def of_both(motion: Motion, folder: Path, name: str) -> tuple[float, list[verify.Row]]:
+    """Return the bound of a check, and verify's rows of it."""
+    write_plan(folder / "plan.npz", motion)
+    rows = [each for each in verify.verify(folder) if each.name == name]
+    return certify(motion, reports=())[name].bound, rows
+
+
+@pytest.mark.parametrize("name", ["cable_length", "equilibrium"])
+def test_both_say_the_same_of_cables_tied_with_more_than_the_team_s_tension(
+    name: str, tmp_path: Path
+) -> None:
+    """As tensions rise, cables sag as at the tension to which these rise."""
+    bound, rows = of_both(tied_harder(), tmp_path, name)
+    assert [each.verdict for each in rows] == ["proven"]
+    assert bound == pytest.approx(rows[0].worst, rel=0.05, abs=3e-7)
+
+
+@pytest.mark.parametrize(("factor", "holds"), [(1.0, True), (1.2, False)])
+def test_tensions_rise_to_that_at_which_cables_are_taut(
+    factor: float, *, holds: bool, tmp_path: Path
+) -> None:
+    """No farther on one ramp, whatever the phase permits."""
+    motion = part(tied_harder(), "take-off", "tension")
+    *before, ramp = motion.phases
+    motion = motion.replaced(phases=(*before, replace(ramp, tension=(1.0, 1.3))))
+    motion = motion.replaced(
+        tensions=motion.tensions.replaced(motion.tensions.coefficients * factor)
+    )
+    pulls = motion.leg_tensions.replaced(motion.leg_tensions.coefficients * factor)
+    bound, rows = of_both(motion.replaced(leg_tensions=pulls), tmp_path, "tension")
+    excess = max(bound, rows[0].worst), min(bound, rows[0].worst)
+    assert (excess[0] <= 1e-4) is holds
+    assert holds or excess[1] == pytest.approx(0.2, abs=1e-3)
+
+
 def under_a_rim(radius: float, above: float) -> tuple[Motion, str]:
     """Return the drum as it is carried elsewhere, with a rim above the contacts, and its name."""
     carried = part(cycle().motion, "carry", "carry")
