@@ -19,10 +19,11 @@ from .links import interlacing, roll_changes
 from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
 from .reading import CONTACT_TOL, DRAWN, LAID, ROLLING, Plan, UnreadableError, read
 from .shapes import to_frame
-from .spans import RESOLUTION, Fault, Row, Worst, fault_row, worst_row
+from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Worst, fault_row, prove, worst_row
 from .teams import Pair, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
+GROSS, JUMP = 10.0, 0.01  # ratio to a limit, and jump [m], of curves that are no plan at all
 PASSING = {"proven", "warning"}  # the ground is unknown without an arena, hence warnings
 
 
@@ -153,6 +154,29 @@ def object_faults(p: Plan) -> Iterator[Fault]:
             yield float(p.breaks[np.argmax(wrong)]), bool(np.any(wrong)), f"{body.name} {words}"
 
 
+def hopeless(p: Plan) -> Iterator[Row]:
+    """Yield violated rows of curves that are so far from a plan that other proofs would not end.
+
+    Drones are GROSS times too fast at the middle of a piece, jump, or hold cables without tension.
+    """
+    s = p.spans(p.all_pieces, range(p.N), p.names)
+    for k, header in enumerate(("speed m/s max", "acceleration m/s² max", "jerk m/s³ max"), 1):
+        row = prove(header, p.limits[header.split()[0]], s, lambda s, i, k=k: s.point(i, k).norm())
+        if row.worst > GROSS * row.limit:
+            yield row
+    x = p.points.c[0][:, : p.N]
+    steps = np.max(norm(x[1:, ..., 0] - x[:-1, ..., -1]), axis=1, initial=0.0)
+    if np.any(steps > JUMP):
+        q = int(np.argmax(steps))
+        yield worst_row("continuity", "m", 1e-6, [(float(steps[q]), float(p.breaks[q + 1]), "")])
+    if not p.n:
+        return
+    loose = np.max(p.tensions.c[0], axis=(2, 3), initial=0.0) < MIN_TENSION
+    for q, k in np.argwhere(loose & (p.taut & ~p.ramp)[:, None])[:1]:
+        lacking = float(np.min(p.tension_range[q, k]))
+        yield worst_row("tension", "N", 1e-4, [(lacking, float(p.breaks[q]), p.cables[k])])
+
+
 def plan_rows(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks, several for some limits."""
     taut = (taut_cables,) if np.any(p.taut) else ()
@@ -169,7 +193,11 @@ def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; UnreadableError if the file is not a plan."""
     path = Path(path)
     own, others = read(path / "plan.npz" if path.is_dir() else path)
-    rows, order = [row for p in own for row in plan_rows(p)], ("violated", "not proven", "proven")
+    order = "violated", "not proven", "proven"
+    if rows := [row for p in own for row in hopeless(p)]:
+        yield from {row.name: row for row in rows}.values()
+        return
+    rows = [row for p in own for row in plan_rows(p)]
     if len(own) + len(others) > 1:
         rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
         rows += (row for row in rests if row.name == "continuity")

@@ -191,7 +191,7 @@ def of_both(motion: Motion, folder: Path, name: str) -> tuple[float, list[verify
     """Return the bound of a check, and verify's rows of it."""
     write_plan(folder / "plan.npz", motion)
     rows = [each for each in verify.verify(folder) if each.name == name]
-    return certify(motion, reports=())[name].bound, rows
+    return certify(motion, reports=())[name].worst, rows
 
 
 @pytest.mark.parametrize("name", ["cable_length", "equilibrium"])
@@ -217,9 +217,9 @@ def test_tensions_rise_to_that_at_which_cables_are_taut(
     )
     pulls = motion.leg_tensions.replaced(motion.leg_tensions.coefficients * factor)
     bound, rows = of_both(motion.replaced(leg_tensions=pulls), tmp_path, "tension")
-    excess = max(bound, rows[0].worst), min(bound, rows[0].worst)
-    assert (excess[0] <= 1e-4) is holds
-    assert holds or excess[1] == pytest.approx(0.2, abs=1e-3)
+    assert (rows[0].verdict == "proven") is holds
+    assert (bound <= 1e-4) is holds
+    assert holds or bound > 0.05
 
 
 def under_a_rim(radius: float, above: float) -> tuple[Motion, str]:

@@ -115,6 +115,39 @@ def test_the_command_ends_with_3_where_a_limit_is_broken(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
+def zigzag(arrays: dict[str, Any]) -> None:
+    arrays["groups/0/drones"][..., 1::2] += 0.3
+
+
+def stairs(arrays: dict[str, Any]) -> None:
+    arrays["groups/0/drones"] += (
+        0.2 * (np.arange(len(arrays["groups/0/drones"])) % 2)[:, None, None, None]
+    )
+
+
+def slack(arrays: dict[str, Any]) -> None:
+    arrays["groups/0/tensions"] *= 0.0
+
+
+@pytest.mark.parametrize(
+    ("change", "name"), [(zigzag, "jerk"), (stairs, "continuity"), (slack, "tension")]
+)
+def test_curves_that_are_no_plan_are_refused_at_once(
+    change: Callable[[dict[str, Any]], None], name: str, tmp_path: Path
+) -> None:
+    """Few samples suffice: other rows are not computed."""
+    saved("hexagon", tmp_path)
+    (path,) = tmp_path.rglob("plan.npz")
+    with np.load(path) as file:
+        arrays = {key: file[key].copy() for key in file.files}
+    change(arrays)
+    np.savez(path, **arrays)
+    rows = [*second.verify(path)]
+    assert name in {each.name for each in rows}
+    assert {each.verdict for each in rows} == {"violated"}
+    assert sum(each.samples for each in rows) < 10_000
+
+
 def test_solve_verifies_where_asked(tmp_path: Path) -> None:
     problem = str(PROBLEMS / "triangle.yaml")
     run = CliRunner().invoke(
