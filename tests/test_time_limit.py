@@ -77,6 +77,7 @@ def test_every_kind_of_problem_is_given_up(clock: Clock, name: str, seconds: flo
 TRIANGLE = [[0.0, 0.6], [0.5, -0.3], [-0.5, -0.3]]
 PULLED = [[0.0, 0.7], [0.5, -0.3], [-0.5, -0.3]]
 START = ho.Hitch.spread(ho.Team(3, 2.4, cable_density=0.005, tension=0.5), TRIANGLE, 1.5)
+RUBBING = ho.Hitch.spread(ho.Team(3, 2.4, tension=0.5, cable_friction=0.1), TRIANGLE, 1.5)
 Q, R = ([[x, y, 1.6] for y in (1.2, 0.0, -1.2)] for x in (-0.6, 0.6))
 ARGUMENTS: dict[str, dict[str, Any]] = {
     "morph": {"polygon": PULLED},
@@ -88,6 +89,7 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "transport": {"to": [0.2, 0.1, 1.5]},
     "form": {"polygon": TRIANGLE, "altitude": 1.2},
     "open_vertex": {"vertex": 0},
+    "settle": {"start": RUBBING},
     "release": {},
     "land": {},
 }

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hitchopt.cli import main
 from hitchopt.cli.output import output
 from hitchopt.errors import InputError
-from hitchopt.values import FLAG, closest_word
-from hitchopt.values.fields import Key
+
+if TYPE_CHECKING:
+    from hitchopt.values.fields import Key
 
 
 class NonEmptyPath(click.Path):
@@ -63,6 +64,8 @@ def key_option(names: str, key: Key, metavar: str | None = None) -> click.Option
 
     Flags have two names, such as ``--upload/--stream``, to be set and unset.
     """
+    from hitchopt.values import FLAG  # imports numpy, which --help does without
+
     description = f"{key.described(key.kind)}.".replace("null:", "default:")
     if key.kind.forms == (FLAG,):
         return option(names, description, None)
@@ -93,6 +96,7 @@ def assignment_option(name: str, description: str, keys: Mapping[str, Key]) -> c
 def _assignment(option: str, pair: str, keys: Mapping[str, Key]) -> tuple[str, Any]:
     """Return the field and the value of a text ``KEY=VALUE`` of an option."""
     from hitchopt.storage.yaml_file import parse_yaml  # heavy
+    from hitchopt.values import closest_word
 
     name, equals, value = pair.partition("=")
     name = name.strip().replace("-", "_")
@@ -115,8 +119,36 @@ def picture_options(of: str = "the picture") -> tuple[click.Option, click.Option
     return formats, width_option(of)
 
 
+Options = click.Option | Callable[[], Sequence[click.Option]]
+"""An option, or a function that returns options which heavy records declare."""
+
+
+class Command(click.Command):
+    """A command whose options are declared when they are first used; ``--help`` lists it without.
+
+    Parameters are those of ``click.Command``; ``params`` may contain functions (``Options``).
+    """
+
+    _params: list[Any]
+
+    @property
+    def params(self) -> list[click.Parameter]:
+        """The parameters."""
+        if any(not isinstance(each, click.Parameter) for each in self._params):
+            self._params = [
+                parameter
+                for each in self._params
+                for parameter in ([each] if isinstance(each, click.Parameter) else each())
+            ]
+        return self._params
+
+    @params.setter
+    def params(self, params: list[Any]) -> None:
+        self._params = params
+
+
 def command(
-    argument: str, *options: click.Option, **more: Any
+    argument: str, *options: Options, **more: Any
 ) -> Callable[[Callable[..., None]], click.Command]:
     """Return a decorator that turns a function into a command of the same name.
 
@@ -131,7 +163,7 @@ def command(
         option("-q --quiet", "Print errors only.", **switch),
         option("-v --verbose", "Print every message of progress to stderr.", **switch),
     )
-    return main.command(params=[parameter, *options, *switches])
+    return main.command(cls=Command, params=[parameter, *options, *switches])
 
 
 def _switch(_: click.Context, option: click.Parameter, value: bool) -> None:

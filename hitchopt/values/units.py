@@ -131,7 +131,6 @@ UNBOUNDED = (-math.inf, math.inf)
 
 NUMBER = quantity("", UNBOUNDED, (-HUGE, HUGE))
 POSITIVE = quantity("", UNBOUNDED)
-NONNEGATIVE = quantity("", UNBOUNDED, (0.0, HUGE))
 
 CABLE_LENGTH = quantity("m", (0.05, 100.0), (1e-3, 1e4), LENGTHS)
 MASS = quantity("kg", (0.005, 100.0), (1e-5, 1e4), GRAMS)

@@ -209,7 +209,7 @@ def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path
 
 def test_what_the_plan_leaves_open_is_warned_of() -> None:
     task = resting_task(regular_hitch(3, cable_friction=0.0), 0.1)
-    assert "friction is 0" in judgement.warnings(task, Settings())[0]
+    assert "friction is assumed to be 0" in judgement.warnings(task, Settings())[0]
     assert judgement.warnings(task, Settings(friction=0.0)) == ()
     assert judgement.warnings(resting_task(HITCH, 0.1), Settings()) == ()
     task = resting_task(regular_hitch(3, cable_density=0.0), 0.1)

@@ -22,19 +22,19 @@ from hitchopt.cli.options import (
 )
 from hitchopt.cli.output import ProgressBar, known_text, quantities, say, span_text, table
 from hitchopt.errors import InputError
-from hitchopt.lab.simulation.settings import Settings, perturbation_keys
-from hitchopt.values.fields import keys_of
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
+
+    import click
 
     from hitchopt.lab.simulation.judgement import Spread
     from hitchopt.lab.simulation.report import Simulation
+    from hitchopt.lab.simulation.settings import Settings
     from hitchopt.lab.simulation.task import Task
     from hitchopt.lab.sweeps.campaign import Campaign
     from hitchopt.lab.sweeps.sweep import Summary
 
-KEYS = keys_of(Settings)  # Keys of settings, which some options set
 RESULTS = "simulation"  # Default directory of the results, in DIR
 OBJECT_COLUMNS = ("name", "placed", "tilted", "turned", "slipped", "free")
 # Errors of all vertices, and their labels
@@ -45,6 +45,28 @@ ERRORS = {
     "without_sag": "all, without sag",
 }
 MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a sweep that are listed
+
+
+def _settings_options() -> Sequence[click.Option]:
+    """Return the options that the keys of settings declare."""
+    from hitchopt.lab.simulation.settings import Settings, perturbation_keys
+    from hitchopt.values.fields import keys_of
+
+    keys = keys_of(Settings)
+    return (
+        key_option("--seed", keys["seed"], "S"),
+        assignment_option(
+            "--perturb",
+            "Value of a disturbance, or of a parameter of the plan, such as wind=0.1; may be "
+            "repeated.",
+            perturbation_keys(),
+        ),
+        key_option("--controller", keys["controller"]),
+        key_option("--estimator", keys["estimator"]),
+        key_option("--latency", keys["latency"], "SECONDS"),
+        key_option("--upload/--stream", keys["upload"]),
+        key_option("--feedback/--no-feedback", keys["feedback"]),
+    )
 
 
 @command(
@@ -58,7 +80,6 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         choices=("fast", "accurate"),
     ),
     option("--runs", "Simulate N flights, with seeds S, S+1, ….", int, "N"),
-    key_option("--seed", KEYS["seed"], "S"),
     option("--processes", "Processes; by default all processors.", int, "P"),
     option(
         "--perturbed",
@@ -66,15 +87,7 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         "0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place;"
         " or as given. The team's cable friction always acts.",
     ),
-    assignment_option(
-        "--perturb",
-        "Value of a disturbance, or of a parameter of the plan, such as wind=0.1; may be repeated.",
-        perturbation_keys(),
-    ),
-    key_option("--controller", KEYS["controller"]),
-    key_option("--estimator", KEYS["estimator"]),
-    key_option("--latency", KEYS["latency"], "SECONDS"),
-    key_option("--upload/--stream", KEYS["upload"]),
+    _settings_options,
     option(
         "--as-calibrated",
         "Trims, thrust factors and rotor drag (0.012 N s/m) of drones in FILE, which hitchopt "
@@ -82,7 +95,6 @@ MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a swe
         PATH,
         "FILE",
     ),
-    key_option("--feedback/--no-feedback", KEYS["feedback"]),
     option(
         "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
     ),
