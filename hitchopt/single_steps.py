@@ -521,7 +521,7 @@ def land(
 
 @dataclass(frozen=True)
 class Required:
-    """What a single step has to satisfy; None for the defaults of a problem file."""
+    """Requirements of a single step; None stands for the defaults of a problem file."""
 
     limits: Limits | None
     separation: Separation | None

@@ -93,7 +93,8 @@ MAX_GUESS_RATIO = 1.3
 far."""
 
 MAX_ESTIMATE_RATIO = 1.1
-"""The same of an optimized path that is refined."""
+"""Largest estimated duration of an optimized path that is refined, over that of the fastest motion
+so far."""
 
 MIN_GAIN = 0.01
 """Smallest gain over the fastest path so far, as a share of its duration, for which guesses are
