@@ -305,7 +305,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
             standing=[name for name, stands in zip(task.names, low[0], strict=True) if stands],
             landed=bool(np.all(low[1])),
             slack=json.dumps(slack, indent=4),
-            land=min(LANDED, round(float(np.min(last[:, 2])), 3) + 0.0),
+            land=min(LANDED, round(float(np.min(last[:, 2])), 6) + 0.0),
             **common,
         ),
         "README.txt": _template("start_note.txt").format(
