@@ -20,7 +20,7 @@ import numpy as np
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.lab.simulation.control import Disturbances
-from hitchopt.lab.simulation.flight import CONTROL_PERIOD, SETTLE_TIME, Flight
+from hitchopt.lab.simulation.flight import CONTROL_PERIOD, SETTLE_TIME, SimulatedFlight
 from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.ropes import bend_lengths
 from hitchopt.lab.simulation.settings import ACCURATE
@@ -92,7 +92,7 @@ def settle_row(seed: int) -> tuple[object, ...]:
     return seed, team.robots, 1e3 * density, stiffness, *errors
 
 
-def effective_lengths(flight: Flight) -> Array:
+def effective_lengths(flight: SimulatedFlight) -> Array:
     """Return effective cable lengths (n,) [m] at rest: legs and edges with their sag."""
     record, layout = flight.record, flight.task.team.layout
     rows = (record.t > flight.task.duration + 1e-5) & (record.t <= flight.rested)

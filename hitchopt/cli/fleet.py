@@ -322,7 +322,7 @@ def fly(
     are certified; aborts are planned first. A lost operator or lost measurements lead to a hold,
     then to a landing. Ends with 3 unless the drones have landed.
     """
-    from hitchopt.live.fly import CommandedPlan, StreamedFlight
+    from hitchopt.live.fly import CommandedPlan, SetpointStream
     from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.values import positive
 
@@ -342,7 +342,7 @@ def fly(
     commanded, operator = CommandedPlan(motion, tables), Operator()
     with ThreadPoolExecutor(1) as workers, operator.attached():
         parts = commanded, outlet, operator.commands, watched, workers.submit, say
-        flight = StreamedFlight(*parts, rate=rate, patience=patience)
+        flight = SetpointStream(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _land_on_signals(operator.add):
             due = time.monotonic()

@@ -86,7 +86,7 @@ RATES = {"speed": (1, "m/s", ("all",)), "acceleration": (2, "m/s²", ("all",))} 
 
 
 @dataclass(frozen=True)
-class JointFlight:
+class FleetFigures:
     """Figures of the joint flight of all drones over all time."""
 
     duration: float  # [s]
@@ -108,7 +108,7 @@ class Report:
     kind: str  # name of the format
     frame: str  # enu, nwu or ned; empty if unknown
     facts: tuple[DroneFacts, ...]  # one per drone
-    flight: JointFlight
+    flight: FleetFigures
     findings: tuple[Finding, ...]  # errors first
 
     @property
@@ -223,7 +223,7 @@ def _kind(path: Path, formats: Sequence[Format]) -> Format:
 
 def _joint_flight(
     kind: Format, contents: FileContents, rules: Rules
-) -> tuple[JointFlight, list[Finding]]:
+) -> tuple[FleetFigures, list[Finding]]:
     """Return figures of the joint flight, and findings; raises FileError for invalid numbers."""
     names, own = contents.names, contents.own
     limits, checks = rules.limits(own), dict[str, Check]()
@@ -253,7 +253,7 @@ def _joint_flight(
     if (fastest := checks.get("speed")) is not None and fastest.worst > SPEED_OF_SOUND:
         reason = f"flies at {fastest.worst:.3g} m/s at t = {fastest.time:g} s, faster than sound"
         raise FileError(f"{fastest.where[0]} {reason}; are its times in other units?")
-    flight = JointFlight(
+    flight = FleetFigures(
         float(last.breaks[-1]) - start,
         *(values["speed"], values["acceleration"]),
         values["separation"] if len(names) > 1 else math.inf,

@@ -1,6 +1,6 @@
 """Fly a plan by an operator's commands: its clock, landings after aborts, and lost links.
 
-Nothing here reads the system's clock: ``StreamedFlight.tick`` receives the time.
+Nothing here reads the system's clock: ``SetpointStream.tick`` receives the time.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ class Outlet(Protocol):
         """End the stream."""
 
 
-class StreamedFlight:
+class SetpointStream:
     """A plan that is streamed to a fleet in ticks.
 
     ``commands`` returns the operator's commands since the last call, and whether the operator is

@@ -2,5 +2,5 @@
 
 A planner is a frozen record of its inputs with a ``problem``, the mathematical problem, and
 ``solve()``: ``StraightMorph``, ``BlendedMorph``, ``ActionMorph``, ``OptimisedMorph``,
-``DirectApproach``, ``GatheredApproach``, ``CarriedMove`` and ``SeparatedFlight``.
+``DirectApproach``, ``GatheredApproach``, ``CarriedMove`` and ``SeparatedCurves``.
 """

@@ -66,7 +66,7 @@ class Fly(Step):
 
         Raises InfeasibleError with the violated limits, places and times.
         """
-        from hitchopt.planners.separation import SeparatedFlight, SeparationTask
+        from hitchopt.planners.separation import SeparatedCurves, SeparationTask
 
         requirements, team = task.requirements, task.before.team
         duration, limit = self.duration, requirements.limits.duration
@@ -91,7 +91,7 @@ class Fly(Step):
             names=team.drone_names,
             prisms=names,
         )
-        separated = SeparatedFlight(separation_task).solve(task.progress)
+        separated = SeparatedCurves(separation_task).solve(task.progress)
         drones = separated.drones
         phase = Phase(self.name, task.index, 0.0, drones.duration, separated.remark)
         motion = Motion.single(team, requirements, drones, (phase,))

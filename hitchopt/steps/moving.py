@@ -78,7 +78,7 @@ from hitchopt.values.fields import (
 from hitchopt.values.units import DURATION, SPEED, TENSION
 
 if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action, ActionFlight
+    from hitchopt.planners.morph.actions import Action, FlownAction
 
 
 class HitchStep(Step):
@@ -192,7 +192,7 @@ class ActionStep(ShapeStep):
         flying = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration).solve()
         return self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
 
-    def _remark(self, action: Action, end: End, flying: ActionFlight) -> str:
+    def _remark(self, action: Action, end: End, flying: FlownAction) -> str:
         """Return in words the further drones that move, with reasons."""
         turning = "tensions differ, so legs turn with both edges at their vertex"
         if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:

@@ -13,7 +13,7 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
-from hitchopt.live.fly import COMMANDS, LEAD, CommandedPlan, FleetSetpoints, StreamedFlight
+from hitchopt.live.fly import COMMANDS, LEAD, CommandedPlan, FleetSetpoints, SetpointStream
 from hitchopt.live.player import Player
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -183,7 +183,7 @@ class Rig:
         self.now, self.going, self.rate = 100.0, True, rate
         self.armed = list[int]()  # after how many setpoints
         parts = self.course, self, self.commands, self.names, later, self.said.append
-        self.flight = StreamedFlight(*parts, rate=rate, patience=PATIENCE)
+        self.flight = SetpointStream(*parts, rate=rate, patience=PATIENCE)
 
     def send(self, flown: FleetSetpoints, now: float) -> None:
         assert now == self.now

@@ -18,7 +18,7 @@ import hitchopt as ho
 from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.quadratic_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
-from hitchopt.planners.separation import SeparatedFlight, SeparationResult, SeparationTask
+from hitchopt.planners.separation import SeparatedCurves, SeparationResult, SeparationTask
 from hitchopt.planners.separation.guesses import points_along, routes_around
 from hitchopt.planners.separation.program import hull_points, solve_program
 from hitchopt.values import Array
@@ -44,7 +44,7 @@ def task_of(start: Any, goal: Any, **required: Any) -> SeparationTask:
 
 def separate(task: SeparationTask) -> SeparationResult:
     """The planner's curves."""
-    return SeparatedFlight(task).solve()
+    return SeparatedCurves(task).solve()
 
 
 def circle(n: int, radius: float, **required: Any) -> SeparationTask:
@@ -239,7 +239,7 @@ def test_routes_around_pillars_are_shortest_and_pass_over_low_ones() -> None:
 
 
 def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(import_module(SeparatedFlight.__module__), "LARGE_CROWD", 40)
+    monkeypatch.setattr(import_module(SeparatedCurves.__module__), "LARGE_CROWD", 40)
     monkeypatch.setattr(
         "hitchopt.planners.separation.guesses.MAX_PUSH_ITERATIONS", 2
     )  # guesses are not clear

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.lab.simulation.control import PositionGains
-from hitchopt.lab.simulation.flight import Film, Flight, FlightSamples
+from hitchopt.lab.simulation.flight import Film, FlightSamples, SimulatedFlight
 from hitchopt.lab.simulation.ropes import Ropes
 from hitchopt.lab.simulation.settings import FAST, Preset, Settings
 from hitchopt.lab.simulation.task import RATE, Task
@@ -79,10 +79,10 @@ def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:
     return Hitch.balanced(team, regular_polygon(n, edge), altitude=2.0)
 
 
-def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
+def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> SimulatedFlight:
     """Return a flight at rest at times ``t``.
 
-    ``known`` replaces fields of ``FlightSamples``, ``Film`` or ``Flight``.
+    ``known`` replaces fields of ``FlightSamples``, ``Film`` or ``SimulatedFlight``.
     """
     n, count, settings = hitch.team.robots, len(t), known.pop("settings", Settings())
     drones = np.repeat(hitch.drones[None], count, axis=0)
@@ -102,4 +102,6 @@ def flight_of(task: Task, hitch: Hitch, t: Array, **known: Any) -> Flight:
     gains = PositionGains.of(hitch.team, settings)
     options: dict[str, Any] = {"touches": {}, "linking": None, "rested": np.nan, "pulled": np.nan}
     options |= {"gains": gains, "density": 0.01, "extra_length": 0.0, "end_offset": 0.0}
-    return Flight(task, settings, *parts, **{**options, "objects": {}, "error": None, **known})
+    return SimulatedFlight(
+        task, settings, *parts, **{**options, "objects": {}, "error": None, **known}
+    )

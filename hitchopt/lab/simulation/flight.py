@@ -86,7 +86,7 @@ class Film:
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class SimulatedFlight:
     """A flight that was simulated to its end, or until the simulation became invalid."""
 
     task: Task  # of the flight
@@ -115,7 +115,7 @@ class Flight:
         return cable_names(self.task.team.drone_names)
 
 
-def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Flight:
+def fly(task: Task, settings: Settings, progress: Progress | None = None) -> SimulatedFlight:
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
     It begins with a hitch if the plan has one at the first setpoint, else with hanging cables.
@@ -379,14 +379,14 @@ class _FlightInProgress:
         self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
         self._peaks[:] = 0.0
 
-    def flight(self, error: InvalidRunError | None) -> Flight:
+    def flight(self, error: InvalidRunError | None) -> SimulatedFlight:
         """Return the simulated part of the flight."""
         world = self._world
         if not self._rows:  # ended while it settled
             self._sample(0.0, 0)
         t, nodes, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
         shapes = np.array(nodes, dtype=np.float32), world.cable_vertices
-        return Flight(
+        return SimulatedFlight(
             self._task,
             self._settings,
             FlightSamples(*(np.array(column) for column in zip(*self._rows, strict=True))),

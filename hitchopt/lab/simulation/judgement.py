@@ -17,7 +17,7 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
-from hitchopt.lab.simulation.flight import Flight, ground_of
+from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task, group_of
@@ -99,7 +99,7 @@ class VertexErrors:
         return length(self.offsets[..., :2])
 
 
-def vertex_errors(flight: Flight) -> VertexErrors:
+def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     """Return the errors at the samples of a flight, without the pull test.
 
     The first sample is excluded, as no contact forces precede it.
@@ -125,7 +125,7 @@ def vertex_errors(flight: Flight) -> VertexErrors:
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
 
 
-def tension_ratios(flight: Flight, rows: NDArray[np.int64]) -> Array:
+def tension_ratios(flight: SimulatedFlight, rows: NDArray[np.int64]) -> Array:
     """Return tensions over the planned ones at rows of the record (rows, n), nan while slack."""
     task, index = flight.task, flight.record.index[rows]
     planned = task.states.tensions[index]
@@ -133,7 +133,7 @@ def tension_ratios(flight: Flight, rows: NDArray[np.int64]) -> Array:
     return np.asarray(flight.record.tensions[rows] / planned)
 
 
-def tracking_verdict(flight: Flight) -> str:
+def tracking_verdict(flight: SimulatedFlight) -> str:
     """Return in words the largest errors of drones, and what the plan allows for; empty without.
 
     Errors are distances from the planned positions, level and upright.
@@ -151,7 +151,7 @@ def tracking_verdict(flight: Flight) -> str:
     return f"drones were off by up to {largest}, {state}: limits.tracking is {tube}"
 
 
-def tracking_errors(flight: Flight) -> Array:
+def tracking_errors(flight: SimulatedFlight) -> Array:
     """Return distances of drones from their setpoints during the plan (samples, 2n) [m]."""
     record = flight.record
     during = record.t <= flight.task.duration + ROUNDING
@@ -237,7 +237,7 @@ class Outcome:
         return bool(self.clasps) and all(clasp.holds for clasp in self.clasps)
 
 
-def judge(flight: Flight) -> Outcome:
+def judge(flight: SimulatedFlight) -> Outcome:
     """Return the outcome of a flight.
 
     If the plan ends with a hitch, every vertex must hold; otherwise cables must not be linked.
@@ -275,7 +275,7 @@ def clasp_links(links: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
     return np.asarray(np.where(rest == 0, shares, 0))
 
 
-def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
+def _clasps(flight: SimulatedFlight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     """Return the state of every vertex at the end of the plan."""
     team, layout = flight.task.team, flight.task.team.layout
     hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.parts])
@@ -293,7 +293,7 @@ def _clasps(flight: Flight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     )
 
 
-def _means(flight: Flight, end: float) -> tuple[Array, Array]:
+def _means(flight: SimulatedFlight, end: float) -> tuple[Array, Array]:
     """Return mean leg lengths (clasps, 2) [m] and contact forces (clasps,) [N] before ``end`` [s].
 
     Means are over the last AVERAGING_TIME; leg lengths are nan without vertices.
@@ -308,7 +308,7 @@ def _means(flight: Flight, end: float) -> tuple[Array, Array]:
 
 
 def _failed_links(
-    flight: Flight, linking: NDArray[np.int64], clasps: tuple[ClaspState, ...]
+    flight: SimulatedFlight, linking: NDArray[np.int64], clasps: tuple[ClaspState, ...]
 ) -> list[Failure]:
     """Return failures of cables that should not be linked, and of clasps that do not hold."""
     task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
@@ -337,7 +337,7 @@ def _failed_links(
     return failures
 
 
-def _object_failures(flight: Flight, state: ObjectState) -> list[Failure]:
+def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failure]:
     """Return the failures of an object."""
     cargo, ended, rested = flight.task.cargo, flight.linking is not None, flight.rested
     held, dropped = cargo.held[-1, cargo.names.index(state.name)], bool(np.isfinite(state.dropped))
@@ -360,7 +360,7 @@ def _object_failures(flight: Flight, state: ObjectState) -> list[Failure]:
     ]
 
 
-def _tube_of(flight: Flight) -> Tube:
+def _tube_of(flight: SimulatedFlight) -> Tube:
     """Return the largest tracking errors of any group that the plan allows for.
 
     Distances of a carried object are certified for errors of its place as large as those of the
@@ -373,7 +373,7 @@ def _tube_of(flight: Flight) -> Tube:
     return Tube.enclosing(tubes) or Tube.of(None)
 
 
-def object_states(flight: Flight) -> tuple[ObjectState, ...]:
+def object_states(flight: SimulatedFlight) -> tuple[ObjectState, ...]:
     """Return the states of all movable objects, at the end of the rest or of the record."""
     task, record, cargo = flight.task, flight.record, flight.task.cargo
     if not cargo.movable.any():
@@ -447,7 +447,7 @@ class LossOutcome(OneLine):
         return not self.among
 
 
-def loss_outcome(flight: Flight) -> LossOutcome | None:
+def loss_outcome(flight: SimulatedFlight) -> LossOutcome | None:
     """Return the outcome for a flight's team after the loss of a drone; None without one."""
     record, team, loss = flight.record, flight.task.team, flight.settings.lost
     if loss is None:
@@ -498,13 +498,13 @@ class Closest(NamedTuple):
     time: float
 
 
-def separation_of(flight: Flight) -> Separation:
+def separation_of(flight: SimulatedFlight) -> Separation:
     """Return the separation that a plan keeps; the default for other setpoints."""
     motion = flight.task.motion
     return Separation() if motion is None else motion.requirements.separation
 
 
-def closest(flight: Flight, scale: ArrayLike = 1.0) -> Closest:
+def closest(flight: SimulatedFlight, scale: ArrayLike = 1.0) -> Closest:
     """Return the closest drones before the pull test, in distances with a ``scale`` (3,) of axes.
 
     Pairs include drones that are not simulated, except pairs of these.

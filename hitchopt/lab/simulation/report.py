@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hitchopt.errors import InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.simulation.flight import Flight, fly
+from hitchopt.lab.simulation.flight import SimulatedFlight, fly
 from hitchopt.lab.simulation.judgement import (
     CampaignRun,
     LossOutcome,
@@ -70,7 +70,7 @@ OTHER_FAILURES = ("touch", "dropped", "misplaced", "caught")
 class Simulation(OneLine):
     """A flight, its outcome, and the errors of its vertices."""
 
-    flight: Flight
+    flight: SimulatedFlight
     outcome: Outcome
     errors: VertexErrors
 
@@ -249,7 +249,7 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
         raise InputError(f"{key}.{name}", options[name], "left out", remedy)
 
 
-def _cables(flight: Flight) -> Sequence[object]:
+def _cables(flight: SimulatedFlight) -> Sequence[object]:
     """Return the cables' names in files, in order: indices, or names for several groups."""
     return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
 

@@ -110,9 +110,9 @@ class Approach(ABC):
 
 def separated(task: SeparationTask) -> PiecewisePolynomial:
     """Return the flight of bodies; the planner and scipy's matrices are imported here."""
-    from hitchopt.planners.separation import SeparatedFlight
+    from hitchopt.planners.separation import SeparatedCurves
 
-    return SeparatedFlight(task).solve().drones
+    return SeparatedCurves(task).solve().drones
 
 
 class DirectApproach(Approach):

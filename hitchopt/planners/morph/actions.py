@@ -211,8 +211,8 @@ def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
 
 
 @dataclass(frozen=True, eq=False)
-class ActionFlight:
-    """The flight of an action, with names of further drones that move."""
+class FlownAction:
+    """The motion of an action, with names of further drones that move."""
 
     motion: Motion | None  # without phases; None if nothing moves
     # drones that the law moves only because of unequal tensions or weight
@@ -251,13 +251,13 @@ class ActionMorph:
         check_loads(path, self.requirements.limits)
         return path
 
-    def solve(self) -> ActionFlight:
+    def solve(self) -> FlownAction:
         """Return the flight; errors are those of ``StraightMorph.solve``."""
         action, seconds = self.action, self.action.seconds
         team, s = action.start.team, np.linspace(0.0, 1.0, PATH_SAMPLES)
         distance = np.max(np.abs(self.end.drones - action.start.drones))
         if action.track is None and distance < POSITION_TOLERANCE:
-            return ActionFlight(None)
+            return FlownAction(None)
         path = self.problem
         if seconds is None:
             motion = fly(path, self.requirements, self.duration)
@@ -276,7 +276,7 @@ class ActionMorph:
         names, further = np.array(team.drone_names), (moves > POSITION_TOLERANCE) & ~own
         turning, sliding = (tuple(names[further & mask].tolist()) for mask in (by_law, ~by_law))
         worst = None if path is self.own_path else worst_point(self.own_path, self.requirements)
-        return ActionFlight(motion, turning, sliding, worst)
+        return FlownAction(motion, turning, sliding, worst)
 
 
 def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:

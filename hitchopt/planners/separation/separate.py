@@ -69,7 +69,7 @@ CLOSE_RANGE = 0.1  # Separation [1] in excess of the limit below which such dron
 
 
 @dataclass(frozen=True, eq=False)
-class SeparatedFlight:
+class SeparatedCurves:
     """A planner of curves of all drones that satisfy a task at every time."""
 
     task: SeparationTask
@@ -190,7 +190,7 @@ def _last_resort(
         raise InfeasibleError(nearest.violations, note)
     report("searching for a feasible duration")
     try:
-        fastest = SeparatedFlight(replace(task, duration=None)).solve(report)
+        fastest = SeparatedCurves(replace(task, duration=None)).solve(report)
     except InfeasibleError:
         raise InfeasibleError(nearest.violations, note) from None
     duration = fastest.drones.duration
