@@ -48,11 +48,11 @@ class Plan(OneLine):
     problem: str = ""
 
     def _parts(self) -> Iterator[str]:
-        motion, checks = self.motion, self.certificate.checks
+        motion, limited = self.motion, self.certificate.limited
         yield from [short(self.title)] if self.title else []
         yield f"{len(motion.team.drone_names)} drones"
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
-        yield f"{sum(check.holds for check in checks)} of {len(checks)} checks hold"
+        yield f"{sum(check.holds for check in limited)} of {len(limited)} limits hold"
 
     @property
     def duration(self) -> float:

@@ -237,7 +237,7 @@ def test_records_are_written_in_their_own_words() -> None:
         (ho.Limits(), "Limits()"),
         (ho.Limits(speed=0.8), "Limits(speed=0.8)"),
         (ho.ConvexPolygon(EVEN), f"ConvexPolygon(vertices={polygon})"),
-        (plan, "Plan(6 drones, 2 s, phases: 1, 17 of 17 checks hold)"),
+        (plan, "Plan(6 drones, 2 s, phases: 1, 15 of 15 limits hold)"),
         (start, "Hitch(3 robots, closed, altitude=1, q_legs=[0.3, 0.8, 0.25], roll=0)"),
     ):
         assert repr(record) == words

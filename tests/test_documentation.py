@@ -185,6 +185,28 @@ def test_blocks_print_what_is_shown(
         assert failing == (done.status != 0), f"{done.code}\n{done.printed}"
 
 
+# Commands of README that set up an environment
+SET_UP = ("make ", "python3 -m venv ", "pip ")
+
+
+@pytest.mark.slow
+def test_readme_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All blocks but the set-up run in order in an empty folder, without a warning."""
+    monkeypatch.chdir(tmp_path)
+    commands = 0
+    for block in blocks(text_of(ROOT / "README.md")):
+        if block.language == "python":
+            with redirect_stdout(io.StringIO()):
+                exec(compile(block.text, "<README>", "exec"), {"__name__": "__main__"})
+        for command in block.text.splitlines() if block.language == "sh" else ():
+            if not command.startswith(SET_UP):
+                status, printed = run(command)
+                assert status == 0, f"{command}\n{printed}"
+                assert "warning" not in printed, printed
+                commands += 1
+    assert commands == 4
+
+
 def test_every_block_is_executed_or_text_and_links_lead_to_files() -> None:
     for page in PAGES:
         text = text_of(page)
