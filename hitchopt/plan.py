@@ -290,9 +290,7 @@ class Plan(OneLine):
             or gltf.
         folder: created if it is missing; only files of an earlier export are replaced.
         progress: status callback.
-        options: keywords of ``ExportOptions``, all optional: frame, origin, yaw, fleet,
-            rate, stretch, storage, ros_distro, hold_tension, allow_slack, positions_only,
-            stiffness, damping and longer_rests.
+        options: keywords of ``hitchopt.exports.options.ExportOptions``, all optional.
 
         Raises
         ------

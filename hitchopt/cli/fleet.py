@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -14,35 +14,70 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, completing, option, plan_path
+from hitchopt.cli.options import PATH, command, completing, key_option, option, plan_path
 from hitchopt.cli.output import ProgressBar, certificate_table, record, say, show_places, table
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
-from hitchopt.exports.options import HOMES, ROS_DISTROS, STORAGES
 
 if TYPE_CHECKING:
+    import click
+
     from hitchopt.exports.lint import Report
     from hitchopt.live.abort import AbortTable
     from hitchopt.live.fly import Outlet
 
 MAX_LISTED = 5  # Maximum number of findings listed per rule
 HOWS = ("hold", "back", "release_and_land", "land")  # Aborts; the last two end a flight
-# Options for the place of a plan in the frame of files or of drones
-PLACEMENT = (
-    option("--origin", "The plan's: east, north, up [m] in that frame.", (0.0, 0.0, 0.0), "X Y Z"),
-    option("--yaw-deg", "Turns the plan there, counter-clockwise from above.", 0.0, "DEG"),
-)
 # Default first port; PX4's simulated vehicle i listens on 14580 + i
 PORT = {"json": 14600, "mavlink": 14580}
 
 
+def _placement_options() -> Sequence[click.Option]:
+    """Return the options for the place of a plan in the frame of files or of drones."""
+    from hitchopt.exports.options import ExportOptions
+    from hitchopt.values.fields import keys_of
+
+    keys = keys_of(ExportOptions)
+    return (
+        key_option("--origin", keys["origin"], "X Y Z"),
+        key_option("--yaw-deg", keys["yaw"], "DEG"),
+    )
+
+
+def _format_option() -> Sequence[click.Option]:
+    """Return the option for the format of an export."""
+    from hitchopt.exports.options import HOMES
+
+    description = f"One of {', '.join(HOMES)}."
+    return (option("--format", description, str, "NAME", **completing(lambda: HOMES)),)
+
+
+def _export_options() -> Sequence[click.Option]:
+    """Return the other options that ``ExportOptions`` declares."""
+    from hitchopt.exports.options import ExportOptions
+    from hitchopt.values.fields import keys_of
+
+    keys = keys_of(ExportOptions)
+    return (
+        key_option("--frame", keys["frame"]),
+        key_option("--rate", keys["rate"]),
+        key_option("--stretch", keys["stretch"], "FACTOR"),
+        key_option("--storage", keys["storage"]),
+        key_option("--ros-distro", keys["ros_distro"]),
+        key_option("--hold-tension", keys["hold_tension"]),
+        key_option("--allow-slack", keys["allow_slack"]),
+        key_option("--positions-only", keys["positions_only"]),
+        key_option("--longer-rests/--no-longer-rests", keys["longer_rests"]),
+        key_option("--stiffness", keys["stiffness"]),
+        key_option("--damping", keys["damping"], "N·S/M"),
+    )
+
+
 @command(
     "directory DIR",
-    option("--format", f"One of {', '.join(HOMES)}.", str, "NAME", **completing(lambda: HOMES)),
+    _format_option,
     option(
         "-o --output", "Folder, or the file where there is but one; else DIR-NAME.", PATH, "PATH"
     ),
-    option("--frame", "enu, nwu or ned; by default the format's usual.", str, "FRAME"),
-    *PLACEMENT,
     option(
         "--fleet",
         "YAML: drones: {q0: {name: cf1, uri: radio://…, type: cf21}, …}, or a crazyflies.yaml"
@@ -50,33 +85,8 @@ PORT = {"json": 14600, "mavlink": 14580}
         PATH,
         "FILE",
     ),
-    option("--rate", "Samples per second, where it samples.", float, "HZ"),
-    option("--stretch", "Factor of all durations, from 1 on.", 1.0, "FACTOR"),
-    option("--storage", "Storage of a ros2bag.", "mcap", choices=tuple(STORAGES)),
-    option(
-        "--ros-distro",
-        "Release that a ros2bag is for; later ones read it too.",
-        "humble",
-        choices=tuple(ROS_DISTROS),
-    ),
-    option(
-        "--hold-tension",
-        "Move set points outward to hold the tension in other formats than uploads, too.",
-    ),
-    option("--allow-slack", "Write uploads that cannot hold the tension all the same."),
-    option(
-        "--positions-only",
-        "Allow for drones that follow positions alone, and trail them by v kd/kp.",
-    ),
-    option(
-        "--longer-rests/--no-longer-rests",
-        "Whether a plan that is cut may rest longer where it is, for set points to come to rest.",
-        True,
-    ),
-    option("--stiffness", "Of the drones' position loops; by default the team's.", float, "N/M"),
-    option(
-        "--damping", "Of these loops; by default that of a damping ratio of 5/6.", float, "N·S/M"
-    ),
+    _placement_options,
+    _export_options,
     required=False,
 )
 def export(directory: Path | None, output: Path | None, yaw_deg: float, **options: Any) -> None:
@@ -86,7 +96,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     """
     from hitchopt.exports.exporting import export_motion
     from hitchopt.exports.format import format_of
-    from hitchopt.exports.options import ExportOptions
+    from hitchopt.exports.options import HOMES, ExportOptions
     from hitchopt.exports.placing import read_fleet
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.values.fields import Missing
@@ -135,30 +145,36 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     record(parts=entries)
 
 
-@command(
-    "path PATH",
-    option("--speed", "Limit; by default the show's own, or a warning from 3 on.", float, "M/S"),
-    option(
-        "--acceleration",
-        "Limit; by default the show's own, or a warning from 10 on.",
-        float,
-        "M/S²",
-    ),
-    option("--radius", "A drone's ellipsoid, across.", 0.12, "M"),
-    option("--height", "A drone's ellipsoid, up.", 0.3, "M"),
-)
-def lint(path: Path, **limits: float | None) -> None:
+def _rule_options() -> Sequence[click.Option]:
+    """Return the options that the rules of lint declare."""
+    from hitchopt.exports.lint import Rules
+    from hitchopt.values.fields import keys_of
+
+    rules, separation = keys_of(Rules), keys_of(ho.Separation)
+    return (
+        key_option("--speed", rules["speed"]),
+        key_option("--acceleration", rules["acceleration"]),
+        key_option("--radius", separation["radius"]),
+        key_option("--height", separation["height"]),
+    )
+
+
+@command("path PATH", _rule_options)
+def lint(
+    path: Path,
+    speed: float | None,
+    acceleration: float | None,
+    radius: float,
+    height: float,
+) -> None:
     """Check fleet files of any origin and report errors.
 
     PATH is a file or a folder of any format that `export` writes. Limits that a show declares are
     always checked. Ends with 3 if there are errors.
     """
     from hitchopt.exports.lint import Rules
-    from hitchopt.values import positive
 
-    values = {key: positive(key, x) for key, x in limits.items() if x is not None}
-    separation = ho.Separation(values["radius"], values["height"])
-    rules = Rules(values.get("speed"), values.get("acceleration"), separation)
+    rules = Rules(speed, acceleration, ho.Separation(radius, height))
     with ProgressBar("reading and checking"):
         reports = ho.lint(path, rules)
     entries = []
@@ -291,7 +307,7 @@ def _default_abort(motion: ho.Motion) -> str:
         "HOST:PORT",
     ),
     option("--fleet", "Names of the Crazyflies.", PATH, "FILE"),
-    *PLACEMENT,
+    _placement_options,
     option("--rate", "Setpoints per second and drone.", 50.0, "HZ"),
     option(
         "--how",

@@ -60,19 +60,25 @@ def option(
 
 
 def key_option(names: str, key: Key, metavar: str | None = None) -> click.Option:
-    """Return the option for a key of a record, whose default is left to the record.
+    """Return the option for a key of a record, with the key's meaning, unit in files and default.
 
-    Flags have two names, such as ``--upload/--stream``, to be set and unset.
+    Flags that are not False by default have two names, such as ``--upload/--stream``.
     """
     from hitchopt.values import FLAG  # imports numpy, which --help does without
+    from hitchopt.values.fields import EMPTY
 
-    description = f"{key.described(key.kind)}.".replace("null:", "default:")
-    if key.kind.forms == (FLAG,):
-        return option(names, description, None)
-    if choices := key.kind.schema.get("enum"):
-        return option(names, description, str, choices=choices)
-    kind = int if key.kind.schema["type"] == "integer" else float
-    return option(names, description, kind, metavar or key.kind.unit.upper())
+    kind = key.file_kind
+    description = f"{key.described(kind)}.".replace("null:", "default:")
+    default = None if key.default is EMPTY else key.to_file(key.default)
+    if kind.forms == (FLAG,):
+        return option(names, description, default)
+    choices = kind.schema.get("enum", ())
+    if default is None:
+        types: dict[str, type] = {"integer": int, "string": str}
+        default = str if choices else types.get(kind.schema["type"], float)
+    return option(
+        names, description, default, metavar or kind.unit.upper() or None, choices=choices
+    )
 
 
 def assignment_option(name: str, description: str, keys: Mapping[str, Key]) -> click.Option:

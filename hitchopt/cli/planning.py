@@ -38,7 +38,6 @@ from hitchopt.errors import (
     TimeLimitError,
     contained,
 )
-from hitchopt.exports.options import checked_rate
 
 if TYPE_CHECKING:
     from hitchopt.live.lost import UnsurvivableSpan
@@ -96,6 +95,7 @@ def solve(
 
     FILE may be - for standard input. If there is no plan, DIR/previous has the last certified plan.
     """
+    from hitchopt.exports.options import checked_rate
     from hitchopt.mission.loading import parse_problem
     from hitchopt.mission.repair import MAX_SUGGESTIONS
     from hitchopt.storage.yaml_file import located, read_text

@@ -25,7 +25,7 @@ from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Pro
 from hitchopt.exports.contents import MANIFEST, MANIFEST_FORMAT, listed_names, read_manifest
 from hitchopt.exports.format import ExportTask, Format, format_of
 from hitchopt.exports.held_tension import held_tension, is_overridden, loop_gains, trailing_times
-from hitchopt.exports.options import ENDINGS, ExportOptions, checked_rate
+from hitchopt.exports.options import ENDINGS, ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
 from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
@@ -114,7 +114,7 @@ def export_motion(
         fleet = placeholder_fleet(roles, dotted=kind.dotted)
     else:
         fleet = read_fleet(options.fleet, roles)
-    rate = kind.rate if options.rate is None else checked_rate(options.rate)
+    rate = kind.rate if options.rate is None else options.rate
     _check_gains(kind, motion.team, options)
     settings = kind.settings(motion.team, options)
     notes = list[str]()

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Annotated, Any, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,8 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array
 from hitchopt.values import path as checked_path
+from hitchopt.values.fields import Key, Record
+from hitchopt.values.units import ACCELERATION, SPEED
 
 BAG_METADATA = "metadata.yaml"  # File name of a bag's metadata
 MAX_COORDINATE = 1e6  # Maximum coordinate of a drone [m]
@@ -118,15 +120,21 @@ class Report:
 
 
 @dataclass(frozen=True)
-class Rules:
-    """Limits of the flight; None for the show's own limits, or else the defaults.
+class Rules(Record):
+    """Limits of the flight.
 
     Larger jumps of position [m] between pieces make a flight fail; those of velocity [m/s] and
     acceleration [m/s²] excite oscillations.
     """
 
-    speed: float | None = None  # [m/s]
-    acceleration: float | None = None  # [m/s²]
+    speed: Annotated[
+        float | None,
+        Key(SPEED, "Largest speed; null: the show's own, or a warning from 3 on"),
+    ] = None
+    acceleration: Annotated[
+        float | None,
+        Key(ACCELERATION, "Largest acceleration; null: the show's own, or a warning from 10 on"),
+    ] = None
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
 

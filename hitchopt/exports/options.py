@@ -1,4 +1,7 @@
-"""Options of an export: format, placement and sampling."""
+"""Options of an export: format, placement and sampling.
+
+``ExportOptions`` declares their keys, from which the options of the command line follow.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from hitchopt.errors import InputError
+from hitchopt.values import SCALAR
+from hitchopt.values.fields import FLAGS, Key, Kind, Record, documented, points, words
+from hitchopt.values.units import ANGLE, DAMPING, NUMBER, STIFFNESS
 
 HOMES = {
     "crazyswarm2": "crazyflie:Crazyswarm2",
@@ -27,39 +34,70 @@ ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata
 MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts a higher one
 
 
-@dataclass(frozen=True)
-class ExportOptions:
-    """The format of an export, and the placement and sampling of the plan.
-
-    Raises InputError for an unknown storage or release.
-    """
-
-    format: str
-    frame: str | None = None  # enu, nwu or ned; None for the format's default
-    origin: Sequence[float] = (0.0, 0.0, 0.0)  # of the plan in the frame: east, north, up [m]
-    yaw: float = 0.0  # rotation of the plan in the frame, counter-clockwise from above [rad]
-    fleet: Path | str | None = None  # fleet file; None for the plan's names of drones
-    rate: float | None = None  # sampling rate [Hz]; None for the format's default
-    stretch: float = 1.0  # factor of all durations, at least 1
-    storage: str = "mcap"  # storage format of a bag, mcap or sqlite3
-    ros_distro: str = "humble"  # ROS 2 release of a bag: humble, iron or jazzy
-    hold_tension: bool = False  # whether set points hold the tension in other formats than uploads
-    allow_slack: bool = False  # whether uploads that cannot hold the tension are written
-    positions_only: bool = False  # whether receivers follow positions alone, and trail them
-    stiffness: float | None = None  # of position loops [N/m]; None for the team's
-    damping: float | None = None  # [N s/m]; None for a damping ratio of 5/6
-    # whether parts of a plan that fly one by one may rest longer at their ends than the plan
-    longer_rests: bool = True
-
-    def __post_init__(self) -> None:
-        for name, values in (("storage", STORAGES), ("ros_distro", ROS_DISTROS)):
-            if (value := getattr(self, name)) not in values:
-                remedy = f"{next(iter(values))} is usual"
-                raise InputError(name, value, " or ".join(values), remedy)
-
-
 def checked_rate(rate: float) -> float:
     """Return the rate [Hz]; raises InputError if it is out of range."""
     if not (math.isfinite(rate) and 0.0 < rate <= MAX_RATE):
         raise InputError("rate", rate, f"above 0 and at most {MAX_RATE:g} Hz", "100 Hz is usual")
     return rate
+
+
+RATE = Kind((SCALAR,), lambda _, rate: checked_rate(rate), {"type": "number"}, "Hz")
+
+
+@documented
+@dataclass(frozen=True, eq=False)
+class ExportOptions(Record):
+    """The format of an export, and the placement and sampling of the plan.
+
+    Attributes without a key are ``format``, its name, and ``fleet``, the path of a fleet file; None
+    for the plan's names of drones.
+
+    Raises
+    ------
+    InputError: an unknown word, or a number out of its range.
+    """
+
+    format: str
+    frame: Annotated[
+        str | None, Key(words("enu", "nwu", "ned"), "Frame of the files; null: the format's usual")
+    ] = None
+    origin: Annotated[
+        Sequence[float],
+        Key(points((3,), "x, y, z"), "The plan's origin in that frame: east, north, up [m]"),
+    ] = (0.0, 0.0, 0.0)
+    yaw: Annotated[
+        float, Key(ANGLE, "Rotation of the plan there, counter-clockwise from above")
+    ] = 0.0
+    fleet: Path | str | None = None
+    rate: Annotated[
+        float | None, Key(RATE, "Samples per second, where it samples; null: the format's usual")
+    ] = None
+    stretch: Annotated[float, Key(NUMBER, "Factor of all durations, from 1 on")] = 1.0
+    storage: Annotated[str, Key(words(*STORAGES), "Storage of a ros2bag")] = "mcap"
+    ros_distro: Annotated[
+        str, Key(words(*ROS_DISTROS), "Release that a ros2bag is for; later ones read it too")
+    ] = "humble"
+    hold_tension: Annotated[
+        bool,
+        Key(FLAGS, "Move setpoints outward to hold the tension in other formats than uploads, too"),
+    ] = False
+    allow_slack: Annotated[
+        bool, Key(FLAGS, "Write uploads that cannot hold the tension all the same")
+    ] = False
+    positions_only: Annotated[
+        bool, Key(FLAGS, "Allow for drones that follow positions alone, and trail them by v kd/kp")
+    ] = False
+    stiffness: Annotated[
+        float | None, Key(STIFFNESS, "Of the drones' position loops; null: the team's")
+    ] = None
+    damping: Annotated[
+        float | None,
+        Key(DAMPING, "Of these loops; null: that of a damping ratio of 5/6"),
+    ] = None
+    longer_rests: Annotated[
+        bool,
+        Key(
+            FLAGS,
+            "Whether a plan that is cut may rest longer where it is, for setpoints to come to rest",
+        ),
+    ] = True

@@ -142,6 +142,7 @@ LIGHT_DENSITY = quantity("kg/m", (0.0, 1.0), (TINY, 100.0), (("grams per metre",
 FRICTION = quantity("", (0.0, 3.0), (0.0, 1e9), (("per cent", 1e-2),))
 STIFFNESS = quantity("N/m", (0.01, 1e5), (1e-6, 1e9), (("N/mm", 1e3),))
 FORCE = quantity("N", (0.0, 500.0), (0.0, 1e6), GRAMS_OF_FORCE)
+AXIAL_FORCE = quantity("N", UNBOUNDED)
 DRAG = quantity("N s/m", (0.0, 10.0), (0.0, 1e3))
 DAMPING = quantity("N s/m", UNBOUNDED)
 INTEGRAL = quantity("N/(m s)", UNBOUNDED, (0.0, HUGE))

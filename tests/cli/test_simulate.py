@@ -103,7 +103,7 @@ def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
     options = [
         "--runs",
         "1",
-        "--processes",
+        "--workers",
         "1",
         "--seed",
         "7",
@@ -171,9 +171,9 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("statics --at -1", "t = "),
         ("statics --samples 0", "--samples = 0: must be from 1 to 1000"),
-        ("statics --cable-error 1cm", "--cable-error = '1cm': must be a number, or sd:number"),
-        ("statics --cable-length 2.4,x", "--cable-length = '2.4,x'"),
-        ("statics --stiffness -1", "stiffness = -1.0"),
+        ("statics --error cable=1cm", "--error cable = '1cm': must be a number, or sd:number"),
+        ("statics --perturb cable_length=[2.4,x]", "--perturb cable_length[1] = 'x'"),
+        ("statics --perturb stiffness=-1", "--perturb stiffness = -1: must be"),
     ],
 )
 def test_invalid_options_end_with_2(solved: Path, words: str, told: str) -> None:
@@ -207,21 +207,24 @@ def test_every_perturbation_is_a_key_of_the_option(solved: Path) -> None:
     assert all(f"{name}: " in (getattr(option, "help", "") or "") for name in keys)
 
 
-REAL = "--cable-length 2.39,2.41,2.4 --density 0.004 --load 0.002 --stiffness 8"
+REAL = (
+    "--perturb cable_length=[2.39,2.41,2.4] --perturb density=0.004 --perturb load=0.002 "
+    "--perturb stiffness=8"
+)
 
 
 @pytest.mark.parametrize(
     ("options", "conditions"),
     [
         ("--at 0.5", {}),
-        ("--at 0.5 --friction 0.05", {"friction": 0.05}),
+        ("--at 0.5 --perturb friction=0.05", {"friction": 0.05}),
         (
-            f"--at 0.5 {REAL} --axial-stiffness 500",
+            f"--at 0.5 {REAL} --perturb axial_stiffness=500",
             {"cable_length": [2.39, 2.41, 2.4], "axial_stiffness": 500.0}
             | {"cable_density": 0.004, "load": 0.002, "stiffness": 8.0},
         ),
         pytest.param(
-            "--at 0.5 --cable-error 0.01 --force-error sd:0.02",
+            "--at 0.5 --error cable=0.01 --error force=sd:0.02",
             {"cable_error": 0.01, "force_error": ho.ErrorSize(deviation=0.02)},
             marks=pytest.mark.slow,
         ),
@@ -250,11 +253,19 @@ def test_statics_agrees_with_the_python_interface(
 
 
 def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> None:
-    result = run("statics", settling, "--no-feed-forward", "--cable-length", "2.6", code=3)
+    result = run(
+        "statics", settling, "--perturb=feed_forward=false", "--perturb=cable_length=2.6", code=3
+    )
     assert "note: Cables will go slack" in result.stdout
     assert "slack, or without hold: c0, c1, c2, p0, p1, p2" in result.stderr
     assert read(settling / "statics.json")["slack_cables"] == ["c0", "c1", "c2"]
-    options = ["--at", "0", "--integral", "--tolerance", "--axial-stiffness", "100"]
+    options = [
+        "--at",
+        "0",
+        "--perturb=integral=true",
+        "--tolerance",
+        "--perturb=axial_stiffness=100",
+    ]
     result = run("statics", settling, *options, code=0)
     assert "note: Integral action overrides the planned tension" in result.stdout
     assert result.stdout.count("may be") == 3

@@ -309,7 +309,7 @@ def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
     vertices = task.states.vertices.copy()
     vertices[4:, :, 0] += [[0.01], [0.02]]  # the plan moves it at the end
     task, messages = replace(task, states=replace(task.states, vertices=vertices)), list[str]()
-    campaign = run_campaign(task, BRIEF, 2, processes=2, progress=messages.append)
+    campaign = run_campaign(task, BRIEF, 2, workers=2, progress=messages.append)
     alone = Simulation.of(task, BRIEF)
     for name, value in alone.figures.items():
         np.testing.assert_equal(campaign.runs[0].figures[name], value)
@@ -333,16 +333,16 @@ def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
 def test_infeasible_starts_are_failures_of_their_run(tmp_path: Path) -> None:
     free = resting_task(regular_hitch(3), 0.05, formed=False)
     apart = replace(free.states, positions=free.states.positions * 1.6)
-    campaign = run_campaign(replace(free, states=apart), BRIEF, 2, processes=1)
+    campaign = run_campaign(replace(free, states=apart), BRIEF, 2, workers=1)
     assert (campaign.successes, campaign.failures) == (0, {("start", ""): 2})
     assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
     save_campaign(tmp_path, campaign)
     assert (tmp_path / "runs.csv").read_text(encoding="utf-8").count("its drones start") == 2
     with pytest.raises(ho.InputError, match="density"):  # invalid for every run
-        run_campaign(free, replace(BRIEF, density=1e-6), 2, processes=1)
-    for runs, processes, name in ((0, None, "runs"), (1, 0, "processes")):
+        run_campaign(free, replace(BRIEF, density=1e-6), 2, workers=1)
+    for runs, workers, name in ((0, None, "runs"), (1, 0, "workers")):
         with pytest.raises(ho.InputError, match=f"^{name} = 0"):
-            run_campaign(free, BRIEF, runs, processes)
+            run_campaign(free, BRIEF, runs, workers)
 
 
 def placed_with(tracking: float | ho.Tube | None, off: list[float], *, held: bool) -> Outcome:

@@ -154,7 +154,9 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
         _ = plan.end
     with pytest.raises(UnsupportedError, match="show flies on a clock"):
         ho.Player(show)
-    result = CliRunner().invoke(main, ["statics", str(folder), "--at", "8", "--stiffness", "40"])
+    result = CliRunner().invoke(
+        main, ["statics", str(folder), "--at", "8", "--perturb", "stiffness=40"]
+    )
     assert result.exit_code == 0, result.output
     for group in motion.groups:
         rest = ho.equilibrium(group.motion, 8.0, stiffness=40.0)

@@ -3,50 +3,71 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, option, picture_options, plan_path
+from hitchopt.cli.options import (
+    PATH,
+    assignment_option,
+    command,
+    key_option,
+    option,
+    picture_options,
+    plan_path,
+)
 from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text, table
 from hitchopt.errors import InputError
 
-# Default bounds of errors with --tolerance [m], for cables cut to a centimetre and motion capture
-DEFAULT_ERRORS = {"cable": "0.01", "position": "0.02"}
-ERROR_KINDS = ("cable", "position", "force")
+if TYPE_CHECKING:
+    import click
+
 MAX_TIMES = 1000  # Maximum number of times
 CIRCLE = "circle:"  # Prefix of a radius in place of an outline
+
+
+def _statics_options() -> Sequence[click.Option]:
+    """Return the options for real values of the team, and for their errors."""
+    from hitchopt.lab.statics.equilibrium import condition_keys
+    from hitchopt.lab.statics.tolerance import ERROR_KEYS
+
+    return (
+        assignment_option(
+            "--perturb", "Real value, such as density=0.005; may be repeated.", condition_keys()
+        ),
+        option(
+            "--tolerance",
+            "Ranges for errors: those of --error, else ±1 cm of cables and ±2 cm of drones.",
+        ),
+        assignment_option(
+            "--error",
+            "Size of an error: cable=0.01 is a bound, cable=sd:0.01 a standard deviation; may be "
+            "repeated.",
+            ERROR_KEYS,
+        ),
+    )
 
 
 @command(
     "directory DIR",
     option("--at times", "Time [s]; repeatable.", float, "T", multiple=True),
     option("--samples", "Times without --at.", 25, "N"),
-    option("--stiffness", "Of the position loops; inf is rigid.", float, "N/M"),
-    option("--integral/--no-integral", "Position errors are driven to zero.", None),
-    option("--feed-forward/--no-feed-forward", "The cable force is fed forward.", None),
-    option("--cable-length", "Real lengths: one, or one per cable [m].", str, "M[,M…]"),
-    option("--density cable_density", "Real cable density.", float, "KG/M"),
-    option("--load", "Real mass at every clasp.", float, "KG"),
-    option("--axial-stiffness", "EA of the cables; 10 kN.", float, "N"),
-    option("--friction", "Real friction at the clasps, for the bands of rest.", float, "MU"),
-    option("--tolerance", "Ranges for errors: cables ±1 cm, drones ±2 cm, or as given."),
-    option("--cable-error", "Error of cable lengths: 0.01 bound, sd:0.01.", str, "M"),
-    option("--position-error", "Error of drones' positions, likewise.", str, "M"),
-    option("--force-error", "Error of the force feed-forward, likewise.", str, "N"),
+    _statics_options,
     *picture_options(),
 )
 def statics(
     directory: Path,
     times: tuple[float, ...],
     samples: int,
+    perturb: dict[str, Any],
+    error: dict[str, Any],
     format: str,
     width: float | None,
     *,
     tolerance: bool,
-    **options: Any,
 ) -> None:
     """Compute the static equilibrium of the hitch in DIR: positions, tensions, and their ranges.
 
@@ -60,33 +81,25 @@ def statics(
     from hitchopt.hitch.forces import undetermined_tension
     from hitchopt.lab.statics.equilibrium import conditions_of, equilibrium
     from hitchopt.lab.statics.files import save_statics, statics_content
-    from hitchopt.lab.statics.tolerance import ErrorSize, taut_times
+    from hitchopt.lab.statics.tolerance import ERROR_KEYS, ErrorSize, taut_times
     from hitchopt.lab.statics.tolerance import tolerance as ranges_of
     from hitchopt.motion.plan_file import read_plan
 
     path = plan_path(directory)
-    conditions = {name: value for name, value in options.items() if value is not None}
-    keys = [key for kind in ERROR_KINDS if (key := f"{kind}_error") in conditions]
-    sizes = {key: conditions.pop(key) for key in keys}
-    if tolerance and not sizes:
-        sizes = {f"{kind}_error": size for kind, size in DEFAULT_ERRORS.items()}
-    errors = {key: ErrorSize.of(key, text) for key, text in sizes.items()}
-    parsed: list[float] = []
-    if (lengths := conditions.get("cable_length")) is not None:
-        try:
-            parsed = [float(part) for part in lengths.split(",")]
-        except ValueError:
-            bound, remedy = "numbers with commas", "2.4,2.41,2.39"
-            raise InputError("cable_length", lengths, bound, remedy) from None
-        conditions["cable_length"] = parsed if parsed[1:] else parsed[0]
+    usual = {name: ErrorSize(key.default) for name, key in ERROR_KEYS.items()}
+    sizes = error or (usual if tolerance else {})
+    errors = {f"{name}_error": size for name, size in sizes.items()}
+    names = {"density": "cable_density"}  # in equilibrium
+    conditions = {names.get(name, name): value for name, value in perturb.items()}
+    lengths = conditions.get("cable_length")
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
     motion, contents, loose = read_plan(path), dict[str, Any](), list[str]()
     hitches = [group for group in motion.groups if group.motion.team.has_cables]
     for group in hitches or motion.groups:
         part, folder = group.motion, path.parent / group.name
-        if len(parsed) == part.team.robots > 1:
-            conditions["cable_length"] = [parsed[robot] for robot in part.team.labels]
+        if isinstance(lengths, list) and len(lengths) == part.team.robots:
+            conditions["cable_length"] = [lengths[robot] for robot in part.team.labels]
         t = list(times) if times else taut_times(part, samples)
         with ProgressBar("settling"):
             if errors:
@@ -271,6 +284,27 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
 
 
+def _fit_options() -> Sequence[click.Option]:
+    """Return the options for the object and the team of a fit."""
+    from hitchopt.lab.statics.fit import FitTask
+    from hitchopt.values.fields import keys_of
+
+    task, quadrotor = keys_of(FitTask), keys_of(ho.Quadrotor)
+    return (
+        key_option("--clearance", task["clearance"]),
+        key_option("--object-height height", task["height"]),
+        option("--mass", "To be held [kg]; ends with 3 if it is not.", float, "KG"),
+        option("--by", "How --mass is to be held.", "grip", choices=("grip", "rest")),
+        key_option("--friction", task["friction"], "FLOAT"),
+        key_option("--clasp-friction", task["clasp_friction"], "FLOAT"),
+        key_option("--tension", task["tension"]),
+        key_option("--cable-length", task["cable_length"]),
+        key_option("--tilt-deg", keys_of(ho.Limits)["tilt"], "DEG"),
+        key_option("--quadrotor-mass", replace(quadrotor["mass"], text="Mass of every drone")),
+        key_option("--max-thrust", quadrotor["max_thrust"]),
+    )
+
+
 @command(
     "outline OUTLINE",
     option("--robots", "Number of robots.", int, "N", required=True),
@@ -280,17 +314,7 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
         PATH,
         "DIR",
     ),
-    option("--clearance", "Of cables, while enclosing.", 0.035, "M"),
-    option("--object-height height", "Height of the object.", 0.3, "M"),
-    option("--mass", "To be held; ends with 3 if it is not.", float, "KG"),
-    option("--by", "How --mass is to be held.", "grip", choices=("grip", "rest")),
-    option("--friction", "Between cables and object.", 0.5, "FLOAT"),
-    option("--clasp-friction", "Of cables on each other.", 0.15, "FLOAT"),
-    option("--tension", "Of all cables; the largest level pull.", float, "N"),
-    option("--cable-length", "Of all cables; the shortest.", float, "M"),
-    option("--tilt-deg", "Largest tilt of drones.", 45.0, "DEG"),
-    option("--quadrotor-mass", "Of every drone.", 0.132, "KG"),
-    option("--max-thrust", "Of every drone.", 2.6, "N"),
+    _fit_options,
     *picture_options(),
     type=str,
 )

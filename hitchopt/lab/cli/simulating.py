@@ -80,7 +80,7 @@ def _settings_options() -> Sequence[click.Option]:
         choices=("fast", "accurate"),
     ),
     option("--runs", "Simulate N flights, with seeds S, S+1, ….", int, "N"),
-    option("--processes", "Processes; by default all processors.", int, "P"),
+    option("--workers", "Processes; by default one per processor.", int, "N"),
     option(
         "--perturbed",
         "Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables "
@@ -105,7 +105,7 @@ def simulate(
     directory: Path,
     output: Path | None,
     runs: int | None,
-    processes: int | None,
+    workers: int | None,
     lose: str | None,
     as_calibrated: Path | None,
     perturb: Mapping[str, Any],
@@ -148,7 +148,7 @@ def simulate(
         _simulate_one(task, settings, folder, directory, format, width)
         return
     with ProgressBar("flying") as progress:
-        campaign = run_campaign(task, settings, runs, processes, progress)
+        campaign = run_campaign(task, settings, runs, workers, progress)
     save_campaign(folder, campaign)
     message = f"{_campaign_tables(campaign)}\nresults are in {folder}"
     say(message, directory=str(folder), campaign=campaign.to_dict())
@@ -317,7 +317,7 @@ def _campaign_tables(campaign: Campaign) -> str:
 @command(
     "study STUDY",
     option("-o --output", "Results; else ./ and the stem.", PATH, "DIR"),
-    option("--workers", "Processes; by default all processors.", int, "N"),
+    option("--workers", "Processes; by default one per processor.", int, "N"),
     option("--scheduler", "A dask scheduler, such as tcp://host:8786.", str, "ADDRESS"),
     width_option("the picture"),
 )

@@ -11,8 +11,9 @@ rest without friction over the friction coefficient.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError, Violation
 from hitchopt.geometry.vectors import dot, length, unit
-from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch import GRAVITY, Quadrotor, Team
 from hitchopt.lab.statics.energy import HitchEnergy
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
 from hitchopt.values import Array, check_instance
+from hitchopt.values.fields import Key, keys_of
+from hitchopt.values.units import AXIAL_FORCE, STIFFNESS
 
 # Smallest positive and largest finite number
 POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
@@ -47,6 +50,33 @@ BLOCK = 4000  # Cables of all samples that are solved at once, to bound memory
 # A cable is slack if a level span of its largest length would sag by more than the chord over the
 # first number, or if its tension over the planned one is below the second
 SAG_RATIO, SLACK_RATIO = 4.0, 1e-6
+
+
+def _stiffness(key: str, value: object) -> float:
+    """Return a stiffness [N/m], infinite if rigid; InputError for other values."""
+    number: float = value if value == math.inf else STIFFNESS.check(key, value)
+    return number
+
+
+def condition_keys() -> dict[str, Key]:
+    """Return the keys of a team's real values, the plan's by default, under names of commands.
+
+    ``density`` and ``friction`` are the team's ``cable_density`` and ``cable_friction``.
+    """
+    team, quadrotor = keys_of(Team), keys_of(Quadrotor)
+    keys = {
+        "cable_length": team["cable_length"],
+        "density": team["cable_density"],
+        "friction": team["cable_friction"],
+        "load": team["load"],
+        "axial_stiffness": Key(
+            AXIAL_FORCE, f"Stiffness EA of cables to stretch; {AXIAL_STIFFNESS:g} N by default"
+        ),
+        "stiffness": replace(quadrotor["stiffness"], kind=replace(STIFFNESS, check=_stiffness)),
+        "integral": quadrotor["integral"],
+        "feed_forward": quadrotor["feed_forward"],
+    }
+    return {name: replace(key, text=key.text.partition(";")[0]) for name, key in keys.items()}
 
 
 def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:

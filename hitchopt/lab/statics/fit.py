@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -36,8 +36,9 @@ from hitchopt.planners.carrying.polygons import (
 from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.steps.straddling import Tie, needed_height
-from hitchopt.values import integer, nonnegative, points, positive
-from hitchopt.values.fields import with_fields
+from hitchopt.values import integer, points, positive
+from hitchopt.values.fields import Key, Record, with_fields
+from hitchopt.values.units import CABLE_LENGTH, DISTANCE, FRICTION, LENGTH, TENSION
 
 GRIP, REST = "grip", "rest"
 SAFETY = 1.5  # Smallest ratio of slip load to load
@@ -47,19 +48,43 @@ TIED_STEP, TIED_STEPS = 0.2, 15  # Step of the lengths of two cables [m], and th
 TIED_DENSITY = 0.005  # Of two cables, which are not tied without weight [kg/m]
 
 
-@dataclass(frozen=True)
-class FitTask:
-    """Target and requirements of a fit, as arguments of ``fit``."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FitTask(Record):
+    """Target and requirements of a fit, as arguments of ``fit``.
+
+    Attributes without a key are ``section``, the object's outline; ``kind``, the quadrotors'; and
+    ``requirements``.
+    """
 
     section: Section
-    clearance: float  # [m]
-    height: float  # [m]
-    friction: float
-    tension: float  # [N]
-    cable_length: float | None  # [m], None for the shortest feasible one of each number of robots
-    clasp_friction: float
     kind: Quadrotor
     requirements: Requirements
+    clearance: Annotated[
+        float, Key(DISTANCE, "Distance of cables to the object while it is enclosed")
+    ] = 0.035
+    height: Annotated[
+        float, Key(LENGTH, "Height of the object, its centre of mass at half of it")
+    ] = 0.3
+    friction: Annotated[float, Key(FRICTION, "Friction between cables and object")] = 0.5
+    tension: Annotated[
+        float,
+        Key(
+            TENSION,
+            "Tension of all cables; null: the largest level pull that tilt and thrust allow",
+        ),
+    ]
+    cable_length: Annotated[
+        float | None,
+        Key(
+            CABLE_LENGTH,
+            "Length of all cables; null: for each number of robots the shortest that keeps drones "
+            "apart around the object",
+        ),
+    ] = None
+    clasp_friction: Annotated[
+        float,
+        Key(FRICTION, "Friction between cables, which reduces the mass that is gripped"),
+    ] = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +164,12 @@ def fit(
     outline: Any,
     robots: int,
     *,
-    clearance: float = 0.035,
-    height: float = 0.3,
-    friction: float = 0.5,
+    clearance: float = FitTask.clearance,
+    height: float = FitTask.height,
+    friction: float = FitTask.friction,
     tension: float | None = None,
     cable_length: float | None = None,
-    clasp_friction: float = 0.15,
+    clasp_friction: float = FitTask.clasp_friction,
     quadrotor: Quadrotor | str | None = None,
     limits: Limits | None = None,
     separation: Separation | None = None,
@@ -182,15 +207,15 @@ def fit(
         remedy = Capacity(limit, binding).suggested
         raise InfeasibleError([Violation(binding, tension, limit, "max", "N", (), "", remedy)])
     task = FitTask(
-        section,
-        nonnegative("clearance", clearance),
-        positive("height", height),
-        nonnegative("friction", friction),
-        float(tension),
-        None if cable_length is None else positive("cable_length", cable_length),
-        nonnegative("clasp_friction", clasp_friction),
-        kind,
-        requirements,
+        section=section,
+        kind=kind,
+        requirements=requirements,
+        clearance=clearance,
+        height=height,
+        friction=friction,
+        tension=tension,
+        cable_length=cable_length,
+        clasp_friction=clasp_friction,
     )
     numbers = sorted({robots, *TABLE_ROBOTS})
     holding = _tied(task) if robots == 2 else _holding(task, robots)

@@ -35,7 +35,8 @@ from hitchopt.lab.statics.equilibrium import (
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.values import Array, as_array, nonnegative
+from hitchopt.values import SCALAR, WORD, Array, as_array, nonnegative
+from hitchopt.values.fields import Key, Kind
 
 DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
 PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
@@ -88,6 +89,15 @@ class ErrorSize(OneLine):
 
 
 Sizes = dict[str, ErrorSize]  # By "cable", "position" and "force"
+
+ERROR_SIZE = Kind((SCALAR, WORD), ErrorSize.of, {})
+
+ERROR_KEYS = {
+    "cable": Key(ERROR_SIZE, "Error of cable lengths [m]", default=0.01),
+    "position": Key(ERROR_SIZE, "Error of drones' positions [m]", default=0.02),
+    "force": Key(ERROR_SIZE, "Error of the force feed-forward [N]", default=0.0),
+}
+"""Kinds of errors; defaults are bounds for cables cut to a centimetre, and motion capture."""
 
 
 def responses(energy: HitchEnergy, x: Array) -> Array:

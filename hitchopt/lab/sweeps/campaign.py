@@ -71,18 +71,19 @@ def run_campaign(
     task: Task,
     settings: Settings,
     runs: int,
-    processes: int | None = None,
+    workers: int | None = None,
     progress: Progress | None = None,
 ) -> Campaign:
     """Simulate ``runs`` flights of a plan with consecutive seeds from that of the settings.
 
-    They run in parallel ``processes``, by default one per processor; a single one is this process.
+    They run in ``workers`` parallel processes, by default one per processor; a single one is this
+    process.
     Raises InputError for an invalid number of runs or invalid settings.
     """
     integer("runs", runs, 1)
-    if processes is not None:
-        integer("processes", processes, 1)
-    workers = min(runs, processes or os.cpu_count() or 1)
+    if workers is not None:
+        integer("workers", workers, 1)
+    workers = min(runs, workers or os.cpu_count() or 1)
     flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
     completed: list[CampaignRun] = []
     with contextlib.ExitStack() as stack:
