@@ -133,10 +133,6 @@ def clasp_loads(
 
 Sides = tuple[Series, Series]  # of both legs at a clasp, r_{k-1} and q_k
 
-TRIANGLE_PASSES = 3
-"""Fixed-point iterations of a force triangle with heavy legs, whose pulls depend on their rise; the
-residual after three is below 1e-4 of the tension."""
-
 
 def closed_triangle(
     V: Series,
@@ -152,16 +148,20 @@ def closed_triangle(
     side V, where ``a = (|V|² + P_q² - P_r²) / (2 |V|)`` and ``h = √(P_q² - a²)``. Without load and
     roll the clasp is planar, and for equal tensions it is in the paper's class (its eq. (3)).
 
+    The pull of a leg with weight depends on its rise (``chord_pull``): minus half of its weight,
+    downward, it is the tension at the clasp, of known magnitude. In the plane of both legs the
+    triangle then closes with the tensions' parts in the plane as sides, and with V minus the parts
+    of both weights.
+
     Parameters
     ----------
     V: ``P_{k-1} u_{k-1} - P_k u_k - w_k``, the pull of the edges minus the load [N].
     onward: a vector on q_k's side of V without roll, in the plane of both legs.
     roll: angle ψ of m from that side toward ``m_1 = m_0 × v̂`` [rad]; None for none.
     tensions: of both legs at the clasp [N].
-    halves: half of the weights of both legs [N], whose pulls are then those of ``chord_pull``; None
-        for weightless legs.
-    check: called with the values of \|V\| and of both pulls before each pass; raises if there is no
-        triangle. Without it directions are nan there.
+    halves: half of the weights of both legs [N]; None for weightless legs.
+    check: called with the values of the given side and of the lengths of both others; raises if
+        there is no triangle. Without it directions are nan there.
     """
     size = V.dot(V).root
     along = V / size
@@ -169,23 +169,27 @@ def closed_triangle(
     if roll is not None:
         cosine, sine = roll.cosine_and_sine
         across = cosine * across + sine * across.cross(along)
-
-    def directions(along: Series, across: Series, behind: Series, ahead: Series) -> Sides:
-        if check is not None:
-            check(size.value, behind.value, ahead.value)
-        a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
-        h = ((ahead - a) * (ahead + a)).root
-        return ((size - a) * along - h * across) / behind, (a * along + h * across) / ahead
-
-    pulls = tensions
-    for _ in range(TRIANGLE_PASSES - 1 if halves else 0):
-        rises = directions(along.row(2), across.row(2), *pulls)
+    behind, ahead = tensions
+    if halves is not None:
+        normal = along.cross(across)
+        rise = normal.row(2)
+        weights = [half.upward - half * rise * normal for half in halves]
         behind, ahead = (
-            chord_pull(tension, half, 1.0 - rise * rise, rise)
-            for tension, half, rise in zip(tensions, halves or (), rises, strict=True)
+            (tension * tension - half * half * rise * rise).root
+            for tension, half in zip(tensions, halves, strict=True)
         )
-        pulls = behind, ahead
-    return directions(along, across, *pulls)
+        V = V - weights[0] - weights[1]
+        size = V.dot(V).root
+        along = V / size
+        across = normal.cross(along)
+    if check is not None:
+        check(V.value, behind.value, ahead.value)
+    a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
+    h = ((ahead - a) * (ahead + a)).root
+    r, q = (size - a) * along - h * across, a * along + h * across
+    if halves is None:
+        return r / behind, q / ahead
+    return (r + weights[0]).direction, (q + weights[1]).direction
 
 
 def leg_directions(
@@ -236,7 +240,8 @@ def leg_directions(
 
     pulled = sides[0][..., None] * v - sides[1][..., None] * u
 
-    def check(size: Array, behind: Array, ahead: Array) -> None:
+    def check(side: Array, behind: Array, ahead: Array) -> None:
+        size = np.sqrt(np.sum(side**2, axis=0, keepdims=True))
         a = (size**2 + ahead**2 - behind**2) / (2.0 * size)
         squared = ((ahead - a) * (ahead + a))[0]
         if not planar and not np.all(squared > 0.0):
@@ -244,7 +249,8 @@ def leg_directions(
             pulls = (float(np.nan_to_num(pull[0][worst])) for pull in (behind, ahead))
             point = f"p{layout.clasps[worst[-1]]}"
             load = np.zeros(3) if loads is None else loads.forces[worst]
-            raise _unbalanced(point, pulled[worst], load, *pulls)
+            edges = np.moveaxis(side, 0, -1)[worst] + load
+            raise _unbalanced(point, edges, load, *pulls)
 
     rolled, halves, V = None, None, pulled
     if loads is not None:

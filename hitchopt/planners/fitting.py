@@ -192,9 +192,10 @@ def _margin(
     are too short, or clasps have no balance.
     """
     slack, leg = cable_slack_of(team, team.layout.edges(vertices)), requirements.limits.leg
-    if np.min(slack) <= 0.0:  # heavy cables sag
-        return -1.0
     legs = team.layout.q_legs_of(0.5 * slack, slack)
+    both = team.layout.legs_of(legs, slack)[..., team.layout.has_leg]
+    if np.min(both) < leg:  # heavy cables sag
+        return -1.0
     task = LegTask(team, requirements, vertices, legs, leg, SPREAD_MARGIN)
     try:
         if balanced:
