@@ -17,14 +17,10 @@ import numpy as np
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import Outline
-from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.flight_controller import MIN_TRACKING, Tube, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
-from hitchopt.objects import SolidObject
-from hitchopt.objects.placing import in_world
-from hitchopt.steps.carrying import TransportObject
 from hitchopt.steps.moving import ShapeStep
 from hitchopt.steps.step import (
     DECIMALS,
@@ -246,6 +242,7 @@ def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
             yield replace(knob, sign=-1)
         elif max_size > 0.0:
             yield replace(knob, min_size=_min_size(violations, check), max_size=max_size)
+    names = _names(violations)
     for i, step in enumerate(problem.mission):
         slowdown = _min_size((v for v in violations if f"step {i} " in v.when), "duration")
         for knob in step.knobs():
@@ -255,11 +252,8 @@ def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
 
             key = f"mission[{i}].{step.name}.{knob.key}"
             min_size = slowdown if "duration" in knob.covers else 0.0
-            if isinstance(step, TransportObject) and knob.key == "lift":
-                tops = [x.at[2] + x.upper for x in _obstacles(problem, step, violations)]
-                base = max(step.to[2], problem.objects[step.object].at[2])
-                lift = max(tops, default=0.0) + problem.separation.object - base
-                min_size = max(0.0, float(lift) / step.lift - 1.0)
+            increase = step.least_increase(knob, problem.objects, names, problem.separation)
+            min_size = max(min_size, increase)
             if "hinge" in knob.covers:
                 lacking = (v.limit - v.value for v in violations if v.constraint == "hinge")
                 min_size = max(0.0, *lacking, 0.0) / knob.old
@@ -432,34 +426,20 @@ def _object_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator
             yield replace(knob, min_size=1.0 / grip_share - 1.0, max_size=max_size)
 
 
-def _obstacles(
-    problem: Problem, step: TransportObject, violations: Sequence[Violation]
-) -> list[SolidObject]:
-    """Return the objects that violations name, except the carried one."""
-    names = dict.fromkeys(name for each in violations for name in each.where)
-    return [x for name, x in problem.objects.items() if name in names and name != step.object]
+def _names(violations: Sequence[Violation]) -> list[str]:
+    """Return the names of bodies in violations, each once."""
+    return [*dict.fromkeys(name for each in violations for name in each.where)]
 
 
 def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
     """Yield changes to routes around obstacles, nearer ones first."""
-    reach = float(np.max(problem.team.cable_length)) + problem.separation.radius
+    distance = float(np.max(problem.team.cable_length)) + problem.separation.radius
     for i, step in enumerate(problem.mission):
-        if not isinstance(step, TransportObject) or step.via is not None:
-            continue
-        start, end = problem.objects[step.object].at, step.to
-        along, high = unit(end[:2] - start[:2]), float(max(start[2], end[2])) + step.lift
-        across = np.array([-along[1], along[0]])
-        for body in _obstacles(problem, step, violations):
-            section, centre = body.section, body.section.centroid
-            middle = in_world(body.pose, np.append(centre, 0.0))[:2]
-            distance = reach + float(np.max(length(section.core - centre))) + section.rounding
-            offset = middle - start[:2]
-            for side in (across, -across):
-                waypoint = start[:2] + (offset @ along) * along + (offset @ side + distance) * side
-                place = np.round([*waypoint, high], 2).tolist()
-                edits = _in_step(problem, i, (Edit("via", [place]),))
-                changed = with_edits(problem, edits)
-                yield Change(edits[0].key, "", "none", str([place]), "", 0.0, changed, edits)
+        for waypoint in step.detours(problem.objects, _names(violations), distance):
+            place = np.round(waypoint, 2).tolist()
+            edits = _in_step(problem, i, (Edit("via", [place]),))
+            changed = with_edits(problem, edits)
+            yield Change(edits[0].key, "", "none", str([place]), "", 0.0, changed, edits)
 
 
 def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -27,26 +26,24 @@ from hitchopt.hitch.requirements import (
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, Assignment
 from hitchopt.mission.objects import OBJECTS
 from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
-from hitchopt.motion.motion import HoldBy
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
-from hitchopt.planners.carrying.planner import OPENING_TENSIONS, tying_tension
 from hitchopt.steps import STEP_KINDS, STEPS
-from hitchopt.steps.carrying import TensionStep, TransportObject, goal_of
+from hitchopt.steps.carrying import goal_of
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
-from hitchopt.steps.moving import FollowVertex, MoveStep
 from hitchopt.steps.step import (
     LEGS,
     LEGS_TEXT,
     TRIANGLE,
     Polygon,
+    RequestedHold,
+    RequestedRest,
     SlackSplit,
     Stage,
     Step,
     slack_split,
 )
-from hitchopt.steps.straddling import Tie
 from hitchopt.steps.tying import Form, check_rollable
 from hitchopt.values import Array, ByValue, Points, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
@@ -71,13 +68,6 @@ from hitchopt.values.fields import (
 )
 from hitchopt.values.units import ALTITUDE, warn_of_unit
 
-ROLLING = {"open_vertex", "close_vertex"}
-"""Steps in which pairs roll, as in laying."""
-
-
-OF_TWO = "tie", "lift", "carry", "set_down", "untie", "transport_object", "hold", "land"
-"""Steps of two robots, whose cables are a hitch only around an object."""
-
 
 def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     """Return steps with their polygons as outlines and their legs as arrays.
@@ -91,18 +81,20 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
     reason = "start has no hitch" if outline is None else "start is a hitch"
     for i, unresolved in enumerate(steps):
         try:
-            if isinstance(unresolved, Fly) is whole.has_cables:
+            if unresolved.of_single_drones is whole.has_cables:
                 kind, *_, bound, _ = _words(whole)
                 remedy = f"{mission.name or 'this'} is {kind}"
                 raise InputError("", "a step", bound, remedy)
-            if whole.layout.closed and whole.robots == 2 and unresolved.name not in OF_TWO:
-                bound = f"one of {', '.join(OF_TWO)}, the steps of two robots"
+            is_two = whole.layout.closed and whole.robots == 2
+            if is_two and not unresolved.of_two_robots:
+                names = ", ".join(kind.name for kind in STEPS if kind.of_two_robots)
+                bound = f"one of {names}, the steps of two robots"
                 remedy = "two cables hold nothing but an object: tie them around it"
                 raise InputError("", "a step of three robots or more", bound, remedy)
             step = unresolved.resolved_for(whole)
             stage = stage.after(step, objects)
             before, outline = outline, step.checked_polygon_after(whole, outline, reason)
-            if step.name in ROLLING or (isinstance(step, Form) and step.by == "laying"):
+            if step.rolls_pairs:
                 check_rollable(f"step {i} ({step.name})", whole, mission.requirements)
             if (before is None) is not (outline is None):
                 reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
@@ -136,8 +128,7 @@ class _ObjectStage:
         if name and name not in objects:
             bound = f"one of objects: {', '.join(objects) or 'there are none'}"
             remedy = closest_word(name, [*objects], "add it to objects")
-            key = "around" if isinstance(step, Tie) else "object"
-            raise InputError(key, name, bound, remedy)
+            raise InputError(step.object_key, name, bound, remedy)
         if step.stages is None:
             return self
         begin, end = step.stages
@@ -152,7 +143,7 @@ class _ObjectStage:
             raise InputError("", current, f"{required}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
             raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
-        if not self.outline_specified and isinstance(step, MoveStep | FollowVertex):
+        if not self.outline_specified and step.moves_points:
             bound = "given an outline of the file"
             raise InputError("", "the outline around an object", bound, "morph before")
         specified = getattr(step, "polygon", None) is not None
@@ -269,16 +260,20 @@ class TeamMission:
         """The request that its plan must satisfy (``hitchopt.motion.request``)."""
         start: dict[str, Any] = {"drones": self.start}
         team = self.team
-        form = next((step for step in self.steps if isinstance(step, Form)), None)
         if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
             assignment = team.assignment or Assignment.fixed(team.robots)
             start["assignment"] = assignment.to_dict()  # of the plan that ended so
             team = team.of_problem
-        elif form is not None and form.assign == "fixed":
+        elif self.form is not None and self.form.assign == "fixed":
             start["assignment"] = Assignment.fixed(team.robots).to_dict()
         return request_fields(team, self.requirements, start, [*_requested_steps(self)])
+
+    @property
+    def form(self) -> Form | None:
+        """The first step that ties a hitch, which says how robots are assigned to edges."""
+        return next((step for step in self.steps if isinstance(step, Form)), None)
 
     @property
     def start_outline(self) -> Outline | None:
@@ -286,58 +281,28 @@ class TeamMission:
         return self.start.polygon if isinstance(self.start, HitchStart | Hitch) else None
 
 
-def _least_share(team: Team) -> float:
-    """Return the least tension of edges over that of their legs, which lean against friction."""
-    return math.exp(-math.pi * team.cable_friction)
-
-
 def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
-    """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners.
-
-    Planners choose outlines around objects, and their altitudes.
-    """
+    """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners."""
     requirements, team = mission.requirements, mission.team
-    outline, stage, hold, tension_range = mission.start_outline, _ObjectStage(), None, None
-    altitude = getattr(mission.start, "altitude", None)  # None if the planner chooses it
+    outline, stage = mission.start_outline, _ObjectStage()
+    altitude: float | None = getattr(mission.start, "altitude", None)
+    holds = dict[str, RequestedHold]()
     for step in mission.steps:
         name, objects = getattr(step, "object", stage.name), {**requirements.objects}
-        if isinstance(step, TensionStep):
-            tensions = [team.tension, team.tension if step.tension is None else step.tension]
-            hold = name, step.method_for(objects[name])
-            smallest = min(OPENING_TENSIONS[0], *map(np.min, tensions))
-            smallest *= _least_share(team) if hold[1] == HoldBy.GRIP.value else 1.0
-            tension_range = smallest, max(map(np.max, tensions))
-        if isinstance(step, TransportObject | Tie) and team.robots == 2:
-            tensions = [team.tension, step.tension_for(team)]
-            smallest = min(OPENING_TENSIONS[0], tying_tension(team), *map(np.min, tensions))
-            tension_range = smallest * _least_share(team), max(map(np.max, tensions))
-            hold = name, HoldBy.GRIP.value
+        if name and (hold := step.requested_hold(team, objects[name])) is not None:
+            holds = {name: hold}
         outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
         shown = step.shown_at_end(team, requirements)
         if name:
             moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
             requirements = replace(requirements, objects=objects | moved)
         altitude = None if hasattr(step, "object") else shown.get("altitude", altitude)
-        request: dict[str, Any] = {
-            "tension": getattr(step, "tension", None) if hold is None else tension_range,
-            "holds": [] if hold is None else [hold],
-            "objects": {key: each.pose for key, each in requirements.objects.items()},
-        }
-        if isinstance(step, Fly):
-            request = {"drones": step.goal, "objects": request["objects"]}
-        elif outline is None and stage.stage not in (Stage.GRASPED, Stage.LIFTED):
-            request |= {"polygon": None, "altitude": None}
-        elif outline is not None and stage.outline_specified and not step.blends:
-            request["polygon"] = outline.vertices
-        if outline is not None and altitude is not None:
-            request["altitude"] = altitude
-        if not step.blends:
-            request |= shown
-        if step.prescribed_duration is not None:
-            request["seconds"] = step.prescribed_duration
+        after = RequestedRest(
+            outline, stage.outline_specified, altitude, stage.stage, holds, requirements.objects
+        )
+        yield step.request(after, shown)
         if stage.stage in (Stage.FREE, Stage.AROUND):
-            hold = None
-        yield request
+            holds = {}
 
 
 def resolved_start(name: str, team: Team, start: Any) -> Any:

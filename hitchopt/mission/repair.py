@@ -57,7 +57,6 @@ from hitchopt.planners.fitting import (
 from hitchopt.steps.carrying import OBSTACLE_CHECKS
 from hitchopt.steps.certified_motions import BEST_ROUTE
 from hitchopt.steps.step import Knob
-from hitchopt.steps.tying import Form
 
 BUDGET = 30.0  # Default time after which no further plan is started [s]
 NO_CHANGE = "no change was found that makes it feasible"  # Message without any suggestion
@@ -431,7 +430,7 @@ def fitting_cables(problem: Problem) -> list[float]:
     outlines, lengths = [] if outline is None else [outline], list[float]()
     for step in mission.steps:
         after = step.checked_polygon_after(team, outline)
-        if outline and after and not isinstance(step, Form) and vars(step).get("polygon"):
+        if outline and after and vars(step).get("polygon"):
             outlines += _outlines_between(outline, after)
         outlines += [after] if after else []
         outline = after

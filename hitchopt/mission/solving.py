@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks import merged
-from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Tube
@@ -21,7 +20,6 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import schedule_teams
 from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.steps.carrying import OBSTACLE_CHECKS, TransportObject
 from hitchopt.steps.certified_motions import (
     CertifiedMotion,
     check_above_ground,
@@ -32,9 +30,7 @@ from hitchopt.steps.certified_motions import (
     split_hitch,
     with_settling,
 )
-from hitchopt.steps.moving import FollowVertex
 from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
-from hitchopt.steps.tying import Form
 from hitchopt.values import Array
 
 AT_START, UNPLANNED = "at the start (t = 0)", "not checked yet: steps "
@@ -219,7 +215,7 @@ def _start_state(mission: TeamMission, requirements: Requirements, report: Progr
     state = RestState(team, start.drones)  # with the file's order of robots
     check_start(StepTask(state, 0, requirements))
     assignment = Assignment.fixed(team.robots)
-    form = next((step for step in mission.steps if isinstance(step, Form)), None)
+    form = mission.form
     if form is not None and form.assign == "auto":
         report("assigning robots to edges")
         from hitchopt.planners.forming.approach import assign_robots
@@ -290,16 +286,9 @@ def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> Infeasibl
     for violation, check in zip(error.violations, certified.certificate.violated, strict=True):
         indices = [p.step for p in certified.motion.phases if p.start <= check.time <= p.end]
         neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
-        transports = [k for k in indices if isinstance(steps[k], TransportObject)]
-        is_timed = any(isinstance(steps[k], FollowVertex) for k in indices)
-        rule, advice = RULE_OF.get(check.name), ""
-        if check.name != "duration" and any(step.blends for step in neighbours):
-            advice = "leave out blend"
-        if is_timed and rule and rule.derivative > 0:
-            advice = "give the points more time"
-        if transports and check.name in OBSTACLE_CHECKS:
-            key = f"mission[{transports[0]}].{TransportObject.name}"
-            advice = f"raise {key}.lift, or lead it around by {key}.via"
+        is_blended = check.name != "duration" and any(step.blends for step in neighbours)
+        of_steps = (steps[k].advice(check.name, f"mission[{k}].{steps[k].name}") for k in indices)
+        advice = next(filter(None, of_steps), "leave out blend" if is_blended else "")
         violations.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(violations, error.note)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -14,13 +14,20 @@ import numpy as np
 from hitchopt.checks.objects import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.geometry.vectors import rotated
+from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.objects import Rim, SolidObject
-from hitchopt.objects.placing import CONTACT_GAP, footing, poses_of, stacked_on, surface_below
+from hitchopt.objects.placing import (
+    CONTACT_GAP,
+    footing,
+    in_world,
+    poses_of,
+    stacked_on,
+    surface_below,
+)
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
@@ -43,6 +50,7 @@ from hitchopt.steps.step import (
     Knob,
     ObjectOf,
     Place,
+    RequestedHold,
     RolledLegs,
     Seconds,
     Stage,
@@ -56,7 +64,7 @@ from hitchopt.steps.step import (
     plan_to,
     planner_of,
 )
-from hitchopt.steps.straddling import Tie, Untie, check_hinge
+from hitchopt.steps.straddling import Tie, Untie, check_hinge, hold_by_tying
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
@@ -293,6 +301,11 @@ class TensionStep(Step):
         """Return the tensions (n,) [N] while the object is held."""
         return team.tension if self.tension is None else np.full(team.robots, self.tension)
 
+    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:
+        """Return the hold with the team's tension and its own."""
+        by = HoldBy(self.method_for(body))
+        return RequestedHold.with_tensions(by, team, team.tension, self.tension_for(team))
+
     def knobs(self) -> Iterator[Knob]:
         """Yield the tension, and the knobs of all steps."""
         yield from super().knobs()
@@ -364,6 +377,7 @@ class Grasp(TensionStep):
 class Lift(Step):
     """Pass the object's weight to the clasps, and lift it straight up."""
 
+    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
     by: Annotated[float, Key(LENGTH, "How far up", 0.5)]
@@ -388,6 +402,7 @@ class Lift(Step):
 class Carry(Step):
     """Fly the object on a straight line and turn it, so gently that it stays on its supports."""
 
+    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.LIFTED)
     object: ObjectOf
@@ -411,6 +426,7 @@ class Carry(Step):
 class SetDown(Step):
     """Lower the object until it stands, and pass its weight to its support."""
 
+    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.LIFTED, Stage.GRASPED)
     object: ObjectOf
@@ -489,6 +505,7 @@ class TransportObject(TensionStep):
     Two robots tie their cables around it, and untie them.
     """
 
+    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
 
     object: ObjectOf
@@ -506,6 +523,56 @@ class TransportObject(TensionStep):
         """Yield the height of the flight, the tension, and the knobs of all steps."""
         yield from super().knobs()
         yield Knob("lift", self.lift, "m", covers=OBSTACLE_CHECKS)
+
+    def _obstacles(
+        self, objects: Mapping[str, SolidObject], names: Sequence[str]
+    ) -> list[SolidObject]:
+        """Return the objects of some names, except the carried one."""
+        return [body for name, body in objects.items() if name in names and name != self.object]
+
+    def least_increase(
+        self,
+        knob: Knob,
+        objects: Mapping[str, SolidObject],
+        names: Sequence[str],
+        separation: Separation,
+    ) -> float:
+        """Return the relative increase of the lift with which the object clears obstacles."""
+        if knob.key != "lift":
+            return super().least_increase(knob, objects, names, separation)
+        tops = [body.at[2] + body.upper for body in self._obstacles(objects, names)]
+        higher_place = max(self.to[2], objects[self.object].at[2])
+        lift = max(tops, default=0.0) + separation.object - higher_place
+        return max(0.0, float(lift) / self.lift - 1.0)
+
+    def detours(
+        self, objects: Mapping[str, SolidObject], names: Sequence[str], distance: float
+    ) -> Iterator[Array]:
+        """Yield waypoints on both sides of obstacles, unless it has waypoints."""
+        if self.via is not None:
+            return
+        start, end = objects[self.object].at, self.to
+        altitude = float(max(start[2], end[2])) + self.lift
+        along = unit(end[:2] - start[:2])
+        across = np.array([-along[1], along[0]])
+        for body in self._obstacles(objects, names):
+            section, centre = body.section, body.section.centroid
+            radius = float(np.max(length(section.core - centre))) + section.rounding
+            offset = in_world(body.pose, np.append(centre, 0.0))[:2] - start[:2]
+            for side in (across, -across):
+                sideways = (offset @ side + (distance + radius)) * side
+                yield np.array([*(start[:2] + (offset @ along) * along + sideways), altitude])
+
+    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:
+        """Return the hold; two robots tie their cables around the object."""
+        if team.robots == 2:
+            return hold_by_tying(team, self.tension_for(team))
+        return super().requested_hold(team, body)
+
+    def advice(self, check: str, key: str) -> str:
+        """Return how to keep off obstacles."""
+        is_obstacle = check in OBSTACLE_CHECKS
+        return f"raise {key}.lift, or lead it around by {key}.via" if is_obstacle else ""
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
         """Return the goal, turned by ``yaw``."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from hitchopt.hitch.team import MAX_DRONES
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.steps.step import Stage, Step, StepPlan, StepTask
+from hitchopt.steps.step import RequestedRest, Stage, Step, StepPlan, StepTask
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented, points
 from hitchopt.values.units import DURATION
@@ -41,6 +42,7 @@ def check_count(key: str, places: Array, team: Team) -> None:
 class Fly(Step):
     """A flight of single drones beside teams with cables."""
 
+    of_single_drones: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False
     stages: ClassVar[tuple[Stage, Stage] | None] = None
 
@@ -60,6 +62,13 @@ class Fly(Step):
         """Return the step; raise InputError unless there is one goal per drone."""
         check_count("goal", self.goal, team)
         return self
+
+    def request(self, after: RequestedRest, shown: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the goal, and the prescribed duration."""
+        of_all_steps = super().request(after, shown)
+        return {"drones": self.goal} | {
+            key: value for key, value in of_all_steps.items() if key in ("objects", "seconds")
+        }
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the flight.

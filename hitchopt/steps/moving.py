@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -215,6 +216,7 @@ class ActionStep(ShapeStep):
 class Hold(HitchStep):
     """Keep everything at rest."""
 
+    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = None
     time_key: ClassVar[str] = "seconds"
@@ -352,6 +354,7 @@ class Morph(ShapeStep):
 class MoveStep(ActionStep):
     """An action that moves points ``to`` a place or ``by`` an offset."""
 
+    moves_points: ClassVar[bool] = True
     to: Array | None
     by: Array | None
 
@@ -520,6 +523,7 @@ class FollowVertex(ActionStep):
     """
 
     blendable: ClassVar[bool] = False
+    moves_points: ClassVar[bool] = True
     action_fields: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
     path: Annotated[Array, Key(_PATH, _PATH_TEXT, [[1.0, 0.0, -0.9]])]
@@ -542,6 +546,11 @@ class FollowVertex(ActionStep):
     def duration(self) -> float | None:
         """Time of the last point [s]; None without times."""
         return float(self.path[-1, 0]) if self.is_timed else None
+
+    def advice(self, check: str, key: str) -> str:  # noqa: ARG002
+        """Return how to lower a rate."""
+        is_rate = check in RULE_OF and RULE_OF[check].derivative > 0
+        return "give the points more time" if is_rate else ""
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""

@@ -20,12 +20,12 @@ from hitchopt.errors import InputError, OneLine, Progress, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import MAX_ROBOTS
-from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.motion.motion import HoldBy, Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
-from hitchopt.planners.carrying.planner import GraspState, MovePlanner
+from hitchopt.planners.carrying.planner import OPENING_TENSIONS, GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, ByValue, Indices, finite, per_robot
 from hitchopt.values.fields import (
@@ -384,6 +384,42 @@ class Stage(StrEnum):
     LIFTED = "a lifted object"
 
 
+@dataclass(frozen=True)
+class RequestedHold:
+    """What a problem requests of an object that cables hold, until they let it go."""
+
+    by: HoldBy
+    tension: tuple[float, float]  # [N] range of the tensions of cables
+
+    @classmethod
+    def with_tensions(
+        cls, by: HoldBy, team: Team, *tensions: Array, lowest: float = math.inf
+    ) -> RequestedHold:
+        """Return the hold for tensions (n,) [N] of cables, the ``lowest`` while they open [N].
+
+        Edges that grip pull less than their legs, which lean against friction.
+        """
+        smallest = min(OPENING_TENSIONS[0], lowest, *map(np.min, tensions))
+        if by is HoldBy.GRIP:
+            smallest *= math.exp(-math.pi * team.cable_friction)
+        return cls(by, (smallest, max(map(np.max, tensions))))
+
+
+@dataclass(frozen=True, eq=False)
+class RequestedRest:
+    """What a problem requests of the state at rest after a step.
+
+    Planners choose outlines around objects, and their altitudes.
+    """
+
+    outline: Outline | None  # of the hitch; None without one
+    outline_stated: bool  # whether the file states it
+    altitude: float | None  # [m] None if the planner chooses it
+    stage: Stage
+    holds: Mapping[str, RequestedHold]  # of held objects by name
+    objects: Mapping[str, SolidObject]  # at their places
+
+
 @dataclass(frozen=True, eq=False)
 class Step(Record, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
@@ -395,6 +431,13 @@ class Step(Record, ABC):
     # stages at the start and the end; None if the stage does not matter
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
     time_key: ClassVar[str] = "duration"  # field of the prescribed duration
+    object_key: ClassVar[str] = "object"  # key in the problem file of the name of its object
+    # whether single drones do it, which have no cables, in place of robots
+    of_single_drones: ClassVar[bool] = False
+    # whether two robots can do it, whose cables are a hitch only around an object
+    of_two_robots: ClassVar[bool] = False
+    # whether it moves single points of an outline, which the file then has to state
+    moves_points: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -410,6 +453,11 @@ class Step(Record, ABC):
     def blends(self) -> bool:
         """Whether it continues into the next step without a stop."""
         return bool(getattr(self, "blend", False))
+
+    @property
+    def rolls_pairs(self) -> bool:
+        """Whether pairs of drones roll by half a turn, one above the other."""
+        return False
 
     @property
     def settling(self) -> float | Literal["auto", False]:
@@ -461,6 +509,60 @@ class Step(Record, ABC):
         a plan of its problem.
         """
         return {}
+
+    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
+        """Return how the step holds its object from then on; None if it does not take hold."""
+        return None
+
+    def request(self, after: RequestedRest, shown: Mapping[str, Any]) -> dict[str, Any]:
+        """Return what the plan must show at the step's end.
+
+        Names and units are those of ``hitchopt.motion.request.mission_of``; ``shown`` is what
+        ``shown_at_end`` returns.
+        """
+        tensions = [hold.tension for hold in after.holds.values()]
+        request: dict[str, Any] = {
+            "tension": tensions[0] if tensions else getattr(self, "tension", None),
+            "holds": [(name, hold.by.value) for name, hold in after.holds.items()],
+            "objects": {name: body.pose for name, body in after.objects.items()},
+        }
+        if after.outline is None and after.stage not in (Stage.GRASPED, Stage.LIFTED):
+            request |= {"polygon": None, "altitude": None}
+        elif after.outline is not None and after.outline_stated and not self.blends:
+            request["polygon"] = after.outline.vertices
+        if after.outline is not None and after.altitude is not None:
+            request["altitude"] = after.altitude
+        if not self.blends:
+            request |= shown
+        if self.prescribed_duration is not None:
+            request["seconds"] = self.prescribed_duration
+        return request
+
+    def advice(self, check: str, key: str) -> str:  # noqa: ARG002
+        """Return advice of its own if its motion violates a check; ``key`` is its key in files."""
+        return ""
+
+    def least_increase(
+        self,
+        knob: Knob,  # noqa: ARG002
+        objects: Mapping[str, SolidObject],  # noqa: ARG002
+        names: Sequence[str],  # noqa: ARG002
+        separation: Separation,  # noqa: ARG002
+    ) -> float:
+        """Return the relative size below which an increase of a knob cannot repair violations.
+
+        Violations are at the bodies of some names.
+        """
+        return 0.0
+
+    def detours(
+        self,
+        objects: Mapping[str, SolidObject],  # noqa: ARG002
+        names: Sequence[str],  # noqa: ARG002
+        distance: float,  # noqa: ARG002
+    ) -> Iterator[Array]:
+        """Yield waypoints (3,) [m], at a distance to objects of some names, past them."""
+        yield from ()
 
     @abstractmethod
     def plan(self, task: StepTask) -> StepPlan:

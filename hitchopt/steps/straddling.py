@@ -14,7 +14,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import rotated, turn
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.motion.motion import HoldBy, Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
@@ -23,6 +23,7 @@ from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.steps.step import (
     Knob,
     ObjectOf,
+    RequestedHold,
     Seconds,
     Stage,
     Step,
@@ -87,6 +88,12 @@ def _check_two(team: Team, remedy: str) -> None:
         raise InputError("topology", team.topology, f"closed {where}", "leave team.topology out")
 
 
+def hold_by_tying(team: Team, tension: Array) -> RequestedHold:
+    """Return the hold of an object around which cables are tied with tensions (n,) [N]."""
+    lowest = tying_tension(team)
+    return RequestedHold.with_tensions(HoldBy.GRIP, team, team.tension, tension, lowest=lowest)
+
+
 @documented
 @dataclass(frozen=True)
 class Tie(Step):
@@ -98,6 +105,8 @@ class Tie(Step):
 
     needs_hitch: ClassVar[bool | None] = False
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.GRASPED)
+    object_key: ClassVar[str] = "around"
+    of_two_robots: ClassVar[bool] = True
     around: ObjectOf
     at: Annotated[
         float | None,
@@ -122,6 +131,10 @@ class Tie(Step):
     def tension_for(self, team: Team) -> Array:
         """Return the tensions (n,) [N] with which cables are tied."""
         return np.full(team.robots, tying_tension(team) if self.tension is None else self.tension)
+
+    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
+        """Return the hold with the tension in which cables are tied, and the team's."""
+        return hold_by_tying(team, self.tension_for(team))
 
     def height_for(self, body: SolidObject, requirements: Requirements) -> float:
         """Return the height of the clasps above the object's base [m]."""
@@ -220,6 +233,7 @@ class Untie(Step):
 
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.FREE)
+    of_two_robots: ClassVar[bool] = True
     duration: Seconds = None
 
     def resolved_for(self, team: Team) -> Self:

@@ -94,6 +94,11 @@ class Form(Step):
     ] = AUTO
     duration: Seconds = None
 
+    @property
+    def rolls_pairs(self) -> bool:
+        """Whether pairs of drones roll: when cables are laid."""
+        return self.by == "laying"
+
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team; raise InputError if the order is not one of its robots."""
         if not isinstance(self.order, str):
@@ -269,6 +274,11 @@ class RollStep(Step):
     vertex: int
     duration: float | None
 
+    @property
+    def rolls_pairs(self) -> bool:
+        """Whether pairs of drones roll: always."""
+        return True
+
     def rolls(self, task: StepTask) -> Array:
         """Return the roll (clasps,) [rad] after the step."""
         raise NotImplementedError
@@ -372,6 +382,7 @@ class Release(Step):
 class Land(Step):
     """Descend straight to the ground."""
 
+    of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
 
