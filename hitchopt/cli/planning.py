@@ -313,12 +313,27 @@ def check(
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
     certificate.raise_if_violated()
+    if differences := [*_differences_from_request(path)]:
+        raise FileError("\n".join(differences))
     reason = "is another table than was written with the certificate; solve again"
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
     if changed := [*_changed_others(motion, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
     say(f"certified; recomputed from {path}")
     show_notes(ho.Plan(motion, certificate, problem=saved.problem))
+
+
+def _differences_from_request(path: Path) -> Iterator[str]:
+    """Yield messages on keys of the problem that the plan contradicts, as ``verify`` compares them.
+
+    Keys of the problem's team, limits and ends of steps are compared before, as a plan is read.
+    """
+    from hitchopt.verify import read, requested
+
+    for plan in read(path)[0]:
+        for row in requested(plan):
+            if row.verdict == "violated":
+                yield f"{path}: the problem in it differs: {row.where}"
 
 
 def _changed_others(motion: Motion, path: Path) -> Iterator[str]:

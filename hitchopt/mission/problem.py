@@ -42,6 +42,7 @@ from hitchopt.steps.step import (
     SlackSplit,
     Stage,
     Step,
+    shown_legs,
     slack_split,
 )
 from hitchopt.steps.tying import Form, check_rollable
@@ -263,6 +264,8 @@ class TeamMission:
         if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
+            legs = self.start.q_legs if isinstance(self.start, Hitch) else self.start.legs
+            start["hitch"] |= shown_legs(legs)
             assignment = team.assignment or Assignment.fixed(team.robots)
             start["assignment"] = assignment.to_dict()  # of the plan that ended so
             team = team.of_problem

@@ -2,7 +2,8 @@
 
 Polynomials are Bernstein coefficients (pieces, *shape, degree + 1) over ``breaks``, in a folder for
 each team and each external plan. Everything else is JSON in ``settings``: the records of motions
-by the names of their fields, and the text of the problem, which states what was requested.
+by the names of their fields, and the problem, which states what was requested: its text, and the
+same as data, ``request``, for readers without YAML.
 Constructors check what is read, as they check what a user passes.
 """
 
@@ -28,6 +29,7 @@ from hitchopt.motion.retiming import shifted
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
 from hitchopt.storage.files import PREVIOUS, digest
+from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Indices, line, text
 
@@ -80,7 +82,9 @@ def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
         key: [_head(each) for each in groups]
         for key, groups in ((GROUPS, motion.groups), (OTHERS, motion.others))
     }
-    return {"title": title, "problem": problem, **heads}
+    data = parse_yaml(problem, "problem") if problem else None
+    request = data if isinstance(data, dict) else None
+    return {"title": title, "problem": problem, "request": request, **heads}
 
 
 def _head(group: Group) -> dict[str, Any]:

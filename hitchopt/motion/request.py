@@ -27,6 +27,7 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.values import Array
 
 REMEDY = "do not edit plan files"
 
@@ -167,7 +168,9 @@ def request_of(motion: Motion) -> dict[str, Any]:
         start["assignment"] = assignment.to_dict()
         if motion.formed[0]:
             x, y, z = motion.vertices.coefficients[0, ..., 0].T
-            start["hitch"] = {"polygon": np.column_stack([x, y]), "altitude": float(np.mean(z))}
+            legs = motion.legs.coefficients[0, :, 0, 0]
+            outline = np.column_stack([x, y])
+            start["hitch"] = {"polygon": outline, "altitude": float(np.mean(z)), "legs": legs}
     return request_fields(team, requirements, start, mission_of(motion))
 
 
@@ -221,6 +224,7 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
             "holds": [*dict.fromkeys(holds)],
             "polygon": places[:, :2] if motion.formed[last] else None,
             "altitude": float(np.mean(places[:, 2])) if motion.formed[last] else None,
+            "legs": motion.legs.coefficients[last, :, 0, -1] if motion.formed[last] else None,
             "heights": motion.drones.coefficients[last, :, 2, -1],
             "objects": dict(zip(names, poses, strict=True)),
         }
@@ -260,11 +264,32 @@ def check_request(request: Mapping[str, Any], motion: Motion) -> None:
             raise error.within(each.name) from error
 
 
+def _with_keys_of(given: Any, actual: Any) -> Any:
+    """Return the entries of a mapping that another one has as well; other values as they are."""
+    if isinstance(given, Mapping) and isinstance(actual, Mapping):
+        return {key: actual[key] for key in given if key in actual}
+    return actual
+
+
+def _visited(places: Array, wanted: Sequence[Sequence[float]]) -> list[Array]:
+    """Return those of places (k, 3) that are nearest to the wanted ones (m, 3), in their order."""
+    visited, first = list[Array](), 0
+    for place in wanted:
+        distances = np.linalg.norm(places[first:] - np.asarray(place), axis=1)
+        near = distances <= POSITION_TOLERANCE
+        first += int(np.argmax(near)) if np.any(near) else int(np.argmin(distances))
+        visited.append(places[first])
+    return visited
+
+
 def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     """Raise InputError with the key if one team's motion differs from its request."""
     actual = request_of(motion)
     results, steps = actual.pop("mission"), request["mission"]
-    start = {key: actual["start"].get(key) for key in request["start"]}
+    start = {
+        key: _with_keys_of(given, actual["start"].get(key))
+        for key, given in request["start"].items()
+    }
     team_request = {key: value for key, value in request.items() if key != "mission"}
     check_same("request", team_request, actual | {"start": start}, "as requested", SLACK)
     if len(steps) != len(results):
@@ -278,6 +303,13 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
         points = vertices[(middles > phase.start) & (middles < phase.end)]
         return phase.name == SETTLE and not np.any(np.ptp(points, axis=(0, -1)) > JOINT)
 
+    def rests(phases: Sequence[Phase]) -> Array:
+        """Return the poses (k, o, 5) at the ends of a step's pieces."""
+        on = (middles > phases[0].start) & (middles < phases[-1].end)
+        ends: Array = motion.poses.coefficients[on][..., -1]
+        return ends
+
+    names = [*motion.requirements.objects]
     pairs = zip(_steps(motion), steps, results, strict=True)
     for i, (phases, requested, result) in enumerate(pairs):
         flown = [each for each in phases if each.name != WAIT]
@@ -286,5 +318,9 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
         (low, high), used = requested.get("tension") or (0.0, 0.0), result.get("tension")
         if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):
             result["tension"] = requested.get("tension")
+        if (route := requested.get("route")) is not None:
+            places = rests(phases)[:, names.index(route["object"]), :3]
+            highest = float(np.max(places[:, 2]))
+            result["route"] = {**route, "highest": highest, "via": _visited(places, route["via"])}
         compared = {key: result.get(key) for key in requested}
         check_same(f"request.mission[{i}]", requested, compared, "as requested", SLACK)

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
@@ -578,10 +578,20 @@ class TransportObject(TensionStep):
         """Return the goal, turned by ``yaw``."""
         return np.append(self.to, body.yaw + self.yaw)
 
+    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
+        """Return the route of the object: its greatest height, and the places on its way."""
+        via = [] if self.via is None else self.via.tolist()
+        highest = max([self.flight_height(requirements.objects[self.object]), *(x[2] for x in via)])
+        return {"route": {"object": self.object, "highest": highest, "via": via}}
+
+    def flight_height(self, body: SolidObject) -> float:
+        """Return the height of the object's base on its flight [m]."""
+        return max(float(body.at[2]), float(self.to[2])) + self.lift
+
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; ``to`` must be on the surface below it."""
         body = object_of(task, self.object)
-        flight_height = max(float(body.at[2]), float(self.to[2])) + self.lift
+        flight_height = self.flight_height(body)
         carrying: list[Step] = [
             Lift(flight_height - float(body.at[2])),
             *(Carry(self.object, place) for place in ([] if self.via is None else self.via)),

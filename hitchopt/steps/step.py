@@ -125,6 +125,12 @@ def _checked_sharing(legs: Any, team: Team) -> Literal["balanced", "spread"] | A
     return q_legs
 
 
+def shown_legs(legs: object) -> dict[str, Any]:
+    """Return the lengths of q-legs (n,) [m] that a key ``legs`` states; nothing for a word."""
+    sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+    return {} if sharing is None or isinstance(sharing, str) else {"legs": sharing}
+
+
 MAX_TURNS = 5  # Maximum number of turns in one step: the number of polynomial pieces is bounded
 
 
@@ -502,13 +508,13 @@ class Step(Record, ABC):
         return None
 
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return what a motion at the step's end shows of the step's keys.
+        """Return what a motion shows of the step's keys, at its end or on its route.
 
         Names and units are those of ``hitchopt.motion.request.mission_of``; the requirements have
         the objects at their places before the step. A stored plan that shows something else is not
         a plan of its problem.
         """
-        return {}
+        return shown_legs(vars(self).get("legs"))
 
     def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
         """Return how the step holds its object from then on; None if it does not take hold."""

@@ -109,9 +109,9 @@ class Form(Step):
                 raise InputError("order", order, bound, "leave it out, or list all robots")
         return super().resolved_for(team)
 
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return the altitude of the hitch."""
-        return {"altitude": self.altitude}
+    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:
+        """Return the altitude and the legs of the hitch."""
+        return super().shown_at_end(team, requirements) | {"altitude": self.altitude}
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan from free cables to a hitch.

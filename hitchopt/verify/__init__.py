@@ -27,4 +27,5 @@ from .driver import verify as verify
 from .reading import Plan as Plan
 from .reading import UnreadableError as UnreadableError
 from .reading import read as read
+from .request import requested as requested
 from .spans import Row as Row

@@ -18,6 +18,7 @@ from .drones import drones
 from .links import interlacing, roll_changes
 from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
 from .reading import CONTACT_TOL, DRAWN, LAID, ROLLING, Plan, UnreadableError, read
+from .request import requested
 from .shapes import to_frame
 from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Worst, fault_row, prove, worst_row
 from .teams import Pair, between_plans, object_distances
@@ -197,7 +198,7 @@ def verify(path: str | Path) -> Iterator[Row]:
     if rows := [row for p in own for row in hopeless(p)]:
         yield from {row.name: row for row in rows}.values()
         return
-    rows = [row for p in own for row in plan_rows(p)]
+    rows = [row for p in own for row in (*requested(p), *plan_rows(p))]
     if len(own) + len(others) > 1:
         rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
         rows += (row for row in rests if row.name == "continuity")

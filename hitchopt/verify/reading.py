@@ -53,7 +53,7 @@ STATES = {*CROSSINGS, "clasping", LAID, ROLLING, BENT, "none"}
 
 # Keys of settings and their types: ? nullable, [] list, [2] list of two; keys with * may be absent.
 TYPES = {
-    "settings": "title:text problem:text groups:group[] others:group[]",
+    "settings": "title:text problem:text request:any groups:group[] others:group[]",
     "group": "name:text plan:text digest:text records:records",
     "records": "team:any requirements:requirements phases:phase[] assignment:roles?",
     "requirements": "limits:limits separation:separation arena:arena? keep_out:prism[] objects:any",
@@ -155,6 +155,7 @@ class Plan:
     """
 
     erring_bodies = 1  # of drones and what is below them: objects that stand have no errors
+    asked: dict[str, Any] = {}  # noqa: RUF012  # of the problem: the sections of this team alone
 
     def __init__(self, file: Any, head: dict[str, Any], folder: str = "") -> None:
         self.file, self.folder, records = file, folder, head["records"]
@@ -506,6 +507,28 @@ def check_members(names: Sequence[str]) -> None:
         seen.add(fold(name))
 
 
+def asked_of(problem: Any, name: str) -> dict[str, Any]:
+    """Return the problem of one team, in the form of a team alone; nothing without a problem.
+
+    A flight of single drones is a mission of one step.
+    """
+    if problem is None:
+        return {}
+    if not isinstance(problem, dict) or "start" not in problem:
+        raise ValueError(f"request is {problem!r:.60}, not a problem")
+    if "goal" in problem:
+        flight = {key: problem[key] for key in ("goal", "duration") if key in problem}
+        return {**problem, "mission": [{"fly": flight}]}
+    if not name:
+        return problem
+    steps = list[Any]()
+    for item in problem["mission"]:
+        own = item.get(name, [])
+        steps += own if isinstance(own, list) else [own]
+    own_parts = {"team": problem["teams"][name], "start": problem["start"][name], "mission": steps}
+    return {**problem, **own_parts}
+
+
 def plans_of_groups(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
     """Return the plans of teams and other plans."""
     check_type("settings", s, "settings")
@@ -522,6 +545,8 @@ def plans_of_groups(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan
             plans.append(Plan(file, head, f"{key}/{i}/"))
     teams = s["groups"]
     own = plans[: len(teams)]
+    for plan in own:
+        plan.asked = asked_of(s["request"], plan.label.rstrip("."))
     if max(abs(p.breaks[-1] - own[0].breaks[-1]) for p in own) > POS_TOL:
         raise ValueError("teams have different durations")
     if any(p.breaks[0] != 0.0 for p in own):

@@ -341,6 +341,13 @@ ASKED = (
     ("speed: 0.9", "speed: 0.8", "request.limits.speed"),
     ("[0.8, 0.9, 1.5]", "[0.8, 0.8, 1.5]", "request.start.drones.r[2][1]"),
 )
+
+
+def of_problem(text: str) -> str:
+    """Return the change after which a plan is of another problem."""
+    return f"s.update(problem={text!r}, request={parse_yaml(text)!r})"
+
+
 GONE_OBJECTS = """q["objects"] = {}
 for name in ("poses", "load_share"):
     a[name] = a[name][:, :0]
@@ -359,8 +366,8 @@ OTHERS = [
     ("q['objects']['table']['section']['radius'] = 0.1", "objects.table"),
     ("q['keep_out'] = [{'polygon': [[5, 5], [5, 6], [6, 6]], 'lower': 0, 'upper': 1}]", "keep_out"),
     (GONE_OBJECTS, "objects"),
-    *((f"s['problem'] = {FORM.replace(old, new)!r}", key) for old, new, key in ASKED),
-    ("s['problem'] = 'team: {}'", "the problem in it differs"),
+    *((of_problem(FORM.replace(old, new)), key) for old, new, key in ASKED),
+    ("s['problem'] = 'team: {}'", "request.team"),
 ]  # fmt: skip
 """Changes after which a plan is not what was asked, and the key that is named."""
 
@@ -411,7 +418,7 @@ def test_places_that_the_problem_fixes_are_compared(formed: Path, tmp_path: Path
     path = tmp_path / "plan.npz"
     path.write_bytes(formed.read_bytes())
     fixed = FORM.replace("altitude: 1.6", "altitude: 1.6, assign: fixed")
-    changed(path, f"s['problem'] = {fixed!r}")
+    changed(path, of_problem(fixed))
     with pytest.raises(FileError, match=r"request\.start\.assignment\.robots\[0\]"):
         ho.load(tmp_path)
 

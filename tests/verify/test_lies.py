@@ -296,7 +296,7 @@ LIES = [
     Lie("morph", "a cable is told longer", times("cable_length", 1.01, 0), REFUSED),
     Lie("morph", "a cable is told, and asked, longer", times("cable_length", 1.01, 0), "cable_length"),
     Lie("morph", "tensions are told to be twice as large", times("tensions", 2.0), "tension"),
-    Lie("morph", "tensions and those asked are twice as large", both(pulls(2.0), put("problem", "")), "", "tensions are asked then, and drones can pull so"),
+    Lie("morph", "tensions and those asked are twice as large", both(pulls(2.0), put("problem", ""), put("request", None)), "", "tensions are asked then, and drones can pull so"),
     Lie("morph", "a team's tension is another", times("tension", 1.1), REFUSED),
     Lie("morph", "one cable pulls harder", pulls(1.2, (slice(None), 0)), "equilibrium"),
     Lie("morph", "tensions of no pull", times("tensions", 0.0), "tension"),
@@ -456,7 +456,7 @@ def told(lie: Lie, path: Path) -> None:
     whole = json.loads(str(arrays.pop("settings")))
     records = whole["groups"][0]["records"]
     team, needs, has_cables = records["team"], records["requirements"], motion.team.has_cables
-    settings = {"problem": text, "title": "", **records, **needs}
+    settings = {"problem": text, "request": whole["request"], "title": "", **records, **needs}
     arrays |= {name: np.array(team[name]) for name in OF_ROBOTS if has_cables}
     arrays |= {name: np.array([kind[name] for kind in team["quadrotor"]]) for name in OF_KINDS}
     lie.change(settings, arrays)

@@ -1,0 +1,463 @@
+"""What the problem in a plan file asks for, compared with what the plan shows.
+
+A key of a problem file is compared if the file states it and the curves, phases or settings of the
+plan can contradict it: ``STEP_KEYS`` is the table of the keys of steps. Not compared are planners'
+choices and preferences, such as ``optimize``, a word for ``legs``, and the tilt of swaps.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from itertools import groupby
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .arithmetic import POS_TOL, Array, Items, norm, normalize
+from .reading import LAID, TAUT_TOL, Plan
+from .spans import CLASPING, Fault, Row, fault_row
+
+CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
+PATH_TOL = 1e-3  # [m] largest distance of a path from a point that it passes, between samples
+SAMPLES = np.linspace(0.0, 1.0, 41)  # of a piece, where points of paths are looked for
+
+Shown = Any  # a difference, an array or an iterator of differences
+Shows = Callable[["Step", Any, Mapping[str, Any]], Shown]
+
+
+class Step(NamedTuple):
+    """One step of a plan: its pieces and its phases without those that wait."""
+
+    p: Plan
+    pieces: Items
+    phases: list[dict[str, Any]]
+
+    def points(self, end: int, of: slice) -> Array:
+        """Return points (k, 3) at the step's start (0) or end (-1)."""
+        return np.asarray(self.p.points.c[0][self.pieces[end], of, :, end])
+
+    def vertices(self, end: int = -1) -> Array:
+        """Return vertices (P, 3); nan without a hitch."""
+        tied = self.p.taut[self.pieces[end]]
+        return (
+            self.points(end, self.p.V) if tied else np.full((self.p.V.stop - self.p.N, 3), np.nan)
+        )
+
+    def drones(self, end: int = -1) -> Array:
+        """Return drones (N, 3) in the order of the problem."""
+        return self.points(end, slice(0, self.p.N))[np.argsort(self.p.drone)]
+
+    def pose(self, name: str, end: int = -1) -> Array:
+        """Return the pose of an object (5,)."""
+        return np.asarray(self.p.poses.c[0][self.pieces[end], self.body(name), :, end])
+
+    def body(self, name: str) -> int:
+        """Return the index of an object."""
+        return [body.name for body in self.p.bodies].index(name)
+
+    def held(self, step: Mapping[str, Any]) -> str:
+        """Return the name of the object that a step names, or that is held in it."""
+        named = step.get("object") or step.get("around")
+        return str(named or next(x["hold"]["object"] for x in self.phases if x["hold"]))
+
+    def samples(self, item: int) -> tuple[Array, Array]:
+        """Return times (k,) from the step's start and places (k, 3) of a point on its pieces."""
+        p, on = self.p, self.pieces[self.p.breaks[self.pieces] >= self.start - POS_TOL]
+        c = p.points.c[0][on, item]
+        n = c.shape[-1] - 1
+        k = np.arange(n + 1)
+        basis = [math.comb(n, j) for j in k] * SAMPLES[:, None] ** k
+        places = np.einsum("mdj,sj->msd", c, basis * (1.0 - SAMPLES[:, None]) ** (n - k))
+        times = p.breaks[on, None] + p.h[on, None] * SAMPLES - self.start
+        return times.ravel(), places.reshape(-1, 3)
+
+    @property
+    def start(self) -> float:
+        """Time [s] at which it stops waiting."""
+        return float(self.phases[0]["start"])
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s] without swings of drones at its end, in which no vertex moves."""
+        p, own = self.p, list[dict[str, Any]]()
+        for phase in self.phases:
+            on = (p.breaks[:-1] > phase["start"] - CLOSE) & (p.breaks[1:] < phase["end"] + CLOSE)
+            moved = np.ptp(p.points.c[0][on][:, p.V], axis=(0, -1)) if np.any(on) else 1.0
+            if phase["name"] != "settle" or np.any(moved > CLOSE):
+                own.append(phase)
+        return float(sum(x["end"] - x["start"] for x in own or self.phases))
+
+
+def unless(wrong: Any) -> float:
+    """Return no difference, or one that is too large."""
+    return math.inf if wrong else 0.0
+
+
+def angle_between(first: Array, last: Array, turn: float) -> float:
+    """Return by how much more than ``turn`` [rad] a direction (2,) has turned, less whole turns."""
+    z = complex(*last[:2]) * complex(*first[:2]).conjugate()
+    return float(np.angle(z * np.exp(-1j * turn))) if z else math.inf
+
+
+def polygon(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return differences of vertices from their places."""
+    return s.vertices()[:, :2] - np.array(value, dtype=float)
+
+
+def moved_to(s: Step, value: Any, step: Mapping[str, Any], key: str, by: float) -> Shown:
+    """Return differences of a vertex, or of both ends of an edge, from places, or from offsets."""
+    first = int(step[key])
+    both = [first, (first + 1) % len(s.vertices())] if key == "edge" else [first]
+    return (s.vertices() - by * s.vertices(0))[both, :2] - np.array(value, dtype=float)
+
+
+def centroid(points: Array) -> Array:
+    """Return the centroid (3,) of the area of a polygon (n, 3), or of an open chain closed."""
+    x, y = points[:, :2], np.roll(points[:, :2], -1, axis=0)
+    cross = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
+    level = (x + y).T @ cross / (3.0 * np.sum(cross))
+    return np.append(level, np.mean(points[:, 2]))
+
+
+def turned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return the angle between the hitch and the one that was turned."""
+    first, last = (x[1] - x[0] for x in (s.vertices(0), s.vertices()))
+    return angle_between(first, last, math.radians(value))
+
+
+def path(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Yield distances of a vertex from its points, at their times if they have times."""
+    times, places = s.samples(s.p.N + int(step["vertex"]))
+    yield from (s.vertices()[int(step["vertex"]), :2] - value[-1][-2:]).tolist()
+    for point in value[:-1]:
+        goal = np.array(point[-2:], dtype=float)
+        if len(point) == 3:
+            at = [np.interp(point[0], times, x) for x in places.T[:2]]
+            yield max(float(norm(at - goal)) - PATH_TOL, 0.0)
+        else:
+            a, d = places[:-1, :2], np.diff(places[:, :2], axis=0)
+            share = np.sum((goal - a) * d, -1) / np.maximum(np.sum(d * d, -1), 1e-300)
+            near = norm(a + np.clip(share, 0.0, 1.0)[:, None] * d - goal)
+            yield max(float(np.min(near)) - PATH_TOL, 0.0)
+
+
+def speed(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return by how much a vertex is too fast at samples [m/s]."""
+    times, places = s.samples(s.p.N + int(step["vertex"]))
+    h = np.diff(times)
+    rates = norm(np.diff(places, axis=0)[h > 0.0]) / h[h > 0.0]
+    return max(float(np.max(rates)) - (1.0 + CLOSE) * float(value), 0.0)
+
+
+def tension(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return the distance of tensions from a range, or of those at a joint from a number [N]."""
+    taut = s.pieces[s.p.taut[s.pieces]]
+    if isinstance(value, dict | list):
+        low, high = (value["min"], value["max"]) if isinstance(value, dict) else value
+        T = s.p.tensions.c[0][taut]
+        return max(low - float(np.min(T)), float(np.max(T)) - high, TAUT_TOL) - TAUT_TOL
+    off = [np.max(np.abs(x.c[0][taut, :, 0, -1] - value), 1) for x in (s.p.tensions, s.p.pulls)]
+    return max(float(np.min(off, initial=math.inf)) - TAUT_TOL, 0.0)
+
+
+def held_by(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if an object is held in one of the step's phases, in that way."""
+    holds = {x["hold"]["by"] for x in s.phases if x["hold"]}
+    return unless(holds != {value})
+
+
+def tied_by(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if cables are laid, or are not laid."""
+    return unless((LAID in {x["state"] for x in s.phases}) != (value == "laying"))
+
+
+def names_object(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if no other object is held or moves."""
+    own, p = s.body(str(value)), s.p
+    others = (p.held | p.active)[:, s.pieces]
+    return unless(np.any(np.delete(others, own, axis=0)))
+
+
+def order(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if of two cables that cross the later one of an order is above.
+
+    They cross, one above the other, as they begin to come straight down.
+    """
+    p, lowered = s.p, s.pieces[((s.p.state == LAID) & s.p.vertical)[s.pieces]][:1]
+    places = np.argsort(p.edge[np.array(value, dtype=int)])
+    if not len(lowered):
+        return math.inf
+    ends = p.points.c[0][lowered[0], : p.N, :, 0].reshape(p.n, 2, 3)
+    for k, j in zip(p.clasps, p.behind, strict=True):
+        (a, b), (c, d) = ends[k], ends[j]
+        shares = np.linalg.solve(np.column_stack([b - a, c - d])[:2], (c - a)[:2])
+        rise = a[2] - c[2] + shares[0] * (b - a)[2] - shares[1] * (d - c)[2]
+        if (rise > 0.0) != (places[k] > places[j]):
+            return math.inf
+    return 0.0
+
+
+def assigned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if drones take their places in order, where that is asked for."""
+    return unless(value == "fixed" and np.any(s.p.drone != np.arange(s.p.N)))
+
+
+def legs(s: Step, value: Any, _: Mapping[str, Any], end: int = -1) -> Shown:
+    """Yield differences of lengths of q-legs, and of their roll where nothing weighs on clasps."""
+    p, piece = s.p, s.pieces[end]
+    sharing, roll = value, None
+    if isinstance(value, dict):
+        sharing, roll = value.get("sharing"), value.get("roll_deg")
+    if isinstance(sharing, list):
+        yield from (p.legs.c[0][piece, ::2, 0, end] - np.array(sharing, dtype=float)).tolist()
+    if roll in (None, "auto") or p.weight or np.any(p.load):
+        return
+    points = s.points(end, slice(0, p.V.stop))
+    edges = normalize(points[p.end] - points[p.begin])
+    before, pull = edges[p.behind], normalize(edges[p.behind] - edges[p.clasps])
+    leg = normalize(points[2 * p.clasps] - points[p.begin[p.clasps]])
+    flat, rolled = (x - np.sum(x * pull, 1, keepdims=True) * pull for x in (before, leg))
+    angle = np.arctan2(rolled[:, 2], np.sum(rolled * normalize(flat), axis=1))
+    yield from (angle - np.radians(roll)).tolist()
+
+
+def swap(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Yield by how much pairs turn faster [s], or closer to each other [m], than asked for."""
+    p, phases = s.p, [x for x in s.phases if x["state"] == CLASPING]
+    seconds, radius = value.get("seconds") or 0.0, value.get("radius") or 0.0
+    yield from (max(seconds - (x["end"] - x["start"]), 0.0) for x in phases)
+    on = s.pieces[p.state[s.pieces] == CLASPING]
+    c = p.points.c[0][on]
+    for k, j in zip(2 * p.clasps, 2 * p.behind + 1, strict=True):
+        apart = 0.5 * (c[:, k] - c[:, j])
+        turns = np.any(np.ptp(apart, axis=-1) > CLOSE, axis=1)
+        nearest = float(np.min(norm(apart[turns, :, 0]), initial=math.inf))
+        yield max(radius - nearest, 0.0)
+
+
+def pair(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if only the pair of a vertex moves."""
+    moved = np.ptp(s.p.points.c[0][s.pieces, : s.p.N], axis=(0, -1)) > CLOSE
+    moving = np.flatnonzero(np.any(moved, axis=1))
+    return unless(not set(moving.tolist()) <= set(s.p.pairs[int(value)].tolist()))
+
+
+def placed(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return the difference of an object from its place."""
+    return s.pose(s.held(step))[:3] - np.array(value, dtype=float)
+
+
+def object_turned(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return the angle between an object and the one that was turned."""
+    name = s.held(step)
+    return angle_between(s.pose(name, 0)[3:], s.pose(name)[3:], math.radians(value))
+
+
+def via(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Yield distances of an object from its places on the way, which it visits in order."""
+    places = s.p.poses.c[0][s.pieces, s.body(s.held(step)), :3, -1]
+    for place in value:
+        off = norm(places - np.array(place, dtype=float))
+        i = int(np.argmax(off <= CLOSE)) if np.any(off <= CLOSE) else int(np.argmin(off))
+        yield float(off[i])
+        places = places[i:]
+
+
+def highest(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return the difference of the height of an object's flight, over the higher of two places."""
+    z = s.p.poses.c[0][s.pieces, s.body(s.held(step)), 2]
+    top = max(float(z[0, 0]), float(z[-1, -1])) + value
+    asked = max([top, *(float(place[2]) for place in step.get("via") or ())])
+    return float(np.max(z)) - asked
+
+
+def risen(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return the difference of an object from its place that much higher."""
+    first, last = (s.pose(s.held(step), end)[:3] for end in (0, -1))
+    return last - first - np.array([0.0, 0.0, value])
+
+
+def clasped_at(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return differences of clasps' heights above an object's base."""
+    return s.vertices()[:, 2] - s.pose(s.held(step))[2] - value
+
+
+def flown(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return differences of drones from their goals."""
+    return s.drones() - np.array(value, dtype=float)
+
+
+def grounded(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return the heights of drones above the floor."""
+    return s.drones()[:, 2] - s.p.floor
+
+
+def stopped(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return the speed of drones at the end of a step, unless it goes on without a stop."""
+    rates = norm(s.p.points.c[1][s.pieces[-1], : s.p.N, :, -1])
+    return 0.0 if value else float(np.max(rates))
+
+
+STEP_KEYS: dict[str, Shows] = {
+    "duration": lambda s, x, _: s.seconds - x,
+    "seconds": lambda s, x, _: s.seconds - x,
+    "polygon": polygon,
+    "altitude": lambda s, x, _: s.vertices()[:, 2] - x,
+    "legs": legs,
+    "blend": stopped,
+    "tension": tension,
+    "assign": assigned,
+    "order": order,
+    "swap": swap,
+    "form.by": tied_by,
+    "move_vertex.to": partial(moved_to, key="vertex", by=0.0),
+    "move_vertex.by": partial(moved_to, key="vertex", by=1.0),
+    "move_edge.to": partial(moved_to, key="edge", by=0.0),
+    "move_edge.by": partial(moved_to, key="edge", by=1.0),
+    "path": path,
+    "speed": speed,
+    "transport.to": lambda s, x, _: centroid(s.vertices()) - np.array(x, dtype=float),
+    "transport.yaw_deg": turned,
+    "open_vertex.vertex": pair,
+    "close_vertex.vertex": pair,
+    "object": names_object,
+    "around": names_object,
+    "at": clasped_at,
+    "by": held_by,
+    "lift.by": risen,
+    "to": placed,
+    "yaw_deg": object_turned,
+    "lift": highest,
+    "via": via,
+    "goal": flown,
+    "on_the_ground": grounded,
+}
+"""By key, or by step and key: how far a plan is from what a key of a step asks for."""
+
+IMPLIED = {"blend": False}, {"land": {"on_the_ground": True}}
+"""Keys that every step has unless it states them, and keys of single steps."""
+
+OF_END = {"polygon", "altitude", "legs", "to", "by"}
+"""Keys of the end of a step, which steps that go on without a stop do not show."""
+
+
+NAMES = {"circle": "radius", "to": "upper", "from": "lower", "outline": ""}
+"""Names in plan files of keys of objects; outlines are stored in another form."""
+
+
+def requested(p: Plan) -> Iterator[Row]:
+    """Check what a plan shows of the problem in its file; no row if the file has none."""
+    if not p.asked:
+        return
+    try:
+        faults = [*setting_faults(p), *start_faults(p), *step_faults(p)]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        faults = [(0.0, True, f"the request is no problem: {type(error).__name__}: {error}")]
+    yield fault_row("request", faults)
+
+
+def setting_faults(p: Plan) -> Iterator[Fault]:
+    """Yield keys of the team, of limits and of objects whose values the plan contradicts."""
+    asked, own = p.asked, p.settings
+    sections = [("team", asked["team"], own["team"])]
+    sections += [(x, asked.get(x), own[x]) for x in ("limits", "separation", "arena")]
+    kinds = own["team"]["quadrotor"]
+    models = (asked["team"] or {}).get("quadrotor")
+    models = models if isinstance(models, list) else [models] * len(kinds)
+    for k, (model, kind) in enumerate(zip(models, kinds, strict=False)):
+        named = model.get(f"{'qr'[k % 2]}{k // 2}", model) if isinstance(model, dict) else None
+        sections.append(("team.quadrotor", named, kind))
+    for name, body in (asked.get("objects") or {}).items():
+        sections.append((f"objects.{name}", body, _flat(own["objects"].get(name))))
+    prisms = [*(asked.get("keep_out") or ())]
+    sections += [("keep_out", x, y) for x, y in zip(prisms, own["keep_out"], strict=False)]
+    time = float(p.breaks[0])
+    yield time, len(prisms) != len(own["keep_out"]), "keep_out has another number of prisms"
+    for path, stated, values in sections:
+        for key, value in stated.items() if isinstance(stated, dict) else ():
+            yield time, contradicts(key, value, values or {}), f"{path}.{key} is not as asked for"
+
+
+def _flat(body: Any) -> dict[str, Any]:
+    """Return the settings of an object, with those of its section."""
+    return {**body, **body["section"]} if body else {}
+
+
+def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
+    """Return whether the settings of a plan have another value of a key than a problem states."""
+    name = NAMES.get(key, key.removesuffix("_deg"))
+    if name == "tracking" and isinstance(value, int | float):
+        value = {"level": value, "height": value}
+    if name == "tracking" and isinstance(own.get(name), int | float):
+        own = {name: {"level": own[name], "height": own[name]}}
+    if name not in own or value is None:
+        return False
+    if isinstance(value, dict):
+        return any(contradicts(x, y, own[name] or {}) for x, y in value.items())
+    if isinstance(value, str):
+        return isinstance(own[name], str) and own[name] != value
+    try:
+        stated, found = np.array(value, dtype=float), np.array(own[name], dtype=float)
+        stated = np.radians(stated) if key.endswith("_deg") else stated
+        return not np.allclose(stated, found, rtol=1e-9, atol=1e-12)
+    except (TypeError, ValueError):  # a list of words, or of another form
+        return False
+
+
+def start_faults(p: Plan) -> Iterator[Fault]:
+    """Yield keys of the start where the plan begins elsewhere."""
+    start, s = p.asked["start"], Step(p, np.array([0]), p.phases[:1])
+    hitch, drones = (start.get(x) if isinstance(start, dict) else None for x in ("hitch", "drones"))
+    shown = dict[str, Any]()
+    if hitch:
+        shown = {"polygon": s.vertices(0)[:, :2], "altitude": s.vertices(0)[:, 2]}
+        off = _size(legs(s, hitch.get("legs"), {}, 0))
+        yield float(p.breaks[0]), not off <= CLOSE, "start.hitch.legs is not as asked for"
+    elif drones:
+        shown = {"q": s.drones(0)[::2], "r": s.drones(0)[1::2]}
+    places = hitch or drones or {"": start}
+    shown = shown or {"": s.drones(0)}
+    for key, value in places.items():
+        if key in shown and not isinstance(value, str | dict | None):
+            off = _size(shown[key] - np.array(value, dtype=float))
+            path = f"start.{key}".rstrip(".")
+            yield float(p.breaks[0]), not off <= CLOSE, f"{path} is not as asked for"
+
+
+def step_faults(p: Plan) -> Iterator[Fault]:
+    """Yield keys of steps whose values the plan contradicts."""
+    mission = p.asked["mission"]
+    steps = [[*phases] for _, phases in groupby(p.phases, key=lambda x: x["step"])]
+    words = f"mission has {len(mission)} steps, and the plan {len(steps)}"
+    yield float(p.breaks[0]), len(steps) != len(mission), words
+    for i, (phases, step) in enumerate(zip(steps, mission, strict=False)):
+        start, end = float(phases[0]["start"]), float(phases[-1]["end"])
+        within = (p.breaks[:-1] >= start - POS_TOL) & (p.breaks[1:] <= end + POS_TOL)
+        moving = [x for x in phases if x["name"] != "wait"] or phases
+        s = Step(p, np.flatnonzero(within), moving)
+        ((name, keys),) = step.items()
+        for key, off in differences(s, name, keys or {}):
+            yield end, not off <= CLOSE, f"mission[{i}].{name}.{key} is not as asked for"
+
+
+def differences(s: Step, name: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
+    """Yield keys of a step, and how far the plan is from them; inf where it shows nothing alike."""
+    every, single = IMPLIED
+    for key, value in {**every, **single.get(name, {}), **keys}.items():
+        shows = STEP_KEYS.get(f"{name}.{key}", STEP_KEYS.get(key))
+        not_shown = key in OF_END and keys.get("blend")
+        if shows is None or value is None or value == "auto" or not_shown:
+            continue
+        try:
+            off = _size(shows(s, value, keys))
+        except (IndexError, KeyError, StopIteration, TypeError, ValueError):
+            off = math.inf
+        yield key, off / (max(1.0, abs(value)) if type(value) in (int, float) else 1.0)
+
+
+def _size(values: Any) -> float:
+    """Return the largest magnitude of numbers."""
+    numbers = [*values] if isinstance(values, Iterator) else values
+    return float(np.max(np.abs(np.array(numbers, dtype=float)), initial=0.0))

@@ -1,0 +1,275 @@
+"""What the problem in a plan file asks for: each key that the plan contradicts is found."""
+
+from __future__ import annotations
+
+import copy
+import json
+from functools import cache
+from itertools import permutations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from plans import PROBLEMS, planned, planned_of
+
+import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.cli import main
+from hitchopt.errors import FileError
+from hitchopt.mission.loading import problem_from_dict
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.request import check_request
+from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.verify import request
+
+Path_ = tuple[str | int, ...]
+
+TIED = """
+team: {robots: 3, cable_length: 2.4, cable_density: 0.005, quadrotor: paper_132g}
+start:
+  drones:
+    q: [[-0.5, -1.2, 0], [-0.5, 0, 0], [-0.5, 1.2, 0]]
+    r: [[0.5, -1.2, 0], [0.5, 0, 0], [0.5, 1.2, 0]]
+mission:
+  - form: {polygon: [[0, 0.58], [0.5, -0.29], [-0.5, -0.29]], altitude: 1.2, swap: {radius: 0.15}}
+"""
+MOVED = """
+team: {robots: 3, cable_length: [2.4, 2.3, 2.4], tension: 0.5}
+limits: {speed: 0.9, tilt_deg: 40, tracking: {level: 0.01, height: 0.01}}
+separation: {cable: 0.09}
+arena: {lower: [-4, -4, 0], upper: [4, 4, 3]}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0, legs: [0.3, 0.3, 0.3]}}
+mission:
+  - morph: {polygon: [[0, -0.9], [-0.4, 0.5], [0.4, 0.5]], legs: [0.35, 0.35, 0.3], duration: 3}
+  - move_vertex: {vertex: 0, to: [0, -0.8]}
+  - move_vertex: {vertex: 1, by: [-0.1, 0.0]}
+  - move_edge: {edge: 1, by: [0, 0.1]}
+  - follow_vertex: {vertex: 0, path: [[2, 0, -0.85], [4, 0, -0.8]]}
+  - follow_vertex: {vertex: 0, path: [[0, -0.82], [0, -0.84]], speed: 0.1}
+  - adjust: {legs: {sharing: [0.4, 0.35, 0.35], roll_deg: 4}}
+  - transport: {to: [0.3, 0.2, 1.3], yaw_deg: 20}
+  - hold: {seconds: 0.5}
+"""
+ROLLED, DRUM, BOX = "roll_square", "two_robots_drum", "carry_box"
+
+
+def text_of(name: str) -> str:
+    given = {"tied": TIED, "moved": MOVED}.get(name)
+    return given or (PROBLEMS / f"{name}.yaml").read_text("utf-8")
+
+
+@cache
+def motion_of(name: str) -> ho.Motion:
+    data: Any = parse_yaml(text_of(name))
+    plan: ho.Plan = planned_of(data) if name in ("tied", "moved") else planned(name)
+    return plan.motion
+
+
+def found(name: str, path: Path_, value: Any, folder: Path) -> list[str]:
+    """Return the keys that verify finds where the problem asks for another value."""
+    file = folder / "plan.npz"
+    write_plan(file, motion_of(name), "", text_of(name))
+    with np.load(file) as read:
+        arrays = dict(read)
+    settings = json.loads(str(arrays["settings"]))
+    if path:
+        entry = settings["request"]
+        for key in path[:-1]:
+            entry = entry[key]
+        entry[path[-1]] = value
+    np.savez(file, **{**arrays, "settings": np.array(json.dumps(settings))})
+    rows = [row for plan in second.read(file)[0] for row in second.requested(plan)]
+    return [key for row in rows if row.verdict == "violated" for key in row.where.split(", ")]
+
+
+def lie(name: str, path: str, value: Any) -> Any:
+    """Return a lie by the words of its key, as ``mission 0 morph polygon``."""
+    keys = tuple(int(x) if x.isdigit() else x for x in path.split())
+    slow = name in (BOX, "two_teams", "lay_triangle", "lay_hexagon")
+    marks = [pytest.mark.slow] if slow else []
+    return pytest.param(name, keys, value, id=f"{name}: {path}", marks=marks)
+
+
+LIES = [
+    lie("moved", "team cable_length", [2.4, 2.4, 2.4]),
+    lie("moved", "team tension", 0.51),
+    lie("moved", "team topology", "open"),
+    lie("moved", "team quadrotor", {"mass": 0.14}),
+    lie("moved", "limits speed", 0.8),
+    lie("moved", "limits tilt_deg", 39),
+    lie("moved", "limits tracking", 0.02),
+    lie("moved", "limits tracking height", 0.02),
+    lie("moved", "separation cable", 0.1),
+    lie("moved", "arena upper", [4, 4, 2.9]),
+    lie("moved", "start hitch polygon", [[0, -1.01], [-0.4, 0.5], [0.4, 0.5]]),
+    lie("moved", "start hitch altitude", 1.01),
+    lie("moved", "start hitch legs", [0.3, 0.3, 0.31]),
+    lie("moved", "mission 0 morph polygon", [[0, -0.91], [-0.4, 0.5], [0.4, 0.5]]),
+    lie("moved", "mission 0 morph legs", [0.35, 0.3, 0.35]),
+    lie("moved", "mission 0 morph duration", 3.1),
+    lie("moved", "mission 0 morph tension", {"min": 0.55, "max": 0.6}),
+    lie("moved", "mission 1 move_vertex to", [0, -0.81]),
+    lie("moved", "mission 1 move_vertex vertex", 1),
+    lie("moved", "mission 2 move_vertex by", [-0.11, 0.0]),
+    lie("moved", "mission 3 move_edge by", [0.01, 0.1]),
+    lie("moved", "mission 3 move_edge edge", 0),
+    lie("moved", "mission 4 follow_vertex path", [[2, 0, -0.86], [4, 0, -0.8]]),
+    lie("moved", "mission 4 follow_vertex path", [[2.1, 0, -0.84], [4, 0, -0.8]]),
+    lie("moved", "mission 5 follow_vertex path", [[0.05, -0.82], [0, -0.84]]),
+    lie("moved", "mission 5 follow_vertex speed", 0.02),
+    lie("moved", "mission 6 adjust legs", [0.4, 0.35, 0.3]),
+    lie("moved", "mission 6 adjust legs sharing", [0.4, 0.35, 0.3]),
+    lie("moved", "mission 6 adjust legs roll_deg", -4),
+    lie("moved", "mission 6 adjust legs roll_deg", [4, 4, 5]),
+    lie("moved", "mission 7 transport to", [0.3, 0.2, 1.31]),
+    lie("moved", "mission 7 transport to", [0.31, 0.2, 1.3]),
+    lie("moved", "mission 7 transport yaw_deg", -20),
+    lie("moved", "mission 8 hold seconds", 0.6),
+    lie("moved", "mission", []),
+    lie("tied", "start drones q 0", [-0.5, -1.2, 0.1]),
+    lie("tied", "mission 0 form altitude", 1.3),
+    lie("tied", "mission 0 form polygon 0", [0, 0.6]),
+    lie("tied", "mission 0 form by", "laying"),
+    lie("tied", "mission 0 form swap radius", 0.5),
+    lie("tied", "mission 0 form swap seconds", 30.0),
+    lie("tied", "mission 0 form legs", [0.5, 0.5, 0.5]),
+    lie("lay_hexagon", "mission 1 open_vertex vertex", 0),
+    lie("lay_hexagon", "mission 3 close_vertex vertex", 0),
+    lie(DRUM, "objects drum mass", 0.07),
+    lie(DRUM, "objects drum circle", 0.13),
+    lie(DRUM, "objects drum at", [0.1, 0, 0]),
+    lie(DRUM, "mission 0 tie at", 0.31),
+    lie(DRUM, "mission 0 tie tension", 0.7),
+    lie(DRUM, "mission 0 tie around", "box"),
+    lie(DRUM, "mission 1 lift by", 0.31),
+    lie(DRUM, "mission 2 carry to", [0.5, 0.1, 0.3]),
+    lie(DRUM, "mission 2 carry yaw_deg", 10),
+    lie(DRUM, "mission 2 carry object", "box"),
+    lie(DRUM, "mission 4 untie duration", 30.0),
+    lie(DRUM, "mission 5", {"hold": {"seconds": 1.0}}),
+    lie(DRUM, "mission 4", {"land": {}}),
+    lie(BOX, "mission 1 transport_object to", [2.2, 2.3, 0.4]),
+    lie(BOX, "mission 1 transport_object yaw_deg", 10),
+    lie(BOX, "mission 1 transport_object lift", 0.4),
+    lie(BOX, "mission 1 transport_object via", [[1.0, 1.0, 1.0]]),
+    lie(BOX, "mission 1 transport_object by", "grip"),
+    lie(BOX, "mission 1 transport_object tension", 0.9),
+    lie("two_teams", "teams b cable_length", 2.1),
+    lie("two_teams", "start b hitch altitude", 1.6),
+    lie("two_teams", "mission 0 b transport to", [0, 2.6, 1.5]),
+    lie("lay_triangle", "mission 0 form by", "swaps"),
+    lie("lay_triangle", "mission 0 form order", [2, 1, 0]),
+    lie("blended", "mission 0 move_vertex blend", False),
+    lie("swarms/circle_6", "goal 0", [0, 0, 1]),
+    lie("swarms/circle_6", "start 0", [0, 0, 1]),
+    lie("swarms/circle_6", "duration", 30.0),
+    lie("swarms/circle_6", "keep_out", [{"polygon": [[9, 8], [8, 8], [8, 9]], "lower": 0}]),
+]
+
+
+@pytest.mark.parametrize(("name", "path", "value"), LIES)
+def test_keys_that_the_plan_contradicts_are_found(
+    name: str, path: Path_, value: Any, tmp_path: Path
+) -> None:
+    assert found(name, path, value, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", ["moved", "tied", ROLLED, DRUM, "swarms/circle_6", "beside_a_show"]
+)
+def test_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
+    assert found(name, (), None, tmp_path) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [BOX, "two_teams", "lay_triangle", "carry_tray", "lay_hexagon"])
+def test_long_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
+    assert found(name, (), None, tmp_path) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [[1, 0, 2], [2, 1, 0]])
+def test_only_the_order_of_laying_that_was_flown_is_believed(
+    order: list[int], tmp_path: Path
+) -> None:
+    data: Any = parse_yaml(text_of("lay_triangle"))
+    data["mission"][0]["form"]["order"] = order
+    motion, believed = planned_of(data).motion, list[list[int]]()
+    for asked in map(list, permutations(range(3))):
+        data["mission"][0]["form"]["order"] = asked
+        write_plan(tmp_path / "plan.npz", motion, "", json.dumps(data))
+        (plan,), _ = second.read(tmp_path / "plan.npz")
+        believed += [asked] * all(row.verdict == "proven" for row in second.requested(plan))
+    assert believed == [order]
+
+
+def test_every_key_of_the_table_has_a_lie() -> None:
+    told = {key for param in LIES for key in param.values[1]}
+    implied = {"on_the_ground", "assign"}  # said of a step that does not land, and below
+    keys = {key.rpartition(".")[2] for key in request.STEP_KEYS}
+    assert keys - implied <= told
+
+
+def test_places_in_order_are_found_only_where_they_are(tmp_path: Path) -> None:
+    in_order = np.array_equal(motion_of("tied").team.listed, range(6))
+    wrong = found("tied", ("mission", 0, "form", "assign"), "fixed", tmp_path)
+    assert bool(wrong) is not in_order
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "key"),
+    [
+        (("start", "hitch", "legs"), [0.3, 0.3, 0.31], "request.start.hitch.legs[2]"),
+        (("mission", 0, "morph", "legs"), [0.35, 0.3, 0.3], "request.mission[0].legs[1]"),
+        (("mission", 6, "adjust", "legs"), [0.4, 0.35, 0.3], "request.mission[6].legs[2]"),
+    ],
+)
+def test_plans_are_read_only_with_the_legs_asked_for(path: Path_, value: Any, key: str) -> None:
+    data: Any = parse_yaml(MOVED)
+    check_request(problem_from_dict(copy.deepcopy(data)).request, motion_of("moved"))
+    entry = data
+    for part in path[:-1]:
+        entry = entry[part]
+    entry[path[-1]] = value
+    with pytest.raises(ho.InputError) as caught:
+        check_request(problem_from_dict(data).request, motion_of("moved"))
+    assert caught.value.key == key
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("extra", "key"),
+    [
+        ("lift: 0.31", "request.mission[1].route.highest"),
+        ("via: [[1.0, 1.0, 0.6]]", "request.mission[1].route.via[0][0]"),
+    ],
+)
+def test_plans_are_read_only_with_the_route_asked_for(extra: str, key: str) -> None:
+    text = text_of(BOX).replace("{object: box,", f"{{object: box, {extra},")
+    data: Any = parse_yaml(text)
+    with pytest.raises(ho.InputError) as caught:
+        check_request(problem_from_dict(data).request, motion_of(BOX))
+    assert caught.value.key == key
+
+
+def test_check_names_keys_that_only_the_curves_between_show(tmp_path: Path) -> None:
+    text = MOVED.replace("[2, 0, -0.85]", "[2, 0, -0.86]")
+    write_plan(tmp_path / "plan.npz", motion_of("moved"), "", text)
+    run = CliRunner().invoke(main, ["check", str(tmp_path)])
+    assert run.exit_code == 2
+    assert "mission[4].follow_vertex.path is not as asked for" in run.output
+
+
+def test_a_text_and_its_data_are_the_same(tmp_path: Path) -> None:
+    """Readers without YAML believe the data, so all others compare them with the text."""
+    file = tmp_path / "plan.npz"
+    write_plan(file, motion_of("moved"), "", MOVED)
+    with np.load(file) as read:
+        arrays = dict(read)
+    settings = json.loads(str(arrays["settings"]))
+    settings["request"]["limits"]["speed"] = 1.0
+    np.savez(file, **{**arrays, "settings": np.array(json.dumps(settings))})
+    with pytest.raises(FileError, match=r"request\.limits\.speed"):
+        ho.load(tmp_path)
