@@ -34,7 +34,7 @@ SLOW = (
     *("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon", "form_triangle", "open_arc"),
     *("form_twelve_gon", "lay_triangle"),
 )
-OWN = {"consistency", "cable_loops", "contact", "penetration", "rim", "ground", "laid"}
+OWN = {"request", "consistency", "cable_loops", "contact", "penetration", "rim", "ground", "laid"}
 """Limits that the certificate counts to others, or to infinity where they are broken."""
 
 PROVEN = "proven: every limit holds at all times"
