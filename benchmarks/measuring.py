@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 ROOT = Path(__file__).parents[1]
-PROBLEMS, RESULTS = ROOT / "problems", ROOT / "benchmarks" / "results"
+PROBLEMS, RESULTS = ROOT / "problems", ROOT / "demo" / "benchmarks"
 
 LIBRARIES = ("hitchopt", "numpy", "scipy", "casadi", "toppra", "osqp")
 

@@ -28,7 +28,7 @@ extensions = [
     "sphinx_click",
     "sphinx_design",
 ]
-exclude_patterns = ["_build", "explanation/generated", "**.ipynb_checkpoints"]
+exclude_patterns = ["_build", "**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 3
@@ -80,13 +80,6 @@ shutil.copy(HERE / "generators" / "bash_magic.py", startup)
 os.environ["IPYTHONDIR"] = str(startup.parents[1])
 
 
-def link_results(app: Any, name: str, text: list[str]) -> None:
-    """Let links to benchmarks' results, which lie outside of ``docs``, lead to their pages."""
-    del app, name
-    place = r"\((?:\.\./)+benchmarks/results/(\w+\.md)\)"
-    text[0] = re.sub(place, r"(/benchmarks/generated/\1)", text[0])
-
-
 def split_entries(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
     """Put the text of ``name: text`` below its name, where numpydoc looks for it."""
     del app, what, name, obj, options
@@ -107,6 +100,5 @@ def setup(app: Any) -> None:
     """Write the generated pages before Sphinx looks for pages."""
     write_pages()
     add_renderer(app)
-    app.connect("source-read", link_results)
     app.connect("autodoc-process-signature", name_aliases)
     app.connect("autodoc-process-docstring", split_entries, priority=100)  # before numpydoc

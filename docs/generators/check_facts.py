@@ -1,4 +1,4 @@
-"""Facts of each check from the registry, as tables for the documentation; a page of formulas."""
+"""The page of checks: facts of each from the registry, and the code of its formulas."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from hitchopt.motion.motion import CableState
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
 
 
-FORMULAS = """# Formulas of the checks
+INTRODUCTION = """# Checks and formulas
 
-The code that computes the quantities of {doc}`the certificate </explanation/certificate>`, over `Enclosed` values: polynomials with
-the radius of a ball around them. On spans of length 0 it gives the quantity's value.
+What the registry says of every check of {doc}`the certificate </explanation/certificate>`, and the code that computes it, over
+`Enclosed` values: polynomials with the radius of a ball around them.
 """
 
 
@@ -25,13 +25,15 @@ def write_check_facts() -> dict[str, str]:
     return facts | {rule.name: _table(_facts_of_report(rule)) for rule in REPORTS}
 
 
-def write_formulas() -> str:
-    """Return the page with the code of all checks' formulas."""
-    return FORMULAS + "".join(
-        f"\n(formula-{rule.name})=\n## `{rule.name}`\n\n```python\n{code}\n```\n"
-        for rule in RULES
-        if (code := _formulas(rule))
-    )
+def write_check_page() -> str:
+    """Return the page with the facts of all checks and the code of their formulas."""
+    codes = {rule.name: _formulas(rule) for rule in RULES}
+    sections = [INTRODUCTION]
+    for name, facts in write_check_facts().items():
+        sections.append(f"\n(check-{name})=\n## `{name}`\n\n{facts}")
+        if code := codes.get(name):
+            sections.append(f"\n```python\n{code}\n```\n")
+    return "".join(sections)
 
 
 def _facts_of_check(rule: CheckRule) -> dict[str, str]:
@@ -40,14 +42,12 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
     exported = any(evaluator.exported for evaluator in rule.evaluators)
     limit = "" if rule.exported_limit is None else f", against {rule.exported_limit:g}"
     free_remedy = rule.free_remedy if rule.free_remedy != rule.remedy else ""
-    formula = {"formula": f"{{ref}}`in the code <formula-{rule.name}>`"} if _formulas(rule) else {}
     return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
         "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
         "while cables are": "in any state" if states == set(CableState) else names,
         "checked in exports": f"yes{limit}" if exported else "no",
         "what helps": rule.remedy + (f"; while cables hang: {free_remedy}" if free_remedy else ""),
-        **formula,
     }
 
 

@@ -28,19 +28,18 @@ from hitchopt.steps.step import RolledLegs
 
 INTRODUCTION = """# Gallery of problems
 
-All problem files of the repository. Each has a page with its YAML and the equivalent Python, to read and download.
-Pictures are moments of the plan, with the drones' paths since the one before; single drones are seen from above, with circles
-for their downwash ellipsoids.
+All problem files of the repository, each with its YAML and the equivalent Python to download. Pictures show moments of the plan, with the
+drones' paths since the previous one; single drones are seen from above, with circles for their downwash ellipsoids.
 """
 
 UNSOLVED = """These files are well-formed, but no plan meets their limits: `hitchopt solve` ends with
-{doc}`exit code 3 </reference/exit_codes>` and names what binds. Pictures show the request: the start and
+{doc}`exit code 3 </how_to/exit_code_3>` and names what binds. Pictures show the request: the start and
 intermediate outlines grey and dashed, the last one in blue.
 """
 
 REFUSALS = """## Invalid files
 
-`hitchopt solve` ends with {doc}`exit code 2 </reference/exit_codes>` and the message shown.
+`hitchopt solve` ends with {ref}`exit code 2 <exit-codes>` and the message shown.
 
 | file | message |
 |---|---|"""

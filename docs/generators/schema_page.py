@@ -35,7 +35,7 @@ HEADINGS = {
 STUDY_INTRODUCTION = """# Study file
 
 A study is YAML for {doc}`hitchopt sweep </how_to/sweep>`; `hitchopt init --kind study` writes one. Keys of `simulate` without a
-value are as usual, or as the plan states; `--perturb KEY=VALUE` and other options of `hitchopt simulate` set the same.
+value have their usual values, or those of the plan; options of `hitchopt simulate` set the same.
 """
 
 

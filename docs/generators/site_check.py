@@ -23,16 +23,15 @@ PHONE = (390, 844)
 
 SEARCHES = {
     "clasp": "reference/glossary",
-    "separation 1.05": "how_to/read_separation",
-    "fly faster": "how_to/fly_faster",
+    "separation 1.05": "explanation/certificate",
+    "fly faster": "how_to/write_a_problem",
     "exit code 3": "how_to/exit_code_3",
-    "crazyflie": "how_to/crazyflie",
-    "takeoff": "how_to/faq",
-    "obstacle": "how_to/get_past_an_obstacle",
+    "crazyflie": "how_to/export",
+    "obstacle": "how_to/carry",
     "thread": "how_to/describe_your_drones",
     "delay": "how_to/before_you_fly",
     "trim": "how_to/calibrate",
-    "cite": "reference/cite",
+    "cite": "index",
 }
 """Searches, and pages that must be among the first MAX_RESULTS results."""
 

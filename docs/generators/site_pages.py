@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from generators.check_facts import write_check_facts, write_formulas
+from generators.check_facts import write_check_page
 from generators.gallery_page import write_gallery
 from generators.problem_collection import ROOT
 from generators.schema_page import write_schema_page, write_study_page
@@ -10,19 +10,13 @@ from generators.script_page import write_script_page
 
 DOCS = ROOT / "docs"
 
-INCLUDED = "```{{include}} ../../../benchmarks/results/{}\n:relative-images:\n```\n"
-
 
 def write_pages() -> None:
     """Write generated pages whose text has changed, so that others are not rebuilt."""
     texts = {DOCS / "reference/generated/problem_file.md": write_schema_page(), **write_gallery()}
     texts[DOCS / "reference/generated/study_file.md"] = write_study_page()
-    texts[DOCS / "reference/generated/formulas.md"] = write_formulas()
+    texts[DOCS / "reference/generated/formulas.md"] = write_check_page()
     texts[DOCS / "how_to/generated/scripts.md"] = write_script_page()
-    for name, text in write_check_facts().items():
-        texts[DOCS / "explanation/generated" / f"{name}.md"] = text
-    for path in (ROOT / "benchmarks/results").glob("*.md"):
-        texts[DOCS / "benchmarks/generated" / path.name] = INCLUDED.format(path.name)
     for path, text in texts.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         if not path.exists() or path.read_text(encoding="utf-8") != text:

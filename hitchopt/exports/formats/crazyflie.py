@@ -402,7 +402,7 @@ EQUAL_ERRORS = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors o
 
 CLIENT = (
     "no script is written, as crazyflie_py cannot upload these bytes: use cflib, whose memory of "
-    "trajectories takes them as they are (docs/how_to/crazyflie.md)"
+    "trajectories takes them as they are (docs/how_to/export.md)"
 )
 
 
