@@ -223,7 +223,7 @@ def predicted_by_others(
 
 @dataclass(frozen=True)
 class Trims:
-    """Distances [m] of tied drones from where their set points, and the model, put them."""
+    """Distances [m] of tied drones from where their setpoints, and the model, put them."""
 
     rest_before: list[float]  # along each axis, at rest
     rest_after: list[float]
@@ -358,14 +358,14 @@ def write_table(
         ),
         ("rotor drag [N s/m], not modelled", len(drags), Figure.mean(drags), ""),
         (
-            "tied drones at rest [cm], rms per axis: from their set points, and with the trim of "
+            "tied drones at rest [cm], rms per axis: from their setpoints, and with the trim of "
             "the other flight",
             rest[0].n // 2,
             rest[0],
             rest[1],
         ),
         (
-            "tied drones in motion [cm], level rms: from their set points, and from the position "
+            "tied drones in motion [cm], level rms: from their setpoints, and from the position "
             "loop with the trim of the other flight",
             motion[0].n,
             motion[0],

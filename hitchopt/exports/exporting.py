@@ -41,11 +41,11 @@ from hitchopt.values.fields import with_fields
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
 REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
 STRETCH_FACTORS, MAX_STRETCH = (1.0, 1.25, 1.5), 20.0  # Stretches that are tried, and the largest
-STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if set points hold no tension
+STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if setpoints hold no tension
 TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
 """Controllers whose stiffest gains are known."""
 OFFSETS_HOLD_TENSION = (
-    "none: the offsets of the set points hold the tension; nothing is to be fed forward"
+    "none: the offsets of the setpoints hold the tension; nothing is to be fed forward"
 )
 NO_CABLE_FORCE = "none: accelerations are the drones' own, where the files hold them"
 
@@ -54,10 +54,10 @@ TRAILING_REMEDY = "fly it slower, give cables or polygons more room, or fly full
 
 ROUNDING_REASON = "rounding or refitting costs more than the plan's margins"
 OFFSET_REASON = (
-    "set points outward of the drones, which hold the tension, cost more than the plan's margins: "
+    "setpoints outward of the drones, which hold the tension, cost more than the plan's margins: "
     "stiffer position loops or lower tensions move them less; or stream it, or add allow_slack=True"
 )
-"""Reasons for violations, without and with set points that hold the tension."""
+"""Reasons for violations, without and with setpoints that hold the tension."""
 
 
 @dataclass(frozen=True)
@@ -302,7 +302,7 @@ def _export_task(
 
 
 def _needs_offsets(kind: Format, task: ExportTask) -> bool:
-    """Return whether set points have to hold the tension."""
+    """Return whether setpoints have to hold the tension."""
     is_taken = all(_takes_force(kind, task, team) for team in _hitch_teams(task.motion))
     return task.options.hold_tension or (_needs_stiffness(kind, task) and not is_taken)
 

@@ -36,7 +36,7 @@ class ExportTask:
     Drones are in the order of the problem, but those of the motion in the order of their places.
     """
 
-    motion: Motion  # starts at t = 0; with set points as drones if offsets hold the tension
+    motion: Motion  # starts at t = 0; with setpoints as drones if offsets hold the tension
     title: str
     frame: ReferenceFrame  # the files' frame
     fleet: Fleet  # the drones

@@ -1,16 +1,16 @@
-"""Set points with offsets that hold the cables' tension without feed-forward of forces.
+"""Setpoints with offsets that hold the cables' tension without feed-forward of forces.
 
-A controller with stiffness k and damping c tracks position, velocity and acceleration of its set
-point s, and moves a drone of mass m under the cable force F by
+A controller with stiffness k and damping c tracks position, velocity and acceleration of its
+setpoint s, and moves a drone of mass m under the cable force F by
 
     m ẍ = m s̈ + c (ṡ - ẋ) + k (s - x) + F.
 
 The drone follows the plan if ``δ = s - x`` solves ``δ + (c/k) δ' + (m/k) δ'' = -F/k``. At rest the
-set point is offset outward by T/k. F is scaled by ``Team.pull_gain``. The equation is solved
+setpoint is offset outward by T/k. F is scaled by ``Team.pull_gain``. The equation is solved
 forward from rest by collocation at Lobatto points, ends included, so that the second derivative is
 as continuous as F. The residual between these points moves the drone by at most the gain of the
-response times the residual, which is computed and reported. The plan is extended so that the set
-points end at rest.
+response times the residual, which is computed and reported. The plan is extended so that the
+setpoints end at rest.
 """
 
 from __future__ import annotations
@@ -39,17 +39,17 @@ HALVINGS = 3  # Maximum number of refinements
 MAX_ERROR = 1e-4  # Maximum error of drones due to residuals [m]
 PROBES = 3  # Number of points between Lobatto points at which residuals are evaluated
 REST_TIME = 2.0  # Extension of the plan, in which offsets come to rest [s]
-LIMIT_MARGIN = 0.2  # Margin of speed and acceleration limits over set points, for rounding
+LIMIT_MARGIN = 0.2  # Margin of speed and acceleration limits over setpoints, for rounding
 
 
 @dataclass(frozen=True, eq=False)
 class HeldTension:
-    """Set points of a plan that hold its tension, for controllers with given gains."""
+    """Setpoints of a plan that hold its tension, for controllers with given gains."""
 
-    motion: Motion  # the extended plan with set points as drones
+    motion: Motion  # the extended plan with setpoints as drones
     stiffness: Array  # (2n, 3) [N/m]
     damping: Array  # (2n, 3) [N s/m]
-    offset: float  # largest offset of a set point from its drone [m]
+    offset: float  # largest offset of a setpoint from its drone [m]
     error: float  # largest error of a drone with these controllers [m]
 
     @property
@@ -64,7 +64,7 @@ class HeldTension:
 
 
 def is_overridden(team: Team) -> bool:
-    """Return whether integrals would move drones after their set points, at any tension.
+    """Return whether integrals would move drones after their setpoints, at any tension.
 
     The upright integral that PX4 always has is not counted: it only bears vertical forces.
     """
@@ -75,18 +75,18 @@ def is_overridden(team: Team) -> bool:
 def held_tension(
     motion: Motion, stiffness: float | None = None, damping: float | None = None
 ) -> HeldTension:
-    """Return set points with which controllers fly a plan without feed-forward of cable forces.
+    """Return setpoints with which controllers fly a plan without feed-forward of cable forces.
 
     Gains [N/m], [N s/m] are the team's by default. Raises InputError if the team has none, or an
-    integral, which would move drones toward their set points, and InfeasibleError if forces change
+    integral, which would move drones toward their setpoints, and InfeasibleError if forces change
     too fast.
     """
     if not motion.has_cables:
         raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
     if len(motion.groups) == 1:
-        return _group_set_points(motion, stiffness, damping)
+        return _group_setpoints(motion, stiffness, damping)
     held = {
-        each.name: _group_set_points(each.motion, stiffness, damping)
+        each.name: _group_setpoints(each.motion, stiffness, damping)
         for each in motion.groups
         if each.motion.has_cables
     }
@@ -140,13 +140,11 @@ def trailing_times(stiffness: Array, damping: Array, mass: Array) -> Array:
     return times
 
 
-def _group_set_points(
-    motion: Motion, stiffness: float | None, damping: float | None
-) -> HeldTension:
-    """Return the set points of one group with cables."""
+def _group_setpoints(motion: Motion, stiffness: float | None, damping: float | None) -> HeldTension:
+    """Return the setpoints of one group with cables."""
     team = motion.team
     if is_overridden(team):
-        bound = "0 with hold_tension=True: integrals move drones after their set points"
+        bound = "0 with hold_tension=True: integrals move drones after their setpoints"
         remedy = "set team.quadrotor.gains.ki to 0, there and on board"
         raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
     k, c = loop_gains(team, stiffness, damping, "hold_tension=True")
@@ -169,7 +167,7 @@ def _group_set_points(
     else:
         remedy = "fly it slower with stretch="
         violation = Violation("held_tension", error, MAX_ERROR, "max", "m", (), "", remedy)
-        raise InfeasibleError([violation], "set points that hold the tension are not found")
+        raise InfeasibleError([violation], "setpoints that hold the tension are not found")
     split = whole.map_curves(lambda part: on_breaks(part, breaks), whole.phases)
     degree = max(split.drones.degree, DEGREE)
     positions = bernstein.elevate(split.drones.coefficients, degree)
@@ -177,7 +175,7 @@ def _group_set_points(
         breaks, positions + bernstein.elevate(offsets.coefficients, degree)
     )
     limits, factor = split.requirements.limits.with_reserve, 1.0 + LIMIT_MARGIN
-    widened = replace(  # limits that shows declare must hold for set points
+    widened = replace(  # limits that shows declare must hold for setpoints
         limits,
         speed=max(limits.speed, factor * largest_rate(drones, 1).worst),
         acceleration=max(limits.acceleration, factor * largest_rate(drones, 2).worst),

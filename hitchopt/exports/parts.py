@@ -1,6 +1,6 @@
 """Cut plans at rests into parts that are flown one by one, for drones of little memory.
 
-Drones hover where a part ends, until the next one is uploaded. Set points with offsets, which hold
+Drones hover where a part ends, until the next one is uploaded. Setpoints with offsets, which hold
 the tension, come to rest later than the plan. So every part has offsets of its own, and its end
 rests longer than planned. The plan is certified with these rests, in which its phases last longer.
 """
@@ -93,7 +93,7 @@ def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:
         times = ", ".join(f"{rest:.3f}" for rest in cuts[1:-1])
         notes.append(
             f"rests are longer than planned, by {REST_TIME:g} s at t = {times} s of the plan "
-            f"({REST_TIME * (count - 1):g} s in all), for set points to come to rest; the plan is "
+            f"({REST_TIME * (count - 1):g} s in all), for setpoints to come to rest; the plan is "
             "certified with them"
         )
     parts = []

@@ -32,7 +32,7 @@ EXPORT_RULES = tuple(rule for rule in RULES if any(each.exported for each in rul
 SETPOINT_RULES = tuple(
     RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena")
 )
-"""Rules for set points with offsets that hold the tension. Drones fly to their set points if their
+"""Rules for setpoints with offsets that hold the tension. Drones fly to their setpoints if their
 cables break or go slack; otherwise the plan's certificate applies."""
 
 SLOWER_REMEDY = "fly it slower with stretch=, plan below the limit, or choose another format"

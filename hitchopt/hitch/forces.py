@@ -375,5 +375,5 @@ def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ..
     if integral:
         reasons.append(f"{INTEGRAL} Set ki = 0.")
     if not feed_forward:
-        reasons.append(f"{SLACK} If its stiffness is known, set points hold the tension.")
+        reasons.append(f"{SLACK} If its stiffness is known, setpoints hold the tension.")
     return tuple(reasons)

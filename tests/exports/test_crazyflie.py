@@ -3,7 +3,7 @@
 The stand-in for crazyflie_py has the semantics of the firmware's high-level commander: an upload
 copies pieces into memory at once, a trajectory, also a finished one, is evaluated from there at
 every step, and takeoff, goTo and land fly a piece outside of that memory. A relative start shifts
-the trajectory to the current set point, and a broadcast one is relative whatever is requested.
+the trajectory to the current setpoint, and a broadcast one is relative whatever is requested.
 """
 
 from __future__ import annotations
@@ -494,7 +494,7 @@ def test_a_broadcast_start_would_keep_drones_beside_their_trajectories(
 def test_drones_that_end_tied_land_without_the_pull(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Their set points go to the plan's places first, from up to 15 cm outside."""
+    """Their setpoints go to the plan's places first, from up to 15 cm outside."""
     kind = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
     team = ho.Team(3, 2.4, tension=0.6, quadrotor=kind)
     hitch = ho.Hitch.balanced(team, [[0.3, 0.4], [0.8, -0.5], [-0.2, -0.5]], 1.2)
@@ -511,7 +511,7 @@ def test_drones_that_end_tied_land_without_the_pull(
             assert craft.state == word
             assert off == pytest.approx(0.0, abs=1e-5) if word == "idle" else 0.1 < off < 0.2
     assert "SLACK" in (tmp_path / "README.txt").read_text(encoding="utf-8")
-    exported(hitch_plan(), "crazyswarm2", tmp_path)  # whose set points are the plan's places
+    exported(hitch_plan(), "crazyswarm2", tmp_path)  # whose setpoints are the plan's places
     assert "\nSLACK = {}  #" in (tmp_path / "fly.py").read_text(encoding="utf-8")
     assert "SLACK" not in (tmp_path / "README.txt").read_text(encoding="utf-8")
 

@@ -29,7 +29,7 @@ MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 
 
 def is_held(name: str, kind: str) -> bool:
-    """Uploaded set points hold the tension where hitches are not too near to each other for it."""
+    """Uploaded setpoints hold the tension where hitches are not too near to each other for it."""
     return name in {"crazyswarm2", "compressed", "skybrush"} and kind == "hitch and swarm"
 
 
@@ -144,7 +144,7 @@ def test_states_are_those_of_each_group(kind: str) -> None:
 
 
 def test_a_group_is_exported_as_if_it_flew_alone(tmp_path: Path) -> None:
-    """The rows of a drone are those of its own plan, and so are its set points and parameters."""
+    """The rows of a drone are those of its own plan, and so are its setpoints and parameters."""
     motion = two_hitches()
     exported(motion, "csv", tmp_path / "all", rate=20.0)
     exported(alone(motion, "b"), "csv", tmp_path / "b", rate=20.0)

@@ -1,4 +1,4 @@
-"""Set points that hold the tension: drones that track them follow the plan."""
+"""Setpoints that hold the tension: drones that track them follow the plan."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def plan() -> ho.Plan:
 def flown(
     motion: Motion, held: HeldTension, t: np.ndarray, positions_only: bool = False
 ) -> np.ndarray:
-    """Where drones fly by the set points, with the plan's cable forces: m ẍ, integrated.
+    """Where drones fly by the setpoints, with the plan's cable forces: m ẍ, integrated.
 
     What a filter takes for a velocity is a force of the controller, as if cables pulled more.
     """
@@ -73,7 +73,7 @@ def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
     away = np.linalg.norm(flown(plan.motion, held, t) - plan.at(t).positions, axis=-1)
     assert np.max(away) < held.error + 1e-6
     assert held.error < 1e-4
-    # Set points that are moved as at rest only miss the plan by far more.
+    # Setpoints that are moved as at rest only miss the plan by far more.
     still = plan.motion.drones.at(t) - states_at(plan.motion, t).cable_forces / 4.75
     assert np.max(np.linalg.norm(held.motion.drones.at(t) - still, axis=-1)) > 20 * held.error
 
@@ -100,7 +100,7 @@ def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: 
 def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path) -> None:
     (done,) = plan.export(name, tmp_path, hold_tension=True)
     said = json.loads((tmp_path / "export.json").read_text(encoding="utf-8"))
-    assert "set points hold" in said["feed_forward"] or "hold the tension" in said["feed_forward"]
+    assert "setpoints hold" in said["feed_forward"] or "hold the tension" in said["feed_forward"]
     names = {check["name"] for check in said["checks"]}
     assert {"separation", "cable_clearance"} <= names
     assert not names & {"speed", "thrust", "tilt", "jerk"}
@@ -111,7 +111,7 @@ def test_every_format_holds_the_tension(name: str, plan: ho.Plan, tmp_path: Path
     assert [f for f in report.findings if f.level == "warning"] == []
 
 
-def test_tables_feed_nothing_forward_and_hold_the_set_points(plan: ho.Plan, tmp_path: Path) -> None:
+def test_tables_feed_nothing_forward_and_hold_the_setpoints(plan: ho.Plan, tmp_path: Path) -> None:
     plan.export("parquet", tmp_path, hold_tension=True, rate=50.0)
     table = pq.read_table(tmp_path / "setpoints.parquet")
 
@@ -206,7 +206,7 @@ def test_the_stiffness_that_a_refusal_names_holds_the_tension(
 def test_integrals_are_refused_with_gains_that_hold_the_tension(
     gains: dict[str, Any] | None, words: str, plan: ho.Plan, tmp_path: Path
 ) -> None:
-    """With the firmware's own gains set points would be a metre away, beyond the arena."""
+    """With the firmware's own gains setpoints would be a metre away, beyond the arena."""
     walls = ho.Arena([-2.2, -2.2, 0.0], [2.2, 2.2, 3.0])
     walled = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
     other = of_kind(replace(plan, motion=walled), ho.Quadrotor(controller="mellinger", gains=gains))
@@ -224,9 +224,9 @@ def test_allowed_slack_is_used_only_where_tensions_cannot_be_held(
     low, high = (
         bound(plan.motion.drones.coefficients, axis=(0, 1, 3)) for bound in (np.min, np.max)
     )
-    walls = ho.Arena(low - 0.02, high + 0.02)  # set points are 10 cm outward
+    walls = ho.Arena(low - 0.02, high + 0.02)  # setpoints are 10 cm outward
     near = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
-    with pytest.raises(ho.InfeasibleError, match="set points outward"):
+    with pytest.raises(ho.InfeasibleError, match="setpoints outward"):
         replace(plan, motion=near).export("compressed", tmp_path / "near")
     (lost,) = replace(plan, motion=near).export("compressed", tmp_path / "near", allow_slack=True)
     assert lost.goes_slack
@@ -234,7 +234,7 @@ def test_allowed_slack_is_used_only_where_tensions_cannot_be_held(
 
 
 def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:
-    """Legs that point at a wall: set points meet it before the drones do."""
+    """Legs that point at a wall: setpoints meet it before the drones do."""
     team = ho.Team(3, 2.0, tension=0.8, quadrotor=SOFT)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.0)
     plan = ho.hold(hitch, 1.0, arena=ho.Arena([-1.15] * 2 + [0.0], [1.15, 1.15, 3.0]))

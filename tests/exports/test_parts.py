@@ -85,7 +85,7 @@ def test_no_part_is_a_take_off_alone() -> None:
 def test_parts_end_where_the_longer_rest_is_certified(latest: str, cut: str) -> None:
     """Not where cables are hitched without tension; where they are taut, if that is no more parts.
 
-    Each part's set points rest at its start and, after the longer rest, at its end.
+    Each part's setpoints rest at its start and, after the longer rest, at its end.
     """
     task, end, whole = mission_task(holds_tension=True), end_of(latest), planned(MISSION).duration
     longest = max(end, whole - end_of(cut)) + REST_TIME + 1e-6
@@ -126,7 +126,7 @@ def test_problems_with_named_drones_export_to_crazyflies(name: str, tmp_path: Pa
 def test_a_refusal_names_what_binds_in_the_parts_not_that_the_whole_is_too_long(
     tmp_path: Path,
 ) -> None:
-    """The drones of a smaller hexagon with longer cables come too close for outward set points."""
+    """The drones of a smaller hexagon with longer cables come too close for outward setpoints."""
     problem = YAML(typ="safe").load(PROBLEMS / "lay_hexagon.yaml")
     problem["team"]["cable_length"] = 1.9
     angles = np.radians([90.0, 30.0, -30.0, -90.0, -150.0, 150.0])

@@ -24,7 +24,7 @@ class Hover:
     yaw: float  # [rad]
     thrust_factor: float = 1.0
     commands: str = ""  # none, positions or states
-    circle: bool = False  # whether the set point moves along a circle at last
+    circle: bool = False  # whether the setpoint moves along a circle at last
     seconds: float = 13.0  # at rest
     kp: float = KP
     kd: float = KD
@@ -37,7 +37,7 @@ class Hover:
 
     @property
     def trim(self) -> Array:
-        """Set point minus place at rest in the body's frame at yaw 0 (2,) [m]."""
+        """Setpoint minus place at rest in the body's frame at yaw 0 (2,) [m]."""
         return MASS * GRAVITY / self.kp * self.tilt
 
 
@@ -90,7 +90,7 @@ def flown(hovers: dict[str, Hover], seed: int, wander: float = 0.02) -> ho.Recor
 
 
 def _targets(t: Array, hover: Hover, end: float) -> tuple[Array, Array, Array]:
-    """Return set points, their velocities and accelerations (times, 3)."""
+    """Return setpoints, their velocities and accelerations (times, 3)."""
     target = np.zeros((len(t), 3))
     target[:, 2] = 0.6 * np.clip((t - 2.0) / 2.0, 0.0, 1.0) - 0.6 * np.clip((t - end) / 3, 0, 1)
     if hover.circle:

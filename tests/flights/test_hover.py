@@ -52,7 +52,7 @@ def test_trims_are_within_their_errors_in_19_of_20_seeds() -> None:
         assert drone.settled > 10.0
         assert drone.trim_error < 0.02
         known = "commanded" if hover.commands else "above the place before take-off"
-        assert drone.set_point == known
+        assert drone.setpoint == known
     assert min(within.values()) >= 19, within
 
 
@@ -93,7 +93,7 @@ def test_a_sentence_says_what_to_do() -> None:
     drone = ho.calibrate_hover(flown({"cf3": HOVER}, 1, 0.003), **GAINS).drones["cf3"]
     assert drone.sentence.startswith("cf3 stands 9.")
     assert "redefine its rigid body; until then it hovers" in drone.sentence
-    assert "toward +x of its set point" in drone.sentence  # The trim points to -x
+    assert "toward +x of its setpoint" in drone.sentence  # The trim points to -x
     level = ho.calibrate_hover(flown({"cf3": replace(HOVER, tilt_deg=0.0)}, 1, 0.003), **GAINS)
     assert "stands level and hovers within" in level.drones["cf3"].sentence
     short = ho.calibrate_hover(flown({"cf3": replace(HOVER, seconds=6.0)}, 1), **GAINS)
@@ -143,7 +143,7 @@ def test_motion_tells_the_trim_by_the_gains() -> None:
     hover = replace(HOVER, seconds=0.0, circle=True, commands="positions")
     flight = flown({"cf2": hover}, 5, 0.01)
     drone = ho.calibrate_hover(flight, **GAINS).drones["cf2"]
-    assert drone.set_point == "commanded, in motion"
+    assert drone.setpoint == "commanded, in motion"
     assert distance(drone, hover) < 2.0 * drone.trim_error
     assert drone.settled == 0.0
     unknown = ho.calibrate_hover(flight).drones["cf2"]
@@ -155,7 +155,7 @@ def test_hovers_without_a_set_point_are_refused() -> None:
     flight = flown({"cf2": HOVER}, 1)
     track = flight.tracks["cf2"]
     late = ho.Track(track.t[400:700], track.positions[400:700])
-    with pytest.raises(ho.FileError, match="its set point is unknown; record commands, or from"):
+    with pytest.raises(ho.FileError, match="its setpoint is unknown; record commands, or from"):
         ho.calibrate_hover(replace(flight, tracks={"cf2": late}))
     ground = ho.Track(track.t[:80], track.positions[:80])
     with pytest.raises(ho.FileError, match="no drone of cf2 is at rest in flight"):

@@ -69,7 +69,7 @@ def path_in(folder: Path, name: str) -> Path:
 
 
 def flight_for(name: str, visible_share: float = 0.9) -> ho.RecordedFlight:
-    """Return a flight with what a format stores: logs have set points of two drones, no markers."""
+    """Return a flight with what a format stores: logs have setpoints of two drones, no markers."""
     flight: ho.RecordedFlight = w.sample(visible_share=visible_share)
     if "log" not in name:
         return flight
@@ -568,7 +568,7 @@ def test_a_body_of_two_sources_in_one_topic_is_omitted(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("group", ["stateEstimateZ.", "stateEstimate.", "locSrv."])
-def test_targets_of_loads_are_no_set_points(group: str, tmp_path: Path) -> None:
+def test_targets_of_loads_are_no_setpoints(group: str, tmp_path: Path) -> None:
     """Targets belong to the drone or to its load, whichever is nearer."""
     flight: ho.RecordedFlight = w.sample(visible_share=1.0)
     load, near_load = moved(flight, -0.3), moved(flight, -0.28)

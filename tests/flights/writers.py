@@ -289,7 +289,7 @@ def write_usd(
 ) -> Path:
     """Write a log for every drone, with other events between positions.
 
-    Variables are those of ``group`` with ``axes``, of set points, and of ``others``, which have the
+    Variables are those of ``group`` with ``axes``, of setpoints, and of ``others``, which have the
     same times.
     """
     folder.mkdir()

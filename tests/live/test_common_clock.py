@@ -24,7 +24,7 @@ MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_the_clock_is_that_of_all(kind: str) -> None:
-    """Set points of each group are those of its own plan at the common plan time and rate."""
+    """Setpoints of each group are those of its own plan at the common plan time and rate."""
     motion = MOTIONS[kind]()
     player = ho.Player(motion)
     player.step(0.5 * motion.duration)

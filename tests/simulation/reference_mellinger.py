@@ -1,6 +1,6 @@
 """Commands of drone-controllers' Mellinger law, in a process of its own: it sets up scipy anew.
 
-Cases come as JSON from standard input: position, quaternion, velocity, rates, set point, and the
+Cases come as JSON from standard input: position, quaternion, velocity, rates, setpoint, and the
 rates of a second look. Each is answered by the thrust command and both torques.
 """
 

@@ -579,7 +579,7 @@ def tied() -> ho.Plan:
     team = ho.Team(3, 2.4, tension=0.6, cable_density=0.01)
     q = np.array([[-0.5, 1.0, 0.0], [-0.5, 0.0, 0.0], [-0.5, -1.0, 0.0]])
     polygon = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
-    wide = ho.Separation(radius=0.18)  # set points of uploads are beyond the drones
+    wide = ho.Separation(radius=0.18)  # setpoints of uploads are beyond the drones
     return ho.form(team, q, q + [1.0, 0.0, 0.0], polygon, altitude=1.2, separation=wide)
 
 

@@ -130,7 +130,7 @@ def test_feedback_from_measured_vertices_removes_the_sag() -> None:
     assert np.nanmean(errors[1:5]) > 0.05  # ropes of 10 g/m that the plan does not know
     assert np.nanmean(errors[-20:]) < 0.02
     corrections = result.flight.record.commanded[-1] - plan.at(plan.duration).positions
-    assert np.all(corrections[:, 2] > 0.05)  # set points are raised
+    assert np.all(corrections[:, 2] > 0.05)  # setpoints are raised
     assert np.all(np.linalg.norm(corrections[:, :2], axis=-1) < 0.1)
 
 

@@ -315,9 +315,9 @@ def test_bands_contain_the_rest_without_friction_and_grow_with_friction(
 def test_ends_of_a_triangles_band_solve_its_five_equations(friction: float) -> None:
     """Unknowns of one vertex, one drone and one cable; symmetry determines the others."""
     hitch, side = triangle(), 1.2
-    set_point, vertex = hitch.drones[0], hitch.vertices[0]
+    setpoint, vertex = hitch.drones[0], hitch.vertices[0]
     outward = unit(vertex - np.mean(hitch.vertices, axis=0))
-    edge, feed_forward = unit(hitch.vertices[1] - vertex), TENSION * unit(set_point - vertex)
+    edge, feed_forward = unit(hitch.vertices[1] - vertex), TENSION * unit(setpoint - vertex)
 
     def missing(unknowns: np.ndarray, friction: float) -> np.ndarray:
         drone, distance, tension = unknowns[:3], unknowns[3], unknowns[4]
@@ -325,14 +325,14 @@ def test_ends_of_a_triangles_band_solve_its_five_equations(friction: float) -> N
         size = float(np.linalg.norm(leg))
         bend = np.arccos(-(leg / size) @ edge)
         pull = tension * np.exp(friction * bend)
-        balance = STIFFNESS * (set_point - drone) + feed_forward - pull * leg / size
+        balance = STIFFNESS * (setpoint - drone) + feed_forward - pull * leg / size
         clasp = pull * (leg @ outward) / size - tension * np.cos(np.pi / 6)
         total = 2.0 * size + side + np.sqrt(3.0) * distance - 2.4
         return np.array([*balance, clasp, total])
 
     rest = settle_hitch(hitch, friction=friction, axial_stiffness=1e6)
     for column, sense in enumerate((-1.0, 1.0)):
-        start = np.array([*set_point, 0.0, TENSION])
+        start = np.array([*setpoint, 0.0, TENSION])
         for share in np.linspace(0.0, 1.0, 41):
             solution = root(missing, start, args=(sense * share * friction,), tol=1e-12)
             assert solution.success
@@ -358,7 +358,7 @@ def tolerance_of(hitch: ho.Hitch, **conditions: Any) -> Tolerance:
 
 
 def gradients(hitch: ho.Hitch, **conditions: Any) -> list[np.ndarray]:
-    """Return derivatives of tensions and points by lengths, set points and forces."""
+    """Return derivatives of tensions and points by lengths, setpoints and forces."""
     rest, n = settle_hitch(hitch, **conditions), hitch.team.robots
     positions = np.concatenate([rest.drones, rest.vertices[hitch.team.layout.clasps]])
     matrix = responses(resting_energy(hitch, **conditions), positions[None])

@@ -2,7 +2,7 @@
 
 Feed-forward: the on-board controller computes acceleration from the curve and adds gravity, so the
 cable force ``F`` cannot be included, and an integral term would move the drone to its position at
-any tension. If the controller's stiffness is known and it has no integral, set points are moved
+any tension. If the controller's stiffness is known and it has no integral, setpoints are moved
 outward to hold the tension. Otherwise stream full states (ros2bag, csv) with ``a_ff = a - F / m``.
 The manifest has the firmware's parameters of the filter, the controller and its gains for every
 drone.
@@ -74,7 +74,7 @@ class CrazyflieFormat(Format):
     needs_stiffness = True
     has_gains = True
     feed_forward = (
-        "not in these files: the on-board controller knows no cable; set points that hold the "
+        "not in these files: the on-board controller knows no cable; setpoints that hold the "
         "tension need its stiffness, without an integral, or stream full states (hitchopt fly)"
     )
     kind: PieceKind  # of the pieces
@@ -322,7 +322,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
 def _slack_points(task: ExportTask) -> dict[str, list[float]]:
     """Return the last places in the plan of drones that end tied, if offsets hold the tension.
 
-    With set points there the drones pull no longer, and distances are those of the plan.
+    With setpoints there the drones pull no longer, and distances are those of the plan.
     """
     if task.without_offsets is None:
         return {}

@@ -236,10 +236,10 @@ def _calibrate_hover(
     ]
     drones = calibration.drones.values()
     sentences = [f"{drone.sentence}." for drone in drones]
-    known = dict.fromkeys(drone.set_point for drone in drones if drone.set_point)
-    points = {x: ", ".join(each.name for each in drones if each.set_point == x) for x in known}
-    sentences += [f"The set point of {names} is {place}." for place, names in points.items()]
-    sentences += dict.fromkeys(f"{x}." for each in drones if each.set_point for x in each.remarks)
+    known = dict.fromkeys(drone.setpoint for drone in drones if drone.setpoint)
+    points = {x: ", ".join(each.name for each in drones if each.setpoint == x) for x in known}
+    sentences += [f"The setpoint of {names} is {place}." for place, names in points.items()]
+    sentences += dict.fromkeys(f"{x}." for each in drones if each.setpoint for x in each.remarks)
     content = {name: drone.to_dict() for name, drone in calibration.drones.items()}
     say(
         "\n\n".join([table("Drones at rest", rows), "\n".join(sentences)]),

@@ -1,8 +1,8 @@
 """Calibration of single drones from hovers: trims, tilts, thrust factors, lags and tracking errors.
 
 A drone whose rigid body is defined tilted by an angle takes level flight for a tilt. Its position
-loop, without an integral, then settles where its force cancels the one of that tilt: beside the set
-point by ``m g/kp`` times the tangent of the angle. So the trim, set point minus place at rest, is
+loop, without an integral, then settles where its force cancels the one of that tilt: beside the
+setpoint by ``m g/kp`` times the tangent of the angle. So the trim, setpoint minus place at rest, is
 ``m g/kp`` times the level part of the body's z axis over its upright part, and turns with yaw.
 Position-only commands trail by the speed times ``kd/kp``.
 """
@@ -36,7 +36,7 @@ from hitchopt.values import path as checked_path
 RATE = 50.0  # Of the samples that are compared [Hz]
 SPEED_TIME = 1.0  # Time over which speeds are means [s]
 MAX_LEVEL_SPEED, MAX_CLIMB = 0.08, 0.06  # Of a drone at rest [m/s]
-MAX_COMMAND_SPEED = 0.02  # Of set points at rest [m/s]
+MAX_COMMAND_SPEED = 0.02  # Of setpoints at rest [m/s]
 TRANSIENT = 2.5  # After a movement, until the drone is settled [s]
 MAX_BREAK = 1.0  # Longest movement within a settled part [s]
 MIN_SETTLED, ENOUGH = 1.0, 10.0  # Settled time that is needed, and that is enough [s]
@@ -66,9 +66,9 @@ class DroneHover(OneLine):
     Attributes
     ----------
     name: in the recording, or of the team.
-    trim: set point minus place at rest, level, in the body's frame at yaw 0 [m].
+    trim: setpoint minus place at rest, level, in the body's frame at yaw 0 [m].
     trim_error: standard error of both [m].
-    set_point: where it is known from: ``commanded``, ``above the place before take-off``, or
+    setpoint: where it is known from: ``commanded``, ``above the place before take-off``, or
         ``commanded, in motion``, where the trim is fitted to the position loop's response.
     settled: time at rest [s].
     tilt: level part of the body's z axis over its upright part, in the same frame.
@@ -79,14 +79,14 @@ class DroneHover(OneLine):
     spread: standard deviation of the level position at rest [m].
     thrust_factor: commanded thrust over weight, and its standard error.
     lag, expected_lag: of moving commands, measured, and kd/kp if known and positions only [s].
-    tracking: largest distances from the set point plus trim, level and in height [m].
+    tracking: largest distances from the setpoint plus trim, level and in height [m].
     remarks: reasons for which something is not determined.
     """
 
     name: str
     trim: tuple[float, float] = (math.nan, math.nan)
     trim_error: float = math.nan
-    set_point: str = ""
+    setpoint: str = ""
     settled: float = 0.0
     tilt: tuple[float, float] = (math.nan, math.nan)
     tilt_deg: float = math.nan
@@ -123,11 +123,11 @@ class DroneHover(OneLine):
             return f"{self.name}: {reasons}{self._lag_words}"
         off, error = math.hypot(*self.trim), 100.0 * self.trim_error
         beside = f"{100.0 * off:.0f} cm toward {direction_of(*(-x for x in self.trim))} of its "
-        beside += f"set point (± {error:.1g} cm)"
+        beside += f"setpoint (± {error:.1g} cm)"
         if math.isnan(self.tilt_deg):
             text = f"hovers {beside}; its tilt is not recorded"
         elif self.tilt_deg < LEVEL and off < max(NEAR, 2.0 * self.trim_error):
-            text = f"stands level and hovers within {100.0 * off:.1f} cm of its set point"
+            text = f"stands level and hovers within {100.0 * off:.1f} cm of its setpoint"
         elif self.agrees is False:
             by_tilt = 100.0 * math.hypot(*self.expected_trim)
             text = f"stands {self.tilt_deg:.1f}° tilted, which would be {by_tilt:.0f} cm toward "
@@ -203,8 +203,8 @@ def calibrate_hover(
 ) -> HoverCalibration:
     """Estimate trims, tilts, thrust factors and lags of drones from hovers, without a plan.
 
-    A drone is at rest while it flies, and neither it nor its set point moves; the first seconds
-    after each movement are left out. Without commands the set point is above the place before
+    A drone is at rest while it flies, and neither it nor its setpoint moves; the first seconds
+    after each movement are left out. Without commands the setpoint is above the place before
     take-off.
 
     Parameters
@@ -265,7 +265,7 @@ class _Rest:
     Attributes
     ----------
     hover: the drone's hover.
-    source: where the set point is known from, as in ``DroneHover.set_point``.
+    source: where the setpoint is known from, as in ``DroneHover.setpoint``.
     mask: (times,), the part's samples.
     world, body: trims (2,) in the world, and in the body's frame at yaw 0 [m].
     yaw: mean yaw [rad].
@@ -317,8 +317,8 @@ class HoverSeries:
     ----------
     t: (times,) [s].
     x, velocity: (times, 3) [m], [m/s].
-    commanded, commanded_velocity: of set points (times, 3) [m], [m/s]; nan if none are recorded.
-    began, ended: times of the first and the last set point [s]; infinite if none are recorded.
+    commanded, commanded_velocity: of setpoints (times, 3) [m], [m/s]; nan if none are recorded.
+    began, ended: times of the first and the last setpoint [s]; infinite if none are recorded.
     """
 
     def __init__(self, flight: RecordedFlight, name: str, label: str = "") -> None:
@@ -346,10 +346,10 @@ class HoverSeries:
             self.began, self.ended = commands.t[[0, -1]].tolist()
         self.commanded_velocity = _velocity(self.t, self.commanded)
         before = self.t < self.began
-        self.set_point = np.where(sent[:, None], self.commanded, np.nan)
-        self.source = np.where(sent, COMMANDED, "").astype(object)  # Of set points
+        self.setpoint = np.where(sent[:, None], self.commanded, np.nan)
+        self.source = np.where(sent, COMMANDED, "").astype(object)  # Of setpoints
         if self.ground is not None:
-            self.set_point[before] = [*self.ground[:2], np.nan]
+            self.setpoint[before] = [*self.ground[:2], np.nan]
             self.source[before] = ABOVE_START
         moving = np.flatnonzero(sent & (length(self.commanded_velocity) > MAX_COMMAND_SPEED))
         self.still = (_since(self.t, self.t[moving]) > TRANSIENT) & (before | sent)
@@ -374,7 +374,7 @@ class HoverSeries:
         return np.asarray(np.median(self.x[:end], axis=0))
 
     def rests(self) -> Iterator[_Rest]:
-        """Yield the settled parts with a known set point."""
+        """Yield the settled parts with a known setpoint."""
         level, climb = length(self.velocity[:, :2]), np.abs(self.velocity[:, 2])
         slow = (level < MAX_LEVEL_SPEED) & (climb < MAX_CLIMB) & self.flying & self.visible
         slow = _bridged(slow, MAX_BREAK) & self.flying & self.still
@@ -385,7 +385,7 @@ class HoverSeries:
                 mask[first:end] = True
                 if np.sum(mask) < 0.5 * MIN_SETTLED * RATE:
                     continue
-                off = (self.set_point - self.x)[mask, :2]
+                off = (self.setpoint - self.x)[mask, :2]
                 world, body = np.mean([off, _turned(off, -self.yaw[mask])], axis=1)
                 error = mean_error(off, np.sum(mask) / RATE)
                 yield _Rest(self, kind, mask, world, body, self._mean_yaw(mask), error)
@@ -482,11 +482,11 @@ class HoverSeries:
         return float(lags[best]), error
 
     def tracking(self, trim: Array, rests: Sequence[_Rest]) -> dict[str, float]:
-        """Return the largest distances from set points plus trim while these are known [m]."""
+        """Return the largest distances from setpoints plus trim while these are known [m]."""
         used: NDArray[np.bool_] = np.any([rest.mask for rest in rests], axis=0)
         sent = (self.source == COMMANDED) & self.flying & self.visible
         used |= sent & (self.t > self.began + TRANSIENT)
-        off = self.set_point - self.x
+        off = self.setpoint - self.x
         off[:, :2] -= _turned(trim, self.yaw)
         heights = off[used, 2]
         if not np.isfinite(heights).any():  # Above the place before take-off, at unknown height
@@ -533,13 +533,13 @@ def _drone(name: str, hovers: Sequence[HoverSeries], known: Mapping[str, float])
 
 
 def _restless_drone(name: str, hovers: Sequence[HoverSeries]) -> DroneHover:
-    """Return a drone that is never at rest in flight with a known set point; it may have a lag."""
+    """Return a drone that is never at rest in flight with a known setpoint; it may have a lag."""
     if not any(hover.flying.any() for hover in hovers):
         reason, remedy = "it does not fly", "hover for ten seconds"
-    elif any(np.isfinite(hover.set_point[:, 0]).any() for hover in hovers):
+    elif any(np.isfinite(hover.setpoint[:, 0]).any() for hover in hovers):
         reason, remedy = "it is never at rest in flight", "hover for ten seconds"
     else:
-        reason, remedy = "its set point is unknown", "record commands, or from the ground"
+        reason, remedy = "its setpoint is unknown", "record commands, or from the ground"
     lags = [hover.lag(None) for hover in hovers]
     lag, error = next((each for each in lags if not math.isnan(each[0])), lags[0])
     return DroneHover(name, lag=lag, lag_error=error, remarks=(f"{reason}; {remedy}",))
@@ -619,7 +619,7 @@ def _expected_lag(hovers: Sequence[HoverSeries], known: Mapping[str, float]) -> 
 def _largest_tracking(
     hovers: Sequence[HoverSeries], parts: Sequence[_Rest], trim: Array
 ) -> dict[str, float]:
-    """Return the largest distances from set points plus trim, level and in height [m]."""
+    """Return the largest distances from setpoints plus trim, level and in height [m]."""
     tubes = [
         hover.tracking(trim, [part for part in parts if part.hover is hover]) for hover in hovers
     ]

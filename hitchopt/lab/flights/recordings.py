@@ -146,7 +146,7 @@ class RecordedFlight(OneLine):
     sources: topics by body, then by quantity, ``position`` being that of tracks and loads.
     clock_shifts: time of this flight minus that of the body's own clock [s], of bodies whose
         samples were recorded on clocks of their own, and are on one here.
-    as_sent: whether set points were recorded where they were sent, not logged by the drones.
+    as_sent: whether setpoints were recorded where they were sent, not logged by the drones.
     epoch: time of the recording's clock at which ``t`` is 0 [s]; 0 if times are as recorded.
     one_clock: whether all tracks share one clock; otherwise each track has its own origin.
     notes: corrections and omissions, a sentence each.

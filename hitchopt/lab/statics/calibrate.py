@@ -235,7 +235,7 @@ def calibrate(
     initial = np.where(np.isfinite(stated), stated, INITIAL_STIFFNESS)
     expected = np.append(-np.log(initial), np.zeros(3))
     spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, FIXED])
-    integral = "integral action returns drones to their set points, whatever their stiffness"
+    integral = "integral action returns drones to their setpoints, whatever their stiffness"
     estimates = [Estimate(remark=integral)] * len(kinds)
     long_windows = windows_of(recording, task, STIFFNESS_WINDOW)
     if not len(long_windows.t):
