@@ -180,13 +180,18 @@ def _are_separated(chords: Array) -> Flags:
 
 def _are_crossing(chords: Array) -> Flags:
     """Return on which spans, seen along some direction, two chords cross for certain."""
-    qi, ri, qj, rj = (Enclosed(chords[:, k]) for k in range(4))
-    normal = Enclosed.of(unit(np.cross((ri - qi).middle, (rj - qj).middle)))
+    first_start, first_end, second_start, second_end = (Enclosed(chords[:, k]) for k in range(4))
+    first, second = (first_start, first_end), (second_start, second_end)
+    chord, other_chord = (first_end - first_start).middle, (second_end - second_start).middle
+    normal = Enclosed.of(unit(np.cross(chord, other_chord)))
     crossing = np.ones(len(chords), dtype=np.bool_)
-    for a, b, c, d in ((qi, ri, qj, rj), (qj, rj, qi, ri)):
-        sideways = normal.cross(b - a)
-        one, other = (sideways.dot(to - a).range for to in (c, d))
-        crossing &= ((one.low > 0.0) & (other.high < 0.0)) | ((one.high < 0.0) & (other.low > 0.0))
+    for (start, end), (one, other) in ((first, second), (second, first)):
+        sideways = normal.cross(end - start)
+        one_side = sideways.dot(one - start).range
+        other_side = sideways.dot(other - start).range
+        down = (one_side.low > 0.0) & (other_side.high < 0.0)
+        up = (one_side.high < 0.0) & (other_side.low > 0.0)
+        crossing &= down | up
     return crossing
 
 
@@ -310,79 +315,111 @@ def _interlacing_errors(motion: Motion, _: float) -> WorstCase:
     return WorstCase(float(len(first)), time, tuple(where))
 
 
-def _wrong_cables(motion: Motion) -> Iterator[tuple[Phase, Indices, Array | float]]:
-    """Yield phases, cables ``i n + i`` or pairs ``i n + j`` that contradict them, times [s]."""
-    layout, ties = motion.team.layout, Ties.at_start(motion)
-    numbers = ties.numbers
-    clasped = np.sort(clasped_pairs(layout))
+Wrong = tuple[Phase, Indices, "Array | float"]
+"""A phase, cables ``i n + i`` or pairs ``i n + j`` that contradict it, and times [s]."""
+
+
+def _wrong_cables(motion: Motion) -> Iterator[Wrong]:
+    """Yield phases, and cables and pairs that contradict them."""
+    ties = Ties.at_start(motion)
     runs = [
         (state, list(run)) for state, run in groupby(phase_parts(motion), lambda p: p.phase.state)
     ]
-    neighbour_states = [None, *(state for state, _ in runs), None]
+    states = [None, *(state for state, _ in runs), None]
     for i, (state, parts) in enumerate(runs):
-        first, last, is_hitched = parts[0], parts[-1], state is CableState.HITCHED
-        ends = [float(part.motion.drones.breaks[-1]) for part in parts]
-        required = None if state is CableState.CLASPING else int(state not in UNLINKED)
-        if required is not None and state not in LAID_STATES:
-            start = float(first.motion.drones.breaks[0])
-            yield first.phase, clasped[np.abs(numbers) != required], start
-            if is_hitched:
-                yield first.phase, clasped[_opposite(clasped, numbers)], start
+        first, last = parts[0], parts[-1]
+        is_hitched = state is CableState.HITCHED
         is_last = last.pieces.stop == motion.drones.pieces
+        if state not in LAID_STATES:
+            yield from _wrong_at_start(state, first, ties)
         if is_hitched:
-            ties.senses[:] = numbers
+            ties.senses[:] = ties.numbers
         if is_hitched and is_last:  # loaded clasps and separated parts stay linked
             continue
-        span = motion.slice_pieces(
-            slice(first.pieces.start, last.pieces.stop), [p.phase for p in parts]
-        )
+        pieces = slice(first.pieces.start, last.pieces.stop)
+        span = motion.slice_pieces(pieces, [part.phase for part in parts])
         if state in LAID_STATES:
-            around = neighbour_states[i], neighbour_states[i + 2]
-            yield last.phase, clasped[ties.followed(state, span, *around)], ends[-1]
-            yield from _laid_errors(parts, ties)
+            yield from _wrong_while_laid(span, parts, ties, states[i], states[i + 2])
+        else:
+            yield from _wrong_crossings(span, parts, ties, is_last=is_last)
+
+
+def _required_number(state: CableState) -> int | None:
+    """Return the size of neighbours' crossing numbers in a state; None if it may change."""
+    return None if state is CableState.CLASPING else int(state not in UNLINKED)
+
+
+def _wrong_at_start(state: CableState, part: PhasePart, ties: Ties) -> Iterator[Wrong]:
+    """Yield the neighbours that have another crossing number than a state that begins requires."""
+    required, start = _required_number(state), float(part.motion.drones.breaks[0])
+    if required is not None:
+        yield part.phase, ties.pairs[np.abs(ties.numbers) != required], start
+        if state is CableState.HITCHED:
+            yield part.phase, ties.pairs[_opposite(ties.pairs, ties.numbers)], start
+
+
+def _wrong_crossings(
+    span: Motion, parts: Sequence[PhasePart], ties: Ties, *, is_last: bool
+) -> Iterator[Wrong]:
+    """Yield what contradicts one state, on a span of its phases; update the crossing numbers.
+
+    In the ``is_last`` state cables end without ties.
+    """
+    layout, state, last = span.team.layout, parts[0].phase.state, parts[-1]
+    ends = [float(part.motion.drones.breaks[-1]) for part in parts]
+    crossings = chord_crossings(span.drones)
+    pairs = pair_of(layout, crossings.first, crossings.second)
+    is_neighbour = np.isin(pairs, ties.pairs)
+    invalid = ~crossings.certain | (~is_neighbour & (crossings.count != 0))
+    part_index = np.searchsorted(ends[:-1], crossings.time - JOINT)
+    ties_index = np.searchsorted(ties.pairs, pairs[is_neighbour])
+    np.add.at(ties.numbers, ties_index, crossings.count[is_neighbour])
+    required = 0 if is_last else _required_number(state)
+    if required is not None:
+        yield last.phase, ties.pairs[np.abs(ties.numbers) != required], ends[-1]
+    for index, part in enumerate(parts):
+        selected = invalid & (part_index == index)
+        yield part.phase, pairs[selected], crossings.time[selected]
+        if state is CableState.HITCHED:
             continue
-        crossings = chord_crossings(span.drones)
-        pairs = pair_of(layout, crossings.first, crossings.second)
-        is_neighbour = np.isin(pairs, clasped)
-        invalid = ~crossings.certain | (~is_neighbour & (crossings.count != 0))
-        part_index = np.searchsorted(ends[:-1], crossings.time - JOINT)
-        ties_index = np.searchsorted(clasped, pairs[is_neighbour])
-        np.add.at(numbers, ties_index, crossings.count[is_neighbour])
-        if is_last:
-            required = 0
-        if required is not None:
-            yield last.phase, clasped[np.abs(numbers) != required], ends[-1]
-        for index, part in enumerate(parts):
-            selected = invalid & (part_index == index)
-            yield part.phase, pairs[selected], crossings.time[selected]
-            if is_hitched:
-                continue
-            own = part.motion if state is not CableState.DRAWN else span
-            yield part.phase, _contradictions(own), float(part.motion.drones.breaks[0])
-            if state is not CableState.GROUND:  # there, drones keep a horizontal distance
-                drone, cable, time = drones_inside_hanging_cables(part.motion)
-                yield part.phase, pair_of(layout, drone // 2, cable), time
+        compared = span if state is CableState.DRAWN else part.motion
+        yield part.phase, _contradictions(compared), float(part.motion.drones.breaks[0])
+        if state is not CableState.GROUND:  # there, drones keep a horizontal distance
+            drone, cable, time = drones_inside_hanging_cables(part.motion)
+            yield part.phase, pair_of(layout, drone // 2, cable), time
 
 
-def _laid_errors(parts: Sequence[PhasePart], ties: Ties) -> Iterator[tuple[Phase, Indices, float]]:
-    """Yield phases in LAID_STATES with their contradicting cables and pairs, and times."""
-    clasped = np.sort(clasped_pairs(parts[0].motion.team.layout))
+def _wrong_while_laid(
+    span: Motion,
+    parts: Sequence[PhasePart],
+    ties: Ties,
+    before: CableState | None,
+    after: CableState | None,
+) -> Iterator[Wrong]:
+    """Yield what contradicts one of LAID_STATES, on a span of its phases; update the ties.
+
+    The states ``before`` and ``after`` it are None at the ends of the plan.
+    """
+    last = parts[-1]
+    end = float(last.motion.drones.breaks[-1])
+    yield last.phase, ties.pairs[ties.followed(last.phase.state, span, before, after)], end
     for part in parts:
         start = float(part.motion.drones.breaks[0])
         yield part.phase, _contradictions(part.motion), start
         if part.phase.state is CableState.ROLLING:
-            yield part.phase, clasped[ties.past(part.motion)], start
+            yield part.phase, ties.pairs[ties.past(part.motion)], start
 
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """Ties of neighbours, updated along a plan, each (clasps,) in the ``order`` of pairs.
+    """Ties of neighbours, updated along a plan, each (clasps,) in the ``order`` of ``pairs``.
 
     They are crossing ``numbers``, ``senses`` of clasps, 1 or -1, and ``lying``: 1 where the cable
     ahead lies on the one behind, -1 below it, 0 where they are apart or clasped. Pairs that lie
     across roll by half a turn in the sense of that sign, which becomes their crossing number.
     """
 
+    pairs: Indices
     order: Indices
     numbers: Indices
     senses: Indices
@@ -394,9 +431,10 @@ class Ties:
 
         An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
         """
-        order = np.argsort(clasped_pairs(motion.team.layout))
+        pairs = clasped_pairs(motion.team.layout)
+        order = np.argsort(pairs)
         numbers = np.full(len(order), int(motion.formed[0]), dtype=np.intp)
-        return cls(order, numbers, numbers.copy(), 0 * numbers)
+        return cls(np.sort(pairs), order, numbers, numbers.copy(), 0 * numbers)
 
     def followed(
         self,
@@ -418,27 +456,33 @@ class Ties:
         While cables move vertically, all neighbours cross, seen from above. They come down before
         they roll, or rise after that, and the upper one stays above.
         """
-        upright = upright_pieces(motion)
+        after_rolling = before is CableState.ROLLING
+        before_rolling = after is CableState.ROLLING
         min_gap = max(CROSSING.limit_of(motion) or 0.0, MIN_GAP)
-        ties = before is CableState.ROLLING, after is CableState.ROLLING
-        wrong: Flags = (self.numbers != 0) & (not ties[0])
-        wrong |= (ties[0] and not upright[0]) or (ties[1] and not upright[-1])
+        upright = upright_pieces(motion)
+        wrong: Flags = (self.numbers != 0) & (not after_rolling)
+        wrong |= after_rolling and not upright[0]
+        wrong |= before_rolling and not upright[-1]
         signs = 0 * self.lying
         for start, stop in true_runs(upright):
+            rising = after_rolling and start == 0
+            descending = before_rolling and stop == len(upright)
             gaps = height_gaps(motion.slice_pieces(slice(start, stop), motion.phases))[self.order]
-            rising, descending = ties[0] and start == 0, ties[1] and stop == len(upright)
-            contact, clearance = gaps[:, 0, 0], gaps[:, -1, -1]
-            contact, clearance = (contact, clearance) if rising else (clearance, contact)
+            first, last = gaps[:, 0, 0], gaps[:, -1, -1]
+            contact, clearance = (first, last) if rising else (last, first)
             over = np.sign(np.nan_to_num(clearance)).astype(np.intp)
             compared = ~np.isnan(clearance) | rising | descending  # at rest, nothing crosses
             wrong |= compared & ~(np.abs(clearance) >= min_gap)
-            floor = np.full(len(clearance), min_gap)
+            least_gap = np.full(len(clearance), min_gap)
             if rising or descending:
                 wrong |= ~(np.abs(contact) <= MAX_LAID_GAP)
                 wrong |= rising & (over != self.lying)
-                floor, signs = over * contact - MAX_JUMP, signs if rising else over
-            wrong |= compared & ~(np.min(over[:, None, None] * gaps, axis=(1, 2)) >= floor)
-        self.numbers[:], self.lying[:] = 0, signs
+                least_gap = over * contact - MAX_JUMP
+                signs = signs if rising else over
+            smallest = np.min(over[:, None, None] * gaps, axis=(1, 2))
+            wrong |= compared & ~(smallest >= least_gap)
+        self.numbers[:] = 0
+        self.lying[:] = signs
         return wrong
 
     def bend(self, motion: Motion, before: CableState | None, after: CableState | None) -> Flags:
@@ -449,28 +493,33 @@ class Ties:
         other. At all other times they keep apart, as their arcs and their ends at different clasps
         do always.
         """
-        layout, lying = motion.team.layout, 0 * self.lying
+        layout = motion.team.layout
+        lying = 0 * self.lying
         wrong: Flags = (self.numbers != 0) & (before is not CableState.ROLLING)
         wrong |= not nearest(_opposite_ends)(motion, MAX_LAID_GAP).worst >= MAX_LAID_GAP
         wrong |= not worst(BothCables.of(motion), opposite_sides, "min", target=0.0).worst > 0.0
         for i, k in enumerate(self.order.tolist()):
             heights = heights_beyond(motion, int(layout.ahead[k]), int(layout.behind[k]))
-            for end, ordered, outer in ((before, heights, 0), (after, heights[::-1], 1)):
-                if end is not CableState.ROLLING:
+            # Spans from the one next to rolling on; column of the height at that end of a span
+            for neighbour, from_rolling, end in ((before, heights, 0), (after, heights[::-1], 1)):
+                if neighbour is not CableState.ROLLING:
                     continue
-                count = int(np.sum(np.logical_and.accumulate(~np.isnan(ordered[:, 0]))))
-                ends = ordered[count - 1, 2:] if count else np.zeros(2)
+                crosses = ~np.isnan(from_rolling[:, 0])
+                count = int(np.sum(np.logical_and.accumulate(crosses)))
                 # On the span on which they begin, or cease, to cross
-                sign = int(np.all(ends > 0.0)) - int(np.all(ends < 0.0))
-                wrong[i] |= sign == 0 or not abs(ordered[0, outer]) <= MAX_LAID_GAP
-                wrong[i] |= not np.all(sign * ordered[:count] >= -MAX_LAID_GAP)
-                if end is before:
+                bounds = from_rolling[count - 1, 2:] if count else np.zeros(2)
+                sign = int(np.all(bounds > 0.0)) - int(np.all(bounds < 0.0))
+                wrong[i] |= sign == 0
+                wrong[i] |= not abs(from_rolling[0, end]) <= MAX_LAID_GAP
+                wrong[i] |= not np.all(sign * from_rolling[:count] >= -MAX_LAID_GAP)
+                if neighbour is before:
                     wrong[i] |= sign != self.lying[i]
-                if end is after:
+                if neighbour is after:
                     lying[i] = sign
-                ordered[:count] = np.inf
+                from_rolling[:count] = np.inf  # followed: only later crossings may touch
             wrong[i] |= bool(np.any(np.min(heights, 1) * np.max(heights, 1) <= 0.0))
-        self.numbers[:], self.lying[:] = 0, lying
+        self.numbers[:] = 0
+        self.lying[:] = lying
         return wrong
 
     def roll(self, motion: Motion, after: CableState | None) -> Flags:
@@ -523,7 +572,7 @@ def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
     both = outer_chords(motion)[:, [2 * ahead, 2 * behind + 1]]
     chords = both.reshape(len(both), 1, 4, *both.shape[3:])
     spans = TimeSpans(motion, motion.drones.breaks, *np.indices((len(chords), 1)).reshape(2, -1))
-    times, found = list[Array](), list[Array]()
+    starts, rows = list[Array](), list[Array]()
     for depth in range(MAX_HALVINGS):
         if not len(spans):
             break
@@ -534,14 +583,16 @@ def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
         middle = spans.at(np.full(len(spans), 0.5)).read(chords)
         touching = ~(_are_separated(middle) | _crossing_height(middle)[0])
         done = apart | narrow | touching | (depth == MAX_HALVINGS - 1)
-        ends = [_crossing_height(spans.at(np.full(len(spans), x)).read(chords)) for x in (0.0, 1.0)]
-        rows = np.stack([ends[0][1].low, ends[1][1].low, height.low, height.high], axis=1)
-        rows[~crossing] = 0.0
-        rows[apart] = np.nan
-        times.append(spans.times(np.zeros(len(spans)))[done])
-        found.append(rows[done])
+        _, first = _crossing_height(spans.at(np.zeros(len(spans))).read(chords))
+        _, last = _crossing_height(spans.at(np.ones(len(spans))).read(chords))
+        heights = np.stack([first.low, last.low, height.low, height.high], axis=1)
+        heights[~crossing] = 0.0
+        heights[apart] = np.nan
+        starts.append(spans.times(np.zeros(len(spans)))[done])
+        rows.append(heights[done])
         spans = spans.take(~done).halves()
-    return np.asarray(np.concatenate(found)[np.argsort(np.concatenate(times), kind="stable")])
+    in_order = np.argsort(np.concatenate(starts), kind="stable")
+    return np.asarray(np.concatenate(rows)[in_order])
 
 
 def _crossing_height(chords: Array) -> tuple[Flags, Interval]:
@@ -549,15 +600,19 @@ def _crossing_height(chords: Array) -> tuple[Flags, Interval]:
 
     Heights are over the second chord [m].
     """
-    a, b, c, d = (Enclosed(chords[:, k]) for k in range(4))
-    normal = (b - a).cross(d - c)
+    first_start, first_end, second_start, second_end = (Enclosed(chords[:, k]) for k in range(4))
+    first, second = (first_start, first_end), (second_start, second_end)
     crossing = np.ones(len(chords), dtype=np.bool_)
-    for start, end, one, other in ((a, b, c, d), (c, d, a, b)):
-        sides = [(end - start).xy.cross((to - start).xy).range for to in (one, other)]
-        left, right = ((x.low > 0.0) & (y.high < 0.0) for x, y in (sides, sides[::-1]))
-        crossing &= left | right
+    for (start, end), (one, other) in ((first, second), (second, first)):
+        along = (end - start).xy
+        one_side = along.cross((one - start).xy).range
+        other_side = along.cross((other - start).xy).range
+        left_to_right = (one_side.low > 0.0) & (other_side.high < 0.0)
+        right_to_left = (other_side.low > 0.0) & (one_side.high < 0.0)
+        crossing &= left_to_right | right_to_left
+    normal = (first_end - first_start).cross(second_end - second_start)
     with np.errstate(all="ignore"):
-        height = (a - c).dot(normal).range * normal[2].range.inverse
+        height = (first_start - second_start).dot(normal).range * normal[2].range.inverse
     return crossing, height
 
 
@@ -605,25 +660,33 @@ def height_gaps(motion: Motion) -> Array:
     Cables move vertically. Heights are those at the crossing of their chords, seen from above; nan
     if they do not cross.
     """
-    layout, c = motion.team.layout, motion.drones.coefficients
-    q, r = c[0, 0::2, :, 0], c[0, 1::2, :, 0]
-    cables = Catenary.between(q, r, motion.team.cable_length)
+    layout, drones = motion.team.layout, motion.drones.coefficients
     ahead, behind = layout.ahead, layout.behind
-    u, v, offset = (
-        (x[:, 0], x[:, 1]) for x in ((r - q)[ahead], (r - q)[behind], (q[behind] - q[ahead]))
-    )
-    turn = u[0] * v[1] - u[1] * v[0]
+    q, r = drones[0, 0::2, :, 0], drones[0, 1::2, :, 0]
+    chords = r - q
+    cables = Catenary.between(q, r, motion.team.cable_length)
+    lifts = drones[:, 0::2, 2] - drones[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
+
+    def heights(cable: Indices, fraction: Array) -> Array:
+        """Return the heights of cables at fractions of their chords (clasps, pieces, …) [m]."""
+        on_chord = np.where((fraction > 0.0) & (fraction < 1.0), fraction, np.nan)
+        place = np.full(motion.team.robots, np.nan)  # from -1 at q to 1 at r
+        place[cable] = 2.0 * on_chord - 1.0
+        level = q[:, 2] + 0.5 * (1.0 + place) * chords[:, 2] - cables.depth(place)
+        return np.asarray(level[cable][:, None, None] + np.moveaxis(lifts[:, cable], 1, 0))
+
+    offset = (q[behind] - q[ahead])[:, :2]
+    chord_ahead, chord_behind = chords[ahead][:, :2], chords[behind][:, :2]
+    turn = _cross(chord_ahead, chord_behind)
     with np.errstate(all="ignore"):
-        fractions = [(offset[0] * w[1] - offset[1] * w[0]) / turn for w in (v, u)]
-    lifts = c[:, 0::2, 2] - c[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
-    heights = []
-    for cable, fraction in zip((ahead, behind), fractions, strict=True):
-        mu = 2.0 * np.where((fraction > 0.0) & (fraction < 1.0), fraction, np.nan) - 1.0
-        all_mu = np.full(motion.team.robots, np.nan)
-        all_mu[cable] = mu
-        level = (q[:, 2] + 0.5 * (1.0 + all_mu) * (r - q)[:, 2] - cables.depth(all_mu))[cable]
-        heights.append(level[:, None, None] + np.moveaxis(lifts[:, cable], 1, 0))
-    return np.asarray(heights[0] - heights[1])
+        fraction_ahead = _cross(offset, chord_behind) / turn
+        fraction_behind = _cross(offset, chord_ahead) / turn
+    return heights(ahead, fraction_ahead) - heights(behind, fraction_behind)
+
+
+def _cross(first: Array, second: Array) -> Array:
+    """Return the cross products (…) of vectors (…, 2)."""
+    return np.asarray(first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0])
 
 
 def _names(team: Team, pair: int) -> list[str]:
@@ -636,59 +699,138 @@ def _names(team: Team, pair: int) -> list[str]:
 def _contradictions(motion: Motion) -> Indices:
     """Return the cables and pairs that contradict the state of a motion with a single state.
 
-    Legs and tensions are zero without a hitch. On the ground, drones move only vertically, and some
-    cable is closer to it than a hanging cable may be. In clasping, drones at a clasp turn about a
-    fixed point, and some chords cross. In tightening, cables are slack for most of the time. Laid
-    cables do not turn. In drawing, drones keep their heights and move either apart or together. In
-    rolling, vertices and legs are at rest; unequal tensions, loads and
-    objects are not allowed.
+    Legs and tensions are zero without a hitch. Other rules are those of ``CONTRADICTING_CABLES``,
+    by state, and of clasping pairs.
     """
-    state, n = motion.phases[0].state, motion.team.robots
-    single = np.arange(n) * (n + 1)
-    parts = [motion.legs.coefficients, motion.tensions.coefficients, motion.pulls.coefficients]
-    sizes = [np.max(np.abs(c), axis=(0, -1)).reshape(n, -1) for c in parts]
-    has_values = np.any(np.concatenate(sizes, axis=1) > 0.0, axis=1) & ~motion.taut[0]
-    invalid = [single[has_values]]
-    if state is CableState.GROUND:
-        level = motion.drones.coefficients[:, :, :2]
-        moves = np.ptp(level, axis=(0, -1)).reshape(n, -1)
-        invalid.append(single[np.any(moves > MAX_SIDEWAYS, axis=1)])
-        if above_ground(motion):
-            invalid.append(single)
-    elif state is CableState.DRAWN:
-        c = motion.drones.coefficients
-        heights = np.max(np.ptp(c[:, :, 2], axis=-1), axis=0).reshape(n, 2)
-        rates = rate(motion, chord_squares)
-        turns_back = (np.min(rates, (0, -1)) < -MAX_DRIFT) & (np.max(rates, (0, -1)) > MAX_DRIFT)
-        invalid.append(single[np.any(heights > MAX_SIDEWAYS, axis=1) | turns_back])
-    elif state is CableState.CLASPING:
-        layout, c = motion.team.layout, motion.drones.coefficients
-        pairs, crossings = clasped_pairs(layout), chord_crossings(motion.drones)
-        middles = 0.5 * (c[:, 2 * layout.ahead] + c[:, 2 * layout.behind + 1])
-        moves = np.max(np.ptp(middles, axis=(0, -1)), axis=-1)
-        if np.any(np.isin(crossings.first * n + crossings.second, pairs)):
-            pairs = pairs[moves > MAX_DRIFT]
-        invalid.append(pairs)
-    elif state is CableState.LAYING:
-        offsets = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
-        invalid.append(single[np.max(np.ptp(offsets, axis=(0, -1)), axis=-1) > MAX_SIDEWAYS])
-    elif state is CableState.ROLLING:
-        pulled = motion.pulls.coefficients.reshape(len(motion.drones.durations), n, 2, -1)
-        loaded = bool(np.any(carried_objects(motion)) or np.any(motion.team.load))
-        loaded |= any(p.hold is not None and p.hold.by is HoldBy.REST for p in motion.phases)
-        moves = np.max(np.ptp(motion.vertices.coefficients, axis=(0, -1))) > MAX_SIDEWAYS
-        legs = motion.legs.coefficients
-        lowest = np.min(stated_tensions(motion)[..., 0], axis=0)
-        sags = sag_factors(motion.team, lowest)[:, None] * np.max(legs, (0, -1)) ** 3
-        moves |= bool(np.any(np.ptp(legs, axis=(0, -1)) > sags + MAX_LEG_DRIFT))
-        moves |= np.max(np.abs(pulled - motion.tensions.coefficients[:, :, None])) > TENSION_LIMIT
-        start, change = roll_changes(motion)
-        moves |= not np.any(np.abs([start, start + change]) >= OPEN_ROLL)  # no open clasp
-        if moves or loaded or np.ptp(motion.team.tension) > 0.0:
-            invalid.append(single)
-    elif state is CableState.TIGHTENING and _taut_share(motion) > MAX_TAUT_SHARE:
-        invalid.append(single)
-    return np.unique(np.concatenate(invalid))
+    state = motion.phases[0].state
+    wrong = _have_hitch_values(motion) & ~motion.taut[0]
+    if state in CONTRADICTING_CABLES:
+        wrong = wrong | CONTRADICTING_CABLES[state](motion)
+    cables = np.flatnonzero(wrong)
+    items = cables * (motion.team.robots + 1)  # as pairs of a cable with itself
+    if state is CableState.CLASPING:
+        items = np.concatenate([items, _wrong_clasping_pairs(motion)])
+    return np.unique(items)
+
+
+def _have_hitch_values(motion: Motion) -> Flags:
+    """Return the cables (n,) with a leg or a tension other than zero."""
+    robots = motion.team.robots
+    curves = motion.legs, motion.tensions, motion.pulls
+    largest = [np.max(np.abs(curve.coefficients), axis=(0, -1)) for curve in curves]
+    by_cable = np.concatenate([sizes.reshape(robots, -1) for sizes in largest], axis=1)
+    return np.asarray(np.any(by_cable > 0.0, axis=1))
+
+
+def _off_ground(motion: Motion) -> Flags:
+    """Return the cables (n,) that contradict lying on the ground.
+
+    Drones move only vertically, and some cable is closer to the ground than one may be that hangs.
+    """
+    level = motion.drones.coefficients[:, :, :2]
+    travel = np.ptp(level, axis=(0, -1)).reshape(motion.team.robots, -1)
+    return np.asarray(np.any(travel > MAX_SIDEWAYS, axis=1) | above_ground(motion))
+
+
+def _not_drawn(motion: Motion) -> Flags:
+    """Return the cables (n,) that contradict being drawn taut.
+
+    Their drones keep their heights and move either apart or together.
+    """
+    heights = motion.drones.coefficients[:, :, 2]
+    rises = np.max(np.ptp(heights, axis=-1), axis=0).reshape(motion.team.robots, 2)
+    chord_rates = rate(motion, chord_squares)
+    approaches = np.min(chord_rates, axis=(0, -1)) < -MAX_DRIFT
+    recedes = np.max(chord_rates, axis=(0, -1)) > MAX_DRIFT
+    return np.asarray(np.any(rises > MAX_SIDEWAYS, axis=1) | (approaches & recedes))
+
+
+def _not_laid(motion: Motion) -> Flags:
+    """Return the cables (n,) that contradict being laid: those that turn."""
+    drones = motion.drones.coefficients
+    chords = drones[:, 1::2] - drones[:, 0::2]
+    changes = np.max(np.ptp(chords, axis=(0, -1)), axis=-1)
+    return np.asarray(changes > MAX_SIDEWAYS)
+
+
+def _not_rolling(motion: Motion) -> Flags:
+    """Return all cables (n,) if one contradicts rolling.
+
+    Vertices are at rest, and legs but for the sag of their tension; some clasp is open. Unequal
+    tensions, loads and objects are not allowed.
+    """
+    is_wrong = _vertices_move(motion) or _legs_change(motion) or _pulls_differ(motion)
+    is_wrong = is_wrong or not _has_open_clasp(motion) or _is_loaded(motion)
+    is_wrong = is_wrong or bool(np.ptp(motion.team.tension) > 0.0)
+    return np.full(motion.team.robots, is_wrong)
+
+
+def _vertices_move(motion: Motion) -> bool:
+    """Return whether a vertex moves."""
+    travel = np.ptp(motion.vertices.coefficients, axis=(0, -1))
+    return bool(np.max(travel) > MAX_SIDEWAYS)
+
+
+def _legs_change(motion: Motion) -> bool:
+    """Return whether a leg changes by more than its sag at the lowest tension."""
+    legs = motion.legs.coefficients
+    lowest_tensions = np.min(stated_tensions(motion)[..., 0], axis=0)
+    sag = sag_factors(motion.team, lowest_tensions)[:, None] * np.max(legs, axis=(0, -1)) ** 3
+    return bool(np.any(np.ptp(legs, axis=(0, -1)) > sag + MAX_LEG_DRIFT))
+
+
+def _pulls_differ(motion: Motion) -> bool:
+    """Return whether a drone's cable pulls with another tension than that of its edge."""
+    pieces, robots = len(motion.drones.durations), motion.team.robots
+    pulls = motion.pulls.coefficients.reshape(pieces, robots, 2, -1)
+    differences = np.abs(pulls - motion.tensions.coefficients[:, :, None])
+    return bool(np.max(differences) > TENSION_LIMIT)
+
+
+def _has_open_clasp(motion: Motion) -> bool:
+    """Return whether a pair lies across at the start or at the end."""
+    start, change = roll_changes(motion)
+    return bool(np.any(np.abs([start, start + change]) >= OPEN_ROLL))
+
+
+def _is_loaded(motion: Motion) -> bool:
+    """Return whether clasps carry a load, or an object that moves or rests on them."""
+    if np.any(carried_objects(motion)) or np.any(motion.team.load):
+        return True
+    holds = (phase.hold for phase in motion.phases)
+    return any(hold is not None and hold.by is HoldBy.REST for hold in holds)
+
+
+def _not_tightening(motion: Motion) -> Flags:
+    """Return all cables (n,) unless they are slack for most of the time."""
+    return np.full(motion.team.robots, _taut_share(motion) > MAX_TAUT_SHARE)
+
+
+CONTRADICTING_CABLES: dict[CableState, Callable[[Motion], Flags]] = {
+    CableState.GROUND: _off_ground,
+    CableState.DRAWN: _not_drawn,
+    CableState.LAYING: _not_laid,
+    CableState.ROLLING: _not_rolling,
+    CableState.TIGHTENING: _not_tightening,
+}
+"""Functions that return the cables (n,) which contradict a state."""
+
+
+def _wrong_clasping_pairs(motion: Motion) -> Indices:
+    """Return the pairs that contradict clasping.
+
+    Some chords cross, and drones at a clasp turn about a fixed point.
+    """
+    layout, drones = motion.team.layout, motion.drones.coefficients
+    pairs: Indices = clasped_pairs(layout)
+    crossings = chord_crossings(motion.drones)
+    crossed = crossings.first * motion.team.robots + crossings.second
+    if not np.any(np.isin(crossed, pairs)):
+        return pairs
+    centres = 0.5 * (drones[:, 2 * layout.ahead] + drones[:, 2 * layout.behind + 1])
+    drift = np.max(np.ptp(centres, axis=(0, -1)), axis=-1)
+    drifting: Indices = pairs[drift > MAX_DRIFT]
+    return drifting
 
 
 def chord_squares(motion: Motion) -> Array:

@@ -121,41 +121,70 @@ def flattened(motion: Motion) -> Motion:
 
 def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
     """Return the radius [m]; infinite if no distance is checked."""
-    parts = {name: part for name, part in PARTS.items() if isinstance(part, Part)}
-    if (flat := flattened(motion)) is not motion:
-        rules = [rule for rule in RULES if rule.limit_of(flat) is not None]
-        again = {rule.name: rule.span_results(flat) for rule in rules}
-        motion, results = flat, {**results, **again}
-    terms = [WorstCase(math.inf, 0.0)]
-    limited = bool(motion.requirements.limits.tube.level)
-    for name, part in parts.items():
-        if part.hitched is None or part.free is None:
-            continue
-        if name == OBJECT_CLEARANCE.name and not limited:
-            continue
-        for each in results[name]:
-            approach = part.free if each.states <= FREE_STATES else part.hitched
-            on_floor = name == ARENA.name and each.states != TAUT_STATES
-            if not (on_floor or (name in HANGING_CHECKS and _is_hanging(each))):
-                slack = _slack(each.check) / approach(gamma)
-                terms.append(WorstCase(slack, each.check.time, each.check.where))
-    if results[DOWNWASH.name]:
-        above = partial(drones_above_objects, motion)
-        terms.append(downwash_radius(above, motion.requirements, 1.0))
-    if motion.requirements.arena is not None:  # without drones at rest on its floor
-        wall = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
-        where = (motion.team.drone_names[wall.item],)
-        terms.append(WorstCase(max(wall.worst, 0.0), wall.time, where))
-    for span in motion.spans(FREE_STATES - {CableState.DRAWN}):
-        tightest = worst(Drones.of(span), _excess, "min")
-        cable = cable_names(span)[tightest.item // 2]
-        terms.append(WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,)))
+    motion, results = _flattened_results(motion, results)
+    terms = [
+        WorstCase(math.inf, 0.0),
+        *_slack_radii(motion, results, gamma),
+        *_downwash_radii(motion, results),
+        *_wall_radii(motion),
+        *_span_radii(motion),
+    ]
     for check, span in _hanging_spans(motion, results):
         terms.append(WorstCase(_hanging_radius(span, check), check.time, check.where))
     smallest_term = min(terms, key=lambda term: term.worst)
-    for each in results["separation"]:
-        smallest_term = _pair_radius(motion, each.check, smallest_term)
+    for result in results["separation"]:
+        smallest_term = _pair_radius(motion, result.check, smallest_term)
     return replace(smallest_term, worst=smallest_term.worst * (1.0 - ROUNDING))
+
+
+def _flattened_results(motion: Motion, results: SpanResults) -> tuple[Motion, SpanResults]:
+    """Return the flattened motion, and results with its slacks."""
+    flat = flattened(motion)
+    if flat is motion:
+        return motion, results
+    rules = [rule for rule in RULES if rule.limit_of(flat) is not None]
+    return flat, {**results, **{rule.name: rule.span_results(flat) for rule in rules}}
+
+
+def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator[WorstCase]:
+    """Yield the radii [m] that follow from slacks of checks, over the approach of two bodies."""
+    is_limited = bool(motion.requirements.limits.tube.level)
+    for name, part in PARTS.items():
+        if not isinstance(part, Part) or part.hitched is None or part.free is None:
+            continue
+        if name == OBJECT_CLEARANCE.name and not is_limited:
+            continue
+        for result in results[name]:
+            on_floor = name == ARENA.name and result.states != TAUT_STATES
+            if on_floor or (name in HANGING_CHECKS and _is_hanging(result)):
+                continue
+            approach = part.free if result.states <= FREE_STATES else part.hitched
+            check = result.check
+            yield WorstCase(_slack(check) / approach(gamma), check.time, check.where)
+
+
+def _downwash_radii(motion: Motion, results: SpanResults) -> Iterator[WorstCase]:
+    """Yield the radius [m] with which drones keep off objects below them, if that is checked."""
+    if results[DOWNWASH.name]:
+        pairs = partial(drones_above_objects, motion)
+        yield downwash_radius(pairs, motion.requirements, 1.0)
+
+
+def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
+    """Yield the distance [m] of drones to walls, if any, but of those at rest on the floor."""
+    if motion.requirements.arena is None:
+        return
+    closest = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
+    drone = motion.team.drone_names[closest.item]
+    yield WorstCase(max(closest.worst, 0.0), closest.time, (drone,))
+
+
+def _span_radii(motion: Motion) -> Iterator[WorstCase]:
+    """Yield the radii [m] with which free cables are as long as their chords."""
+    for span in motion.spans(FREE_STATES - {CableState.DRAWN}):
+        tightest = worst(Drones.of(span), _excess, "min")
+        cable = cable_names(span)[tightest.item // 2]
+        yield WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,))
 
 
 def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check, Motion]]:
@@ -167,13 +196,13 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
     for name in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
         hanging = [each for each in results[name] if _is_hanging(each)]
         spans = motion.spans(hanging[0].states) if hanging else ()
-        for each, span in zip(hanging, spans, strict=True):
-            if not limited or name != "cable_clearance":
-                yield each.check, span
+        for result, span in zip(hanging, spans, strict=True):
+            if not limited or name != CABLE_CLEARANCE.name:
+                yield result.check, span
                 continue
             for part in phase_parts(span):
-                own = filter(_is_hanging, CABLE_CLEARANCE.span_results(part.motion))
-                yield next(own).check, part.motion
+                results_of_phase = CABLE_CLEARANCE.span_results(part.motion)
+                yield next(filter(_is_hanging, results_of_phase)).check, part.motion
 
 
 def _slack(check: Check) -> float:
@@ -196,7 +225,9 @@ def _excess(spans: Drones) -> Bound:
     if ratio == 1.0:
         return Bound(excess, chord.x)
     across, height = spans.partner.xy.norm_upper.value, spans.partner[2].norm_upper.value
-    a, b = 1.0 + ratio**2, across + ratio * height
+    # 2r is the positive root x of a x² + 2 b x = c, of chords longer by x and by x ratio upright
+    a = 1.0 + ratio**2
+    b = across + ratio * height
     c = np.maximum(spans.length**2 - across**2 - height**2, 0.0)
     by_axes = c / (b + np.sqrt(b * b + a * c))
     return Bound(np.maximum(by_axes, excess / ratio), chord.x)
@@ -259,7 +290,8 @@ class Ellipsoid(Shape):
         The nearest point is ``(a² x, b² z) / (t + (a², b²))``, with t > 0 such that it is on the
         ellipsoid. Newton's method finds t from the left, on a convex decreasing function.
         """
-        offsets, a, b = corners[..., 0, :], float(self.axes[0]), float(self.axes[2])
+        offsets = corners[..., 0, :]
+        a, b = float(self.axes[0]), float(self.axes[2])
         across, upward = np.hypot(offsets[..., 0], offsets[..., 1]), np.abs(offsets[..., 2])
         outside = (across / a) ** 2 + (upward / b) ** 2 > 1.0
         t = np.maximum(np.maximum(a * across - a * a, b * upward - b * b), 0.0)
@@ -331,7 +363,8 @@ def downwash_radius(
     approach each other by ``approach`` times the error.
     """
     scale = np.array([1.0, 1.0, 1.0 / requirements.height_ratio])
-    axes, worst = 0.5 * ellipsoid_axes(requirements), WorstCase(math.inf, 0.0)
+    axes = 0.5 * ellipsoid_axes(requirements)
+    worst = WorstCase(math.inf, 0.0)
     for moving in pairs(scale, formula=_error, shape=partial(Wash, axes=axes)):
         pair = smallest(moving, incumbent=worst.worst * approach)
         radius = max(pair.worst, 0.0) / approach
