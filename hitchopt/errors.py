@@ -18,8 +18,14 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from importlib import import_module
 from typing import Any, NamedTuple
 
-MAX_REPR, MAX_STRING, MAX_ENTRIES = 100, 30, 8
-"""Maximum characters of a ``repr`` and of a string in it, and numbers written out."""
+MAX_REPR = 100
+"""Maximum number of characters of a ``repr``."""
+
+MAX_STRING = 30
+"""Maximum number of characters of a string in a ``repr``."""
+
+MAX_ENTRIES = 8
+"""Maximum number of numbers that are written out."""
 
 
 class OneLine:

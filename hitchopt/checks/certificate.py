@@ -33,10 +33,12 @@ GROUPS = {
 
 ERRORS = ("cable_length", "equilibrium", "tension")  # checks of errors, titled as such in tables
 TIE = 1e-9  # relative difference of utilization up to which checks tie
-# Checks that faster motion utilizes more, and the largest margin of one that binds: planners keep
-# margins, and the search for the worst value adds its own
-RATE_CHECKS, BINDING = (*GROUPS["motion"], "thrust", "tilt"), 0.02
-DIGITS, MAX_NAMES = 4, 2  # significant digits of values, and number of names, in a table row
+RATE_CHECKS = (*GROUPS["motion"], "thrust", "tilt")  # Checks that faster motion utilizes more
+# Largest margin of a check that binds: planners keep margins, and the search for the worst value
+# adds its own
+BINDING = 0.02
+DIGITS = 4  # Number of significant digits of values in a table row
+MAX_NAMES = 2  # Maximum number of names in a table row
 
 
 class CertificateError(HitchoptError):

@@ -91,9 +91,12 @@ EXPORTED_LIMIT = -1e-4
 FRACTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])[:, None, None]
 """Points along a span: the polygon through them with the full sag is below the cable."""
 
-# Rounds in which a segment is divided, and parts per round, to find its nearest point to 3e-8 of
-# its length: few segments are divided into many parts at once
-MANY_SEGMENTS, FEW_ROUNDS, MANY_ROUNDS = 256, (5, 32), (25, 2)
+MANY_SEGMENTS = 256  # Number of segments from which on each is divided into few parts per round
+# Rounds and parts per round in which few segments are divided, to find nearest points to 3e-8 of
+# their length
+FEW_ROUNDS = (5, 32)
+# Rounds and parts per round in which many segments are divided, to the same accuracy
+MANY_ROUNDS = (25, 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,13 +248,16 @@ def moving_object_pairs(motion: Motion) -> Iterator[Moving]:
 # [m] Largest gap of ``worst`` below an attained distance, in addition to the distance of a cable
 # from its links: bounds of catenaries, which are not polynomials, tighten slowly
 CHAIN_TOLERANCE = 1e-3
-# Numbers of a chain's points: links of equal length, which resolve steep ends, and points at equal
-# horizontal distances, which resolve the lowest part. The cable deviates from the links by at most
-# about 0.2 % of its length, where it bends the most, and much less elsewhere
-BY_LENGTH, BY_PLACE = 20, 16
+# Number of a chain's points between links of equal length, which resolve steep ends. The cable
+# deviates from the links by at most about 0.2 % of its length, where it bends the most, and much
+# less elsewhere
+BY_LENGTH = 20
+# Number of a chain's points at equal horizontal distances, which resolve the lowest part
+BY_PLACE = 16
 # Where the last link ends that does not count for the cable's own drone, over the distance from
-# which on the cable counts; and rounding of that place
-OWN_SHARE, ROUNDING_SHARE = 0.75, 1e-9
+# which on the cable counts
+OWN_SHARE = 0.75
+ROUNDING_SHARE = 1e-9  # Rounding of that place, over the same distance
 MAX_REACH = 0.25  # [m] Pieces on which a drone may move farther are split
 
 

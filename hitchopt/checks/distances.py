@@ -52,18 +52,19 @@ from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.trajectory.search import BranchAndBound, Extremum, TimeSpans
 from hitchopt.values import Array, Indices, known, lazy
 
-# Number of pairs up to which an index costs more than it saves; pairs times pieces at a time
-MAX_LISTED, MAX_COMPARED = 8000, 32_768
-# Pairs with the nearest boxes, whose distances at mid span exclude others; number of neighbours of
-# each of many bodies among which they are searched
-MAX_SEEDS, NEIGHBOURS = 256, 8
+# Maximum number of pairs that are listed without an index, which then costs more than it saves
+MAX_LISTED = 8000
+MAX_COMPARED = 32_768  # Maximum number of pairs times pieces that are compared at a time
+# Number of pairs with the nearest boxes, whose distances at mid span exclude others
+MAX_SEEDS = 256
+NEIGHBOURS = 8  # Number of neighbours of each of many bodies among which these pairs are searched
 ROUGH_SEEDS = 32  # the same where bounds suffice
-# Pairs per body above which a span with moving bodies is halved; maximum number of halvings
-MAX_PER_BODY, MAX_DEPTH = 12, 8
-# Relative: largest difference of distances that tie, and margin of comparisons of boxes
-TIE, SLACK = 1e-6, 1e-9
-# Name of the ground, and half size [m] of bodies that model unbounded ones
-GROUND, UNBOUNDED = "ground", 1e3
+MAX_PER_BODY = 12  # Number of pairs per body above which a span with moving bodies is halved
+MAX_DEPTH = 8  # Maximum number of halvings
+TIE = 1e-6  # Largest relative difference of distances that tie
+SLACK = 1e-9  # Relative margin of comparisons of boxes
+GROUND = "ground"  # Name of the ground
+UNBOUNDED = 1e3  # Half size of bodies that model unbounded ones [m]
 Flags = NDArray[np.bool_]
 
 
@@ -122,7 +123,8 @@ class Hulls(Origin):
 
 
 ORIGIN = Origin()
-AXES, PLAN_AXES = np.eye(3), np.array([1.0, 1.0, 0.0])[:, None]
+AXES = np.eye(3)  # Directions of the axes
+PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]  # Factors of coordinates, seen from above
 
 
 def distance(a: Array, b: Array, shape: Shape = ORIGIN) -> Bound:
@@ -478,12 +480,12 @@ def nearest(
     return evaluate
 
 
-LONGER_LEGS, LARGER_POLYGON, OTHER_LEGS = (
-    "use a longer cable or a smaller polygon",
-    "a larger polygon",
-    "give the drones other leg lengths, by another length of the cable or size of the polygon",
+# Changes that separate a drone from another one, or from a cable, of one hitch
+LONGER_LEGS = "use a longer cable or a smaller polygon"
+LARGER_POLYGON = "a larger polygon"
+OTHER_LEGS = (
+    "give the drones other leg lengths, by another length of the cable or size of the polygon"
 )
-"""Changes that separate a drone from another one, or from a cable, of one hitch."""
 
 PARALLEL = 0.02
 """Largest component along an edge, of the difference of unit vectors along the legs beyond it, up
@@ -664,8 +666,8 @@ compares them.
 """
 
 
-# Default number of time spans, and maximum number of closest pairs
-CLOSENESS_SPANS, MAX_PAIRS = 48, 12
+CLOSENESS_SPANS = 48  # Default number of time spans
+MAX_PAIRS = 12  # Maximum number of closest pairs
 
 
 @dataclass(frozen=True)

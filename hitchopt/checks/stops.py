@@ -55,9 +55,12 @@ Flags = NDArray[np.bool_]
 HALVINGS = 7  # halvings of a cell to decide a bound; undecided cells count as violations
 BATCH = 20_000  # pairs of a cell and a drone that are evaluated at a time
 SLACK = 1e-9  # relative margin for the clock's rounding
-MIN_STOP, MAX_STOP, STOP_COUNT = 0.1, 20.0, 19  # candidate durations of stops [s], a third apart
+MIN_STOP = 0.1  # shortest candidate of a stop [s]
+MAX_STOP = 20.0  # longest candidate of a stop [s]
+STOP_COUNT = 19  # number of candidates, each a third longer than the last one
 SPACING = 0.1  # spacing of stops [s]
-MAX_STARTS, MIN_STOPS = 20_000, 8  # maximum pairs of a stop and a drone; minimum stops
+MAX_STARTS = 20_000  # maximum number of pairs of a stop and a drone
+MIN_STOPS = 8  # minimum number of stops
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:

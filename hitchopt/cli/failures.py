@@ -13,9 +13,8 @@ from hitchopt.cli.output import in_options, options, output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED, exit_on_signals
 
-# Exit codes of invalid files and usage, and of valid requests that are infeasible or whose
-# certificate fails
-EXIT_USAGE, EXIT_INFEASIBLE = 2, 3
+EXIT_USAGE = 2  # Exit code of invalid files and usage
+EXIT_INFEASIBLE = 3  # Exit code of valid requests that are infeasible or whose certificate fails
 MAX_SUMMARY = 200  # Characters of a command's summary in the help
 
 

@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 KEY = "hitchopt.output"  # Key of the Output in click's contexts
-# Default width of tables [characters], if there is no terminal and no COLUMNS; column separator
-DEFAULT_WIDTH, GAP = 100, "  "
+DEFAULT_WIDTH = 100  # Default width of tables, if there is no terminal and no COLUMNS [characters]
+GAP = "  "  # Column separator
 NO_BREAK = "\xa0"  # Space at which lines are not wrapped, within names
-BAR_WIDTH, CLOCK_WIDTH = 20, 12  # Widths of a progress bar, and of its clock with gaps [characters]
+BAR_WIDTH = 20  # Width of a progress bar [characters]
+CLOCK_WIDTH = 12  # Width of its clock with gaps [characters]
 LINE_INTERVAL = 1.0  # Minimum time between lines of percentages [s]
 ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Python argument in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message

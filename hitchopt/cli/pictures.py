@@ -18,9 +18,10 @@ if TYPE_CHECKING:
     from hitchopt.view.live import LiveView
 
 PROBLEM = "problem.yaml"  # File name of an edited problem next to its plan
-# Maximum time until the browser has loaded the page, and time to draw the first picture without a
-# graphics card, before the processor is used for certification [s]
-LOADING_TIME, DRAWING_TIME = 3.0, 1.5
+LOADING_TIME = 3.0  # Maximum time until the browser has loaded the page [s]
+# Time to draw the first picture without a graphics card, before the processor is used for
+# certification [s]
+DRAWING_TIME = 1.5
 
 
 @command(

@@ -29,15 +29,21 @@ from hitchopt.values import Array
 WINDOW = 20_000  # Pieces times drones of a window: about 40 MB with bounds
 MAX_SPANS = 20_000_000  # Maximum number of pieces times drones with merged breaks
 SAME_TIME = 1e-9  # Maximum difference of equal times [s]
-MAX_DURATION, MAX_TIME = 1e4, 1e10  # Maximum duration of a flight, maximum time since 1970 [s]
+MAX_DURATION = 1e4  # Maximum duration of a flight [s]
+MAX_TIME = 1e10  # Maximum time since 1970 [s]
 MIN_STEP = 9e-5  # Minimum step of samples [s]; exports have 1e-4 s or more
 LONG_STEP = 2.0  # Step of samples above which a note is given [s]
-MIN_COSINE, MAX_RATIO = 0.9, 10.0
-"""Thresholds to detect wrong units: minimum cosine between displacements and velocities, and
-maximum ratio of their sizes."""
+MIN_COSINE = 0.9
+"""Minimum cosine between displacements and velocities: smaller ones indicate wrong units."""
 
-ERROR, WARNING, NOTE = LEVELS = ("error", "warning", "note")
-"""Levels of a finding: the flight fails; it may fail; information for the pilot."""
+MAX_RATIO = 10.0
+"""Maximum ratio of the sizes of displacements and velocities, likewise."""
+
+# Levels of a finding
+ERROR = "error"  # The flight fails
+WARNING = "warning"  # It may fail
+NOTE = "note"  # Information for the pilot
+LEVELS = (ERROR, WARNING, NOTE)
 
 
 @dataclass(frozen=True)
@@ -231,8 +237,11 @@ required_module = partial(optional_module, purpose="this format needs", extra="e
 """Return an optional module of a format; raises UnsupportedError if it is missing."""
 
 
-MANIFEST, MANIFEST_FORMAT = "export.json", "hitchopt-export/1"
-"""Name of an export's manifest (contents, frame and checks), and its format."""
+MANIFEST = "export.json"
+"""File name of an export's manifest, which has its contents, frame and checks."""
+
+MANIFEST_FORMAT = "hitchopt-export/1"
+"""Format of the manifest."""
 
 
 def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any]:

@@ -30,11 +30,16 @@ from hitchopt.storage.files import (
 )
 from hitchopt.values import Array
 
-SETPOINTS, VERTICES = "setpoints.csv", "vertices.csv"
-CERTIFICATE, DIAGNOSIS = "certificate.json", "diagnosis.json"
-SUMMARY, REPORT = "summary.png", "report.html"
-STATICS, STATICS_PICTURES = "statics.json", ("statics.png", "statics.svg", "statics.pdf")
-ABORTS, ABORT_PLANS = "aborts.json", "aborts.zip"
+SETPOINTS = "setpoints.csv"  # Setpoints of drones
+VERTICES = "vertices.csv"  # Vertices and tensions
+CERTIFICATE = "certificate.json"  # Certificate of the plan
+DIAGNOSIS = "diagnosis.json"  # Reasons why there is no plan
+SUMMARY = "summary.png"  # Picture of the plan
+REPORT = "report.html"  # Report of the plan
+STATICS = "statics.json"  # Static equilibria of the plan
+STATICS_PICTURES = ("statics.png", "statics.svg", "statics.pdf")  # Pictures of static equilibria
+ABORTS = "aborts.json"  # Table of the plan's aborts
+ABORT_PLANS = "aborts.zip"  # Plans of the aborts
 
 OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),

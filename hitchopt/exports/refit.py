@@ -30,7 +30,8 @@ from hitchopt.values import Array
 FIT_POINTS = 25  # Points of a piece for the least-squares fit and the evaluation of errors
 MAX_FIT_DRONES = 200  # Drones that determine breaks; of larger teams a uniform sample
 BISECTIONS = 9  # Bisections of the logarithm of the error, enough to tell 31 pieces from 32
-MAX_ERROR, MIN_ERROR = 1.0, 1e-3  # Search interval of errors over their scale
+MAX_ERROR = 1.0  # Largest error of the search, over its scale
+MIN_ERROR = 1e-3  # Smallest error of the search, over its scale
 
 
 class Scale(NamedTuple):

@@ -26,9 +26,12 @@ from hitchopt.values import Array, ByValue, Points, as_array, check_instance
 from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import PLACED_ALTITUDE
 
-LEG_TOLERANCE, SAGGING_LEG_TOLERANCE = 1e-4, 1e-2
-"""Tolerances of a prescribed leg at a chain's end, relative to its cable's length: of massless
-cables, as for cable lengths in plans, and of heavy ones, whose sag the user may have neglected."""
+LEG_TOLERANCE = 1e-4
+"""Tolerance of a prescribed leg at a chain's end, relative to its cable's length: of massless
+cables, as for cable lengths in plans."""
+
+SAGGING_LEG_TOLERANCE = 1e-2
+"""The same of heavy cables, whose sag the user may have neglected."""
 
 ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
 UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit

@@ -18,8 +18,14 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.values import Array, Indices
 
-SEPARATION, CABLE, CROSSING = 0, 1, 2
-"""Kinds of pairs: drone and drone, drone and cable, cable and cable."""
+SEPARATION = 0
+"""Kind of pairs of two drones."""
+
+CABLE = 1
+"""Kind of pairs of a drone and a cable."""
+
+CROSSING = 2
+"""Kind of pairs of two cables."""
 
 
 MAX_DIRECT_BODIES = 64

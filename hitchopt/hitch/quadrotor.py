@@ -83,8 +83,11 @@ that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyf
 Mellinger's controller with the stiffest gains: 4.75 N/m and 1.32 N s/m at 132 g.
 """
 
-DEFAULT_TENSION, DEFAULT_TILT = 0.4, 0.25 * np.pi
-"""[N] Default tension without a model; [rad] tilt that limits the horizontal pull of models."""
+DEFAULT_TENSION = 0.4
+"""[N] Default tension without a model."""
+
+DEFAULT_TILT = 0.25 * np.pi
+"""[rad] Tilt that limits the horizontal pull of models."""
 
 TENSION_RATIO = 0.31
 """Default tension of a model over its largest horizontal pull: 0.4 N at 132 g, as without one."""

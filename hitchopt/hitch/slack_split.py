@@ -64,19 +64,28 @@ PENALTY = 1e3
 MAX_WEIGHT_SHIFT = 0.02  # [m] Largest lateral shift of drones as the weight of their legs changes
 
 
-MAX_POLYGON_ITERATIONS, MAX_PATH_ITERATIONS = 60, 20
-"""Maximum numbers of convex programs from one initial guess, on one polygon and along a path, which
-converges within ten iterations or not at all."""
+MAX_POLYGON_ITERATIONS = 60
+"""Maximum number of convex programs from one initial guess on one polygon."""
+
+MAX_PATH_ITERATIONS = 20
+"""Maximum number of convex programs along a path, which converges within ten iterations or not at
+all."""
 
 MIN_GAIN = 1e-6  # Smallest relative improvement of merit; mirror images differ by less
 
-STEP_TOLERANCE, COARSE_STEP_TOLERANCE = 1e-9, 1e-5
-"""[m] Largest change of a leg in the last iteration: by default, and if the first split with the
-margin suffices, since smaller steps do not increase the margin noticeably."""
+STEP_TOLERANCE = 1e-9
+"""[m] Largest change of a leg in the last iteration."""
 
-MAX_CYCLE, CYCLE_STEP = 4, 1e-3
-"""Iterations without improvement of merit after which the search cycles, and its smallest step [m].
-Level legs that cross each other make it cycle."""
+COARSE_STEP_TOLERANCE = 1e-5
+"""[m] The same if the first split with the margin suffices, since smaller steps do not increase the
+margin noticeably."""
+
+MAX_CYCLE = 4
+"""Iterations without improvement of merit after which the search cycles. Level legs that cross each
+other make it cycle."""
+
+CYCLE_STEP = 1e-3
+"""[m] Smallest step of a search that cycles."""
 
 ROLL_CANDIDATES = tuple(
     math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
@@ -84,9 +93,11 @@ ROLL_CANDIDATES = tuple(
 """[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
 hold up to 60°."""
 
-RESPLIT_CANDIDATES, RESPLIT_RATIO = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5]), 0.9
-"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference; and
-roll at which they must suffice over the one that the reference needs."""
+RESPLIT_CANDIDATES = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5])
+"""[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference."""
+
+RESPLIT_RATIO = 0.9
+"""Roll at which other leg lengths must suffice, over the one that the reference needs."""
 
 
 @dataclass(frozen=True, eq=False)

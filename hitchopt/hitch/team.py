@@ -36,7 +36,8 @@ from hitchopt.values.fields import (
     words,
 )
 
-CLOSED, OPEN = "closed", "open"
+CLOSED = "closed"  # Topology of a polygon of cables
+OPEN = "open"  # Topology of a chain of cables
 
 PER_ROBOT = "one for all or one per robot"
 

@@ -34,9 +34,10 @@ from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
 
-# Gains [1], [1/s]. The response of vertices to setpoints of drones of 4.75 N/m takes 0.3 s, and
+# Proportional gain. The response of vertices to setpoints of drones of 4.75 N/m takes 0.3 s, and
 # measurements with their filter another 0.3 s: the phase margin is about 50°
-PROPORTIONAL, INTEGRAL = 1.2, 2.5
+PROPORTIONAL = 1.2
+INTEGRAL = 2.5  # Integral gain [1/s]
 
 LEAD = 0.4  # lead of the setpoints of a moving vertex, which compensates friction [s]
 UNWINDING = 0.5  # time constant of the anti-windup [s]
@@ -54,12 +55,12 @@ MAX_VERTEX_ERROR = 0.5
 # because they need setpoint offsets of more than three times the vertices'
 DAMPING = 0.3
 
-# Maximum length of a drone's path in a cell, for which directions are nearly constant [m]; maximum
-# number of cells of a piece
-MAX_CELL_TRAVEL, MAX_CELLS = 0.05, 64
+# Maximum length of a drone's path in a cell, for which directions are nearly constant [m]
+MAX_CELL_TRAVEL = 0.05
+MAX_CELLS = 64  # Maximum number of cells of a piece
 
-# Maximum offset of a drone relative to a common shift of all drones, maximum common shift [m]
-MAX_OFFSET, MAX_SHIFT = 0.25, 0.4
+MAX_OFFSET = 0.25  # Maximum offset of a drone relative to a common shift of all drones [m]
+MAX_SHIFT = 0.4  # Maximum common shift [m]
 
 PROJECTIONS = 2  # iterations of projecting onto violated half-spaces, before offsets are scaled
 ONES = np.ones(3)  # to sum squares of vectors, which is faster than ``einsum`` for few vectors

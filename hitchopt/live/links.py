@@ -39,13 +39,16 @@ MAX_DATAGRAMS = 1000  # maximum number of datagrams read per tick, so that flood
 OWN_SYSTEM = 245  # MAVLink system of this sender, above usual fleets and below ground stations
 HEARTBEAT_PERIOD = 1.0  # autopilots consider a sender lost after some seconds [s]
 SETPOINT_VALIDITY = 500  # validity of a Crazyflie's last setpoint, which its firmware ignores [ms]
-LANDING_TIME, LANDING_SPEED = 1.0, 0.4  # of the firmware's landing: least time [s], mean [m/s]
+LANDING_TIME = 1.0  # least time of the firmware's landing [s]
+LANDING_SPEED = 0.4  # mean speed of the firmware's landing [m/s]
 
-LANDINGS, LANDING_PERIOD = 2, 0.2
-"""Number of times that Crazyflies are told to land, and the time between them [s].
+LANDINGS = 2
+"""Number of times that Crazyflies are told to land. A setpoint that a drone receives after the
+command takes control from its high-level commander, and half a second later the firmware stops the
+motors: a second command lands it."""
 
-A setpoint that a drone receives after the command takes control from its high-level commander, and
-half a second later the firmware stops the motors: a second command lands it."""
+LANDING_PERIOD = 0.2
+"""Time between these commands [s]."""
 
 # Commands by key; ``toggle`` is pause or resume, ``quit`` ends a flight before its start. Signals
 # add ``end``, which is land or quit

@@ -40,21 +40,24 @@ GROUND_TOLERANCE = 1e-3  # height up to which drones are on the ground [m]
 # immediate release, and with one in twice the time
 RELEASE_TIME = 0.3
 
-# Distance by which a lost drone pulls its partner toward their clasp [m]: in simulated flights legs
-# of 0.29 m were pulled to their clasps, those of 0.37 m were not; and the shortest remaining leg
-MAX_PULL, MIN_LEG = 0.36, 0.05
+# Distance by which a lost drone pulls its partner toward their clasp [m]: in simulated flights
+# legs of 0.29 m were pulled to their clasps, those of 0.37 m were not
+MAX_PULL = 0.36
+MIN_LEG = 0.05  # Shortest remaining leg [m]
 
 # Angle lost in a swing [rad], because sliding cables dissipate energy. Computed swings of legs from
 # 0.3 to 0.8 m, with tensions up to 0.4 N and coefficients of friction up to 0.2, reversed 27° to
 # 52° before the symmetric angle
 SWING_LOSS = np.radians(25.0)
 
-# Numbers of samples: angles of a swing, lengths of its sliding cable, times at which survivors are
-# compared with the lost drone on the ground; time between samples of a free fall [s]
-SWING_SAMPLES, SLIDE_SAMPLES, GROUND_SAMPLES, FALL_STEP = 40, 5, 400, 0.02
+SWING_SAMPLES = 40  # Number of sampled angles of a swing
+SLIDE_SAMPLES = 5  # Number of sampled lengths of the sliding cable of a swing
+# Number of times at which survivors are compared with the lost drone on the ground
+GROUND_SAMPLES = 400
+FALL_STEP = 0.02  # Time between samples of a free fall [s]
 
-# Default interval of the sampled times of losses [s], and their minimum number
-DEFAULT_INTERVAL, MIN_SAMPLES = 1.0, 8
+DEFAULT_INTERVAL = 1.0  # Default interval of the sampled times of losses [s]
+MIN_SAMPLES = 8  # Minimum number of sampled times of losses
 
 # Checks of the drones' vertical landing (without the cables, which fold on the ground), and of the
 # team's motion before, both including the lost drone's path

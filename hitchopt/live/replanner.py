@@ -49,25 +49,30 @@ HOLD = 1.0  # duration of the rest at the start of steering [s]
 STATE_TOLERANCE = 1e-6  # tolerance of the model's drone positions [m] and tensions [N]
 DELAYS = (0.0, 0.05, 0.1, 0.2, 0.4)  # candidate delays before leaving the current plan [s]
 
-# Length of the pieces of a brake [s]; number of pieces of a shift unless they are shorter than
-# that, so that relative errors of cable lengths are below 1e-6; minimum number of pieces
-PIECE, SHIFT_PIECES, MIN_PIECES = 0.3, 10, 4
+PIECE = 0.3  # Length of the pieces of a brake [s]
+# Number of pieces of a shift unless they are shorter than that, so that relative errors of cable
+# lengths are below 1e-6
+SHIFT_PIECES = 10
+MIN_PIECES = 4  # Minimum number of pieces
 
-JET, STATE = 4, 3  # numbers of derivatives of a jet and of a state, including the zeroth
+JET = 4  # Number of derivatives of a jet, including the zeroth
+STATE = 3  # Number of derivatives of a state, including the zeroth
 BRAKE_DURATIONS = (0.3, 0.45, 0.7, 1.0, 1.5, 2.2, 3.2)  # candidates [s]
 MIN_SHIFT = 0.3  # minimum duration of a shift [s]
 ONE_SIDED = 1e-9  # relative distance from a break at which one-sided derivatives are evaluated
 
-# Shares of the limits that are allowed at samples, for the brake alone and for the sum, and the
-# target of a longer shift; the rest is a margin for the times between samples
-BRAKE_SHARE, SHARE, TARGET_SHARE = 0.9, 0.99, 0.989
+# Share of the limits that is allowed at samples for the brake alone; the rest is a margin for the
+# times between samples
+BRAKE_SHARE = 0.9
+SHARE = 0.99  # Share of the limits that is allowed at samples for the sum
+TARGET_SHARE = 0.989  # Share of the limits that is the target of a longer shift
 
 # Relative times of samples, of the sum and of a brake
 SAMPLES = np.linspace(0.0, 1.0, 16, endpoint=False)
 BRAKE_SAMPLES = np.append(np.linspace(0.0, 1.0, 8, endpoint=False), 1.0 - ONE_SIDED)
 
-# Maximum number of extensions of a shift, and the minimum factor of each
-SHIFT_ROUNDS, MIN_GROWTH = 10, 1.04
+SHIFT_ROUNDS = 10  # Maximum number of extensions of a shift
+MIN_GROWTH = 1.04  # Minimum factor of each extension
 
 
 @dataclass(frozen=True, eq=False)

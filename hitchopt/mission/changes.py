@@ -203,11 +203,10 @@ def _min_size(violations: Iterable[Violation], name: str) -> float:
 
 # Knobs and their changes.
 
-SPACE_CHECKS, TIME_CHECKS, FORCE_CHECKS = (
-    checks_relaxed_by("length") | {"tracking_radius"},
-    checks_relaxed_by("time"),
-    checks_relaxed_by("tension"),
-)
+# Constraints that longer cables may repair
+SPACE_CHECKS = checks_relaxed_by("length") | {"tracking_radius"}
+TIME_CHECKS = checks_relaxed_by("time")  # Constraints that slower motion may repair
+FORCE_CHECKS = checks_relaxed_by("tension")  # Constraints that another tension may repair
 
 DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan or more time repairs."""
@@ -215,12 +214,20 @@ DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
 DISTANCE_CHECKS = frozenset({"crossing", "cable_clearance", "separation", "tracking_radius"})
 """Constraints that more distance repairs."""
 
-LOAD_CHECKS, GRIP_CHECKS = frozenset({"load"}), frozenset({"grip"})
-"""Constraints that a higher tension repairs, and that lighter or rougher objects repair as well."""
+LOAD_CHECKS = frozenset({"load"})
+"""Constraints that a higher tension or a lighter object repairs."""
 
-MAX_FRICTION, MAX_TILT_DEG, LOAD_SHARE = 1.0, 80.0, 0.95
-"""Maximum coefficient of friction and maximum tilt [deg] of suggestions; first mass to try, as a
-share of the maximum mass at rest, since carrying adds forces."""
+GRIP_CHECKS = frozenset({"grip"})
+"""Constraints that a higher tension or a rougher object repairs."""
+
+MAX_FRICTION = 1.0
+"""Maximum coefficient of friction of suggestions."""
+
+MAX_TILT_DEG = 80.0
+"""Maximum tilt of suggestions [deg]."""
+
+LOAD_SHARE = 0.95
+"""First mass to try, as a share of the maximum mass at rest, since carrying adds forces."""
 
 CHECK_OF_LIMIT = {"leg": "legs"}  # Names of checks that differ from their limits
 

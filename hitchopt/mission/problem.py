@@ -211,7 +211,8 @@ Start = HitchStart | Hitch | DronesStart
 """Start with the description of a hitch, with a hitch, or with drones on free cables."""
 
 
-MAX_TITLE, MAX_STEPS = 200, 1000  # Maximum numbers of characters of a title, and of steps in a file
+MAX_TITLE = 200  # Maximum number of characters of a title
+MAX_STEPS = 1000  # Maximum number of steps in a file
 
 TITLE = titles(MAX_TITLE)
 START = single_key(
@@ -369,8 +370,11 @@ class SwarmTeam:
 
 
 SWARM_TEAM = mapping_of(SwarmTeam, SwarmTeam.team)
-HITCH_LIMITS, HITCH_SEPARATION = ("vertex_speed", "leg"), ("cable", "crossing", "object")
-"""Keys of limits and distances that do not apply to single drones."""
+HITCH_LIMITS = ("vertex_speed", "leg")
+"""Keys of limits that do not apply to single drones."""
+
+HITCH_SEPARATION = ("cable", "crossing", "object")
+"""Keys of distances that do not apply to single drones."""
 
 
 ANY_STEP = single_key(

@@ -70,9 +70,14 @@ LOWERING_SIZES = tuple(size / (1.0 + size) for size in (*SIZES, 9.0))
 SIZE_DECIMALS = 6  # Decimals within which sizes tie
 RESOLUTION = 0.005  # Tolerance of the bisection, relative to the new value
 
-MAX_SIZE_RATIO, MAX_SUGGESTIONS, MAX_CHANGES = 4.0, 3, 3
-"""Maximum ratio of a suggestion's size to the smallest one; maximum numbers of suggestions, and of
-changes in one suggestion."""
+MAX_SIZE_RATIO = 4.0
+"""Maximum ratio of a suggestion's size to the smallest one."""
+
+MAX_SUGGESTIONS = 3
+"""Maximum number of suggestions."""
+
+MAX_CHANGES = 3
+"""Maximum number of changes in one suggestion."""
 
 MAX_ROUNDS = 2 * MAX_CHANGES
 """Maximum number of changes in one suggestion if several changes of one quantity count each."""
@@ -106,9 +111,11 @@ class Suggestion(OneLine):
 Verdict = Suggestion | frozenset[str]
 """A suggestion if the change leads to a certified plan, else the violated constraints, if known."""
 
-UNMOVED, RELATIVE_TOLERANCE = frozenset({"unmoved"}), 1e-3
-"""Verdict of a change without effect on the constraints that it might repair, and the relative
-tolerance of that."""
+UNMOVED = frozenset({"unmoved"})
+"""Verdict of a change without effect on the constraints that it might repair."""
+
+RELATIVE_TOLERANCE = 1e-3
+"""Largest relative change of values that count as unmoved."""
 
 Evaluator = Callable[[Change | None], Verdict | None]
 """Returns the verdict of a change; None without a change, or if time is up."""

@@ -33,7 +33,8 @@ from hitchopt.steps.certified_motions import (
 from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
 from hitchopt.values import Array
 
-AT_START, UNPLANNED = "at the start (t = 0)", "not checked yet: steps "
+AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
+UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned
 
 
 WIDENED = frozenset(

@@ -33,10 +33,14 @@ SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
 }
 """Records by section, with the prefixes of their lines and the fields to exclude."""
 
-COLUMN, WIDTH = 26, 96  # Column of comments, and maximum length of a line
+COLUMN = 26  # Column of comments
+WIDTH = 96  # Maximum length of a line
 
-MIN_ROBOTS, MAX_ROBOTS = 3, 12
-"""Numbers of robots for which problems are written; larger teams need rolled legs."""
+MIN_ROBOTS = 3
+"""Smallest number of robots for which problems are written."""
+
+MAX_ROBOTS = 12
+"""Largest number of robots for which problems are written; larger teams need rolled legs."""
 
 TYING_LEG = 3.0
 """Shortest leg of a hitch to be tied, over the radius of drones with their tracking error. With
@@ -45,9 +49,17 @@ shorter ones drones come too close as pairs swap or as legs are loosened."""
 EDGES = np.linspace(1.0, 2.0, 11) / 0.17
 """Edges of polygons over that radius, in the order of the search: from 1 m for Crazyflies."""
 
-PULL, SPARE, ROUND, HEIGHT = 0.15, 0.15, 0.05, 0.62
-"""How far a vertex is pulled, over the edge; cable length beyond the shortest, at least within the
-longest, and its step [m]; altitude over cable length, at which hanging cables clear the ground."""
+PULL = 0.15
+"""How far a vertex is pulled, over the edge."""
+
+SPARE = 0.15
+"""[m] Cable length beyond the shortest, and at least within the longest."""
+
+ROUND = 0.05
+"""Step of cable lengths [m]."""
+
+HEIGHT = 0.62
+"""Altitude over cable length, at which hanging cables clear the ground."""
 
 NAMES = {3: "a triangle", 4: "a square", 5: "a pentagon", 6: "a hexagon", 8: "an octagon"}
 

@@ -35,11 +35,17 @@ from hitchopt.values import Indices, line, text
 
 FORMAT = "hitchopt-flight/1"
 
-GROUPS, OTHERS = "groups", "others"
-"""Keys of the settings, and folders of the arrays, of teams and of external plans."""
+GROUPS = "groups"
+"""Key of the settings, and folder of the arrays, of teams."""
 
-MAX_COEFFICIENT, MAX_DEGREE = 1e5, 60
+OTHERS = "others"
+"""Key of the settings, and folder of the arrays, of external plans."""
+
+MAX_COEFFICIENT = 1e5
 """[m], [N] Largest coefficient of a plan: sums of such numbers stay far from overflow."""
+
+MAX_DEGREE = 60
+"""Largest degree of a plan's curves."""
 
 MAX_STEPS = 2**31  # Upper bound of a step's index, exclusive
 TOLERANCE = 1e-9  # Largest difference of the curves of an external plan from those of its own file

@@ -92,9 +92,12 @@ def stretched(motion: Motion, factor: float) -> Motion:
     return motion.each_group(lambda own: own.untimed.slowed(factor))
 
 
-MAX_PIECE, MIN_SPACING = 0.1, 4e-3
-"""[s] Longest piece: degree 7 fits the retimed curve on it to little more than rounding. Smallest
-distance of the plan's breaks from the clock's: derivatives on short pieces suffer from rounding."""
+MAX_PIECE = 0.1
+"""[s] Longest piece: degree 7 fits the retimed curve on it to little more than rounding."""
+
+MIN_SPACING = 4e-3
+"""[s] Smallest distance of the plan's breaks from the clock's: derivatives on short pieces suffer
+from rounding."""
 
 ORDERS = 4  # Number of derivatives, the zeroth included, interpolated at both ends of every piece
 

@@ -39,8 +39,14 @@ DRONE_FIELDS = (
 ITERATIONS = 30
 """Maximum Newton steps for the final hitch's legs and roll; without weight, the first is exact."""
 
-CONVERGED, ROLL_STEP, ROLL_ROUNDING = 1e-12, 1e-6, 1e-9
-"""[m], [rad] Largest step at convergence, finite difference of roll, and roll that counts as 0."""
+CONVERGED = 1e-12
+"""[m], [rad] Largest step at convergence."""
+
+ROLL_STEP = 1e-6
+"""[rad] Finite difference of roll."""
+
+ROLL_ROUNDING = 1e-9
+"""[rad] Roll that counts as zero."""
 
 MAX_DEVIATION = 1e-6  # [m] Largest distance of a drone from that of the recovered hitch
 

@@ -20,8 +20,11 @@ CONTACT_GAP = 1e-6
 REST_DRIFT = 1e-9
 """[m] Largest change of position, or of heading, of objects at rest."""
 
-GRID, DIRECTIONS = 121, 72
-"""Number of grid points on a side, and of directions, in which footings are sampled."""
+GRID = 121
+"""Number of grid points on a side of the area in which footings are sampled."""
+
+DIRECTIONS = 72
+"""Number of directions in which footings are sampled."""
 
 
 def in_frame(pose: Array, points: Array) -> Array:

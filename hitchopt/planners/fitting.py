@@ -31,20 +31,39 @@ from hitchopt.planners.carrying.polygons import (
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
-AXES, ROTATIONS, ASPECT_RATIOS = 24, 16, np.geomspace(0.25, 4.0, 41)
-"""Candidates of enclosing polygons: directions of stretch besides those of the section's sides,
-rotations within a period of symmetry, and aspect ratios over the section's own."""
+AXES = 24
+"""Number of directions of stretch of enclosing polygons, besides those of the section's sides."""
 
-MIN_TURN, MIN_EDGE = 0.6, 0.5  # Smallest exterior angle and smallest edge, over their means
+ROTATIONS = 16
+"""Number of rotations of enclosing polygons within a period of symmetry."""
+
+ASPECT_RATIOS = np.geomspace(0.25, 4.0, 41)
+"""Aspect ratios of enclosing polygons over the section's own."""
+
+MIN_TURN = 0.6  # Smallest exterior angle, over the mean
+MIN_EDGE = 0.5  # Smallest edge, over the mean
 ROUNDING = 1e-9  # Tolerance within which lengths or margins are equal
 
-CENTIMETRE, STRIDE, RANGE_STRIDE, MAX_EXTRA_LENGTH = 0.01, 20, 5, 1.0
-"""Step of cable lengths [m], strides of candidates with unbalanced legs and of ranges, and largest
-length beyond the one that legs need [m]."""
+CENTIMETRE = 0.01
+"""[m] Step of cable lengths."""
 
-WEIGHT_SAFETY, MAX_TENSION_RATIO, TENSIONS = 2.0, 30.0, 60
-"""Smallest tension over the one from which on heavy cables balance; largest over smallest tension
-of the search, and their number."""
+STRIDE = 20
+"""Stride of candidates with unbalanced legs, in these steps."""
+
+RANGE_STRIDE = 5
+"""Stride of ranges, in these steps."""
+
+MAX_EXTRA_LENGTH = 1.0
+"""[m] Largest length beyond the one that legs need."""
+
+WEIGHT_SAFETY = 2.0
+"""Smallest tension over the one from which on heavy cables balance."""
+
+MAX_TENSION_RATIO = 30.0
+"""Largest over smallest tension of the search."""
+
+TENSIONS = 60
+"""Number of tensions of the search."""
 
 Range = tuple[float, float]  # Smallest and largest value
 

@@ -69,14 +69,18 @@ from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
-AROUND_SPEED, OBJECT_MARGIN = 0.15, 0.10
-"""Vertical speed around an object [m/s]; clearance of the lowest drone over objects, in addition to
-``separation.radius`` [m]."""
+AROUND_SPEED = 0.15
+"""[m/s] Speed around an object."""
 
-CLOSING_MARGIN, ROLL_FACTORS = 1.03, (1.3, 2.5, 3.5)
-"""Factor of the separation limits as legs close below a rim, since motion reduces distances; and
-factors of the minimum roll, in the order of trial: a load brings legs closer together, and drones
-may pass the other legs of their cables."""
+OBJECT_MARGIN = 0.10
+"""[m] Clearance of the lowest drone over objects, in addition to ``separation.radius``."""
+
+CLOSING_MARGIN = 1.03
+"""Factor of the separation limits as legs close below a rim, since motion reduces distances."""
+
+ROLL_FACTORS = (1.3, 2.5, 3.5)
+"""Factors of the minimum roll, in the order of trial: a load brings legs closer together, and
+drones may pass the other legs of their cables."""
 
 MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the

@@ -351,9 +351,11 @@ def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> 
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
 """Shares of the friction that feed-forward compensates; the first certified one is used."""
 
-FULL_SHARE, MAX_SLOWDOWN = 0.99, 1.5
-"""Share of the friction that counts as all of it; maximum ratio of a step's duration with friction
-feed-forward to that without."""
+FULL_SHARE = 0.99
+"""Share of the friction that counts as all of it."""
+
+MAX_SLOWDOWN = 1.5
+"""Maximum ratio of a step's duration with friction feed-forward to that without."""
 
 MIN_SLIDE = 1e-3  # Change of leg lengths below which a step ends without settling [m]
 

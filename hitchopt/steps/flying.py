@@ -26,8 +26,11 @@ SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 
 LIMIT_SHARE = 1.0 - 1e-6  # Usable share of the limits of thrust and tilt, as a margin for rounding
 
-CIRCLE_CORNERS, MIN_PRISM_HEIGHT = 24, 1e-3
-"""Number of corners of the polygon around a circle; height of the prism around a rim [m]."""
+CIRCLE_CORNERS = 24
+"""Number of corners of the polygon around a circle."""
+
+MIN_PRISM_HEIGHT = 1e-3
+"""[m] Height of the prism around a rim."""
 
 
 def check_count(key: str, places: Array, team: Team) -> None:

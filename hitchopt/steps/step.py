@@ -55,7 +55,8 @@ from hitchopt.values.units import (
 # Kinds of values, and fields shared by several kinds of steps.
 
 OBJECT_NAME = strings(50, 1, "[A-Za-z0-9_ -]+", "of letters, digits, spaces, - and _")
-POINT2, POINT3 = points((2,), "x, y"), points((3,), "x, y, z")
+POINT2 = points((2,), "x, y")
+POINT3 = points((3,), "x, y, z")
 OUTLINE = within_usual(points((None, 2), "x, y", 3, MAX_ROBOTS + 1, Outline), USUAL_OUTLINE, 0.7)
 INDEX = integers(0, MAX_ROBOTS - 1)
 
@@ -173,8 +174,11 @@ Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 
 IDLE = 0.01  # Default duration of a step without motion [s]
 
-DECIMALS, MIN_REMAINING_SHARE = 9, 0.1
-"""Decimals of numbers in edits; minimum share of a quantity that lowering leaves."""
+DECIMALS = 9
+"""Number of decimals of numbers in edits."""
+
+MIN_REMAINING_SHARE = 0.1
+"""Minimum share of a quantity that lowering leaves."""
 
 PLAN_DURATION = "plan duration"
 """Constraint that the plan is too long; ``duration`` means that a step is too short."""

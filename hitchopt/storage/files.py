@@ -32,7 +32,8 @@ PREVIOUS = "previous"  # Name of the subdirectory with the last set
 BackupPolicy = Literal["leave", "keep", "remove"]
 """Backup of the last set in PREVIOUS: none, permanent, or until the new set is complete."""
 
-STAGE_PREFIX, STAGE_SUFFIX = ".hitchopt-", ".tmp"  # Prefix and suffix of staging folders
+STAGE_PREFIX = ".hitchopt-"  # Prefix of staging folders
+STAGE_SUFFIX = ".tmp"  # Suffix of staging folders
 Writer = Callable[[Path], object]  # Function that writes one file to a path
 
 

@@ -29,7 +29,9 @@ SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
 """Names of separators of cells, in order of preference."""
 
 MAX_HEAD_LINES = 50  # Lines that are searched for the column names
-COMMENT, COMMENT_SIGN = re.compile(r"^\s*#.*|\s#(?!\d).*"), re.compile(r"^\s*#+\s*")
+# A comment to the end of a line; a number after the sign is no comment
+COMMENT = re.compile(r"^\s*#.*|\s#(?!\d).*")
+COMMENT_SIGN = re.compile(r"^\s*#+\s*")  # The sign of a comment at the start of a line
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
 SWAP_SIGNS = str.maketrans(",.", ".,")  # A point among decimal commas becomes an invalid comma
 COMMA_REMEDY = "decimal commas need semicolons between cells, and no points in numbers"

@@ -26,9 +26,12 @@ EPS = 2.0**-46
 
 UPWARD = np.array([[0.0], [0.0], [1.0]])
 
-ROOT_ORDER, INVERSE_ORDER = 6, 4
-"""Degrees of interpolants: they err by 1e-9 where numbers vary by per cents, as on the spans that
-matter. An inverse enters more products than a root."""
+ROOT_ORDER = 6
+"""Degree of interpolants of roots: they err by 1e-9 where numbers vary by per cents, as on the
+spans that matter."""
+
+INVERSE_ORDER = 4
+"""Degree of interpolants of inverses, which enter more products than roots."""
 
 
 @dataclass(eq=False)

@@ -22,19 +22,27 @@ from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.values import Array, Indices
 
-RELATIVE, ABSOLUTE = 1e-4, 2e-7
-"""Largest gap between the answer and an attained value: relative to that value, and in the unit of
-the quantity. The larger one applies."""
+RELATIVE = 1e-4
+"""Largest gap between the answer and an attained value, relative to that value, if ABSOLUTE is
+smaller."""
 
-MAX_HALVINGS, MAX_SPANS = 40, 100_000
-"""Maximum number of halvings of a piece, and of halves in all (or ten per initial span). Beyond
-them, bounds are accepted: valid, but less tight."""
+ABSOLUTE = 2e-7
+"""Largest gap between the answer and an attained value in the unit of the quantity, if the relative
+one is smaller."""
+
+MAX_HALVINGS = 40
+"""Maximum number of halvings of a piece. Beyond it, bounds are accepted: valid, but less tight."""
+
+MAX_SPANS = 100_000
+"""Maximum number of halves in all, or ten per initial span, likewise."""
 
 BATCH = 4096  # Number of spans bounded in one call: the arrays of a formula fit into the caches
 
-TIE_STEPS, TIE = 1e9, 1e-9
-"""Steps of bounds up to the largest one, and relative difference of values, at which the first one
-in time is chosen."""
+TIE_STEPS = 1e9
+"""Number of steps of bounds up to the largest one: within a step, the first in time is chosen."""
+
+TIE = 1e-9
+"""Relative difference of values within which the first one in time is chosen."""
 
 WHOLE = np.array([[0.0], [1.0]])  # Start and end of whole pieces
 

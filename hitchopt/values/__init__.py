@@ -48,8 +48,12 @@ certificate allows 1e-6."""
 TOO_FAR = "if these are millimetres, give metres; else subtract an offset from all coordinates"
 """Remedy for coordinates that are too large."""
 
-SCALAR, LIST, WORD, FLAG, MAPPING = "a number", "a list", "a word", "true or false", "a mapping"
-"""Forms of values, as messages name them."""
+# Forms of values, as messages name them
+SCALAR = "a number"
+LIST = "a list"
+WORD = "a word"
+FLAG = "true or false"
+MAPPING = "a mapping"
 
 _FORMS = (
     ((bool, np.bool_), FLAG, "write true or false"),

@@ -31,7 +31,8 @@ RECORD_DEPTH = 7
 
 Range = tuple[float, float]
 
-TINY, HUGE = 1e-9, 1e9  # Default range of quantities in SI units; values outside are typing errors
+TINY = 1e-9  # Smallest quantity in SI units by default; smaller ones are typing errors
+HUGE = 1e9  # Largest quantity in SI units by default; larger ones are typing errors
 
 
 def quantity(
@@ -180,8 +181,11 @@ ROLL = quantity("rad", UNBOUNDED, (-RIGHT_ANGLE, RIGHT_ANGLE), (), RIGHT_ANGLE)
 BODY_RATE = quantity("rad/s", (0.17, 70.0), (TINY, 1e6), (("degrees per second", DEGREE),))
 ANGLE = quantity("rad", UNBOUNDED, (-HUGE, HUGE))
 
-MIN_LIFT, MAX_LIFT = 0.01, 100.0
-"""Range of ratios of thrust to weight; outside of it one of the two is in a wrong unit."""
+MIN_LIFT = 0.01
+"""Smallest ratio of thrust to weight; below it one of the two is in a wrong unit."""
+
+MAX_LIFT = 100.0
+"""Largest ratio of thrust to weight; above it one of the two is in a wrong unit."""
 
 
 def check_lift(mass: float, max_thrust: float, gravity: float) -> None:

@@ -24,25 +24,29 @@ from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
-LEG, BEND, EDGE = 6, 9, 9  # Number of points of a leg, a bend and an edge
+LEG = 6  # Number of points of a leg
+BEND = 9  # Number of points of a bend
+EDGE = 9  # Number of points of an edge
 POINTS = 2 * LEG + 2 * BEND + EDGE  # Number of points of a cable, from q to r
 # Indices of a cable's points in the middles of its bends, nearest to the vertices
 CLASPS = (LEG + BEND // 2, LEG + BEND + EDGE + BEND // 2)
-# Radius of a drawn cable as a share of the scene's extent, and its bounds [m]
-THICKNESS, MIN_RADIUS, MAX_RADIUS = 0.0035, 0.004, 0.03
-# Radius of a bend in radii of the drawn cable, so that neighbours clear each other; distance from a
-# vertex, in bend radii, beyond which a cable is straight; and maximum radius of a bend, as a share
-# of the shortest leg or edge
-BEND_RADIUS, STRAIGHT_AT, MAX_BEND_SHARE = 2.2, 3.0, 0.2
+THICKNESS = 0.0035  # Radius of a drawn cable as a share of the scene's extent
+MIN_RADIUS = 0.004  # Minimum radius of a drawn cable [m]
+MAX_RADIUS = 0.03  # Maximum radius of a drawn cable [m]
+# Radius of a bend in radii of the drawn cable, so that neighbours clear each other
+BEND_RADIUS = 2.2
+STRAIGHT_AT = 3.0  # Distance from a vertex beyond which a cable is straight, in bend radii
+MAX_BEND_SHARE = 0.2  # Maximum radius of a bend, as a share of the shortest leg or edge
 # Relative slack up to which a weightless cable is straight
 SLACK_TOLERANCE = 1e-4
 UP = np.array([0.0, 0.0, 1.0])
 MIN_LENGTH = 1e-9  # Minimum length of a span [m], since a chain's ends have no legs
 HOOKED_STATES = HITCHED_STATE | {CableState.TIGHTENING}
 OPEN_STATES = HITCHED_STATE - {CableState.HITCHED}  # States in which clasps may be open
-# Share of a clasp's contact above which its bends are complete; reach of straight strands, in bend
-# radii; minimum change of height of a rolling pair [m], and number of samples
-FULL_CONTACT, STRAIGHT_REACH, MIN_ROLL_RISE, ROLL_SAMPLES = 0.5, 2.0, 0.01, 17
+FULL_CONTACT = 0.5  # Share of a clasp's contact above which its bends are complete
+STRAIGHT_REACH = 2.0  # Reach of straight strands, in bend radii
+MIN_ROLL_RISE = 0.01  # Minimum change of height of a rolling pair [m]
+ROLL_SAMPLES = 17  # Number of samples of a rolling pair
 
 
 def cable_curves(

@@ -19,13 +19,16 @@ from hitchopt.view.painter import Camera, Painter, draw_painting
 from hitchopt.view.scene import Scene
 from hitchopt.view.style import atomic_write, draw_lines, facts
 
-FRAME_SIZE, RESOLUTION = (12.8, 7.2), 100  # Size of a frame [in], and its resolution [1/in]
+FRAME_SIZE = (12.8, 7.2)  # Size of a frame [inch]
+RESOLUTION = 100  # Resolution of a frame [1/inch]
 # Frame rates [Hz]; the resolution of a gif's clock is 10 ms
 RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
-AZIMUTH, ELEVATION = -115.0, 32.0  # Direction of the camera [deg]
-# Margin around drones and cables [m]; as shares of a frame's height, the header above the scene,
-# the minimum half width of a cable, and the minimum radius of a drone
-MARGIN, HEADER_SHARE, MIN_CABLE_WIDTH, MIN_DRONE_SIZE = 0.2, 0.09, 0.0022, 0.012
+AZIMUTH = -115.0  # Azimuth of the camera [deg]
+ELEVATION = 32.0  # Elevation of the camera [deg]
+MARGIN = 0.2  # Margin around drones and cables [m]
+HEADER_SHARE = 0.09  # Height of the header above the scene, as a share of the frame's
+MIN_CABLE_WIDTH = 0.0022  # Minimum half width of a cable, as a share of the frame's height
+MIN_DRONE_SIZE = 0.012  # Minimum radius of a drone, as a share of the frame's height
 SMOOTHING_TIME = 1.5  # Standard deviation of the smoothing of the camera's motion [s]
 
 

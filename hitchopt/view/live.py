@@ -23,27 +23,30 @@ from hitchopt.view.own_pages import own_pages_only
 from hitchopt.view.scene import Highlight, Scene, highlight_of, scene_of
 from hitchopt.view.style import COLOURS, LIMIT_COLOUR, MARK_COLOUR, facts, verdict
 
-# Default address of the server, on this machine only; if the port is in use, the next free one
-HOST, PORT = "127.0.0.1", 8080
-WIDTH, FIELD_OF_VIEW = 380, 0.6  # Width of the panel [pixels], and vertical field of view [rad]
-# Colours of the light from above and from below, and its intensity
-SKY_COLOUR, GROUND_COLOUR, BRIGHTNESS = (255, 255, 255), (190, 190, 205), 1.8
+HOST = "127.0.0.1"  # Default address of the server, on this machine only
+PORT = 8080  # Default port; if it is in use, the next free one
+WIDTH = 380  # Width of the panel [pixels]
+FIELD_OF_VIEW = 0.6  # Vertical field of view [rad]
+SKY_COLOUR = (255, 255, 255)  # Colour of the light from above
+GROUND_COLOUR = (190, 190, 205)  # Colour of the light from below
+BRIGHTNESS = 1.8  # Intensity of the light
 # Rotation from the y axis, viser's direction of the sky, to the z axis
 Z_FROM_Y = (0.5**0.5, 0.5**0.5, 0.0, 0.0)
-# Direction and intensity of a lamp that makes the sides of boxes differ
-LAMP_DIRECTION, LAMP_BRIGHTNESS = (-1.0, -0.3, 0.3), 1.0
-# Time between two frames [s]; step of the time slider [s], and its decimals
-FRAME, STEP, DECIMALS = 1.0 / 30.0, 0.001, 3
+LAMP_DIRECTION = (-1.0, -0.3, 0.3)  # Direction of a lamp that makes the sides of boxes differ
+LAMP_BRIGHTNESS = 1.0  # Intensity of that lamp
+FRAME = 1.0 / 30.0  # Time between two frames [s]
+STEP = 0.001  # Step of the time slider [s]
+DECIMALS = 3  # Number of decimals of the time slider
 SPEEDS = ("0.1", "0.25", "0.5", "1", "2", "4")
 
-# Colours of buttons and of the current phase; violated checks are red
-IDLE_COLOUR, CURRENT_COLOUR = "gray", "blue"
+IDLE_COLOUR = "gray"  # Colour of buttons
+CURRENT_COLOUR = "blue"  # Colour of the current phase; violated checks are red
 PLOT_HEIGHT = 150  # Height of a plot with its legend [pixels]
 # Frames between two updates of the plots' cursors, each of which sends all samples
 CURSOR_FRAMES = 6
 FOLLOW_DISTANCE = 4.0  # Distance of a following camera, in radii of the team
-# Initial direction and minimum distance [m] of the camera
-VIEW_DIRECTION, MIN_DISTANCE = np.array([-0.35, -0.8, 0.5]), 1.5
+VIEW_DIRECTION = np.array([-0.35, -0.8, 0.5])  # Initial direction of the camera
+MIN_DISTANCE = 1.5  # Minimum distance of the camera [m]
 ASPECT = 0.7  # Width over height of the visible part of a small window
 
 

@@ -16,14 +16,16 @@ from hitchopt.view.style import MARK_COLOUR, rgb
 Server = Any  # A viser server; viser is an optional dependency
 ARROW_SCALE = 0.2  # Length of an arrow of 1 N [m]
 MAX_NAMED = 40  # Maximum number of drones with names at first: more names hide the scene
-# Colour of a ghost and of an old plan's cables, and opacity of their drones and objects
-PALE_COLOUR, PALE_OPACITY = "#969ca2", 0.4
-# Duration of a trail [s], its number of corners, and the maximum number of segments of all trails,
-# for browsers with software rendering
-TRAIL_DURATION, TRAIL_CORNERS, MAX_SEGMENTS = 5.0, 41, 4000
-# Widths of a trail [pixels], since thinner ones have gaps, and of the arena's edges [m]
-TRAIL_WIDTH, EDGE_WIDTH = 1.2, 0.006
-ARENA_COLOUR, SHELL_COLOUR = "#cbcbcb", "#2a8c82"
+PALE_COLOUR = "#969ca2"  # Colour of a ghost and of an old plan's cables
+PALE_OPACITY = 0.4  # Opacity of a ghost's and an old plan's drones and objects
+TRAIL_DURATION = 5.0  # Duration of a trail [s]
+TRAIL_CORNERS = 41  # Number of corners of a trail
+# Maximum number of segments of all trails, for browsers with software rendering
+MAX_SEGMENTS = 4000
+TRAIL_WIDTH = 1.2  # Width of a trail [pixels], since thinner ones have gaps
+EDGE_WIDTH = 0.006  # Width of the arena's edges [m]
+ARENA_COLOUR = "#cbcbcb"  # Colour of the arena's edges
+SHELL_COLOUR = "#2a8c82"  # Colour of drones' ellipsoids
 ARROWS = {"forces": "#c8414f", "thrusts": "#0b3c5d"}  # Colours of the drones' arrows
 
 SWITCHES = ("trails", "downwash ellipsoids", "forces", "thrusts", "names")

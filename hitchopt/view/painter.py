@@ -27,30 +27,31 @@ from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.scene import SEGMENTS, GroupName, Moment, Scene, normals, scene_at, subdivide
 
-# Width of a cable with its pale edges, and overlap of its segments to avoid gaps in bends, both in
-# half widths of the cable
-CASING_WIDTH, OVERLAP = 1.8, 0.5
+CASING_WIDTH = 1.8  # Width of a cable with its pale edges, in half widths of the cable
+OVERLAP = 0.5  # Overlap of a cable's segments to avoid gaps in bends, in half widths of the cable
 SHADOW = "#e4e7ea"  # Colour of shadows
-# Minimum number of a rotor's corners; number of subdivisions of an object's faces, for sorting by
-# distance
-MIN_ROTOR_CORNERS, SUBDIVISIONS = 4, 3
-# Direction to the light, and brightness of faces that point away from it
-LIGHT, MIN_BRIGHTNESS = unit(np.array([-0.35, -0.55, 1.0])), 0.62
-# Maximum number of panels that are large enough to read; number up to which another picture fits
-MAX_PANELS, FEW_PANELS = 9, 3
+MIN_ROTOR_CORNERS = 4  # Minimum number of a rotor's corners
+SUBDIVISIONS = 3  # Number of subdivisions of an object's faces, for sorting by distance
+LIGHT = unit(np.array([-0.35, -0.55, 1.0]))  # Direction to the light
+MIN_BRIGHTNESS = 0.62  # Brightness of faces that point away from the light
+MAX_PANELS = 9  # Maximum number of panels that are large enough to read
+FEW_PANELS = 3  # Number of panels up to which another picture fits
 MOTION_PANELS = 5  # Number of panels up to which moments of motions are added
 # Factor of the reduction of corners, by maximum number of robots
 CORNER_STEPS = {12: 1, 30: 2, 100: 4, math.inf: 8}
-# Minimum travel of some drone between two panels [m], and travel [m] that is added to the rank of
-# essential moments
-MIN_TRAVEL, PRIORITY_TRAVEL = 1e-3, 1e6
+MIN_TRAVEL = 1e-3  # Minimum travel of some drone between two panels [m]
+PRIORITY_TRAVEL = 1e6  # Travel that is added to the rank of essential moments [m]
 TINY_STEP = 1e-9  # Least path between two samples [m], so that path lengths increase
-AZIMUTH, ELEVATION = -115.0, 38.0  # Direction of the camera [deg]
-# Radius of a drawn cable as a share of the extent, large enough to show clasps in small panels;
-# margin, and minimum radius of a drone, as shares of a panel's height
-THICKNESS, MARGIN, MIN_DRONE_SIZE = 0.011, 0.08, 0.03
-PATH_SAMPLES, PATH_OPACITY = 150, 0.45  # Number of points of a drone's path, and its opacity
-LETTER_WIDTH, LINE_HEIGHT = 5.6, 10.0  # Width of a bold small letter, and line height [points]
+AZIMUTH = -115.0  # Azimuth of the camera [deg]
+ELEVATION = 38.0  # Elevation of the camera [deg]
+# Radius of a drawn cable as a share of the extent, large enough to show clasps in small panels
+THICKNESS = 0.011
+MARGIN = 0.08  # Margin as a share of a panel's height
+MIN_DRONE_SIZE = 0.03  # Minimum radius of a drone as a share of a panel's height
+PATH_SAMPLES = 150  # Number of points of a drone's path
+PATH_OPACITY = 0.45  # Opacity of a drone's path
+LETTER_WIDTH = 5.6  # Width of a bold small letter [points]
+LINE_HEIGHT = 10.0  # Line height [points]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,13 +17,13 @@ from hitchopt.view.editing import START, Editing, Handle, PlanState, Status, ste
 from hitchopt.view.live import LiveView, plain_words
 from hitchopt.view.style import MARK_COLOUR
 
-# Radius of a handle, and length of the chosen handle's arrows [m]
-HANDLE_RADIUS, ARROW_LENGTH = 0.04, 0.35
-# Colours of the chosen handle and of the others, as red, green and blue
-CHOSEN_COLOUR, IDLE_COLOUR = tuple(bytes.fromhex(MARK_COLOUR[1:])), (90, 96, 102)
-# Maximum number of handles of a step that are drawn, while the list has all; and decimals of the
-# offset by which a handle is dragged [m]
-MAX_HANDLES, DECIMALS = 80, 4
+HANDLE_RADIUS = 0.04  # Radius of a handle [m]
+ARROW_LENGTH = 0.35  # Length of the chosen handle's arrows [m]
+# Colour of the chosen handle, as red, green and blue
+CHOSEN_COLOUR = tuple(bytes.fromhex(MARK_COLOUR[1:]))
+IDLE_COLOUR = (90, 96, 102)  # Colour of the other handles
+MAX_HANDLES = 80  # Maximum number of handles of a step that are drawn, while the list has all
+DECIMALS = 4  # Number of decimals of the offset by which a handle is dragged [m]
 
 
 class EditingPanel:

@@ -33,38 +33,41 @@ from hitchopt.view.painter import PATH_OPACITY
 from hitchopt.view.scene import Appearance, GroupName, scene_at
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
-# Width and height [inch], and height ratios of a row of panels and the plan below it
-SIZE, HEIGHTS = (13.0, 7.2), (1.0, 1.7)
+SIZE = (13.0, 7.2)  # Width and height of the picture [inch]
+HEIGHTS = (1.0, 1.7)  # Height ratios of a row of panels and the plan below it
 # Edges of the plots, and of a plan or a storyboard on their left, as shares of the figure
 PLOT_EDGES = {"left": 0.585, "right": 0.935, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
 PLAN_EDGES = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
 STORYBOARD_EDGES = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
-# Distance of the legend from a plan below panels, as a share of its height, and position of the
-# plots' labels, as a share of their width
-LEGEND_GAP, LABEL_AT = 0.17, -0.1
+LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a share of its height
+LABEL_AT = -0.1  # Position of the plots' labels, as a share of their width
 CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
-# Number of sampled drone positions, and range of the number of times: more is finer than pixels
-POINTS, SAMPLES = 150_000, (60, 600)
+POINTS = 150_000  # Number of sampled drone positions: more is finer than pixels
+SAMPLES = (60, 600)  # Range of the number of sampled times
 FORBIDDEN: Any = {"facecolor": "none", "edgecolor": "0.8", "hatch": "////", "linewidth": 0}
 
-CURVE_WIDTH, LINE_HEIGHT = 1.4, 11.0  # Width of a curve, and height of a line of text [points]
+CURVE_WIDTH = 1.4  # Width of a curve [points]
+LINE_HEIGHT = 11.0  # Height of a line of text [points]
 # Maximum worst value that is drawn: larger ones mean that nothing was counted or bounded
 MAX_DRAWN = 1e9
-# Width of a character of a phase's name, and of a line at 45° [points]
-CHARACTER_WIDTH, SLANTED_WIDTH = 4.3, 12.4
+CHARACTER_WIDTH = 4.3  # Width of a character of a phase's name [points]
+SLANTED_WIDTH = 12.4  # Width of a line of text at 45° [points]
 MAX_CHARACTERS = 18  # Maximum number of characters of a slanted line
-# Figure of the closest neighbours: width and height [inch], number of points of a curve, and the
-# maximum of the separation's axis
-CLOSE_SIZE, CLOSE_SAMPLES, CLOSE_TOP = (10.0, 4.8), 800, 4.0
+CLOSE_SIZE = (10.0, 4.8)  # Width and height of the figure of the closest neighbours [inch]
+CLOSE_SAMPLES = 800  # Number of points of a curve in that figure
+CLOSE_TOP = 4.0  # Maximum of the separation's axis in that figure
 START_COLOUR = "0.62"
 
-# On a page of a paper, one below the other: most height of the plan [inch] and its share of the
-# width, and heights of a plot, and of phases' names and legend together
-PAGE_PLAN, PAGE_SHARE, PAGE_PLOT, PAGE_LEGEND = 4.5, 0.9, 1.0, 1.5
+# Maximum height of the plan on a page of a paper [inch], where parts are one below the other
+PAGE_PLAN = 4.5
+PAGE_SHARE = 0.9  # Height of the plan on a page, as a share of its width
+PAGE_PLOT = 1.0  # Height of a plot on a page [inch]
+PAGE_LEGEND = 1.5  # Height of phases' names and legend together on a page [inch]
 
-# Maximum number of vertices or single drones with names, since more would hide the drawing; and
-# distance of a vertex from its name [points], also on a page
-MAX_NAMED, NAME_DISTANCE, PAGE_DISTANCE = 30, 18.0, 9.0
+# Maximum number of vertices or single drones with names, since more would hide the drawing
+MAX_NAMED = 30
+NAME_DISTANCE = 18.0  # Distance of a vertex from its name [points]
+PAGE_DISTANCE = 9.0  # Distance of a vertex from its name on a page [points]
 PAGE_HEIGHT = 190.0  # Height of axes [points] below which names are close
 LINE_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 # Colours and line styles of pairs, the closest first; they also differ in grey

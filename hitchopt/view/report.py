@@ -29,14 +29,16 @@ from hitchopt.view.cables import CLASPS, HOOKED_STATES, POINTS
 from hitchopt.view.pictures import draw_summary, panels, sample_states
 from hitchopt.view.scene import RigidSurface, Scene, highlight_of, mesh, scene_of
 
-# File name extensions
-PAGE, PICTURES, FILMS = ".html", (".png", ".svg", ".pdf"), (".mp4", ".gif")
+PAGE = ".html"  # Suffix of pages
+PICTURES = (".png", ".svg", ".pdf")  # Suffixes of pictures
+FILMS = (".mp4", ".gif")  # Suffixes of films
 PACKAGES = ("numpy", "scipy", "casadi", "toppra", "osqp", "ruckig")
 # Files whose digests a report states
 DIGESTED_FILES = ("plan.npz", "setpoints.csv")
 # Parts of the page's script
 SCRIPTS = ("samples.js", "cable_tubes.js", "stage.js", "plots.js", "report.js")
-HEADROOM, LEVELS = 1.2, 65535  # Height of a plot over its largest value; maximum of 16 bits
+HEADROOM = 1.2  # Height of a plot over its largest value
+LEVELS = 65535  # Largest number of 16 bits
 
 
 def save_view(

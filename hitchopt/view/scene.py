@@ -35,9 +35,9 @@ from hitchopt.view.style import (
     group_colours,
 )
 
-# Maximum number of coordinates in a scene, minimum number of times besides the ends of phases, and
-# maximum rate [Hz]
-MAX_SAMPLES, MIN_TIMES, MAX_RATE = 1_000_000, 48, 30.0
+MAX_SAMPLES = 1_000_000  # Maximum number of coordinates in a scene
+MIN_TIMES = 48  # Minimum number of times besides the ends of phases
+MAX_RATE = 30.0  # Maximum rate of times [Hz]
 PER_DRONE = 11  # Number of a drone's coordinates at a time
 # Prefixes of names of cables in ``where`` of a check
 CABLE_PREFIXES = ("cable ", "c", "q-leg ", "r-leg ")
@@ -200,7 +200,8 @@ def highlight_of(motion: Motion, where: Sequence[str]) -> Highlight:
 # Surfaces of drones, objects and spheres; names, colours and shapes of a scene.
 
 SPAN = 0.8  # Radius of a drone with rotors as a share of its ellipsoid's radius
-SEGMENTS, ROUND = 16, 32  # Numbers of corners of a rotor (even), and of a circle
+SEGMENTS = 16  # Number of corners of a rotor (even)
+ROUND = 32  # Number of corners of a circle
 PLATE = 0.012  # Thickness of a drawn rim [m], below its height
 
 

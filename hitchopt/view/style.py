@@ -31,27 +31,30 @@ if TYPE_CHECKING:
 COLOURS = (
     "#0b3c5d", "#2a8c82", "#e0a526", "#c8414f", "#6fb7e9", "#7b4fb5", "#e48fb5", "#7d4e24",
 )  # fmt: skip
-# Colours of fixed objects, of carried objects, and of keep-outs
-TABLE_COLOUR, OBJECT_COLOUR, KEEP_OUT_COLOUR = "#d3d8dd", "#e8d3a8", "#b3261e"
+TABLE_COLOUR = "#d3d8dd"  # Colour of fixed objects
+OBJECT_COLOUR = "#e8d3a8"  # Colour of carried objects
+KEEP_OUT_COLOUR = "#b3261e"  # Colour of keep-outs
 OTHERS_COLOUR = "#969ca2"  # Colour of other plans' drones and cables
-# Colours of drones' frames, and of hollow rotors and cables' edges
-FRAME_COLOUR, HOLLOW_COLOUR = "#2b2f33", "#ffffff"
+FRAME_COLOUR = "#2b2f33"  # Colour of drones' frames
+HOLLOW_COLOUR = "#ffffff"  # Colour of hollow rotors and of cables' edges
 MARK_COLOUR = "#e8590c"  # Colour of highlighted drones, cables and vertices
-# Colours of curves and limits, which also differ in grey, and dashes of limits
-INK, LIMIT_COLOUR, DASHES = "0.1", "#b3261e", (0, (6, 2))
+INK = "0.1"  # Colour of curves
+LIMIT_COLOUR = "#b3261e"  # Colour of limits, which also differs in grey
+DASHES = (0, (6, 2))  # Dashes of limits
 # Metadata by kind of vector drawing, without dates
 UNDATED_METADATA: dict[str, dict[str, str | None]] = {
     "svg": {"Date": None},
     "pdf": {"CreationDate": None},
 }
-# Resolution of pictures [dots per inch], and level of zlib: files are 5 to 12 % larger than with
-# level 6, in half to two thirds of the time
-RESOLUTION, COMPRESSION = 120, 1
-# Of figures of a given width, for papers: size of all text [points], resolution [dots per inch],
-# smallest and largest width [inch], height of a single plot over its width
-PAGE_TEXT, PAGE_RESOLUTION, PAGE_WIDTHS, PAGE_SHARE = 8.0, 300, (2.5, 20.0), 0.7
-# Width of a letter over its size, and of an entry of a legend without its text [points]
-LETTER_WIDTH, HANDLE_WIDTH = 0.5, 26.0
+RESOLUTION = 120  # Resolution of pictures [dots per inch]
+# Level of zlib: files are 5 to 12 % larger than with level 6, in half to two thirds of the time
+COMPRESSION = 1
+PAGE_TEXT = 8.0  # Size of all text in figures of a given width, for papers [points]
+PAGE_RESOLUTION = 300  # Resolution of such figures [dots per inch]
+PAGE_WIDTHS = (2.5, 20.0)  # Smallest and largest width of such figures [inch]
+PAGE_SHARE = 0.7  # Height of a single plot over its width in such figures
+LETTER_WIDTH = 0.5  # Width of a letter over its size
+HANDLE_WIDTH = 26.0  # Width of an entry of a legend without its text [points]
 HEADLINE_LENGTH = 98  # Maximum length of a headline: phases' names are on its right
 
 

@@ -31,7 +31,8 @@ from hitchopt.values import Array
 from hitchopt.view.scene import RigidSurface, mesh, scene_at, slab_faces
 from hitchopt.view.style import rgb
 
-FLOAT, UNSIGNED = 5126, 5125  # Types of numbers in accessors, 32 bits each
+FLOAT = 5126  # Type of 32-bit floating-point numbers in accessors
+UNSIGNED = 5125  # Type of unsigned 32-bit integers in accessors
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}  # Types of rows in accessors
 MAX_BYTES = 2_000_000_000  # Size limit of a file [B]
 SPANS = [0, 3, 6, 10, 14, 17, 21, 24, 28, 32, 35, 38]  # Indices of points between spans of a cable

@@ -35,7 +35,8 @@ from hitchopt.hitch import Team
 from hitchopt.storage.archive import reading
 from hitchopt.values import Array
 
-STEM, METADATA = "setpoints", "metadata.yaml"  # Names of data (without suffix) and metadata
+STEM = "setpoints"  # File name of the data, without suffix
+METADATA = "metadata.yaml"  # File name of the metadata
 BLOCK = 20_000  # Number of setpoints that are computed at once
 FULL_STATE = "crazyflie_interfaces/msg/FullState"
 TRAJECTORY = "trajectory_msgs/msg/MultiDOFJointTrajectory"

@@ -71,8 +71,11 @@ CUBIC = PieceKind(
 """Durations above 1 s may lose a millisecond in the server's arithmetic. A millimetre of a control
 point changes the velocity by 30 mm/s for pieces of 0.1 s, by 150 mm/s for 0.02 s."""
 
-EQUAL_ERRORS, CLOSER_ERRORS = Scale(5e-4, 1e-2, 0.2), Scale(2e-4, 1e-2, 0.2)
-"""Rounding errors of equal weight: the second with smaller position errors, for cable lengths."""
+EQUAL_ERRORS = Scale(5e-4, 1e-2, 0.2)
+"""Rounding errors of equal weight."""
+
+CLOSER_ERRORS = Scale(2e-4, 1e-2, 0.2)
+"""Rounding errors with smaller position errors, for cable lengths."""
 
 TRUNCATION_MARGIN = 1e-6  # Offset away from zero, as the server truncates binary fractions [m]
 DISTANCE = "minDistance"  # Key of the minimum distance between two drones [m]
@@ -89,7 +92,8 @@ SHOW_LIMITS = {"maxAltitude": (0, "m", ("up",))} | {
 WORD_START = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 """Starts of words in these keys. Older shows join words by underscores: ``max_velocity_z_up``."""
 
-LAND, LEVEL = "land", "goToKeepAlt"  # Actions: descend directly, or after a horizontal flight
+LAND = "land"  # Action: descend directly
+LEVEL = "goToKeepAlt"  # Action: descend after a horizontal flight
 SPEED_SHARE = 0.9  # Share of the speed limit for returns, whose durations are integer seconds
 LANDING_SPEED = 0.5  # Default speed of a descent [m/s]
 MIN_SEPARATION = 1.01  # Minimum separation of planned returns, with a margin for rounding

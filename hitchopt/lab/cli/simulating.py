@@ -44,7 +44,8 @@ ERRORS = {
     "moving": "all, moving",
     "without_sag": "all, without sag",
 }
-MAX_REASONS, MAX_POINTS = 8, 40  # Maximum numbers of limits and points of a sweep that are listed
+MAX_REASONS = 8  # Maximum number of limits of a sweep that are listed
+MAX_POINTS = 40  # Maximum number of points of a sweep that are listed
 
 
 def _settings_options() -> Sequence[click.Option]:

@@ -23,18 +23,22 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.storage.files import file_text, parsed_json
 from hitchopt.values import Array
 
-STEP, COARSE_STEPS = 0.05, 5  # Step of compared times [s], and its multiple in the search
+STEP = 0.05  # Step of compared times [s]
+COARSE_STEPS = 5  # Number of these steps in one of the search
 YAWS = 36  # Headings in the search for a frame
-MAX_REFINED, ITERATIONS = 5, 10  # Assignments that are refined, and Gauss-Newton iterations of each
+MAX_REFINED = 5  # Maximum number of assignments that are refined
+ITERATIONS = 10  # Number of Gauss-Newton iterations of each
 CLOCK_STEP = 0.01  # Finite-difference step of clock offsets [s]
 MAX_CLOCK_STEP = 0.5  # Largest change of a clock offset by refinement [s]
-# Smallest and largest clock drift, and the largest ratio of costs at which a drift is accepted
-MIN_DRIFT, MAX_DRIFT, GAIN = 2e-3, 0.024, 0.8
+MIN_DRIFT = 2e-3  # Smallest clock drift
+MAX_DRIFT = 0.024  # Largest clock drift
+GAIN = 0.8  # Largest ratio of costs at which a drift is accepted
 ROBUST_SCALE = 0.02  # Scale of the robust loss [m]
 BLOCK = 2.0  # Time after which displacements of drones are independent [s]
-# Largest root mean square distance of drones from their plan, and in a fitted frame [m]; largest
-# root mean square ratio of unplanned to planned motion
-MAX_RMS, MAX_FITTED_RMS, MAX_UNPLANNED = 0.15, 0.08, 0.5
+MAX_RMS = 0.15  # Largest root mean square distance of drones from their plan [m]
+# Largest root mean square distance of drones from their plan in a fitted frame [m]
+MAX_FITTED_RMS = 0.08
+MAX_UNPLANNED = 0.5  # Largest root mean square ratio of unplanned to planned motion
 UNRECORDED = 0.15  # Distance assumed while the plan is not recorded [m]
 MIN_TIME = 2.0  # Smallest recorded time of the plan [s]; with a fitted frame also half of the plan
 MIN_MOTION = 0.05  # Smallest distance between positions of a team that moves [m]

@@ -24,7 +24,9 @@ from hitchopt.storage.files import opened
 METADATA = "metadata.yaml"  # File of a closed ROS 2 bag, which lists its parts
 ACTIVE = ".active"  # Suffix of a ROS 1 bag that is not closed
 
-SQLITE_MAGIC, MCAP_MAGIC, ZSTD_MAGIC = b"SQLite format 3", b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"
+SQLITE_MAGIC = b"SQLite format 3"  # First bytes of SQLite files
+MCAP_MAGIC = b"\x89MCAP0\r\n"  # First bytes of MCAP files
+ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # First bytes of zstd files
 ROS1_MAGIC = b"#ROSBAG V2.0"
 ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
 

@@ -50,18 +50,21 @@ MIN_SHARE = 0.5  # Smallest share of the time of a vertex that is measured witho
 ROUNDING = 1e-6  # Tolerance of a number of time steps
 
 FORMAT = "hitchopt-evaluation/1"
-SUMMARY, VERTICES = "evaluation.json", "vertices.csv"
-LATEX, PICTURE = "evaluation.tex", "evaluation."
+SUMMARY = "evaluation.json"  # Figures of the evaluation
+VERTICES = "vertices.csv"  # Measured vertices
+LATEX = "evaluation.tex"  # Table in LaTeX
+PICTURE = "evaluation."  # Name of the picture, without suffix
 FOREIGN = (PLAN, "simulation.json")  # Files of directories with another vertices.csv
 PICTURES = ("png", "svg", "pdf")  # Picture formats
 # Files in the directory that hitchopt replaces; others are never touched
 OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTURES))
 
-# Width and height of the picture [inch], and widths of its columns
-SIZE, WIDTHS = (13.0, 6.4), (1.35, 1.0)
-# Heights of the parts on a page, as shares of its width, and of the legend [inch]
-PAGE_SHARES, PAGE_LEGEND = (0.6, 0.5, 0.8), 0.9
-MAX_NAMED, SNAPSHOT_TIME = 8, 0.05  # Most names in a legend; half width of a snapshot [s]
+SIZE = (13.0, 6.4)  # Width and height of the picture [inch]
+WIDTHS = (1.35, 1.0)  # Widths of its columns, relative
+PAGE_SHARES = (0.6, 0.5, 0.8)  # Heights of the parts on a page, as shares of its width
+PAGE_LEGEND = 0.9  # Height of the legend on a page [inch]
+MAX_NAMED = 8  # Maximum number of names in a legend
+SNAPSHOT_TIME = 0.05  # Half width of a snapshot [s]
 
 
 @dataclass(frozen=True)

@@ -35,26 +35,33 @@ from hitchopt.values import path as checked_path
 
 RATE = 50.0  # Of the samples that are compared [Hz]
 SPEED_TIME = 1.0  # Time over which speeds are means [s]
-MAX_LEVEL_SPEED, MAX_CLIMB = 0.08, 0.06  # Of a drone at rest [m/s]
+MAX_LEVEL_SPEED = 0.08  # Maximum level speed of a drone at rest [m/s]
+MAX_CLIMB = 0.06  # Maximum vertical speed of a drone at rest [m/s]
 MAX_COMMAND_SPEED = 0.02  # Of setpoints at rest [m/s]
 TRANSIENT = 2.5  # After a movement, until the drone is settled [s]
 MAX_BREAK = 1.0  # Longest movement within a settled part [s]
-MIN_SETTLED, ENOUGH = 1.0, 10.0  # Settled time that is needed, and that is enough [s]
-MIN_RISE, STILL = 0.15, 0.01  # Height of flight, and motion on the ground [m]
+MIN_SETTLED = 1.0  # Settled time that is needed [s]
+ENOUGH = 10.0  # Settled time that is enough [s]
+MIN_RISE = 0.15  # Smallest height of flight [m]
+STILL = 0.01  # Largest motion on the ground [m]
 MIN_GROUND = 0.3  # Shortest time on the ground [s]
 
-# Standard deviation that is assumed at least of the level wander about the place at rest, and of
-# trims from flight to flight [m]; shortest correlation time of the wander [s]
-WANDER, REPEATABILITY, MIN_CORRELATION = 0.01, 0.01, 1.0
+WANDER = 0.01  # Smallest standard deviation of the level wander about the place at rest [m]
+REPEATABILITY = 0.01  # Smallest standard deviation of trims from flight to flight [m]
+MIN_CORRELATION = 1.0  # Shortest correlation time of the wander [s]
 MOTION_ERROR = 0.03  # Least error of a trim from motion: drag and tilt of the way are left out [m]
 MAX_RATIO = 3.0  # Largest difference of trims over its standard error
 # Relative error of a trim that is expected from a tilt: drones with cables scatter by a quarter
 MODEL_ERROR = 0.25
-LEVEL, NEAR = 1.5, 0.03  # Tilt [deg] and trim [m] that need no word
+LEVEL = 1.5  # Largest tilt that needs no word [deg]
+NEAR = 0.03  # Largest trim that needs no word [m]
 TURNED = 45.0  # Change of yaw that tells trims of bodies from those of the world [deg]
-MAX_LAG, LAG_STEP = 4.0, 0.02  # Lags that are tried, and their step [s]
-MIN_MOVING, MIN_PATH = 2.0, 0.3  # Shortest movement that determines a lag [s], [m]
-COMMANDED, ABOVE_START = "commanded", "above the place before take-off"
+MAX_LAG = 4.0  # Longest lag that is tried [s]
+LAG_STEP = 0.02  # Step of lags that are tried [s]
+MIN_MOVING = 2.0  # Shortest duration of a movement that determines a lag [s]
+MIN_PATH = 0.3  # Shortest path of a movement that determines a lag [m]
+COMMANDED = "commanded"  # Source of a setpoint: a recorded command
+ABOVE_START = "above the place before take-off"  # Source of a setpoint without recorded commands
 IN_MOTION = "commanded, in motion"
 DIRECTIONS = ("+x", "+x +y", "+y", "-x +y", "-x", "-x -y", "-y", "+x -y")
 

@@ -41,8 +41,9 @@ from hitchopt.values import path as checked_path
 
 MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in metres [m]
 MAX_STEP = 1.0  # Largest median step of times in seconds [s]
-# Smallest jump to and fro between samples [m] and its smallest speed [m/s]; largest share of these
-JUMP, JUMP_SPEED, MAX_JUMPS = 0.1, 10.0, 0.1
+JUMP = 0.1  # Smallest jump to and fro between samples [m]
+JUMP_SPEED = 10.0  # Smallest speed of such a jump [m/s]
+MAX_JUMPS = 0.1  # Largest share of samples with such jumps
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
 
@@ -50,19 +51,21 @@ RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
 # p0, …, or any name) or MARKER for an unlabeled point, and its position [m]
 HEADER = "t,name,x,y,z"
 
-# Files of a simulated flight; columns of names in its tables, and prefixes of the names
-TABLES, SUMMARY = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}, "simulation.json"
+# Columns of names in the tables of a simulated flight, and prefixes of the names
+TABLES = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}
+SUMMARY = "simulation.json"  # Summary of a simulated flight
 
-MOTIVE, VICON = "Format Version", ("Segments", "Objects", "Trajectories")
+MOTIVE = "Format Version"  # Key in the header of files of Motive
+VICON = ("Segments", "Objects", "Trajectories")  # Titles of sections in files of Vicon
 UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # Prefixes of labels without a subject
 MAX_HEADER_LINES = 50  # Lines in which the titles of a table are searched
 # Lines of a Qualisys header that name markers or bodies, and numbers of each of them in a row
 QUALISYS_COLUMNS = {"MARKER_NAMES": 3, "BODY_NAMES": 16}
 TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
 BODY_RADIUS = 0.3  # Largest distance of markers from the middle of their body [m]
-# Names of markers with numbers, and of a body with such markers their smallest number, and largest
-# standard deviation of a distance between two of them [m]
-NUMBERED, MIN_MARKERS, RIGID = re.compile(r"(.+?)(?:_| - )(\d{1,3})"), 3, 5e-3
+NUMBERED = re.compile(r"(.+?)(?:_| - )(\d{1,3})")  # Names of markers with numbers
+MIN_MARKERS = 3  # Smallest number of markers of a body
+RIGID = 5e-3  # Largest standard deviation of a distance between two markers of a body [m]
 BLANK = ' ",;\t'  # Characters of a line without content
 
 

@@ -49,14 +49,17 @@ library = partial(optional_module, purpose="reading it needs", extra="logs")
 SHIFT_STEP = 0.02  # Between the shifts of clocks that are tried [s]
 MAX_SAMPLES = 600  # Samples that are compared
 MAX_RESIDUAL = 0.05  # Largest root mean square distance of two records of one motion [m]
-MIN_GAIN, GAIN_TIME = 1.2, 0.1  # Smallest growth of the distance at a shift [s] from the best one
+# Smallest ratio by which the distance grows at a shift of GAIN_TIME from the best one
+MIN_GAIN = 1.2
+GAIN_TIME = 0.1  # That shift [s]
 MIN_OVERLAP = 0.5  # Smallest share of samples at times of both records
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
 TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that is evaluated
 
 # Standard error of a vertex that is interpolated across a window, added to its standard deviation
-# [m], and time between samples with independent errors [s]
-INTERPOLATION_ERROR, CORRELATION_TIME = 1e-2, 0.1
+# [m]
+INTERPOLATION_ERROR = 1e-2
+CORRELATION_TIME = 0.1  # Time between samples with independent errors [s]
 
 
 def interpolated(times: Array, t: Array, values: Array) -> Array:

@@ -21,9 +21,11 @@ from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.flights.recordings import QUANTITIES
 
-DEGREE, PWM = math.pi / 180.0, 1.0 / 65535.0  # Units of logs: of angles [rad], of full power
+DEGREE = math.pi / 180.0  # Unit of angles in logs [rad]
+PWM = 1.0 / 65535.0  # Unit of motor commands in logs, of full power
 
-LOAD, COMMANDED = "load", "commanded"
+LOAD = "load"  # Kind of topics of a carried load
+COMMANDED = "commanded"  # Kind of topics of setpoints
 KINDS = ("measured", "estimated", COMMANDED, LOAD)  # By preference
 
 # Words of topics, else of message types, by kind; the first kind that matches counts. A topic
@@ -141,7 +143,9 @@ class UlogVariables(NamedTuple):
 
 
 ULOG_ODOMETRY = ("vehicle_mocap_odometry", "vehicle_visual_odometry")
-ULOG_ESTIMATE, ULOG_TRUTH = "vehicle_local_position", "vehicle_local_position_groundtruth"
+ULOG_ESTIMATE = "vehicle_local_position"  # PX4's topic of the estimated position
+# PX4's topic of the true position in a simulation
+ULOG_TRUTH = "vehicle_local_position_groundtruth"
 
 # Positions in ulogs by topic; older odometry has x, y and z
 ULOG_POSITIONS: dict[str, tuple[UlogVariables, ...]] = {

@@ -43,16 +43,18 @@ MIN_WEIGHT = 0.25  # Smallest weight of points that count as markers
 SMOOTHING = 1.0  # Averaging time of the common displacement of the drones [s]
 MAX_ERROR = 0.05  # Largest standard error of a vertex [m]
 MIN_SINE = 0.05  # Smallest sine of the angle between crossing edges
-# Outliers: largest distance from the running median over the scatter, half width of its window [s],
-# and smallest scatter [m]
-OUTLIER_RATIO, MEDIAN_TIME, MIN_SCATTER = 6.0, 0.5, 2e-3
-# Smallest density of a plan that models weight, and largest fitted density [kg/m]
-MIN_DENSITY, MAX_DENSITY = 5e-4, 0.1
+# Largest distance of a sample from the running median, over the scatter: others are outliers
+OUTLIER_RATIO = 6.0
+MEDIAN_TIME = 0.5  # Half width of the window of the running median [s]
+MIN_SCATTER = 2e-3  # Smallest scatter about the running median [m]
+MIN_DENSITY = 5e-4  # Smallest density of a plan that models weight [kg/m]
+MAX_DENSITY = 0.1  # Largest fitted density [kg/m]
 # Distance from the crossing of two cables to their contact, over the diameter: a + b tan(φ/2) for a
 # turn φ; from simulated flights with ropes of 12 mm
 CONTACT_OFFSET = (0.8, 0.75)
-# Planned markers: distance to clasps [m], shortest marked section [m], and number on an edge
-CLASP_DISTANCE, MIN_SECTION, MARKERS = 0.05, 0.1, 3
+CLASP_DISTANCE = 0.05  # Distance of planned markers to clasps [m]
+MIN_SECTION = 0.1  # Shortest marked section [m]
+MARKERS = 3  # Number of planned markers on an edge
 
 
 @dataclass(frozen=True, eq=False)

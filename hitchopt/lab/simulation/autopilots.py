@@ -33,10 +33,11 @@ from hitchopt.values import Array
 
 PERIOD = 0.002  # Period of the attitude loops [s]
 
-# Periods between predictions of the filter, and from a prediction to the arrival of a frame;
-# position loops run after both. The delay of 8 ms, in which predicted velocities act uncorrected,
-# agrees with estimates of the firmware in a bench test
-TICKS, ARRIVAL = round(1.0 / (RATE * PERIOD)), 4
+TICKS = round(1.0 / (RATE * PERIOD))  # Number of periods between predictions of the filter
+# Number of periods from a prediction to the arrival of a frame; position loops run after both.
+# The delay of 8 ms, in which predicted velocities act uncorrected, agrees with estimates of the
+# firmware in a bench test
+ARRIVAL = 4
 MIN_LIFT = 0.1  # Smallest upright force over the weight in px4
 TINY = 1e-9  # Smallest divisor of level forces [N]
 MAX_SPEED = 1.1  # Largest velocity setpoint of pid for an offset, along an axis [m/s]

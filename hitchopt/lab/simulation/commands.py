@@ -23,11 +23,11 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
-# Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s], and its largest 16-bit number
-QUANTUM, MAX_COUNT = 1e-3, 32767
+QUANTUM = 1e-3  # Resolution of a full-state packet [m], [m/s], [m/s²], [rad/s]
+MAX_COUNT = 32767  # Largest 16-bit number of a packet
 
-# Controllers that follow body rates: of a packet, and of the jerk of curves
-PACKET_RATES, CURVE_RATES = ("mellinger",), ("mellinger", "lee")
+PACKET_RATES = ("mellinger",)  # Controllers that follow body rates of a packet
+CURVE_RATES = ("mellinger", "lee")  # Controllers that follow body rates from the jerk of curves
 
 
 @dataclass(frozen=True, eq=False)

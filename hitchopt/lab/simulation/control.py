@@ -40,25 +40,26 @@ from hitchopt.values.fields import with_fields
 
 ROTOR_DRAG = 0.012  # Drag of rotors over the speed, measured on Crazyflies [N s/m]
 
-# Correlation times of errors of measured positions and velocities, and of gusts [s]
-NOISE_TIME, VELOCITY_NOISE_TIME, GUST_TIME = 0.3, 0.1, 1.0
+NOISE_TIME = 0.3  # Correlation time of errors of measured positions [s]
+VELOCITY_NOISE_TIME = 0.1  # Correlation time of errors of measured velocities [s]
+GUST_TIME = 1.0  # Correlation time of gusts [s]
 
-# Density of air [kg/m³]; drag coefficient of a cylinder across the flow at a cord's Reynolds number
-AIR_DENSITY, DRAG_COEFFICIENT = 1.2, 1.2
+AIR_DENSITY = 1.2  # Density of air [kg/m³]
+DRAG_COEFFICIENT = 1.2  # Drag coefficient of a cylinder across the flow at a cord's Reynolds number
 
 # Half-width of a turbulent round jet per distance (Pope, Turbulent Flows, 2000, table 5.1)
 SPREADING = 0.094
 
 BLOCKED = 0.5  # Fraction of the momentum through a drone's disk that acts on the drone
 
-# Gains of the position loop of a team without stiffness [1/s²], [1/s]: 4.75 N/m at 132 g. Other
-# stiffnesses have the same damping ratio
-POSITION_GAIN, VELOCITY_GAIN = 36.0, 10.0
+# Gain of the position loop of a team without stiffness [1/s²]: 4.75 N/m at 132 g
+POSITION_GAIN = 36.0
+VELOCITY_GAIN = 10.0  # Its gain of velocities [1/s]. Other stiffnesses have the same damping ratio
 
 INTEGRAL_TIME = 2.0  # Integral time constant of the position loop [s]
 
-# Gains of the attitude loop [1/s²], [1/s], which has a delay of about 60 ms
-ATTITUDE_GAIN, RATE_GAIN = 900.0, 54.0
+ATTITUDE_GAIN = 900.0  # Gain of the attitude loop, which has a delay of about 60 ms [1/s²]
+RATE_GAIN = 54.0  # Its gain of angular rates [1/s]
 
 # Lever arm of the thrust in a drone's largest roll and pitch moments, over the drone's radius
 ARM = 0.5

@@ -23,14 +23,14 @@ from hitchopt.values import Array
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
 LATENCY = 0.01  # Delay of motion capture [s] if none is stated, up to the use of a frame
 
-# Standard deviations of captured positions [m] and attitudes [rad], per axis and frame; of the
-# gyroscope [rad/s] and the accelerometer [m/s²], per reading
-POSITION_NOISE, ATTITUDE_NOISE = 1e-3, 1e-2
-GYRO_NOISE, ACCELEROMETER_NOISE = 0.02, 0.2
+POSITION_NOISE = 1e-3  # Standard deviation of captured positions, per axis and frame [m]
+ATTITUDE_NOISE = 1e-2  # Standard deviation of captured attitudes, per axis and frame [rad]
+GYRO_NOISE = 0.02  # Standard deviation of the gyroscope, per reading [rad/s]
+ACCELEROMETER_NOISE = 0.2  # Standard deviation of the accelerometer, per reading [m/s²]
 
-# The firmware's process noise of attitudes [rad/s], the rate at which process noise is added [Hz],
-# and the lower bound of variances
-TURN_NOISE, NOISE_RATE, MIN_VARIANCE = 0.1, 1000.0, 1e-6
+TURN_NOISE = 0.1  # The firmware's process noise of attitudes [rad/s]
+NOISE_RATE = 1000.0  # Rate at which process noise is added [Hz]
+MIN_VARIANCE = 1e-6  # Lower bound of variances
 
 ROUNDING = 1e-9  # Rounding error of a number of steps
 

@@ -33,23 +33,26 @@ from hitchopt.values import Array
 
 CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of the time step
 
-# Settling time before the flight [s], and its first part in which the tension grows while drones
-# move from the ends of loose cables to the first setpoint: sudden tension would tear loose clasps
-SETTLE_TIME, TIGHTENING_TIME = 2.5, 1.5
+SETTLE_TIME = 2.5  # Settling time before the flight [s]
+# Its first part, in which the tension grows while drones move from the ends of loose cables to
+# the first setpoint [s]: sudden tension would tear loose clasps
+TIGHTENING_TIME = 1.5
 
 SETTLE_DAMPING = 40.0  # Initial damping of cables while they settle, against whipping [1/s]
 MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do not whip
 REST_TIME = 1.0  # Rest after the flight, before it is evaluated [s]
 
-# Pull test: tension over the plan's, and duration [s]; the tension grows during its first half
-PULL_RATIO, PULL_TIME = 1.5, 2.0
+PULL_RATIO = 1.5  # Tension of the pull test over the plan's
+PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its first half
 
-FRAME_PERIOD, TOUCH_PERIOD = 0.04, 0.02  # Of cable shapes and of contact searches [s]
+FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
+TOUCH_PERIOD = 0.02  # Period of searches for contacts [s]
 REPORT_PERIOD = 50  # Samples between two calls of ``progress``
 
-# Time after the loss of a drone [s], and substeps during it: fast sliding at its clasp would strain
-# ropes by more than 2 %
-LOSS_TIME, LOSS_SUBSTEPS = 2.5, 3
+LOSS_TIME = 2.5  # Time after the loss of a drone with more substeps [s]
+# Number of substeps during that time: fast sliding at its clasp would strain ropes by more than 2
+# %
+LOSS_SUBSTEPS = 3
 
 REST_HEIGHT = BODY_HALF_HEIGHT + 0.005  # Height of the centre of a drone on the ground [m]
 ROUNDING = 1e-9  # Rounding error of sums of periods [s]

@@ -35,9 +35,9 @@ ROUNDING = 1e-5  # Rounding error of sample times [s]
 MAX_SLIP = 0.10  # Largest slip of a vertex along its cables in the pull test [m]
 AVERAGING_TIME = 1.0  # Final time of rest and pull test over which values are averaged [s]
 
-# Largest distance [m] of an object from its planned position, beyond the tracking errors of the
-# plan, and largest angle [°] from its attitude
-MAX_DISTANCE, MAX_ANGLE = 0.03, 5.0
+# Largest distance of an object from its planned position, beyond the plan's tracking errors [m]
+MAX_DISTANCE = 0.03
+MAX_ANGLE = 5.0  # Largest angle of an object from its planned attitude [°]
 
 # Largest depth of a carried object below its planned height, beyond the tracking errors [m]
 MAX_DROP = 0.05
@@ -55,7 +55,9 @@ WEIGHTLESS += "holds; state team.cable_density, or give density="
 SEVERAL = "controllers fly as one, the ideal one; controller= names another"
 NOT_FLOWN = "drones are at their setpoints, without cables; only hitches are simulated"
 
-SUCCEEDED, FAILED, NOT_SIMULATED = "succeeded", "failed", "not simulated"
+SUCCEEDED = "succeeded"  # Verdict of a flight that holds
+FAILED = "failed"  # Verdict of a flight that does not hold
+NOT_SIMULATED = "not simulated"  # Verdict of a flight that leaves the simulation's valid range
 
 # Failures of the simulation itself: at its start, or by leaving its valid range
 UNSIMULATED = START, INVALID = "start", "invalid"

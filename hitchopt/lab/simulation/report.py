@@ -47,19 +47,25 @@ from hitchopt.view.scene import Scene, recorded_scene
 
 FORMAT = "hitchopt-simulation/1"
 
-SUMMARY, PICTURES = "simulation.json", ("simulation.png", "simulation.svg", "simulation.pdf")
-VERTICES, CABLES, DRONES = "vertices.csv", "cables.csv", "drones.csv"
-OBJECTS, CAMPAIGN, RUNS = "objects.csv", "campaign.json", "runs.csv"
+SUMMARY = "simulation.json"  # Figures and settings of a flight
+PICTURES = ("simulation.png", "simulation.svg", "simulation.pdf")  # Pictures of a flight
+VERTICES = "vertices.csv"  # Table of vertices
+CABLES = "cables.csv"  # Table of cables
+DRONES = "drones.csv"  # Table of drones
+OBJECTS = "objects.csv"  # Table of objects
+CAMPAIGN = "campaign.json"  # Figures of several flights
+RUNS = "runs.csv"  # Table of several flights
 
 # Names that belong to hitchopt in the directory of results; other files are never touched
 OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, *PICTURES, CAMPAIGN, RUNS)
 
-# Width and height [inch], and width ratios of storyboard and plots, as in a plan's summary
-SIZE, WIDTHS = (13.0, 7.2), (1.25, 1.0)
+SIZE = (13.0, 7.2)  # Width and height of the picture [inch]
+WIDTHS = (1.25, 1.0)  # Width ratios of storyboard and plots, as in a plan's summary
 PAGE_PLOT = 1.3  # Height of a plot on a page [inch]
 MEAN_TIME = 0.2  # Averaging time of thick tension curves [s]
 MAX_LABELS = 6  # Largest number of vertices in the legend
-ROPE_RADIUS, MAX_ROPE_RADIUS = 0.005, 0.02  # Of drawn ropes, over the flight's extent; at most [m]
+ROPE_RADIUS = 0.005  # Radius of drawn ropes, over the flight's extent
+MAX_ROPE_RADIUS = 0.02  # Largest radius of drawn ropes [m]
 SHOT_TOLERANCE = 0.1  # Largest time between a shot and its frame [s]
 
 # Kinds of failures that do not depend on the state of the hitch at the end

@@ -44,7 +44,8 @@ from hitchopt.values.units import (
     deviation,
 )
 
-SHORT_LAG, MOTOR_LAG = 0.02, 0.03  # Time constants of the motors' thrust [s]
+SHORT_LAG = 0.02  # Time constant of the motors' thrust, to which the attitude loop adds [s]
+MOTOR_LAG = 0.03  # Time constant of the motors' thrust of a flight controller [s]
 IDEAL = "ideal"  # Name of the simplified controller, and of exact states in place of a filter
 MAX_SEED = 2**63 - 1
 

@@ -26,9 +26,10 @@ from hitchopt.values import Array
 
 Index = NDArray[np.intp]
 
-# Collision groups: ropes collide with ropes and ground, drones with ground and objects, nodes of
-# ropes with objects, and objects with feet of other objects
-ROPES, GROUND, OBJECTS = 1, 2, 4
+ROPES = 1  # Collision group of ropes, which collide with ropes and ground
+GROUND = 2  # Collision group of ground and objects, with which drones collide
+# Collision group of objects, which collide with feet of other objects and nodes of ropes
+OBJECTS = 4
 
 # Contact stiffness; with MuJoCo's softer defaults ropes pass through each other
 CONTACT_SOLVER = 'solref="0.002 1" solimp="0.99 0.999 0.001"'
@@ -38,7 +39,8 @@ CONTACT_SOLVER = 'solref="0.002 1" solimp="0.99 0.999 0.001"'
 FRICTION_STIFFNESS_RATIO = 100
 
 MIN_GROUND_FRICTION = 0.3  # Smallest friction coefficient of the ground
-BODY_RADIUS, BODY_HALF_HEIGHT = 0.07, 0.03  # Half-axes of the ellipsoid that a drone occupies [m]
+BODY_RADIUS = 0.07  # Horizontal semi-axis of the ellipsoid that a drone occupies [m]
+BODY_HALF_HEIGHT = 0.03  # Vertical semi-axis of that ellipsoid [m]
 
 # Radii of gyration of a drone about its axes, over its radius: four motors on arms, and a central
 # mass
@@ -52,26 +54,32 @@ PREFIX = "object "  # Prefix of objects in names of bodies
 RIM_THICKNESS = 0.01  # Above the height of a rim [m]: ropes pass through thin sheets
 RIGHT_ANGLE = 1e-9  # Largest cosine of a right angle
 
-# Objects stand on balls of a radius [m] within their bottom and top, at least FEET in each ring of
-# a relative size. Without them, MuJoCo finds wrong contacts of cylinders and meshes that only
-# touch, and tilted cylinders roll along the edge of their floor forever
-FOOT, FEET, RINGS = 0.002, 8, (0.98, 0.4)
+# Radius of the balls within their bottom and top on which objects stand [m]. Without them, MuJoCo
+# finds wrong contacts of cylinders and meshes that only touch, and tilted cylinders roll along
+# the edge of their floor forever
+FOOT = 0.002
+FEET = 8  # Minimum number of these balls in a ring
+RINGS = (0.98, 0.4)  # Sizes of the rings, over the object's
 
-# Time constant [s] and impedances of the length constraints, and smallest time constant in time
-# steps, which is used with objects, as ropes that hold them would stretch by a per cent
-EDGE_TIME, EDGE_IMPEDANCE, EDGE_STEPS = 0.002, 'solimp="0.999 0.9999 0.0005"', 2.5
+EDGE_TIME = 0.002  # Time constant of the length constraints [s]
+EDGE_IMPEDANCE = 'solimp="0.999 0.9999 0.0005"'  # Impedances of the length constraints
+# Smallest time constant in time steps, which is used with objects, as ropes that hold them would
+# stretch by a per cent
+EDGE_STEPS = 2.5
 
-# Largest rotation of a link within the time constant t, as links that turn at a rate ω are strained
-# by ``(ω t)²``, and smallest time constant over the largest
-MAX_LINK_TURN, MIN_EDGE_TIME_RATIO = 0.07, 0.06
+# Largest rotation of a link within the time constant t, as links that turn at a rate ω are
+# strained by ``(ω t)²``
+MAX_LINK_TURN = 0.07
+MIN_EDGE_TIME_RATIO = 0.06  # Smallest time constant over the largest
 
-# Smallest and largest ratio of time constants in successive steps of loose and of taut ropes, which
-# would jerk
-LOOSE_CHANGES, TAUT_CHANGES = (0.8, 1.05), (0.95, 1.002)
+# Smallest and largest ratio of time constants in successive steps of loose ropes, which would
+# jerk
+LOOSE_CHANGES = (0.8, 1.05)
+TAUT_CHANGES = (0.95, 1.002)  # The same of taut ropes
 
-# Largest strain of a segment, and largest penetration of ropes over the diameter, beyond which they
-# may pass through each other
-MAX_STRAIN, MAX_PENETRATION = 0.02, 0.3
+MAX_STRAIN = 0.02  # Largest strain of a segment, beyond which ropes may pass through each other
+# Largest penetration of ropes over the diameter, beyond which they may pass through each other
+MAX_PENETRATION = 0.3
 
 FINER = "preset accurate or a higher density"  # Remedies of coarse ropes
 

@@ -55,34 +55,41 @@ from hitchopt.storage.archive import PLAN, reading
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path
 
-# Windows in which stiffness, friction and sliding rates are estimated [s]. In windows of 0.5 s
-# tensions correlate with the drones' noise, and the stiffness is biased by up to 24 %
-STIFFNESS_WINDOW, FRICTION_WINDOW, RATE_WINDOW = 6.0, 0.5, 0.2
+# Window in which a stiffness is estimated [s]. In windows of 0.5 s tensions correlate with the
+# drones' noise, and the stiffness is biased by up to 24 %
+STIFFNESS_WINDOW = 6.0
+FRICTION_WINDOW = 0.5  # Window in which friction is estimated [s]
+RATE_WINDOW = 0.2  # Window in which sliding rates are estimated [s]
 
 ROUNDS = 3  # Solutions of the problem, each weighted by the scatter of the previous one
 MAX_EVALUATIONS = 200  # Of residuals in each solution
 
-# Smallest scatter in long and short windows, of displacements [m] and of forces over the tension,
-# and initial scatter over the smallest. Lines of thick ropes cross beside their contact: with
-# forces balanced to 0.3 % instead of 4 %, downwash would bias the stiffness by a factor of two
-LONG_SCATTER, SHORT_SCATTER, INITIAL_SCATTER = (5e-4, 4e-2), (1e-2, 3e-3), 5.0
+# Smallest scatter in long windows, of displacements [m] and of forces over the tension. Lines of
+# thick ropes cross beside their contact: with forces balanced to 0.3 % instead of 4 %, downwash
+# would bias the stiffness by a factor of two
+LONG_SCATTER = (5e-4, 4e-2)
+# Smallest scatter in short windows, of displacements [m] and of forces over the tension
+SHORT_SCATTER = (1e-2, 3e-3)
+INITIAL_SCATTER = 5.0  # Initial scatter over the smallest
 
 INITIAL_STIFFNESS = 5.0  # Initial guess of a stiffness that the team does not state [N/m]
 
-# Prior standard deviations: of the logarithm of a stiffness, of a steady wind's force [N], of a
-# coefficient of friction, and of fixed values
-STIFFNESS_RANGE, WIND_SCALE, FRICTION_SCALE, FIXED = 3.0, 0.2, 10.0, 1e-6
+STIFFNESS_RANGE = 3.0  # Prior standard deviation of the logarithm of a stiffness
+WIND_SCALE = 0.2  # Prior standard deviation of a steady wind's force [N]
+FRICTION_SCALE = 10.0  # Prior standard deviation of a coefficient of friction
+FIXED = 1e-6  # Prior standard deviation of fixed values
 
-# Standard deviations of the friction used by a leg that sticks, and of the logarithm of the tension
-# ratio of one that slides
-STICKING_SCATTER, SLIDING_SCATTER = 0.5, 0.01
+STICKING_SCATTER = 0.5  # Standard deviation of the friction used by a leg that sticks
+# Standard deviation of the logarithm of the tension ratio of a leg that slides
+SLIDING_SCATTER = 0.01
 
-# Relative standard errors of a stiffness due to effects outside the model, such as the ropes'
-# thickness, and of a friction coefficient due to the angles below
-MODEL_ERROR, GEOMETRY_ERROR = 0.03, 0.15
+# Relative standard error of a stiffness due to effects outside the model, such as the ropes'
+# thickness
+MODEL_ERROR = 0.03
+GEOMETRY_ERROR = 0.15  # Relative standard error of a friction coefficient due to the angles below
 
-# Largest errors of determined quantities: of a stiffness, relative, and of a friction, absolute
-MAX_STIFFNESS_ERROR, MAX_FRICTION_ERROR = 0.25, 0.1
+MAX_STIFFNESS_ERROR = 0.25  # Largest relative error of a stiffness that is determined
+MAX_FRICTION_ERROR = 0.1  # Largest error of a friction coefficient that is determined
 
 # Turns of cables in the plane [rad], ratios of turns in space to these, and cosines between cables
 # at the contact, of simulated hitches at rest without friction (10 g/m at 0.5 N)
@@ -94,9 +101,9 @@ COSINES = np.array([1.0, 0.877, 0.737, 0.559, 0.393, 0.245, -0.046])
 # contacts: in simulations friction has a third of its full value at 2 mm/s
 UNCERTAIN_RATE = 1e-2
 
-# Smallest sliding rates of a window in which cables slide [m/s]: measured, and planned in the same
-# direction, which excludes sliding by noise
-MIN_RATE, MIN_PLANNED_RATE = 1e-2, 5e-3
+MIN_RATE = 1e-2  # Smallest measured sliding rate of a window in which cables slide [m/s]
+# Smallest planned sliding rate in the same direction [m/s], which excludes sliding by noise
+MIN_PLANNED_RATE = 5e-3
 
 MIN_PART = 0.05  # Smallest length of a part that is assumed for the error of its direction [m]
 MAX_DISTANCE = 0.5  # Largest median distance of drones from the plan that was flown [m]

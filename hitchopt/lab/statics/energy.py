@@ -36,21 +36,24 @@ TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
 TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension
 COMPLEX_STEP = 1e-30  # Step of complex-step derivatives [m], [N]
 
-# Force tolerances of all nodes [N], without friction and with it, and rounding error of forces over
-# the cables' stiffness times the coordinates
-FORCE_TOLERANCE, FRICTION_TOLERANCE = 1e-11, 1e-7
+FORCE_TOLERANCE = 1e-11  # Force tolerance of all nodes without friction [N]
+FRICTION_TOLERANCE = 1e-7  # Force tolerance of all nodes with friction [N]
+# Rounding error of forces over the cables' stiffness times the coordinates
 FORCE_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
 
-# Damping added to the Hessian's diagonal [N/m]: always, as clasps of slack cables are free; after
-# the first failed step; and at most
-MIN_DAMPING, FIRST_DAMPING, MAX_DAMPING = 1e-9, 1e-3, 1e6
+# Damping that is always added to the Hessian's diagonal [N/m], as clasps of slack cables are free
+MIN_DAMPING = 1e-9
+FIRST_DAMPING = 1e-3  # Damping after the first failed step [N/m]
+MAX_DAMPING = 1e6  # Largest damping [N/m]
 
-# Largest numbers of Newton iterations, of those per friction level, and of halvings of a step
-NEWTON_ITERATIONS, FRICTION_ITERATIONS, HALVINGS = 200, 20, 30
+NEWTON_ITERATIONS = 200  # Largest number of Newton iterations
+FRICTION_ITERATIONS = 20  # Largest number of Newton iterations per friction level
+HALVINGS = 30  # Largest number of halvings of a step
 
 DESCENT = 1e-4  # Fraction of the linear decrease that a step must attain (Armijo)
 ROUNDING = 1e-14  # Relative rounding error of energies
-MAX_STEP, MAX_FRICTION_STEP = 0.3, 0.1  # Largest displacements of a node in a step [m]
+MAX_STEP = 0.3  # Largest displacement of a node in a step without friction [m]
+MAX_FRICTION_STEP = 0.1  # Largest displacement of a node in a step with friction [m]
 INTEGRAL_ERROR = 1e-4  # Position error within which an integral's force is not saturated [m]
 
 # Fractions of the friction coefficient on the continuation path to an end of the band

@@ -30,8 +30,8 @@ from hitchopt.values import Array, check_instance
 from hitchopt.values.fields import Key, keys_of
 from hitchopt.values.units import AXIAL_FORCE, STIFFNESS
 
-# Smallest positive and largest finite number
-POSITIVE, LARGEST = (getattr(np.finfo(np.float64), name) for name in ("tiny", "max"))
+POSITIVE = float(np.finfo(np.float64).tiny)  # Smallest positive number
+LARGEST = float(np.finfo(np.float64).max)  # Largest finite number
 
 # Values of the plan, and conditions with an axis of samples, and their numbers of other axes
 PLANNED = {"t": 0, "positions": 2, "vertices": 2, "tensions": 1, "cable_forces": 2}
@@ -47,9 +47,10 @@ AXIAL_STIFFNESS = 1e4
 MAX_RESIDUAL = 1e-6  # Largest force residual of a solution [N]
 BLOCK = 4000  # Cables of all samples that are solved at once, to bound memory
 
-# A cable is slack if a level span of its largest length would sag by more than the chord over the
-# first number, or if its tension over the planned one is below the second
-SAG_RATIO, SLACK_RATIO = 4.0, 1e-6
+# A cable is slack if a level span of its largest length would sag by more than the chord over
+# this
+SAG_RATIO = 4.0
+SLACK_RATIO = 1e-6  # A cable is slack if its tension over the planned one is below this
 
 
 def _stiffness(key: str, value: object) -> float:

@@ -22,18 +22,20 @@ from hitchopt.lab.statics.tolerance import Tolerance
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.view import style
 
-STATICS_FORMAT, FIT_FORMAT = "hitchopt-statics/1", "hitchopt-fit/1"
+STATICS_FORMAT = "hitchopt-statics/1"  # Format of files of equilibria
+FIT_FORMAT = "hitchopt-fit/1"  # Format of files of fits
 
-# Widths and heights [inch], and height of a legend on a page
-STATICS_SIZE, FIT_SIZE, PAGE_LEGEND = (12.5, 4.8), (12.0, 5.0), 1.0
+STATICS_SIZE = (12.5, 4.8)  # Width and height of the picture of equilibria [inch]
+FIT_SIZE = (12.0, 5.0)  # Width and height of the picture of a fit [inch]
+PAGE_LEGEND = 1.0  # Height of a legend on a page [inch]
 FIT_SHARE = 0.8  # Height of a polygon on a page over its width
 
 # Line style of the plan, and points of a unit circle
 PLANNED: dict[str, Any] = {"color": style.INK, "linestyle": style.DASHES, "linewidth": 0.8}
 CIRCLE = np.exp(2j * np.pi * np.linspace(0.0, 1.0, 121)).view(np.float64).reshape(-1, 2)
 
-# Colours of the times at which vertices are drawn, and most cables in a legend
-TIME_COLOURS, MAX_NAMED = ("#9ecae1", "#4292c6", "#08306b"), 8
+TIME_COLOURS = ("#9ecae1", "#4292c6", "#08306b")  # Colours of the times at which vertices are drawn
+MAX_NAMED = 8  # Maximum number of cables in a legend
 MAX_DRAWN_RATIO = 3.0  # Largest drawn tension of a range, over the largest at rest
 
 

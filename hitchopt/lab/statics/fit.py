@@ -40,11 +40,13 @@ from hitchopt.values import integer, points, positive
 from hitchopt.values.fields import Key, Record, with_fields
 from hitchopt.values.units import CABLE_LENGTH, DISTANCE, FRICTION, LENGTH, TENSION
 
-GRIP, REST = "grip", "rest"
+GRIP = "grip"  # Method of holding an object by cables that are wrapped around it
+REST = "rest"  # Method of holding an object whose rim lies on the clasps
 SAFETY = 1.5  # Smallest ratio of slip load to load
 MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
-TIED_STEP, TIED_STEPS = 0.2, 15  # Step of the lengths of two cables [m], and their number
+TIED_STEP = 0.2  # Step of the lengths of two cables [m]
+TIED_STEPS = 15  # Number of lengths of two cables that are tried
 TIED_DENSITY = 0.005  # Of two cables, which are not tied without weight [kg/m]
 
 

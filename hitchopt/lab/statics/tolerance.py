@@ -41,8 +41,8 @@ from hitchopt.values.fields import Key, Kind
 DEVIATIONS = 3.0  # Standard deviations that a range covers: 99.7 % of normal errors
 PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
 
-# Default number of times at which ranges are computed, and candidate times for each
-SAMPLES, CANDIDATES = 25, 20
+SAMPLES = 25  # Default number of times at which ranges are computed
+CANDIDATES = 20  # Number of candidate times for each of these
 
 TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
 CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are evaluated

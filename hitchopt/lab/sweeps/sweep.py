@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 
     from hitchopt.plan import Plan
 
-ROWS, STUDY, PICTURE, FORMAT = "rows.jsonl", "study.json", "sweep.png", "hitchopt-sweep/1"
+ROWS = "rows.jsonl"  # Results, one row per line
+STUDY = "study.json"  # The study, as it was read
+PICTURE = "sweep.png"  # Picture of the results
+FORMAT = "hitchopt-sweep/1"  # Format of the study's file
 
 PARAMETER = "parameter."  # Prefix of the columns of parameters
 SEAL = "sha256"  # Key of the digest of a row's other columns
@@ -52,7 +55,9 @@ FIGURES = {"duration": "duration [s]", "simulate.peak_tension": "largest tension
 Row = dict[str, Any]
 """A row of the results, by column; unknown values are None."""
 
-PLANNED, FAILED = "planned", "failed"  # Values of the column ``status``, besides those of errors
+PLANNED = "planned"  # Value of the column ``status`` of a case with a plan
+# Value of the column ``status`` of a case without a plan, besides those of errors
+FAILED = "failed"
 
 STATUS = {TimeLimitError: "time limit", InfeasibleError: "infeasible", InputError: "wrong"}
 """Statuses of errors; other errors are FAILED."""

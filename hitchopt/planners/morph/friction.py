@@ -78,12 +78,16 @@ def feedforward_matters(motion: Motion) -> bool:
     return slip is not None and (feedforward is None or feedforward.lean >= MIN_LEAN)
 
 
-SWINGS, SWING = 4, 1.25  # Number of swings that settle the clasps, and duration of a swing [s]
+SWINGS = 4  # Number of swings that settle the clasps
+SWING = 1.25  # Duration of a swing [s]
 
-FIRST_SHARE, LAST_SHARE = 0.65, 0.35
-"""Shares of the friction of one cable in the first and the last swing. Both cables of a clasp slide
-at once, for which half to 0.7 suffices. With a first share of 0.75, simulated vertices jump by up
-to 12 cm while legs turn, and tensions peak; with 0.65 they move by up to 6 cm."""
+FIRST_SHARE = 0.65
+"""Share of the friction of one cable in the first swing. Both cables of a clasp slide at once, for
+which half to 0.7 suffices. With 0.75, simulated vertices jump by up to 12 cm while legs turn, and
+tensions peak; with 0.65 they move by up to 6 cm."""
+
+LAST_SHARE = 0.35
+"""Share of the friction of one cable in the last swing."""
 
 
 def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, float] | None:
@@ -181,9 +185,11 @@ def _hermite(breaks: Array, both: Array) -> PiecewisePolynomial:
 DEGREE = 5  # Degree of the friction splines, with four continuous derivatives
 KNOT_SPACING = 0.4  # [s] Spacing of their knots, with which friction reverses within a second
 
-MIN_INTERVALS, MAX_INTERVALS = 4, 200
-"""Bounds of the number of knot intervals: they limit the speed at which legs lean in short motions,
-and the number of pieces of long ones."""
+MIN_INTERVALS = 4
+"""Minimum number of knot intervals, which limits the speed at which legs lean in short motions."""
+
+MAX_INTERVALS = 200
+"""Maximum number of knot intervals, which limits the number of pieces of long motions."""
 
 ZERO_COEFFICIENTS = 3
 """Number of zero coefficients at both ends, where legs are at rest and without friction."""

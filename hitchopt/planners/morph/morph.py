@@ -67,8 +67,11 @@ class StraightMorph:
 MIN_ANGLE = math.radians(0.01)
 """[rad] Smallest exterior angle on a path, below which the clasp's bisector is inaccurate."""
 
-MIN_EDGE, MIN_LEG = 1e-3, 1e-3
-"""[m] Shortest edge and leg on a path, below which their directions are inaccurate."""
+MIN_EDGE = 1e-3
+"""[m] Shortest edge on a path, below which its direction is inaccurate."""
+
+MIN_LEG = 1e-3
+"""[m] Shortest leg on a path, below which its direction is inaccurate."""
 
 SHAPE_SAMPLES = 401  # Number of points of the path at which shapes are checked before timing
 

@@ -29,9 +29,12 @@ from hitchopt.values import Array, Indices
 
 PLANE_MARGIN = 0.01  # Margin of every plane, in separations; OSQP's residuals are some thousandths
 
-DEVIATION_WEIGHT, ROUGHNESS_WEIGHT = 1.0, 3e-7
-"""Weights of the squared distance to the nominal curves and of the squared third derivative, for
-lengths relative to the longest route and a duration of one."""
+DEVIATION_WEIGHT = 1.0
+"""Weight of the squared distance to the nominal curves, for lengths relative to the longest route.
+"""
+
+ROUGHNESS_WEIGHT = 3e-7
+"""Weight of the squared third derivative, for such lengths and a duration of one."""
 
 PLANE_PENALTY = 10.0  # Penalty weight of a squared slack of a plane or tether
 
@@ -208,12 +211,17 @@ def _add_limits(
 SOLVER_TOLERANCE = 1e-3
 """Absolute and relative tolerance of OSQP, for rows that are scaled to about one."""
 
-NEAR_RANGE, ADDED_RANGE = 0.1, 0.05
-"""Distances to their bounds below which rows are enforced at first, where all changes are zero, and
-below which they are added together with violated rows."""
+NEAR_RANGE = 0.1
+"""Distance to their bounds below which rows are enforced at first, where all changes are zero."""
 
-CHUNK, INITIAL_STEP = 100, 0.1
-"""Iterations of OSQP before all rows are checked, and its first step size ρ."""
+ADDED_RANGE = 0.05
+"""Distance to their bounds below which rows are added together with violated rows."""
+
+CHUNK = 100
+"""Iterations of OSQP before all rows are checked."""
+
+INITIAL_STEP = 0.1
+"""First step size ρ of OSQP."""
 
 MAX_ITERATIONS = 1500
 """Maximum iterations of OSQP. The last iterate is used; later programs correct its residuals."""
@@ -277,8 +285,11 @@ def _settings() -> dict[str, float | bool]:
 
 LEVEL_TOLERANCE = 1e-6  # Largest vertical component of horizontal normals
 
-NORMAL_SLOPE, SLOPE_SEPARATION = 1e-2, 2.0
-"""Upward slope of horizontal normals per separation, and separation from which on it is zero."""
+NORMAL_SLOPE = 1e-2
+"""Upward slope of horizontal normals per separation."""
+
+SLOPE_SEPARATION = 2.0
+"""Separation from which on that slope is zero."""
 
 CURVE_SAMPLES = 17  # Number of samples of a piece that locate its nearest point
 

@@ -43,23 +43,36 @@ SPEEDUP = 0.85
 MIN_DURATION_RATIO = 1.03
 """Smallest target duration over that of single flights; splines cannot be faster."""
 
-GOOD_RATIO, FAIR_RATIO = 1.05, 1.15
-"""Durations over that of single flights at which the search ends, and at which it ends after
-MAX_IDLE_ROUNDS_FAIR without improvement."""
+GOOD_RATIO = 1.05
+"""Duration over that of single flights at which the search ends."""
+
+FAIR_RATIO = 1.15
+"""Duration over that of single flights at which the search ends after MAX_IDLE_ROUNDS_FAIR."""
 
 MIN_GAIN = 0.02  # Smallest relative improvement
 
-DAMPING, DAMPING_FACTOR = 1e-4, 10.0
-"""Weight of squared changes in a program, as in Levenberg and Marquardt's method, and its increase
-after every round without improvement."""
+DAMPING = 1e-4
+"""Weight of squared changes in a program, as in Levenberg and Marquardt's method."""
 
-MAX_IDLE_ROUNDS_FAIR, MAX_IDLE_ROUNDS, MAX_IDLE_ROUNDS_UNCLEAR = 2, 3, 6
-"""Maximum number of consecutive rounds without improvement: of fair, clear and other curves."""
+DAMPING_FACTOR = 10.0
+"""Increase of that weight after every round without improvement."""
+
+MAX_IDLE_ROUNDS_FAIR = 2
+"""Maximum number of consecutive rounds without improvement of fair curves."""
+
+MAX_IDLE_ROUNDS = 3
+"""Maximum number of consecutive rounds without improvement of clear curves."""
+
+MAX_IDLE_ROUNDS_UNCLEAR = 6
+"""Maximum number of consecutive rounds without improvement of other curves."""
 
 UNCLEAR_MERIT = 1e9  # Merit of curves that violate a limit at any speed, per missing separation
 
-PLANE_RANGE, CROWD_PLANE_RANGE = 1.0, 0.5
-"""Separations [1] in excess of the limit up to which pairs of pieces have a plane; in crowds."""
+PLANE_RANGE = 1.0
+"""Separation [1] in excess of the limit up to which pairs of pieces have a plane."""
+
+CROWD_PLANE_RANGE = 0.5
+"""The same in crowds."""
 
 LARGE_CROWD = 256
 """Number of drones from which on a program moves only those that are too close, and the search ends

@@ -259,8 +259,11 @@ MIN_COEFFICIENT = 1e-4
 BOUNDARY_SHARE = 0.99  # Largest step over the distance to the nearest bound
 MIN_SLACK_SHARE = 1e-3  # Smallest slack after a step, over that before
 
-BACKTRACK_FACTOR, MIN_STEP_SHARE = 0.7, 1e-8
-"""Factor that shortens steps that violate a row, and share of a step at which the search ends."""
+BACKTRACK_FACTOR = 0.7
+"""Factor that shortens steps that violate a row."""
+
+MIN_STEP_SHARE = 1e-8
+"""Share of a step at which the search ends."""
 
 CENTRING = 0.1  # Target of the duality gap in a step, over the current gap
 

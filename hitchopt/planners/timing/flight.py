@@ -191,9 +191,11 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     return knots
 
 
-SPANS, SPAN_COEFFICIENTS = 8, 8
-"""Number of spans of a piece and of the coefficients on each, as of the drones' septic pieces. They
-enclose rates to within about 0.1 %."""
+SPANS = 8
+"""Number of spans of a piece. They enclose rates to within about 0.1 %."""
+
+SPAN_COEFFICIENTS = 8
+"""Number of coefficients on each span, as of the drones' septic pieces."""
 
 FORCE_STRETCH_SHARE = 0.9
 """Estimated stretch for forces, over that for rates, below which it is not computed."""

@@ -18,9 +18,11 @@ from hitchopt.values import Array
 
 PHASE_TOLERANCE = 1e-9  # [s] Shorter phases of a profile are dropped
 
-MIN_PHASE, LIMIT_FACTORS = 5e-4, (1.0, 0.98, 0.96)
-"""[s] Shortest phase whose derivatives are accurate, and factors of limits that avoid shorter ones,
-in the order of the search."""
+MIN_PHASE = 5e-4
+"""[s] Shortest phase whose derivatives are accurate."""
+
+LIMIT_FACTORS = (1.0, 0.98, 0.96)
+"""Factors of limits that avoid shorter phases, in the order of the search."""
 
 
 def fastest_ramps(
