@@ -204,6 +204,7 @@ mission: [{hold: {seconds: 1}}]
 """
 
 # fmt: off
+DISC, WIDE = ho.Section(radius=0.2), ho.Section([[-175, 125], [175, 125], [175, -125]])
 UNUSUAL: list[tuple[Callable[[], object], str]] = [
     (lambda: ho.Team(3, 2400), "2400 m; usual values are 0.05 to 100 m; if millimetres"),
     (lambda: ho.Team(3, [2.4, 240, 2.4]), r"cable_length\[1\]: 240 m; .* if centimetres .* 2.4"),
@@ -214,6 +215,14 @@ UNUSUAL: list[tuple[Callable[[], object], str]] = [
     (lambda: ho.Limits(tilt_deg=0.785), "tilt_deg: 0.785 °; .* if radians were meant, 45"),
     (lambda: ho.Limits(body_rate=200), "body_rate: 200 rad/s; .* degrees per second"),
     (lambda: ho.Arena([-4e3, -4, 0], [4] * 3), r"lower\[0\]: -4000 m; .* millimetres"),
+    (lambda: ho.SolidObject(DISC, upper=300), "upper: 300 m; .* millimetres were meant, 0.3"),
+    (lambda: ho.SolidObject(DISC, mass=80), "mass: 80 kg; .* grams were meant, 0.08"),
+    (lambda: ho.SolidObject(DISC, friction=50), "friction: 50 .* per cent were meant, 0.5"),
+    (lambda: ho.SolidObject(ho.Section(radius=120)), r"section.radius: 120 m; .* millimetres"),
+    (lambda: ho.SolidObject(WIDE), r"section.outline: 175 m; .* millimetres were meant, 0.175"),
+    (lambda: ho.SolidObject(DISC, upper=20, rim=ho.Rim(ho.Section(radius=25), 1)), "rim.section"),
+    (lambda: ho.Tube(5, 0.05), "level: 5 m; .* centimetres were meant, 0.05"),
+    (lambda: ho.Tube(0.05, 50), "height: 50 m; .* millimetres were meant, 0.05"),
     (lambda: ho.Hold(2e5), "seconds: 200000 s; .* if milliseconds were meant, 200"),
     (lambda: ho.Transport(ORIGIN, 30), "yaw: 30 rad, more than a turn; .* meant, 0.524"),
 ]

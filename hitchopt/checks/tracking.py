@@ -379,6 +379,8 @@ TRACKING_RADIUS = ReportRule(
     "min",
     _radius,
     limit=lambda motion: motion.requirements.limits.tube.level or None,
-    remedy="give cables or polygons more room, stiffer gains, or lower limits.tracking",
-    free_remedy="place the robots farther apart, give stiffer gains, or lower limits.tracking",
+    remedy="give cables or polygons more room or stiffer gains, or state limits.tracking as "
+    "measured, if that is less",
+    free_remedy="place the robots farther apart, give stiffer gains, or state limits.tracking as "
+    "measured, if that is less",
 )

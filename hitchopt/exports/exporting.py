@@ -483,6 +483,7 @@ def _export_part(
             "not_carried": verdict.not_carried,
             "feed_forward": feed_forward if task.motion.has_cables else NO_CABLE_FORCE,
             "undetermined_tension": list(task.undetermined),
+            "tracking": _tracking_facts(task.motion),
             "notes": list(notes),
             "files": sorted(written.files),
             "digests": {name: digest(folder / name) for name in sorted(written.files)},
@@ -492,6 +493,20 @@ def _export_part(
         goes_slack = any(SLACK in reason for reason in task.undetermined)
         return Export(folder, written.files, verdict, notes, task.begins, goes_slack)
     raise refusals[-1]
+
+
+def _tracking_facts(motion: Motion) -> dict[str, Any]:
+    """Return the tracking errors [m] that distances allow for, those by gains, and warnings."""
+    groups = [(each.name, each.motion) for each in motion.groups]
+
+    def by_group(tube_of: Callable[[Motion], Tube]) -> dict[str, Any]:
+        return {name: asdict(tube_of(own)) for name, own in groups}
+
+    return {
+        "allowed_for_m": by_group(lambda own: own.requirements.limits.tube),
+        "by_gains_m": by_group(lambda own: Tube.of(own.team.tracking)),
+        "understated": list(tracking_warnings(motion)),
+    }
 
 
 def _manifest_head(kind: Format, task: ExportTask) -> dict[str, Any]:

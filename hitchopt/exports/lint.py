@@ -409,7 +409,10 @@ def _sequence_findings(names: Sequence[str], starts: Array, ends: Array) -> Iter
 
 
 def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iterator[Finding]:
-    """Yield differences from an export's manifest, and reasons why the tension is undetermined."""
+    """Yield differences from an export's manifest, and what it warns of.
+
+    That are reasons why the tension is undetermined, and understated tracking errors.
+    """
     if path.is_dir():
         manifest = read_manifest(path)
         files = {name: path / name for name in listed_names(manifest, "files")}
@@ -430,9 +433,11 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
             yield (error if file.suffix.lower() in kind.endings else note)("changed", name, reason)
     if (fleet := next(iter(files.values())).parent / SETTINGS).is_file():
         yield from _start_findings(fleet, contents, mapping_at(manifest, "start_offsets"))
-    reasons = manifest.get("undetermined_tension")
-    for reason in reasons if isinstance(reasons, list) else ():
-        yield warning("tension", "", str(reason))
+    understated = mapping_at(manifest, "tracking").get("understated")
+    reasons = {"tension": manifest.get("undetermined_tension"), "tracking": understated}
+    for rule, texts in reasons.items():
+        for text in texts if isinstance(texts, list) else ():
+            yield warning(rule, "", str(text))
 
 
 def _start_findings(

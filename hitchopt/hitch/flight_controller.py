@@ -73,8 +73,8 @@ class Tube(Record):
     InputError: a number out of its range, or a height with a level of zero.
     """
 
-    level: Annotated[float, Key(units.DISTANCE, "Largest horizontal error")]
-    height: Annotated[float, Key(units.DISTANCE, "Largest vertical error")]
+    level: Annotated[float, Key(units.TRACKING_ERROR, "Largest horizontal error")]
+    height: Annotated[float, Key(units.TRACKING_ERROR, "Largest vertical error")]
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -265,8 +265,8 @@ class TeamMission:
         if isinstance(self.start, HitchStart | Hitch):
             altitude = self.start.altitude
             start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
-            legs = self.start.q_legs if isinstance(self.start, Hitch) else self.start.legs
-            start["hitch"] |= shown_legs(legs)
+            if isinstance(self.start, HitchStart):
+                start["hitch"] |= shown_legs(self.start.legs)
             assignment = team.assignment or Assignment.fixed(team.robots)
             start["assignment"] = assignment.to_dict()  # of the plan that ended so
             team = team.of_problem

@@ -43,6 +43,10 @@ WIDENED = frozenset(
 """Checks of distances that ``limits.tracking`` widens."""
 
 
+OF_TWO = frozenset({"hinge", "tracking_radius"})
+"""Checks that errors in height break where two cables are tied around an object."""
+
+
 def _with_tracking_advice(
     error: InfeasibleError, requirements: Requirements, team: Team
 ) -> InfeasibleError:
@@ -57,16 +61,17 @@ def _with_tracking_advice(
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
     of_two = (
-        f"two cables are tied only if drones are off by no more upright than level: set "
-        f"limits.tracking to {tube.level:g} if it was measured, or use three robots"
+        f"two cables are hardly ever tied by drones that may be off by more upright than level, as "
+        f"here by {tube}: set limits.tracking to {tube.level:g} if it was measured"
     )
     tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
     violations = list[Violation]()
     for each in error.violations:
         if each.constraint in WIDENED:
             violations.append(replace(each, remedy=_remedy(each, advice)))
-        elif each.constraint == "tracking_radius" and tied_by_two and tube.ratio > 1.0:
-            violations.append(replace(each, remedy=of_two))
+        elif each.constraint in OF_TWO and tied_by_two and tube.ratio > 1.0:
+            own = f"{each.remedy}; " if each.constraint == "hinge" else ""
+            violations.append(replace(each, remedy=own + of_two))
         else:
             violations.append(each)
     return InfeasibleError(violations, error.note)

@@ -20,7 +20,7 @@ import numpy as np
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch import Swarm, Team
+from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.quadrotor import MEASURED, Quadrotor
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
@@ -28,6 +28,7 @@ from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 REMEDY = "do not edit plan files"
 
@@ -200,7 +201,7 @@ def objects_at(motion: Motion, end: Literal[0, -1] = 0) -> dict[str, SolidObject
     return {
         name: each
         if np.max(np.abs(pose - each.pose)) <= REST_DRIFT
-        else replace(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
+        else with_fields(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
         for pose, (name, each) in zip(poses, motion.requirements.objects.items(), strict=True)
     }
 
@@ -264,11 +265,27 @@ def check_request(request: Mapping[str, Any], motion: Motion) -> None:
             raise error.within(each.name) from error
 
 
-def _with_keys_of(given: Any, actual: Any) -> Any:
+def _with_keys_of(given: Any, actual: Any, motion: Motion) -> Any:
     """Return the entries of a mapping that another one has as well; other values as they are."""
-    if isinstance(given, Mapping) and isinstance(actual, Mapping):
-        return {key: actual[key] for key in given if key in actual}
-    return actual
+    if not (isinstance(given, Mapping) and isinstance(actual, Mapping)):
+        return actual
+    common = {key: actual[key] for key in given if key in actual}
+    return common | _unsagged(given, common, motion)
+
+
+def _unsagged(given: Mapping[str, Any], actual: Mapping[str, Any], motion: Motion) -> Any:
+    """Return the legs that are given, if actual ones are shorter by no more than sags.
+
+    Legs of a motion are chords; lengths exceed them by ``(ρ g / T)² d³ / 24``.
+    """
+    if given.get("legs") is None or actual.get("legs") is None:
+        return {}
+    wanted, chords = (np.asarray(each["legs"], dtype=np.float64) for each in (given, actual))
+    if wanted.shape != chords.shape:
+        return {}
+    share = GRAVITY * motion.team.cable_density / motion.team.tension
+    allowed = 2.0 * share**2 * wanted**3 / 24.0 + POSITION_TOLERANCE
+    return {"legs": given["legs"]} if np.all(np.abs(wanted - chords) <= allowed) else {}
 
 
 def _visited(places: Array, wanted: Sequence[Sequence[float]]) -> list[Array]:
@@ -287,7 +304,7 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     actual = request_of(motion)
     results, steps = actual.pop("mission"), request["mission"]
     start = {
-        key: _with_keys_of(given, actual["start"].get(key))
+        key: _with_keys_of(given, actual["start"].get(key), motion)
         for key, given in request["start"].items()
     }
     team_request = {key: value for key, value in request.items() if key != "mission"}
@@ -323,4 +340,5 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
             highest = float(np.max(places[:, 2]))
             result["route"] = {**route, "highest": highest, "via": _visited(places, route["via"])}
         compared = {key: result.get(key) for key in requested}
+        compared |= _unsagged(requested, compared, motion)
         check_same(f"request.mission[{i}]", requested, compared, "as requested", SLACK)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -25,9 +25,22 @@ from hitchopt.values import (
     points,
     positive,
 )
+from hitchopt.values.fields import points as points_kind
+from hitchopt.values.fields import with_fields
+from hitchopt.values.units import (
+    FRICTION,
+    OBJECT_HEIGHT,
+    OBJECT_MASS,
+    OBJECT_RADIUS,
+    USUAL_OUTLINE,
+    within_usual,
+)
 
 CONVEXITY_TOLERANCE = 1e-9
 """Largest depth of an outline's point inside the convex hull, relative to the outline's size."""
+
+
+CORNERS = within_usual(points_kind((None, 2), "x, y", 3), USUAL_OUTLINE, 0.2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,6 +250,18 @@ class Rim(ByValue):
         object.__setattr__(self, "height", coordinate("height", self.height))
 
 
+def _warn_of_units(section: Section, rim: Rim | None) -> None:
+    """Warn of sizes of an object that seem to be in another unit."""
+    sections = {"section": section} | ({} if rim is None else {"rim.section": rim.section})
+    for key, each in sections.items():
+        if each.radius is not None:
+            OBJECT_RADIUS.check(f"{key}.radius", each.radius)
+        else:
+            CORNERS.check(f"{key}.outline", each.outline)
+    if rim is not None:
+        OBJECT_HEIGHT.check("rim.height", rim.height)
+
+
 @dataclass(frozen=True, eq=False)
 class SolidObject(ByValue):
     """An upright rigid object of uniform density.
@@ -287,12 +312,13 @@ class SolidObject(ByValue):
             raise InputError("at", at, "a point [x, y, z]", "give three numbers in metres")
         position = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(position.tolist())])
         position.setflags(write=False)
+        _warn_of_units(section, rim)
         values = {
             "section": section,
-            "lower": coordinate("lower", lower),
-            "upper": coordinate("upper", upper),
-            "mass": positive("mass", mass),
-            "friction": nonnegative("friction", friction),
+            "lower": coordinate("lower", OBJECT_HEIGHT.check("lower", lower)),
+            "upper": coordinate("upper", OBJECT_HEIGHT.check("upper", upper)),
+            "mass": OBJECT_MASS.check("mass", positive("mass", mass)),
+            "friction": FRICTION.check("friction", nonnegative("friction", friction)),
             "at": position,
             "yaw": finite("yaw", yaw),
             "rim": rim,
@@ -336,7 +362,7 @@ class SolidObject(ByValue):
 
     def moved_to(self, place: Array) -> SolidObject:
         """Return the object with its base at a place (4,): x, y, z [m] and yaw [rad]."""
-        return replace(self, at=place[:3], yaw=float(place[3]))
+        return with_fields(self, at=place[:3], yaw=float(place[3]))
 
     @property
     def pose(self) -> Array:

@@ -173,7 +173,7 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str
             grip = Grip.of(body.section, hold.polygon, length, tension, team.cable_friction)
             max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
             texts = [f"a grip holds {max_mass:.2g} kg"]
-            rim = replace(body, rim=Rim(body.section, body.lower))
+            rim = with_fields(body, rim=Rim(body.section, body.lower))
             rim_outline = rest_polygons(planner.state.object, rim, team.robots, planner.gap).clasps
             height = float(body.centre_of_mass[2]) - body.lower
         shape = ConvexPolygon(rim_outline)

@@ -74,7 +74,12 @@ def check_hinge(planner: MovePlanner) -> None:
     limit, value = needed - centre, hold.height - centre
     remedy = f"tie it at {math.ceil(1e3 * needed - 1e-3) / 1e3:g} m or higher above its base"
     if needed > body.upper - EDGE:
-        remedy = "use three robots: two clasps this low let the object tip over"
+        error, room = _height_error(planner.requirements), body.upper - EDGE - centre - MIN_HINGE
+        remedy = (
+            f"two clasps can be at most {body.upper - EDGE:.3g} m above its base, where it tips "
+            f"over if drones may be off by {error:.3g} m in height; "
+        )
+        remedy += f"this object allows {room:.3g} m" if room > 0.0 else "this object is too low"
     when = "above the centre of mass, as it is lifted"
     raise InfeasibleError([Violation("hinge", value, limit, "min", "m", (name,), when, remedy)])
 

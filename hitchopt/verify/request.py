@@ -211,7 +211,9 @@ def legs(s: Step, value: Any, _: Mapping[str, Any], end: int = -1) -> Shown:
     if isinstance(value, dict):
         sharing, roll = value.get("sharing"), value.get("roll_deg")
     if isinstance(sharing, list):
-        yield from (p.legs.c[0][piece, ::2, 0, end] - np.array(sharing, dtype=float)).tolist()
+        chords, asked = p.legs.c[0][piece, ::2, 0, end], np.array(sharing, dtype=float)
+        sag = (p.weight / p.team[:, 0]) ** 2 * asked**3 / 24.0  # lengths are longer than chords
+        yield from np.maximum(np.abs(chords - asked) - 2.0 * sag, 0.0).tolist()
     if roll in (None, "auto") or p.weight or np.any(p.load):
         return
     points = s.points(end, slice(0, p.V.stop))

@@ -17,7 +17,9 @@ from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt.checks import certify
+from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import InfeasibleError
+from hitchopt.exports.lint import lint
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.live.abort import Aborts
 from hitchopt.mission.changes import retuning_changes
@@ -297,16 +299,21 @@ SOFT = ho.Quadrotor(0.25, 5.5, controller="px4", gains={"kp": 2.5, "kd": 1.25})
     ],
 )
 def test_a_stated_error_below_that_of_the_gains_is_warned_of(
-    stated: Any, kind: ho.Quadrotor, *, warned: bool
+    stated: Any, kind: ho.Quadrotor, *, warned: bool, tmp_path: Path
 ) -> None:
-    """By every command, with both figures; it is kept, as it may have been measured."""
+    """By every command, also of files, with both figures; it is kept: it may have been measured."""
     team = ho.Team(3, 2.4, tension=0.8, cable_density=0.005, quadrotor=kind)
     tracking = ho.Tube(**stated) if isinstance(stated, dict) else stated
     hitch = ho.Hitch.spread(team, ho.regular_polygon(3, 0.9), altitude=1.5)
     plan = ho.hold(hitch, 1.0, limits=ho.Limits(tracking=tracking))
     notes = [note for note in plan.notes if "limits.tracking is" in note]
     assert len(notes) == warned
+    plan.export("csv", tmp_path / "show")
+    (linted,) = lint(tmp_path / "show")
+    found = [each for each in linted.findings if each.rule == "tracking"]
+    assert [each.level for each in found] == ["warning"] * warned
     if warned:
+        assert notes[0] in str(found[0])
         assert (
             f"limits.tracking is {tracking:.3g} m, but the gains of px4 lead to 0.0762 m"
             in notes[0]
@@ -317,10 +324,20 @@ def test_a_stated_error_below_that_of_the_gains_is_warned_of(
 def test_two_cables_name_the_height_of_errors_that_keeps_them_from_being_tied() -> None:
     """Followed, the remedy is certified."""
     text = (PROBLEMS / "two_robots_drum.yaml").read_text()
-    tall = text.replace("tilt_deg: 60", "tilt_deg: 60, tracking: {level: 0.05, height: 0.1}")
-    with pytest.raises(InfeasibleError, match=r"tracking_radius: .* set limits\.tracking to 0\.05"):
-        ho.solve(parse_problem(tall))
-    assert ho.solve(parse_problem(tall.replace("height: 0.1", "height: 0.05"))).certificate
+    for height, check in (("0.1", "tracking_radius"), ("0.2", "hinge")):
+        tube = f"tracking: {{level: 0.05, height: {height}}}"
+        tall = text.replace("tilt_deg: 60", f"tilt_deg: 60, {tube}")
+        words = rf"{check}: .*{height} m vertically: set limits\.tracking to 0\.05"
+        with pytest.raises(InfeasibleError, match=words):
+            ho.solve(parse_problem(tall))
+    lower = tall.replace("height: 0.2", "height: 0.05")
+    assert ho.solve(parse_problem(lower)).certificate.certified
+
+
+def test_remedies_lower_tracking_only_to_measured_errors() -> None:
+    for words in (TRACKING_RADIUS.remedy, TRACKING_RADIUS.free_remedy):
+        assert "lower" not in words
+        assert "limits.tracking as measured" in words
 
 
 def test_no_suggestion_understates_the_errors_of_gains() -> None:

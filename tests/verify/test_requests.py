@@ -52,6 +52,13 @@ mission:
   - transport: {to: [0.3, 0.2, 1.3], yaw_deg: 20}
   - hold: {seconds: 0.5}
 """
+SAGGING = """
+team: {robots: 3, cable_length: 2.8, cable_density: 0.01, tension: 0.8, quadrotor: paper_132g}
+start:
+  hitch: {polygon: [[0, 0.5], [0.5, -0.4], [-0.5, -0.4]], altitude: 1.5, legs: [0.7, 0.7, 0.7]}
+mission:
+  - adjust: {legs: [0.75, 0.7, 0.7]}
+"""
 ROLLED, DRUM, BOX = "roll_square", "two_robots_drum", "carry_box"
 
 
@@ -203,6 +210,21 @@ def test_only_the_order_of_laying_that_was_flown_is_believed(
         (plan,), _ = second.read(tmp_path / "plan.npz")
         believed += [asked] * all(row.verdict == "proven" for row in second.requested(plan))
     assert believed == [order]
+
+
+def test_legs_of_cables_that_sag_are_those_asked_for(tmp_path: Path) -> None:
+    """Lengths of legs exceed their chords, which plans store, by a tenth of a millimetre here."""
+    data: Any = parse_yaml(SAGGING)
+    plan = planned_of(data)
+    check_request(problem_from_dict(data).request, plan.motion)
+    write_plan(tmp_path / "plan.npz", plan.motion, "", SAGGING)
+    (own,), _ = second.read(tmp_path / "plan.npz")
+    assert [row.verdict for row in second.requested(own)] == ["proven"]
+    chord = plan.motion.legs.coefficients[0, 0, 0, 0]
+    assert 5e-5 < 0.7 - chord < 5e-4
+    data["start"]["hitch"]["legs"][0] = 0.701
+    with pytest.raises(ho.InputError, match=r"request\.start\.hitch\.legs\[0\]"):
+        check_request(problem_from_dict(data).request, plan.motion)
 
 
 def test_every_key_of_the_table_has_a_lie() -> None:

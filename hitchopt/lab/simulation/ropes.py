@@ -23,7 +23,9 @@ from hitchopt.values import Array
 # Largest ratio of the time step to the time in which a transverse wave passes a segment
 COURANT = 0.7
 
-TENSION_RESERVE = 2.0  # Resolved tension over the planned or current one; pull tests need 1.5
+TENSION_RESERVE = (
+    2.0  # Tension that the lightest ropes hold without smaller steps, over the planned
+)
 MAX_SUBSTEPS = 8  # Largest number of substeps, for light ropes
 ROUNDING = 1e-9  # Tolerance of a number of segments: 2.4 m are 96 of 0.025 m in spite of rounding
 
@@ -91,7 +93,7 @@ class Ropes:
 
     def substeps(self, tension: float) -> int:
         """Return the number of substeps for a tension [N], at most MAX_SUBSTEPS."""
-        ratio = TENSION_RESERVE * max(tension, 0.0) / self.largest_tension
+        ratio = self.preset.reserve * max(tension, 0.0) / self.largest_tension
         return min(max(math.ceil(math.sqrt(ratio) - ROUNDING), 1), MAX_SUBSTEPS)
 
     @property

@@ -336,11 +336,10 @@ def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
     margin, worst = task.shortest(nearest)
     name, ratio = (worst, 1.0 + margin) if margin < 0.0 else ("grip", 0.0)
     limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
-    cables = "shorter cables, whose legs do not meet" if name == "crossing" else "other cables"
-    remedy = f"use {cables}, or a larger section, or rest it on a rim"
-    if task.robots > 3:
-        remedy += ", or use three cables"
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
+    remedy = f"{note}: this distance is the one that the nearest one lacks most"
+    if task.robots > 2:
+        remedy += "; rest the object on a rim"
     value = round(ratio * limit, DECIMALS)
     return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
 
