@@ -224,9 +224,7 @@ def _start_state(mission: TeamMission, requirements: Requirements, report: Progr
     form = mission.form
     if form is not None and form.assign == "auto":
         report("assigning robots to edges")
-        from hitchopt.planners.forming.approach import assign_robots
-
-        assignment = assign_robots(team, start.drones, form.polygon, requirements.limits.leg)
+        assignment = form.assignment(team, start.drones, requirements)
     if team.layout.closed and team.robots == 2:
         assignment = _assigned_sides(team, start.drones)
     return RestState(assignment.team(team), start.drones[assignment.drones])

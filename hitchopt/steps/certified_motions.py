@@ -28,7 +28,6 @@ from hitchopt.values import Points
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
     from hitchopt.planners.morph.path import ShapePath
-    from hitchopt.planners.optimise.knots import KnotPath
 
 LEVEL_TOLERANCE = 1e-3
 """Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
@@ -225,6 +224,38 @@ def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
     return start.team.robots <= MAX_SEARCHED and plan.motion.duration > MAX_BOUND_RATIO * bound
 
 
+def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
+    """Return the plan of a morph to a hitch at any altitude, on a straight route or a faster one.
+
+    ``phase`` has the name and the index of the step. Raises InfeasibleError if no route was found.
+    """
+    from hitchopt.planners.morph.morph import StraightMorph
+
+    start, requirements = task.hitch, task.requirements
+    straight = StraightMorph(start, end, requirements)
+
+    def flown_straight() -> StepPlan:
+        motion = straight.solve()
+        if motion is None:
+            return task.plan_ending(rest_motion(end, requirements, IDLE, phase), end)
+        phases = (phase.retimed(0.0, motion.duration),)
+        return require_certified(task.plan_ending(motion.replaced(phases=phases), end))
+
+    direct = attempt(flown_straight)
+    if isinstance(direct, StepPlan):
+        if not task.optimiser or not is_slow(direct, start, end):
+            return direct
+        path = straight.problem
+        faster = attempt(lambda: optimised_plan(task, end, phase, straight=path))
+        return faster if isinstance(faster, StepPlan) else direct
+    if not task.optimiser:
+        raise direct
+    other = attempt(lambda: optimised_plan(task, end, phase))
+    if isinstance(other, StepPlan):
+        return other
+    raise combined_failure(direct, other, "the optimiser found no other route")
+
+
 def optimised_plan(
     task: StepTask,
     end: Hitch,
@@ -234,7 +265,7 @@ def optimised_plan(
     straight: ShapePath | None = None,
     allow_slides: bool = False,
 ) -> StepPlan:
-    """Return the fastest plan that the optimiser finds to a hitch at the same altitude.
+    """Return the fastest plan that the optimiser finds to a hitch, at the same altitude or not.
 
     Raises InfeasibleError if the plan takes longer than ``duration`` [s].
 
@@ -250,14 +281,20 @@ def optimised_plan(
     from hitchopt.planners.timing.flight import check_duration, fly, in_duration
 
     start, requirements = task.hitch, task.requirements
+    climb = end.altitude - start.altitude
     certified: dict[Motion, tuple[ShapePath, StepPlan]] = {}
 
     def plan_of(motion: Motion) -> StepPlan:
         phases = (replace(phase, end=motion.duration),)
         return task.plan_ending(motion.replaced(phases=phases), end)
 
+    def climbing(path: ShapePath) -> ShapePath:
+        """Return a path of the search, which is level, with the climb to the end."""
+        return path if path is straight or climb == 0.0 else path.climbing(climb)
+
     def certified_motion(path: ShapePath) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
+        path = climbing(path)
         variants = with_slides(path, requirements.limits) if allow_slides else ()
         for each in (*(p for p in variants if legs_clear(p, requirements)), path):
             try:
@@ -276,7 +313,8 @@ def optimised_plan(
     try:
         candidates = morph.solve()
     except NoRouteError as error:
-        return _flown_along(error.best, requirements, plan_of)
+        path = climbing(error.best.path)
+        return _flown_along(path, error.best.name, requirements, plan_of)
     if not candidates:
         raise HitchoptError("no route was found")
     best, name = candidates[0].motion, candidates[0].name
@@ -292,16 +330,16 @@ def optimised_plan(
 
 
 def _flown_along(
-    knots: KnotPath, requirements: Requirements, plan_of: Callable[[Motion], StepPlan]
+    path: ShapePath, name: str, requirements: Requirements, plan_of: Callable[[Motion], StepPlan]
 ) -> StepPlan:
-    """Return the plan along the best route that was tried.
+    """Return the plan along the best route that was tried; ``name`` is that of its guess.
 
     Raises InfeasibleError with the limits that it breaks, and where along the route.
     """
     from hitchopt.planners.morph.morph import check_loads, check_shapes
     from hitchopt.planners.timing.flight import fly
 
-    path, route = knots.path, f"along {BEST_ROUTE} ({knots.name})"
+    route = f"along {BEST_ROUTE} ({name})"
     try:
         check_shapes(path)
         check_loads(path, requirements.limits)

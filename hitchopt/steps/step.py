@@ -300,6 +300,13 @@ class StepPlan:
         """Certificate of the motion alone, without the plan's limit of duration."""
         return certify(self.motion.untimed, reports=MERGEABLE_REPORTS)
 
+    def replaced(self, motion: Motion, after: RestState) -> StepPlan:
+        """Return the plan with another motion and state; the same motion keeps its certificate."""
+        plan = StepPlan(motion, after)
+        if motion is self.motion and "certificate" in vars(self):
+            vars(plan)["certificate"] = self.certificate
+        return plan
+
     def with_remark(self, remark: str) -> StepPlan:
         """Return the plan with a remark appended to those of its phases."""
         phases = [

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import contextlib
+import itertools
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InputError, UnsupportedError
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, UnsupportedError
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import MAX_ROBOTS
+from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.certified_motions import (
     attempt,
     check_at_rest,
     combined_failure,
+    first_feasible,
+    plan_to_hitch,
     require_certified,
     rest_plan,
     split_hitch,
+    with_friction_feedforward,
 )
 from hitchopt.steps.step import (
     AUTO,
@@ -53,6 +60,9 @@ if TYPE_CHECKING:
 
 Assign = Literal["auto", "fixed"]
 """``auto`` chooses the assignment of robots to edges; with ``fixed`` robot k takes edge k."""
+
+SLACK_EVENNESS = (0.0, 1.0, 10.0, 100.0)
+"""Costs of uneven slack in the assignment of unequal cables, in the order of the search."""
 
 CABLE_MARGINS = (1.5, 1.25)
 """Preferred clearances of drones from cables during tightening, in ``separation.cable``."""
@@ -128,21 +138,34 @@ class Form(Step):
             levels = levels_of(team.layout, None if order is None else team.edges[order])
         goal = self._goal(team, levels, requirements)
         check_at_rest(goal, requirements, f"at the end of step {i} (form)")
-        tying: Laying | PreHitch
         if levels is None:
-            goal, tying = self._prehitch(goal, requirements)
+            plan = self._by_swaps(task, goal)
         else:
-            tying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
-        tied = concatenated(tying.stages(requirements, i))
-        if tying.doubtful:  # no approach helps if tying is infeasible
-            require_certified(StepPlan(tied, before))
-        parts = [approach_motion(task, tying.drones_hanging), tied]
-        if tying.hitch is not goal:
-            lower = Phase("lower", i, 0.0, 0.0, HEIGHT_REMARK)
-            parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
-        after = replace(before, hitch=goal, drones=goal.drones, senses=tying.senses)
-        after = replace(after, swap=self.swap, levels=levels)
-        return StepPlan(self.with_duration(task, concatenated(parts)), after)
+            laying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
+            plan = tied_plan(task, laying, goal)
+        after = replace(plan.after, swap=self.swap, levels=levels)
+        return plan.replaced(self.with_duration(task, plan.motion), after)
+
+    def _by_swaps(self, task: StepTask, goal: Hitch) -> StepPlan:
+        """Return the plan that ties the goal, or else a hitch on a circle that becomes the goal."""
+        from hitchopt.planners.forming.prehitch import find_prehitch
+
+        requirements = task.requirements
+        tying = find_prehitch(goal, requirements, self.swap).clear_of_ground(requirements)
+        direct = attempt(lambda: require_certified(tied_plan(task, tying, goal)))
+        if isinstance(direct, StepPlan):
+            return direct
+        failures = [Failure(int(not tying.doubtful), direct)]
+        for circular in tyings_on_circles(goal, requirements, self.swap):
+            tied = attempt(partial(tied_plan, task, circular, circular.hitch))
+            if not isinstance(tied, StepPlan):
+                failures.append(Failure(1, tied))
+                continue
+            plan = attempt(partial(morphed_plan, task, tied, goal))
+            if isinstance(plan, StepPlan):
+                return plan
+            failures.append(Failure(2, plan))
+        raise farthest(failures)
 
     def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
         """Return the hitch.
@@ -171,24 +194,25 @@ class Form(Step):
                 return hitch
         return spread
 
-    def _prehitch(self, goal: Hitch, requirements: Requirements) -> tuple[Hitch, PreHitch]:
-        """Return the goal and its pre-hitch; without ``legs``, with short ones if need be.
+    def assignment(self, team: Team, drones: Array, requirements: Requirements) -> Assignment:
+        """Return the assignment of robots to edges with the shortest flights from (2n, 3) [m].
 
-        Where both legs of a cable cross, the drones of long legs would collide on their way out.
+        Among unequal cables it is the first one with which the hitch holds at rest: if short
+        flights leave some cables too little slack, or others too much, slack is to be more even.
         """
-        from hitchopt.planners.forming.prehitch import find_prehitch
+        from hitchopt.planners.forming.approach import assign_robots
 
-        prehitch = find_prehitch(goal, requirements, self.swap).clear_of_ground(requirements)
-        if not prehitch.doubtful or self.legs is not None:
-            return goal, prehitch
-        options = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
-        fractions = np.zeros(goal.team.robots)
-        short = Hitch.nearest(goal.team, self.polygon, self.altitude, fractions, **options)
-        if rest_plan(short, requirements).certificate.certified:
-            nearer = find_prehitch(short, requirements, self.swap).clear_of_ground(requirements)
-            if not nearer.doubtful:
-                return short, nearer
-        return goal, prehitch
+        arguments = team, drones, self.polygon, requirements.limits.leg
+        shortest = assign_robots(*arguments)
+        if self.by == "laying" or np.ptp(team.cable_length) == 0.0:
+            return shortest
+        for evenness in SLACK_EVENNESS:
+            assignment = assign_robots(*arguments, evenness)
+            with contextlib.suppress(InfeasibleError):
+                goal = self._goal(assignment.team(team), None, requirements)
+                check_at_rest(goal, requirements, "")
+                return assignment
+        return shortest
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edit that scales its polygon about the centroid, the centre of later steps."""
@@ -202,6 +226,125 @@ class Form(Step):
         if self.swap.radius > SwapSettings.radius:
             covers = checks_relaxed_by("length") | {"interlacing", "arena", "crossing"}
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
+
+
+MAX_TIED = 12
+"""Maximum number of hitches on circles that are tried."""
+
+MAX_SHAPES = 3
+"""Maximum number of their shapes, each of which is turned."""
+
+
+class Failure(NamedTuple):
+    """An attempt at tying that failed."""
+
+    stage: int  # 0: the pre-hitch, 1: the flight to it, 2: the morph from there
+    error: HitchoptError
+
+
+def farthest(failures: Sequence[Failure]) -> HitchoptError:
+    """Return the error of the first attempt of those that got farthest."""
+    last = max(failure.stage for failure in failures)
+    first, best = failures[0], next(each for each in failures if each.stage == last)
+    if best is first or not isinstance(best.error, InfeasibleError):
+        return first.error
+    tried = len(failures) - 1
+    note = f"{tried} other hitches on circles, to be morphed to this one, were not feasible either"
+    if isinstance(first.error, InfeasibleError):
+        broken = replace(first.error.violations[0], remedy="")
+        note += f"; tied directly: {str(broken).rstrip('; ')}"
+    return InfeasibleError(best.error.violations, note)
+
+
+def tyings_on_circles(
+    goal: Hitch, requirements: Requirements, swap: SwapSettings
+) -> Iterator[PreHitch]:
+    """Yield feasible pre-hitches of hitches on circles near a closed goal, to be morphed to it."""
+    from hitchopt.planners.forming.circles import CircularHitches
+    from hitchopt.planners.forming.prehitch import find_prehitch
+
+    if not goal.team.layout.closed:
+        return
+    circles, shapes = CircularHitches(goal, requirements), list[Hitch]()
+    for shape in circles.shapes:
+        if not find_prehitch(shape, requirements, swap).doubtful:
+            shapes.append(shape)
+        if len(shapes) == MAX_SHAPES:
+            break
+    placed = zip(*map(circles.placed, shapes), strict=True)
+    for hitch in itertools.islice(itertools.chain.from_iterable(placed), MAX_TIED):
+        yield find_prehitch(hitch, requirements, swap).clear_of_ground(requirements)
+
+
+def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan:
+    """Return the plan that ties a hitch and lowers it to the goal, the same one elsewhere.
+
+    Drones fly to where cables hang clear of each other and of the ground, and tie the hitch there.
+    """
+    before, requirements, i = task.before, task.requirements, task.index
+    tied = concatenated(tying.stages(requirements, i))
+    if tying.doubtful:  # no approach helps if tying is infeasible
+        require_certified(StepPlan(tied, before))
+    parts = [approach_motion(task, tying.drones_hanging), tied]
+    if abs(tying.hitch.altitude - goal.altitude) > ALTITUDE_TOLERANCE:
+        lower = Phase("lower", i, 0.0, 0.0, HEIGHT_REMARK)
+        parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
+    after = replace(before, hitch=goal, drones=goal.drones, senses=tying.senses)
+    return StepPlan(concatenated(parts), after)
+
+
+def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
+    """Return a plan that goes on from its hitch to the goal, at once or first to its altitude."""
+    phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
+    start = task.within(task.requirements, tied.after)
+
+    def in_one() -> StepPlan:
+        """Return the plan that changes shape and altitude at once."""
+        return reshaped(start, goal, phase)
+
+    def lowered_last() -> StepPlan:
+        """Return the plan that changes the shape, then the altitude."""
+        morph = reshaped(start, goal.at_altitude(start.hitch.altitude), phase)
+        lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
+        hitch, requirements = morph.after.tied, task.requirements
+        motion = vertical_motion(hitch, goal.altitude, requirements, lower)
+        return StepPlan(concatenated([morph.motion, motion]), replace(morph.after, hitch=goal))
+
+    def whole(planner: Callable[[], StepPlan]) -> StepPlan:
+        """Return the certified plan from the task's start."""
+        plan = planner()
+        return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
+
+    level = abs(goal.altitude - start.hitch.altitude) <= ALTITUDE_TOLERANCE
+    planners = (in_one,) if level else (in_one, lowered_last)
+    return first_feasible(partial(whole, planner) for planner in planners)
+
+
+def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:
+    """Return the plan that unties the task's hitch, with the legs of ``hitch``."""
+    from hitchopt.planners.forming.stages import reversed_stages
+
+    before, requirements, i = task.before, task.requirements, task.index
+    parts = adjusting_motions(task, hitch.q_legs)
+    if abs(tying.hitch.altitude - hitch.altitude) > ALTITUDE_TOLERANCE:
+        higher = Phase("raise", i, 0.0, 0.0, HEIGHT_REMARK)
+        parts.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
+    parts += reversed_stages(tying.stages(requirements, i))
+    after = replace(before, drones=tying.drones_hanging, hitch=None, senses=None, levels=None)
+    return StepPlan(concatenated(parts), after)
+
+
+def unmorphed_plan(task: StepTask, tying: PreHitch) -> StepPlan:
+    """Return the plan that morphs the task's hitch to one on a circle, and unties that."""
+    phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
+    morph = reshaped(task, tying.hitch, phase)
+    untied = untied_plan(task.within(task.requirements, morph.after), tying, tying.hitch)
+    return require_certified(replace(untied, motion=concatenated([morph.motion, untied.motion])))
+
+
+def reshaped(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
+    """Return the plan of a morph with friction feed-forward."""
+    return with_friction_feedforward(plan_to_hitch(task, end, phase), timed=False)
 
 
 def approach_motion(task: StepTask, goal: Array) -> Motion:
@@ -241,6 +384,9 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
         if unsupported:
             raise UnsupportedError(f"{step}: laying and rolling do not know {reason}")
 
+
+CIRCLE_REMARK = "tied as a polygon on a circle, since the goal cannot be tied directly"
+"""Remark on morphs between a hitch and one on a circle that is tied or untied in its place."""
 
 HEIGHT_REMARK = "hanging cables need more height over the ground than the hitch"
 """Remark on motions of a hitch to and from the altitude at which it is tied."""
@@ -357,24 +503,29 @@ class Release(Step):
         """Return the plan from a hitch to free cables: its tying in reverse."""
         from hitchopt.planners.forming.laying import find_laying, split_for_rolling
         from hitchopt.planners.forming.prehitch import find_prehitch
-        from hitchopt.planners.forming.stages import reversed_stages
 
-        before, requirements, i = task.before, task.requirements, task.index
+        before, requirements = task.before, task.requirements
         hitch, senses = task.hitch, before.assumed_senses
-        tying: PreHitch | Laying
-        if before.levels is None:
-            tying = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
-        else:
+        if before.levels is not None:
             hitch = split_for_rolling(hitch, senses, requirements)
-            tying = find_laying(hitch, before.levels, requirements)
+            laid = find_laying(hitch, before.levels, requirements)
+            plan = untied_plan(task, laid.clear_of_ground(requirements), hitch)
+            return plan.replaced(self.with_duration(task, plan.motion), plan.after)
+        tying = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
         tying = tying.clear_of_ground(requirements)
-        parts = adjusting_motions(task, hitch.q_legs)
-        if tying.hitch is not hitch:
-            higher = Phase("raise", i, 0.0, 0.0, HEIGHT_REMARK)
-            parts.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
-        parts += reversed_stages(tying.stages(requirements, i))
-        after = replace(before, drones=tying.drones_hanging, hitch=None, senses=None, levels=None)
-        return StepPlan(self.with_duration(task, concatenated(parts)), after)
+        direct = attempt(lambda: require_certified(untied_plan(task, tying, hitch)))
+        outcomes = [direct]
+        if not isinstance(direct, StepPlan):
+            for circular in tyings_on_circles(hitch, requirements, before.swap):
+                outcomes.append(
+                    attempt(partial(unmorphed_plan, task, circular.with_senses(senses)))
+                )
+                if isinstance(outcomes[-1], StepPlan):
+                    break
+        plan = outcomes[-1]
+        if not isinstance(plan, StepPlan):
+            raise direct
+        return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
 
 @documented

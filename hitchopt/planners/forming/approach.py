@@ -179,11 +179,11 @@ class GatheredApproach(Approach):
         """The flight of the discs' centres, (n, 3) [m]."""
         from scipy.spatial.distance import pdist
 
-        separation, (halfway, last) = self.requirements.separation, self._headings
+        separation, (_, last) = self.requirements.separation, self._headings
         radius, height = separation.radius, float(np.max(self.team.cable_length))
         discs = with_fields(separation, radius=(1.0 + PAIR_SEPARATION) * radius, height=height)
         start, goal = (0.5 * (each[0::2] + each[1::2]) for each in (self.start, self.goal))
-        drones = self._before_gathering(start, halfway)
+        drones = self._before_gathering(start)
         closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
         scale = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
         goal = np.mean(goal, axis=0) + scale * (goal - np.mean(goal, axis=0))
@@ -195,7 +195,7 @@ class GatheredApproach(Approach):
     def solve(self) -> list[Motion]:
         """Return the motions: gathering, turning, flying as discs, and opening."""
         task, (halfway, last) = self.problem, self._headings
-        start = self._before_gathering(task.start, halfway)
+        start = self._before_gathering(task.start)
         gathered, turned = (self._pairs(task.start, heading) for heading in (halfway, last))
         over_goal = self.goal.copy()
         over_goal[:, 2] = np.maximum(over_goal[:, 2], task.goal[0, 2])
@@ -224,9 +224,13 @@ class GatheredApproach(Approach):
         first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
         return first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi), last
 
-    def _before_gathering(self, centres: Array, headings: Array) -> Array:
-        """Return the drones (2n, 3) [m] before they gather about disc centres (n, 3) [m]."""
-        return self._after_take_off(self._pairs(centres, headings), self.goal)
+    def _before_gathering(self, centres: Array) -> Array:
+        """Return the drones (2n, 3) [m] before they gather about disc centres (n, 3) [m].
+
+        Pairs are closest in the middle of their turn, where their cables hang lowest.
+        """
+        gathered, turned = (self._pairs(centres, heading) for heading in self._headings)
+        return self._after_take_off(gathered, 0.5 * (gathered + turned), self.goal)
 
     def _pairs(self, centres: Array, headings: Array) -> Array:
         """Return drones (…, 2n, 3) [m] on opposite sides of disc centres (…, n, 3) [m]."""
@@ -236,7 +240,9 @@ class GatheredApproach(Approach):
         return pairs.reshape(*pairs.shape[:-3], -1, 3)
 
 
-def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> Assignment:
+def assign_robots(
+    team: Team, drones: Array, outline: Outline, leg: float, evenness: float = 0.0
+) -> Assignment:
     """Return the assignment of robots to edges, and of their drones to the edges' ends.
 
     Cables avoid edges that leave less than the length of two legs. Costs are squared distances to
@@ -248,6 +254,7 @@ def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> As
     drones: (2n, 3) [m], their positions.
     outline: its edges are assigned.
     leg: shortest leg [m].
+    evenness: cost of squared differences of the cables' slack from its mean.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -256,8 +263,11 @@ def assign_robots(team: Team, drones: Array, outline: Outline, leg: float) -> As
     q, r = drones[0::2, None, :2], drones[1::2, None, :2]
     straight = np.sum((q - first) ** 2, axis=-1) + np.sum((r - last) ** 2, axis=-1)
     crossed = np.sum((q - last) ** 2, axis=-1) + np.sum((r - first) ** 2, axis=-1)
+    slack = team.cable_length[:, None] - outline.edge_lengths
     cost = np.minimum(straight, crossed)
-    short = team.cable_length[:, None] - outline.edge_lengths < 2.0 * leg
+    if evenness:
+        cost += evenness * (slack - np.mean(slack)) ** 2
+    short = slack < 2.0 * leg
     size = float(np.max(cost))
     k = np.arange(team.robots)
     # Ties: robots prefer edges of their own number; multiples of the golden ratio modulo 1 resolve

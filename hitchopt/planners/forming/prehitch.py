@@ -13,10 +13,13 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from hitchopt.checks.bodies import clasped_outlines
+from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import hull_distance
 from hitchopt.geometry.vectors import cross, left_of, unit
 from hitchopt.hitch import Hitch, Team
@@ -181,6 +184,30 @@ class SwapEllipses:
         return min(polygons, key=lambda points: _route_ratio(hitch.team, drones, points))
 
 
+class Bound(NamedTuple):
+    """A requirement of the pre-hitch at samples, under the name of the certificate's check."""
+
+    ratio: float  # above 1 if it is violated
+    constraint: str  # name of the check
+    value: float  # worst value of the samples [unit]
+    limit: float  # [unit]
+    sense: Literal["min", "max"]  # of the limit
+    unit: str  # of value and limit
+
+    @classmethod
+    def least(
+        cls, constraint: str, value: float, limit: float, unit: str, scale: float = 0.0
+    ) -> Bound:
+        """Return a lower bound; its ratio is relative to ``scale``, to the value without one."""
+        ratio = limit / max(value, 1e-9) if scale == 0.0 else (limit - value + scale) / scale
+        return cls(ratio, constraint, value, limit, "min", unit)
+
+    @classmethod
+    def largest(cls, constraint: str, value: float, limit: float, unit: str) -> Bound:
+        """Return an upper bound."""
+        return cls(value / limit, constraint, value, limit, "max", unit)
+
+
 @dataclass(frozen=True, eq=False)
 class PreHitch:
     """A pre-hitch: drones and cables before and after the swaps."""
@@ -191,12 +218,24 @@ class PreHitch:
     share: float  # of the hitch's legs
     depth: float  # largest depth of a cable below the drones' plane during the swaps [m]
     linked: bool  # whether cables cross at all clasps after the first swap
-    violation: float  # relative violation of the requirements; none if at most zero
+    tightest: Bound  # the requirement that is closest to its limit, or violated most
+
+    @property
+    def violation(self) -> float:
+        """Relative violation of the requirements; none if at most zero."""
+        return self.tightest.ratio - 1.0
 
     @property
     def doubtful(self) -> bool:
         """Whether samples violate a requirement."""
         return self.violation > 0.0
+
+    def error(self, when: str) -> InfeasibleError:
+        """Return the error of the requirement that is violated most."""
+        tightest, rule = self.tightest, RULE_OF[self.tightest.constraint]
+        values = tightest.value, tightest.limit, tightest.sense, tightest.unit
+        remedy = rule.free_remedy or rule.remedy
+        return InfeasibleError([Violation(tightest.constraint, *values, (), when, remedy)])
 
     @property
     def drones_hanging(self) -> Array:
@@ -333,26 +372,33 @@ def _evaluate(
     # Distance from q to r along the edge: if negative, pairs would swap on the wrong side.
     opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
     link_length, radius = ellipses.link_length, separation.radius
-    ratios = [
-        float(np.max(np.linalg.norm(r - q, axis=-1) / length)) / MAX_SPAN_RATIO,
-        (2.0 * MIN_SEPARATION * radius - opening + radius) / radius,
-        (MIN_LINK - link_length + radius) / radius,
-        0.99 * MIN_SEPARATION / smallest_separation(drones, separation),
+    diameter, closest = 2.0 * MIN_SEPARATION * radius, smallest_separation(drones, separation)
+    longest = float(np.max(np.linalg.norm(r - q, axis=-1) / length))
+    bounds = [
+        Bound.largest("span", longest, MAX_SPAN_RATIO, "ratio"),
+        Bound.least("separation", opening, diameter, "m", scale=radius),
+        Bound.least("interlacing", link_length, MIN_LINK, "m", scale=radius),
+        Bound.least("separation", closest, 0.99 * MIN_SEPARATION, "ratio"),
     ]
     if separation.cable > 0.0:
         pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
         scale = np.array([1.0, 1.0, 1.0 / ratio])
         offsets = [(points[:, :, cable] - drone) * scale for drone, cable in pairs]
         clearance = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
-        ratios.append(CLEARANCE * (separation.cable + displacement) / max(clearance, 1e-9))
-    if max(ratios) <= 1.0:
+        limit = CLEARANCE * (separation.cable + displacement)
+        bounds.append(Bound.least("cable_clearance", clearance, limit, "m"))
+    if all(bound.ratio <= 1.0 for bound in bounds):
         start, move = drones[0], hitch.drones - drones[0]
-        ratios.append(1.0 / smallest_separation(start + SAMPLES[:, None, None] * move, separation))
+        closest = smallest_separation(start + SAMPLES[:, None, None] * move, separation)
         clasps = ellipses.clasp_points(hitch)
-        ratios.append(_route_ratio(hitch.team, start, clasps))
-        ratios.append(CLEARANCE * separation.cable / _tightening_gap(hitch, start, clasps))
-    linked, violation = link_length >= MIN_LINK, max(ratios) - 1.0
-    return PreHitch(hitch, settings, ellipses, share, depth, linked, violation)
+        gap, limit = _tightening_gap(hitch, start, clasps), CLEARANCE * separation.cable
+        bounds += [
+            Bound.least("separation", closest, 1.0, "ratio"),
+            Bound.largest("cable_length", _route_ratio(hitch.team, start, clasps), 1.0, "ratio"),
+            Bound.least("cable_clearance", gap, limit, "m"),
+        ]
+    tightest = max(bounds, key=lambda bound: bound.ratio)
+    return PreHitch(hitch, settings, ellipses, share, depth, link_length >= MIN_LINK, tightest)
 
 
 def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:

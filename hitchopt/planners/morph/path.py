@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -88,6 +88,14 @@ class ShapePath:
             LegLaw.of_fractions(PiecewisePolynomial(breaks, fractions[None])),
             roll=roll_between(start, end),
         )
+
+    def climbing(self, by: float) -> ShapePath:
+        """Return the path with a climb of the hitch's plane [m], linear in s."""
+        breaks, heights = self.vertices.breaks, self.vertices.coefficients.copy()
+        shares = np.linspace(0.0, 1.0, heights.shape[-1])
+        s = breaks[:-1, None] + np.diff(breaks)[:, None] * shares  # Bernstein coefficients of s
+        heights[:, :, 2] += by * s[:, None]
+        return replace(self, vertices=PiecewisePolynomial(breaks, heights))
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
