@@ -111,12 +111,13 @@ class CircularHitches:
                 yield hitch
 
     def placed(self, shape: Hitch) -> Iterator[Hitch]:
-        """Yield a shape about the goal's centroid, turned to the goal and out of there."""
-        centre = self.goal.polygon.centroid
-        goal, points = self.goal.polygon.vertices - centre, shape.polygon.vertices
+        """Yield a shape at the goal's centroid, turned to the goal and out of there."""
+        outlines = self.goal.polygon, shape.polygon
+        goal, points = (outline.vertices - outline.centroid for outline in outlines)
         nearest = np.angle(np.sum((goal @ [1.0, 1.0j]) * (points @ [1.0, -1.0j])))
         for phase in PHASES:
-            polygon = ConvexPolygon(centre + rotated(points, float(nearest) + phase))
+            turned = rotated(points, float(nearest) + phase)
+            polygon = ConvexPolygon(self.goal.polygon.centroid + turned)
             yield Hitch(shape.team, polygon, shape.altitude, shape.q_legs)
 
 
