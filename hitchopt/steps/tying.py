@@ -513,18 +513,17 @@ class Release(Step):
             return plan.replaced(self.with_duration(task, plan.motion), plan.after)
         tying = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
         tying = tying.clear_of_ground(requirements)
-        direct = attempt(lambda: require_certified(untied_plan(task, tying, hitch)))
-        outcomes = [direct]
-        if not isinstance(direct, StepPlan):
+
+        def directly() -> StepPlan:
+            """Return the plan that unties the hitch as it is."""
+            return require_certified(untied_plan(task, tying, hitch))
+
+        def on_circles() -> Iterator[Callable[[], StepPlan]]:
+            """Yield planners that untie a hitch on a circle in its place."""
             for circular in tyings_on_circles(hitch, requirements, before.swap):
-                outcomes.append(
-                    attempt(partial(unmorphed_plan, task, circular.with_senses(senses)))
-                )
-                if isinstance(outcomes[-1], StepPlan):
-                    break
-        plan = outcomes[-1]
-        if not isinstance(plan, StepPlan):
-            raise direct
+                yield partial(unmorphed_plan, task, circular.with_senses(senses))
+
+        plan = first_feasible(itertools.chain([directly], on_circles()))
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
 
