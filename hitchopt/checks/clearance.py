@@ -127,21 +127,27 @@ class Solid(Shape):
         if self.rounding is not None:
             return self._slab_normals(corners, self.rounding)
         first, last = corners[..., 0, :], corners[..., -1, :]
-        along, fraction = last - first, np.zeros(first.shape[:-1])
+        along = last - first
+        fraction = np.zeros(first.shape[:-1])
         if corners.shape[-2] > 1:
             # The distance to a convex body is convex along a segment: most are nearest at an end.
-            rising = [dot(self.slab.clearance(end).normals, along) > 0.0 for end in (first, last)]
-            inner = ~rising[0] & rising[1]
-            begin, slope, width = first[inner], along[inner], 1.0
-            rounds, parts = FEW_ROUNDS if len(begin) < MANY_SEGMENTS else MANY_ROUNDS
-            lower = np.zeros(len(begin))
-            for _ in range(rounds if len(begin) else 0):
-                width /= parts
-                inside = lower + width * np.arange(1, parts)[:, None]
-                normals = self.slab.clearance(begin + inside[..., None] * slope).normals
-                lower += width * np.count_nonzero(dot(normals, slope) <= 0.0, axis=0)
-            fraction[~rising[1]], fraction[inner] = 1.0, lower + width
+            rises_at_first = dot(self.slab.clearance(first).normals, along) > 0.0
+            rises_at_last = dot(self.slab.clearance(last).normals, along) > 0.0
+            inner = ~rises_at_first & rises_at_last
+            fraction[~rises_at_last] = 1.0
+            fraction[inner] = self._nearest_fractions(first[inner], along[inner])
         return self.slab.clearance(first + fraction[..., None] * along).normals
+
+    def _nearest_fractions(self, starts: Array, along: Array) -> Array:
+        """Return fractions of segments (segments, 3) nearest to the slab, if not their ends."""
+        rounds, parts = FEW_ROUNDS if len(starts) < MANY_SEGMENTS else MANY_ROUNDS
+        lower, width = np.zeros(len(starts)), 1.0
+        for _ in range(rounds if len(starts) else 0):
+            width /= parts
+            fractions = lower + width * np.arange(1, parts)[:, None]
+            normals = self.slab.clearance(starts + fractions[..., None] * along).normals
+            lower += width * np.count_nonzero(dot(normals, along) <= 0.0, axis=0)
+        return lower + width
 
     def _slab_normals(self, corners: Array, rounding: float) -> Array:
         """Return outward normals nearest to upright slabs, horizontal if a side is nearest."""
@@ -152,11 +158,11 @@ class Solid(Shape):
         gaps = np.min(np.einsum("...sd,...kd->...sk", normals, floor), axis=-1)
         gaps = gaps - self.slab.section.support(normals) - rounding
         best = np.argmax(gaps, axis=-1)[..., None]
-        horizontal = np.maximum(np.take_along_axis(gaps, best, axis=-1), 0.0)
-        horizontal = horizontal * np.take_along_axis(normals, best[..., None], axis=-2)[..., 0, :]
-        upward = np.maximum(corners[..., :1, 2] - self.slab.upper, 0.0)
-        upward = upward - np.maximum(self.slab.lower - corners[..., -1:, 2], 0.0)
-        return unit(np.concatenate([horizontal, upward], axis=-1))
+        gap = np.maximum(np.take_along_axis(gaps, best, axis=-1), 0.0)
+        horizontal = gap * np.take_along_axis(normals, best[..., None], axis=-2)[..., 0, :]
+        gap_above = np.maximum(corners[..., :1, 2] - self.slab.upper, 0.0)
+        gap_below = np.maximum(self.slab.lower - corners[..., -1:, 2], 0.0)
+        return unit(np.concatenate([horizontal, gap_above - gap_below], axis=-1))
 
 
 def from_above(slab: Slab) -> Solid:
@@ -209,40 +215,47 @@ def moving_object_pairs(motion: Motion) -> Iterator[Moving]:
     one of which begins or ends in contact, and in the first run the support below it at the start.
     """
     objects, floor = motion.requirements.objects, motion.requirements.floor
-    places, everything = motion.poses.coefficients[0, :, :, 0], [*_objects(motion)]
-    for (name, body, pose), (label, other, other_pose) in product(
-        everything, [*everything, (GROUND, None, Enclosed(np.zeros((1, 5, 1))))]
-    ):
-        moves = np.ptp(pose.c, axis=-1)
-        moving = np.any(moves > REST_DRIFT, axis=-1)
+    places = motion.poses.coefficients[0, :, :, 0]
+    bodies = [*_objects(motion)]
+    ground = GROUND, None, Enclosed(np.zeros((1, 5, 1)))
+    for (name, body, pose), (label, other, other_pose) in product(bodies, [*bodies, ground]):
+        travel = np.ptp(pose.c, axis=-1)
+        moving = np.any(travel > REST_DRIFT, axis=-1)
         if name == label or not np.any(moving):
             continue
-        vertical = np.max(moves[:, [0, 1, 3, 4]], axis=-1) <= CONTACT_GAP
+        vertical = np.max(travel[:, [0, 1, 3, 4]], axis=-1) <= CONTACT_GAP
         height = pose.c[:, 2] + body.lower - other_pose.c[:, 2] - (other.upper if other else floor)
         touches = vertical & np.any(np.abs(height[:, [0, -1]]) <= CONTACT_GAP, axis=1)
-        base = [slab.section for slab in body.slabs if slab.lower == body.lower]
-        top = [slab.section for slab in other.slabs if slab.upper == other.upper] if other else []
-        if top and np.any(touches):
-            both = np.stack([pose.c[touches, :, 0], other_pose.c[touches, :, 0]], axis=1)
-            both[:, :, 2] = 0.0  # heights do not matter
-            cases, index = np.unique(both, axis=0, return_inverse=True)
-            gaps = [
-                min(section_gap(a, one, b, two) for a, b in product(base, top))
-                for one, two in cases
-            ]
-            touches[touches] = np.array(gaps)[index.ravel()] < 0.0
+        if other and np.any(touches):
+            poses = pose.c[touches, :, 0], other_pose.c[touches, :, 0]
+            touches[touches] = _stand_on(body, other, *poses)
         support = surface_below(objects, places, name, floor)[1] or GROUND
         runs = np.cumsum(~vertical)
         touching = np.isin(runs, runs[touches]) | ((runs == 0) & (label == support))
         touching &= vertical & (np.min(height, axis=1) >= -CONTACT_GAP)
         active = (moving & ~touching)[:, None]
+        frame = other_pose if other else None
         for slab in body.slabs:
-            corners, shapes = placed_corners(pose, slab), list[Shape]([Ground(floor)])
+            corners = placed_corners(pose, slab)
+            shapes: list[Shape] = [Ground(floor)]
             if other:
                 shapes = [Solid(each, slab.section.rounding) for each in other.slabs]
             for shape in shapes:
-                frame = other_pose if other else None
                 yield pairs_with_shape(motion, corners, (name,), label, shape, frame, active=active)
+
+
+def _stand_on(body: SolidObject, other: SolidObject, poses: Array, other_poses: Array) -> Flags:
+    """Return for which poses (k, 5) the base of a body is, in plan, on the top of another one."""
+    base = [slab.section for slab in body.slabs if slab.lower == body.lower]
+    top = [slab.section for slab in other.slabs if slab.upper == other.upper]
+    both = np.stack([poses, other_poses], axis=1)
+    both[:, :, 2] = 0.0  # heights do not matter
+    cases, index = np.unique(both, axis=0, return_inverse=True)
+    gaps = [
+        min(section_gap(lower, pose, upper, other_pose) for lower, upper in product(base, top))
+        for pose, other_pose in cases
+    ]
+    return np.asarray(np.array(gaps)[index.ravel()] < 0.0)
 
 
 # [m] Largest gap of ``worst`` below an attained distance, in addition to the distance of a cable
@@ -329,20 +342,33 @@ class Hanging:
         the length from the start is ``½ L (1 + sinh μσ / sinh σ) - ½ h (cosh σ - cosh μσ) / sinh
         σ``. Both fractions are monotone in σ.
         """
-        rise, ends = self.offset[2].range, list[tuple[Array, Array, Array]]()
-        for sigma in (self.sigma.low, self.sigma.high):
+        rise, low, high = self.offset[2].range, self.sigma.low, self.sigma.high
+
+        def steepness(sigma: Array) -> Array:
+            """Return ``μσ``."""
+            return np.asarray(mu * np.maximum(sigma, SERIES_LIMIT))
+
+        def odd(sigma: Array) -> Array:
+            """Return ``sinh μσ / sinh σ``."""
             x = np.maximum(sigma, SERIES_LIMIT)
-            odd, even = np.sinh(mu * x) / np.sinh(x), (np.cosh(x) - np.cosh(mu * x)) / np.sinh(x)
-            ends.append((mu * x, odd, even))
-        tilt = np.arctanh(rise.high / self.length)
-        descending = np.maximum(ends[0][0], ends[1][0]) + tilt <= 0.0
-        x, h = np.maximum(self.cable.sigma, SERIES_LIMIT), self.cable.rise
-        middle = self.length * (1.0 + np.sinh(mu * x) / np.sinh(x))
-        middle = 0.5 * (middle - h * (np.cosh(x) - np.cosh(mu * x)) / np.sinh(x))
-        odd = np.maximum(ends[0][1], ends[1][1])
-        down = np.maximum.reduce([-h * e[2] for e in ends for h in (rise.low, rise.high)])
-        near = 0.5 * (self.length * (1.0 + odd) + down) <= distance
-        near &= middle <= OWN_SHARE * distance * (1.0 + ROUNDING_SHARE)
+            return np.asarray(np.sinh(mu * x) / np.sinh(x))
+
+        def even(sigma: Array) -> Array:
+            """Return ``(cosh σ - cosh μσ) / sinh σ``."""
+            x = np.maximum(sigma, SERIES_LIMIT)
+            return np.asarray((np.cosh(x) - np.cosh(mu * x)) / np.sinh(x))
+
+        steepest = np.maximum(steepness(low), steepness(high))
+        descending = steepest + np.arctanh(rise.high / self.length) <= 0.0
+        largest_odd = np.maximum(odd(low), odd(high))
+        ends = product((low, high), (rise.low, rise.high))
+        by_largest_fall = np.maximum.reduce([-height * even(sigma) for sigma, height in ends])
+        longest = 0.5 * (self.length * (1.0 + largest_odd) + by_largest_fall)
+        x = np.maximum(self.cable.sigma, SERIES_LIMIT)  # at mid time
+        by_rise = self.cable.rise * (np.cosh(x) - np.cosh(mu * x)) / np.sinh(x)
+        place = 0.5 * (self.length * (1.0 + odd(self.cable.sigma)) - by_rise)
+        near = longest <= distance
+        near &= place <= OWN_SHARE * distance * (1.0 + ROUNDING_SHARE)
         return np.asarray((descending | near)[1:].T)
 
 

@@ -508,24 +508,29 @@ def leg_remedy(motion: Motion, check: Check, distance: str) -> str:
 
 def _leg_change(motion: Motion, check: Check) -> str:
     """Return the change of a cable's length, or of the polygon, that increases a distance."""
-    layout, names = motion.team.layout, (motion.team.drone_names, cable_names(motion))
-    drones, cables = ([each.index(x) for x in check.where if x in each] for each in names)
+    layout = motion.team.layout
+    drone_names, cables_of_motion = motion.team.drone_names, cable_names(motion)
+    drones = [drone_names.index(name) for name in check.where if name in drone_names]
+    cables = [cables_of_motion.index(name) for name in check.where if name in cables_of_motion]
     if len(check.where) != 2 or len(drones) + len(cables) != 2 or not drones:
         return ""
-    first, k = drones[0], drones[0] // 2
-    other = cables[0] if cables else drones[1] // 2
-    if other != k:
-        ends = layout.starts[other], layout.ends[other]
-        met = ends if cables else (layout.anchors[drones[1]],)
-        return LONGER_LEGS if layout.anchors[first] in met else OTHER_LEGS
-    if not np.all(layout.has_leg[k]):
+    drone = drones[0]
+    cable = drone // 2
+    other_cable = cables[0] if cables else drones[1] // 2
+    if other_cable != cable:
+        ends = layout.starts[other_cable], layout.ends[other_cable]
+        vertices_of_other = ends if cables else (layout.anchors[drones[1]],)
+        return LONGER_LEGS if layout.anchors[drone] in vertices_of_other else OTHER_LEGS
+    if not np.all(layout.has_leg[cable]):
         return OTHER_LEGS
     time = float(np.clip(check.time, *motion.drones.breaks[[0, -1]]))
-    places, points = motion.drones.at(time), motion.vertices.at(time)
-    q, r, start, end = places[2 * k], places[2 * k + 1], *points[[layout.starts[k], layout.ends[k]]]
+    places, vertices = motion.drones.at(time), motion.vertices.at(time)
+    q, r = places[2 * cable], places[2 * cable + 1]
+    start, end = vertices[layout.starts[cable]], vertices[layout.ends[cable]]
     if cables:
-        leg = [end, r] if first % 2 == 0 else [start, q]
-        to_edge, to_leg = (shortest_offset(places[first] - x) for x in ([start, end], leg))
+        far_leg = [end, r] if drone % 2 == 0 else [start, q]
+        to_edge = shortest_offset(places[drone] - [start, end])
+        to_leg = shortest_offset(places[drone] - far_leg)
         if np.linalg.norm(to_edge) <= np.linalg.norm(to_leg):
             return LONGER_LEGS
     spread = float((unit(r - end) - unit(q - start)) @ unit(end - start))

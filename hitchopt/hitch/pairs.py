@@ -135,17 +135,22 @@ class TautBodies:
         touch at a common clasp.
         """
         layout, drones = self.layout, 2 * self.layout.robots
-        i_drone, j_drone = i < drones, j < drones
-        on_leg, drone = layout.has_leg.ravel(), np.minimum(i, drones - 1)
-        own_end = np.where(on_leg[drone], layout.points + drone, layout.anchors[drone])
-        foreign = np.all(self.nodes[j] != own_end[:, None], axis=1)
-        # Clasps are vertices.
-        (a, b) = (np.where(n < layout.points, n, -1) for n in (self.nodes[i], self.nodes[j]))
-        clasped = np.any((a[:, :, None] == b[:, None, :]) & (a[:, :, None] >= 0), axis=(1, 2))
-        kind = np.where(i_drone | clasped, -1, CROSSING)
-        kind[i_drone & ~j_drone & foreign] = CABLE
-        kind[i_drone & j_drone] = SEPARATION
+        is_drone, other_is_drone = i < drones, j < drones
+        has_leg, drone = layout.has_leg.ravel(), np.minimum(i, drones - 1)
+        own_end = np.where(has_leg[drone], layout.points + drone, layout.anchors[drone])
+        is_foreign = np.all(self.nodes[j] != own_end[:, None], axis=1)
+        vertices, other_vertices = self._vertices(i), self._vertices(j)
+        is_common = vertices[:, :, None] == other_vertices[:, None, :]
+        clasped = np.any(is_common & (vertices[:, :, None] >= 0), axis=(1, 2))
+        kind = np.where(is_drone | clasped, -1, CROSSING)
+        kind[is_drone & ~other_is_drone & is_foreign] = CABLE
+        kind[is_drone & other_is_drone] = SEPARATION
         return kind
+
+    def _vertices(self, bodies: Indices) -> Indices:
+        """Return the vertices, where clasps are, at both ends of bodies (bodies, 2); else -1."""
+        nodes = self.nodes[bodies]
+        return np.where(nodes < self.layout.points, nodes, -1)
 
     def near(self, lowest: Array, highest: Array, limits: Array, cutoff: float) -> Indices:
         """Return (4, pairs): frame, both bodies and kind of the pairs with close boxes per frame.
@@ -156,22 +161,24 @@ class TautBodies:
         limits: (3,) [m], distances by kind; kinds with limit zero are omitted.
         cutoff: largest distance of close boxes [m].
         """
-        swept, frames = Boxes(lowest.min(axis=0), highest.max(axis=0)), len(lowest)
+        frames = len(lowest)
+        swept = Boxes(lowest.min(axis=0), highest.max(axis=0))
         if len(self.nodes) <= MAX_DIRECT_BODIES:
             i, j, kind = self._all_pairs
             limited = limits[kind] > 0.0
             if frames > 1:
                 limited &= _are_close(swept.lower, swept.upper, i, j, cutoff)
         else:
-            limit = MAX_SWEPT_PAIRS * len(self.nodes) if frames > 1 else np.inf
-            pairs = few_close_pairs(swept, None, cutoff, limit)
+            max_pairs = MAX_SWEPT_PAIRS * len(self.nodes) if frames > 1 else np.inf
+            pairs = few_close_pairs(swept, None, cutoff, max_pairs)
             if pairs is None:  # too many: half of the frames have fewer
                 half = frames // 2
-                parts = slice(half), slice(half, None)
-                first, last = (self.near(lowest[p], highest[p], limits, cutoff) for p in parts)
+                first = self.near(lowest[:half], highest[:half], limits, cutoff)
+                last = self.near(lowest[half:], highest[half:], limits, cutoff)
                 last[0] += half
                 return np.concatenate([first, last], axis=1)
-            i, j, kind = pairs.first, pairs.second, self.kind(pairs.first, pairs.second)
+            i, j = pairs.first, pairs.second
+            kind = self.kind(i, j)
             limited = (kind >= 0) & (limits[kind] > 0.0)
         i, j, kind = i[limited], j[limited], kind[limited]
         frame, pair = _are_close(lowest, highest, i, j, cutoff).nonzero()

@@ -181,31 +181,51 @@ def _add_limits(
 
     Slacks are shares of the duration.
     """
-    n, free = len(coefficients), setting.grid.count - 2 * END_COUNT
-    drones = np.arange(n)
-    for k, cap in enumerate(setting.caps):
-        order, matrix = k + 1, setting.grid.rates[k] / duration ** (k + 1)
-        current = matrix @ coefficients / cap[:, None, None]
-        size = np.linalg.norm(current, axis=-1)
-        jacobian = matrix[:, setting.grid.free] * setting.trust
-        r, f = np.nonzero(jacobian)
-        columns = ((drones[:, None] * free + f)[..., None] * 3 + np.arange(3)).ravel()
-        values = np.broadcast_to(jacobian[r, f] / cap[:, None], (n, len(r)))
-        local = np.repeat(drones[:, None] * len(matrix) + r, 3)
-        share = LATERAL_SHARES[0] + np.ptp(LATERAL_SHARES) * np.clip(1.0 - size, 0.0, 1.0)
-        along = unit(current, EAST, 1e-9)
-        lateral = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
-        for axis in (along, lateral, np.cross(along, lateral)):
-            component = np.sum(current * axis, axis=-1)
-            bound = np.maximum(share, np.abs(component))  # the current value is feasible
-            upper, lower = bound - component, -bound - component
-            if axis is along:
-                upper, lower = 1.0 - component, np.full(component.shape, -np.inf)
-            entries = (values[..., None] * axis[:, r]).ravel()
-            top = rows.add(local, columns, entries, lower.ravel(), upper.ravel())
-            if axis is along:
-                every = np.arange(component.size)
-                rows.extend(top + every, slack + every // len(matrix), -float(order))
+    for order, cap in enumerate(setting.caps, 1):
+        matrix = setting.grid.rates[order - 1] / duration**order
+        _add_limit(rows, setting, matrix, matrix @ coefficients, cap, -float(order), slack)
+
+
+def _add_limit(
+    rows: Rows,
+    setting: Setting,
+    matrix: Array,
+    derivatives: Array,
+    cap: Array,
+    slack_factor: float,
+    slack: int,
+) -> None:
+    """Limit derivatives (N, k, 3), the ``matrix`` of coefficients, to ``cap`` (N,).
+
+    The factor of the slack is the change of a derivative, over its limit, per share of duration.
+    """
+    count, free = len(derivatives), setting.grid.count - 2 * END_COUNT
+    drones = np.arange(count)[:, None]
+    relative = derivatives / cap[:, None, None]
+    jacobian = matrix[:, setting.grid.free] * setting.trust
+    row, coefficient = np.nonzero(jacobian)
+    columns = ((drones * free + coefficient)[..., None] * 3 + np.arange(3)).ravel()
+    values = np.broadcast_to(jacobian[row, coefficient] / cap[:, None], (count, len(row)))
+    local = np.repeat(drones * len(matrix) + row, 3)
+
+    def add(axis: Array, lower: Array, upper: Array) -> int:
+        """Add rows for the component along an axis; return the first one."""
+        entries = (values[..., None] * axis[:, row]).ravel()
+        return rows.add(local, columns, entries, lower.ravel(), upper.ravel())
+
+    along = unit(relative, EAST, 1e-9)
+    component = np.sum(relative * along, axis=-1)
+    top = add(along, np.full(component.shape, -np.inf), 1.0 - component)
+    every = np.arange(component.size)
+    rows.extend(top + every, slack + every // len(matrix), slack_factor)
+
+    unused = np.clip(1.0 - np.linalg.norm(relative, axis=-1), 0.0, 1.0)
+    share = LATERAL_SHARES[0] + np.ptp(LATERAL_SHARES) * unused
+    lateral = unit(np.cross(along, np.eye(3)[first_smallest(np.abs(along), 1.0)]))
+    for axis in (lateral, np.cross(along, lateral)):
+        component = np.sum(relative * axis, axis=-1)
+        bound = np.maximum(share, np.abs(component))  # the current value is feasible
+        add(axis, -bound - component, bound - component)
 
 
 SOLVER_TOLERANCE = 1e-3
@@ -381,10 +401,21 @@ def _of_simplex(start: Array, edges: list[Array]) -> tuple[Array, NDArray[np.boo
     """Return the points (3, m) of simplices' affine hulls nearest to the origin, and if inside."""
     if not edges:
         return start, np.ones(start.shape[1], dtype=np.bool_)
-    a, b, c = (_dot(edges[i], edges[j]) for i, j in ((0, 0), (0, -1), (-1, -1)))
-    u, v = -_dot(edges[0], start), -_dot(edges[-1], start)
-    size, parts = (a, [u]) if len(edges) == 1 else (a * c - b * b, [u * c - v * b, v * a - u * b])
-    regular = size > (0.0 if len(edges) == 1 else PARALLEL_TOLERANCE * a * c)
+    first, last = edges[0], edges[-1]
+    first_square, last_square = _dot(first, first), _dot(last, last)
+    toward_first, toward_last = -_dot(first, start), -_dot(last, start)
+    if len(edges) == 1:
+        size = first_square
+        parts = [toward_first]
+        regular = size > 0.0
+    else:
+        product = _dot(first, last)
+        size = first_square * last_square - product * product
+        parts = [
+            toward_first * last_square - toward_last * product,
+            toward_last * first_square - toward_first * product,
+        ]
+        regular = size > PARALLEL_TOLERANCE * first_square * last_square
     weights = [np.divide(part, size, out=np.zeros_like(size), where=regular) for part in parts]
     inside = regular & np.all([weight > 0.0 for weight in weights], axis=0)
     point = start + sum(weight * edge for weight, edge in zip(weights, edges, strict=True))

@@ -185,31 +185,46 @@ class RateRows:
         ----------
         drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt.
         """
-        demands, limits, share = path.demands, path.demands.limits, LIMIT_SHARE**2
+        demands, limits, team = path.demands, path.demands.limits, path.demands.team
+        share = LIMIT_SHARE**2
         samples = np.arange(len(path.rate_bound))[:, None]
-        # (4, M, R', 3) each, then by p: (4, M, R', 3, 3)
-        q1, q2, q3 = (each[samples, drones] for each in (path.first, path.second, path.third))
-        accelerations = np.stack([q2, 0.5 * q1, 0.0 * q1], axis=-1)
-        A = accelerations[0] / limits.acceleration
-        J = np.stack([q3, 1.5 * q2, 0.5 * q1], axis=-1)[1] / limits.jerk
-        loads, mass = demands.loads[samples, drones][2:], demands.team.mass[drones[2:]]
-        scales = np.stack([demands.team.max_thrust[drones[2]], length(loads[1])])[..., None]
-        F, G = (mass[..., None] / scales)[..., None] * accelerations[2:]
-        thrust, pull = loads / scales
+        # Derivatives of drones by the path parameter (4, M, R', 3)
+        first = path.first[samples, drones]
+        second = path.second[samples, drones]
+        third = path.third[samples, drones]
+        # Accelerations and jerks / √x, by p (4, M, R', 3, 3)
+        accelerations = np.stack([second, 0.5 * first, 0.0 * first], axis=-1)
+        jerks = np.stack([third, 1.5 * second, 0.5 * first], axis=-1)
+        acceleration = accelerations[0] / limits.acceleration
+        jerk = jerks[1] / limits.jerk
+        # Forces by p and at rest: of thrust over its limit, of tilt over the force at rest
+        loads, mass = demands.loads[samples, drones], team.mass[drones]
+        thrust_scale = team.max_thrust[drones[2]][..., None]
+        thrust = (mass[2, ..., None] / thrust_scale)[..., None] * accelerations[2]
+        thrust_at_rest = loads[2] / thrust_scale
+        tilt_scale = length(loads[3])[..., None]
+        pull = (mass[3, ..., None] / tilt_scale)[..., None] * accelerations[3]
+        pull_at_rest = loads[3] / tilt_scale
+        # Tilt: level forces are at most ``slope`` times the upward one
         slope = np.tan(LIMIT_SHARE * limits.tilt)
-        rise, lift = slope * G[..., 2:, :], slope * pull[..., 2:]
-        G, pull = G[..., :2, :], pull[..., :2]
-        zero = np.zeros(A.shape[:2])
-        vector, full, matrix = np.zeros((*zero.shape, 3)), zero + share, np.zeros(A.shape)
+        level, level_at_rest = pull[..., :2, :], pull_at_rest[..., :2]
+        upward, upward_at_rest = slope * pull[..., 2:, :], slope * pull_at_rest[..., 2:]
+        tilt_at_rest = dot(level_at_rest, level_at_rest) - dot(upward_at_rest, upward_at_rest)
+        tilt_slope = _double(level, level_at_rest) - _double(upward, upward_at_rest)
         speed = np.zeros((len(samples), 1, 3))
         speed[:, 0, 0] = 1.0 / path.rate_bound
-        tilt = dot(pull, pull) - dot(lift, lift)
-        rows = (
-            (matrix[:, :1], matrix[:, :1], speed, zero[:, :1] - 1.0, zero[:, :1]),
-            (_square(A), matrix, vector, -full, zero),
-            (_square(J), matrix, vector, zero, full),
-            (_square(F), matrix, _double(F, thrust), dot(thrust, thrust) - share, zero),
-            (_square(G), _square(rise), _double(G, pull) - _double(rise, lift), tilt, zero),
+
+        no_matrix = np.zeros(acceleration.shape)
+        no_number = np.zeros(no_matrix.shape[:2])
+        no_vector = np.zeros((*no_number.shape, 3))
+        shares = no_number + share
+        thrust_bound = dot(thrust_at_rest, thrust_at_rest) - share
+        rows = (  # Q, C, b, c and e of speed, acceleration, jerk, thrust and tilt
+            (no_matrix[:, :1], no_matrix[:, :1], speed, no_number[:, :1] - 1.0, no_number[:, :1]),
+            (_square(acceleration), no_matrix, no_vector, -shares, no_number),
+            (_square(jerk), no_matrix, no_vector, no_number, shares),
+            (_square(thrust), no_matrix, _double(thrust, thrust_at_rest), thrust_bound, no_number),
+            (_square(level), _square(upward), tilt_slope, tilt_at_rest, no_number),
         )
         parts = (np.concatenate(part, axis=1).T for part in zip(*rows, strict=True))
         Q, C, b, c, e = (np.ascontiguousarray(part) for part in parts)
@@ -217,10 +232,11 @@ class RateRows:
 
     def at(self, p: Array) -> tuple[Array, Array]:
         """Return the rows' left sides (R, M) and their derivatives by p (3, R, M) for p (3, M)."""
-        along, e = np.add.reduce(self.forms * p[:, None], axis=1), self.e / p[0]
-        values = np.add.reduce((along + self.b) * p[:, None], axis=0) + self.c - e
-        gradients = 2.0 * along + self.b
-        gradients[0] += e / p[0]
+        form_times_p = np.add.reduce(self.forms * p[:, None], axis=1)
+        inverse = self.e / p[0]
+        values = np.add.reduce((form_times_p + self.b) * p[:, None], axis=0) + self.c - inverse
+        gradients = 2.0 * form_times_p + self.b
+        gradients[0] += inverse / p[0]
         return values, gradients
 
     def curvature(self, p: Array, weights: Array, *, convex: bool = False) -> Array:
@@ -334,11 +350,12 @@ class RateProgram:
 
         The slack is (R · M + count,); the result is None if one is negative.
         """
-        p, own = self.basis.at(coefficients), coefficients - MIN_COEFFICIENT
-        if np.minimum.reduce(own) <= 0.0 or np.minimum.reduce(p[0]) <= 0.0:
+        p = self.basis.at(coefficients)
+        coefficient_slack = coefficients - MIN_COEFFICIENT
+        if np.minimum.reduce(coefficient_slack) <= 0.0 or np.minimum.reduce(p[0]) <= 0.0:
             return None
         values, gradients = self.rows.at(p)
-        slack = np.concatenate([-values.ravel(), own])
+        slack = np.concatenate([-values.ravel(), coefficient_slack])
         return (p, gradients, slack) if np.minimum.reduce(slack) > 0.0 else None
 
 
@@ -352,33 +369,37 @@ def fastest_rate(program: RateProgram, guess: Array) -> Array:
     point = program.at(guess)
     if point is None:
         return guess
-    c, basis, shape, size = guess, program.basis, program.rows.c.shape, program.rows.c.size
+    coefficients, basis = guess, program.basis
+    shape, size = program.rows.c.shape, program.rows.c.size
     p, gradients, slack = point
     dual = CENTRING * program.duration(p) / len(slack) / slack
     for _ in range(MAX_NEWTON_STEPS):
         check_time()
-        gap, tolerance = float(dual @ slack), GAP_TOLERANCE * program.duration(p)
+        gap = float(dual @ slack)
+        tolerance = GAP_TOLERANCE * program.duration(p)
         residual, factor = _newton(program, p, gradients, dual, slack)
         if factor is None or (gap < tolerance and np.maximum.reduce(np.abs(residual)) < tolerance):
             break
         # Toward equal products of slacks and duals.
         change = max(CENTRING * gap, 0.1 * tolerance) / len(slack) / slack - dual
         of_rows = np.add.reduce(change[:size].reshape(shape) * gradients, axis=1)
-        right = change[size:] - residual - basis.transposed(of_rows)
-        dc: Array = dpbtrs(factor, right, lower=True)[0]
-        drows = np.add.reduce(gradients * basis.at(dc)[:, None], axis=0)
-        dslack = np.concatenate([-drows.ravel(), dc])
-        ddual = change - dual / slack * dslack
-        share = _step_share(slack, dslack)
-        point, smallest = program.at(c + share * dc), MIN_SLACK_SHARE * slack
-        while point is None or np.logical_or.reduce(point[2] < smallest):
+        right_side = change[size:] - residual - basis.transposed(of_rows)
+        step: Array = dpbtrs(factor, right_side, lower=True)[0]
+        row_step = np.add.reduce(gradients * basis.at(step)[:, None], axis=0)
+        slack_step = np.concatenate([-row_step.ravel(), step])
+        dual_step = change - dual / slack * slack_step
+        share = _step_share(slack, slack_step)
+        smallest_slack = MIN_SLACK_SHARE * slack
+        point = program.at(coefficients + share * step)
+        while point is None or np.logical_or.reduce(point[2] < smallest_slack):
             share *= BACKTRACK_FACTOR
             if share < MIN_STEP_SHARE:
-                return c
-            point = program.at(c + share * dc)
-        c, (p, gradients, slack) = c + share * dc, point
-        dual = dual + _step_share(dual, ddual) * ddual
-    return c
+                return coefficients
+            point = program.at(coefficients + share * step)
+        coefficients = coefficients + share * step
+        p, gradients, slack = point
+        dual = dual + _step_share(dual, dual_step) * dual_step
+    return coefficients
 
 
 def _newton(
@@ -389,14 +410,15 @@ def _newton(
     An indefinite matrix is replaced by one of the rows' convex parts; the factor may be None.
     """
     rows, shape, size = program.rows, program.rows.c.shape, program.rows.c.size
-    own, stiffness = dual[:size].reshape(shape), (dual[:size] / slack[:size]).reshape(shape)
-    gradient = np.add.reduce(own * gradients, axis=1)
+    row_dual = dual[:size].reshape(shape)
+    stiffness = (dual[:size] / slack[:size]).reshape(shape)
+    gradient = np.add.reduce(row_dual * gradients, axis=1)
     gradient[0] -= 0.5 * program.weights * p[0] ** -1.5
     residual = program.basis.transposed(gradient) - dual[size:]
     forms = np.add.reduce((stiffness * gradients)[:, None] * gradients, axis=2)
     forms[0, 0] += 0.75 * program.weights * p[0] ** -2.5
     for convex in (False, True):
-        band = program.basis.banded(forms + rows.curvature(p, own, convex=convex))
+        band = program.basis.banded(forms + rows.curvature(p, row_dual, convex=convex))
         band[0] += dual[size:] / slack[size:]
         factor, failed = dpbtrf(band, lower=True)
         if not failed:

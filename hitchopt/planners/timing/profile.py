@@ -101,20 +101,25 @@ class Demands:
         slopes: (2, J, 2n, 2), coefficients of (u, x) for -b / c of thrust and tilt.
         infeasible_at_rest: (J, 2n), whether rest violates a limit.
         """
-        q1, q2, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
-        squares = np.stack([dot(q1, q1), dot(q1, q2), dot(q2, q2)], axis=-1)
-        along = np.stack([dot(q1, loads), dot(q2, loads)], axis=-1)
-        upward = np.stack([q1[..., 2], q2[..., 2]], axis=-1)
-        lift, upwards = loads[..., 2, None], _products(upward)
+        first, second, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
+        squares = np.stack([dot(first, first), dot(first, second), dot(second, second)], axis=-1)
+        along_load = np.stack([dot(first, loads), dot(second, loads)], axis=-1)
+        upward = np.stack([first[..., 2], second[..., 2]], axis=-1)
+        upward_load, upward_squares = loads[..., 2, None], _products(upward)
+        square_at_rest = dot(loads, loads)
+        # Weight of the squared upward force against the square of the whole one: of the cone of
+        # tilt, and none for thrust
+        cone = 1.0 + math.tan(self.share * self.limits.tilt) ** 2
+        thrust_at_rest = square_at_rest - (self.share * self.team.max_thrust) ** 2
+        tilt_at_rest = square_at_rest - cone * loads[..., 2] ** 2
         forms = [squares / (self.share * self.limits.acceleration) ** 2]
-        slopes, infeasible_at_rest = [], np.zeros(loads.shape[:-1], dtype=np.bool_)
-        rest, cone = dot(loads, loads), 1.0 + math.tan(self.share * self.limits.tilt) ** 2
-        thrust = rest - (self.share * self.team.max_thrust) ** 2
-        for c, slope2 in ((thrust, 0.0), (rest - cone * loads[..., 2] ** 2, cone)):
-            infeasible_at_rest |= c >= 0.0
-            inverse = (self.team.mass / np.where(c < 0.0, -c, 1.0))[..., None]
-            slopes.append(inverse * (along - slope2 * lift * upward))
-            form = self.team.mass[:, None] * inverse * (squares - slope2 * upwards)
+        slopes = list[Array]()
+        infeasible_at_rest = np.zeros(loads.shape[:-1], dtype=np.bool_)
+        for at_rest, weight in ((thrust_at_rest, 0.0), (tilt_at_rest, cone)):
+            infeasible_at_rest |= at_rest >= 0.0
+            inverse = (self.team.mass / np.where(at_rest < 0.0, -at_rest, 1.0))[..., None]
+            slopes.append(inverse * (along_load - weight * upward_load * upward))
+            form = self.team.mass[:, None] * inverse * (squares - weight * upward_squares)
             forms.append(form + _products(slopes[-1]))
         return np.stack(forms), np.stack(slopes), infeasible_at_rest
 
