@@ -76,12 +76,16 @@ def _export_options() -> Sequence[click.Option]:
     "directory DIR",
     _format_option,
     option(
-        "-o --output", "Folder, or the file where there is but one; else DIR-NAME.", PATH, "PATH"
+        "-o --output",
+        "Output folder, or file for formats of one file; default: DIR-NAME.",
+        PATH,
+        "PATH",
     ),
     option(
         "--fleet",
-        "YAML: drones: {q0: {name: cf1, uri: radio://…, type: cf21}, …}, or a crazyflies.yaml"
-        " with a role for each robot.",
+        "YAML file that names drones, as drones: "
+        "{q0: {name: cf1, uri: radio://…, type: cf21}, …}, or a crazyflies.yaml with a role for "
+        "each robot.",
         PATH,
         "FILE",
     ),
@@ -224,12 +228,12 @@ def _say_report(report: Report) -> None:
     "directory DIR",
     option(
         "--how",
-        "Stop; fly back until cables hang free; untie and land; straight down. By default "
-        "release_and_land, land without cables.",
+        "Stop; fly back until cables hang free; untie and land; or land straight down. Default: "
+        "release_and_land, or land without cables.",
         None,
         choices=HOWS,
     ),
-    option("--every", "Distance of the entries.", 2.0, "SECONDS"),
+    option("--every", "Time between entries.", 2.0, "SECONDS"),
 )
 def abort(directory: Path, how: str | None, every: float) -> None:
     """Plan and certify aborts from all times of the plan in DIR.
@@ -293,32 +297,32 @@ def _default_abort(motion: ho.Motion) -> str:
     ),
     option(
         "--to targets",
-        "Address of all drones, or once for each; by default this machine, from port 14600 "
-        "(json) or 14580 (mavlink) on, one port for each drone.",
+        "Address of all drones, or one per drone; default: this machine, one port per drone from "
+        "14600 (json) or 14580 (mavlink).",
         str,
         "HOST:PORT",
         multiple=True,
     ),
     option(
         "--listen",
-        "Where the stream comes from and measurements arrive; name this machine's address on "
-        "the drones' network.",
+        "Local address that sends setpoints and receives measurements; give this machine's "
+        "address on the drones' network.",
         "127.0.0.1:0",
         "HOST:PORT",
     ),
-    option("--fleet", "Names of the Crazyflies.", PATH, "FILE"),
+    option("--fleet", "File with the names of the Crazyflies.", PATH, "FILE"),
     _placement_options,
     option("--rate", "Setpoints per second and drone.", 50.0, "HZ"),
     option(
         "--how",
-        "What key a does: by default release_and_land, land without cables.",
+        "What key a does; default: release_and_land, or land without cables.",
         None,
         choices=HOWS[2:],
     ),
-    option("--patience", "From a lost link to landing.", 5.0, "SECONDS"),
+    option("--patience", "Time from a lost link to landing.", 5.0, "SECONDS"),
     option(
         "--measurements/--no-measurements",
-        "Whether 0.5 s without measurements is a lost link.",
+        "Whether 0.5 s without measurements counts as a lost link.",
         True,
     ),
 )
@@ -343,10 +347,7 @@ def fly(
     from hitchopt.values import positive
 
     if not hasattr(signal, "SIGHUP"):
-        raise UnsupportedError(
-            "fly needs Linux or macOS: other systems do not tell a program that its terminal "
-            "closed, nor wait for keys; on Windows use WSL"
-        )
+        raise UnsupportedError("fly needs Linux or macOS; on Windows use WSL")
     rate, patience = positive("rate", rate), positive("patience", patience)
     with ProgressBar("certifying"):
         plan = ho.load(plan_path(directory).parent)

@@ -165,9 +165,9 @@ def command(
     parameter = click.Argument([name], metavar=metavar, **{"type": PATH, **more})
     switch: Any = {"expose_value": False, "callback": _switch}
     switches = (
-        option("--json", "Print one JSON object to stdout, all else to stderr.", **switch),
+        option("--json", "Print one JSON object to stdout, everything else to stderr.", **switch),
         option("-q --quiet", "Print errors only.", **switch),
-        option("-v --verbose", "Print every message of progress to stderr.", **switch),
+        option("-v --verbose", "Print every progress message to stderr.", **switch),
     )
     return main.command(cls=Command, params=[parameter, *options, *switches])
 

@@ -26,7 +26,7 @@ DRAWING_TIME = 1.5
 
 @command(
     "directory DIR",
-    option("--ghost", "Show another plan, a flight or an evaluation too.", PATH, "PATH"),
+    option("--ghost", "Also show another plan, a flight or an evaluation.", PATH, "PATH"),
 )
 def report(directory: Path, ghost: Path | None) -> None:
     """Write DIR/report.html, a report of the plan in one file that needs no network.
@@ -42,10 +42,10 @@ def report(directory: Path, ghost: Path | None) -> None:
 
 @command(
     "path DIR|FILE",
-    option("--save", "Write a page, picture or film; do not serve.", PATH, "FILE"),
+    option("--save", "Write a page, picture or film instead of serving.", PATH, "FILE"),
     option(
         "--ghost",
-        "Show another plan, a simulated flight or an evaluation at its side.",
+        "Show another plan, a simulated flight or an evaluation next to it.",
         PATH,
         "PATH",
     ),

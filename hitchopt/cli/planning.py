@@ -62,19 +62,17 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
 
 @command(
     "file FILE",
-    option(
-        "-o --output", "Directory to write the plan to; by default ./ and FILE's stem.", PATH, "DIR"
-    ),
+    option("-o --output", "Output directory; default: ./ and the stem of FILE.", PATH, "DIR"),
     option("--rate", "Setpoints per second and drone.", 100.0, "HZ"),
     option("--report", "Write DIR/report.html as well."),
-    option("--no-picture", "Do not draw DIR/summary.png; -q does not either."),
-    option("--verify", "Prove the plan's limits by another method as well."),
+    option("--no-picture", "Skip DIR/summary.png, as -q does."),
+    option("--verify", "Also prove the plan's limits by another method."),
     option(
         "--repair/--no-repair",
         "If there is no plan, search for the smallest change that helps.",
         True,
     ),
-    option("--repair-to", "Write FILE with a change that helps to this file.", PATH, "FILE"),
+    option("--repair-to", "Write FILE with a suggested change to this file.", PATH, "FILE"),
     option("--take", "Number of the change that --repair-to writes.", 1, "N"),
     option("--limit", "Time limit, searches included.", 600.0, "SECONDS"),
 )
@@ -263,17 +261,17 @@ def _suggestions(
 @command(
     "directory DIR",
     option("--closest", "Report the closest pairs of drones over time."),
-    option("--picture", "Draw the same to a .png, .svg or .pdf file.", PATH, "FILE"),
+    option("--picture", "Draw them to a .png, .svg or .pdf file.", PATH, "FILE"),
     width_option("the picture"),
     option(
         "--gamma",
-        "For tracking_radius: how many times farther than drones vertices may be.",
+        "For tracking_radius: ratio of vertex errors to drone errors.",
         1.0,
         "FLOAT",
     ),
     option(
         "--survivable",
-        "Report for how many losses of a drone there is a certified reaction (slow).",
+        "Report how many losses of a drone have a certified reaction (slow).",
     ),
 )
 def check(
@@ -315,7 +313,7 @@ def check(
     certificate.raise_if_violated()
     if differences := [*_differences_from_request(path)]:
         raise FileError("\n".join(differences))
-    reason = "is another table than was written with the certificate; solve again"
+    reason = "differs from the table that was written with the certificate; solve again"
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
     if changed := [*_changed_others(motion, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
@@ -348,7 +346,7 @@ def _changed_others(motion: Motion, path: Path) -> Iterator[str]:
         files = [file for folder in folders if (file := plan_path(folder / each.plan)).is_file()]
         if not any(is_of(each, file) for file in files):
             state = f"{files[0]} is another plan" if files else "its plan is missing"
-            yield f"others: {each.name} ({each.plan}): {state}; solve again beside what flies now"
+            yield f"others: {each.name} ({each.plan}): {state}; solve again with the current plan"
 
 
 @command("directory DIR")
@@ -405,26 +403,27 @@ def example_files() -> list[Path]:
     option("--list listing", "List the examples."),
     option(
         "--kind",
-        "Write a problem that carries an object, one of single drones, or a study of many plans.",
+        "Write a problem that carries an object, a problem of single drones, or a study of many "
+        "plans.",
         None,
         choices=[*KINDS],
     ),
     option(
         "--drone model",
-        "Write a problem for a model of drones, such as crazyflie_2.1: lengths, distances and "
-        "tension fit; paper_132g.",
+        "Write a problem whose lengths, distances and tension fit a drone model, such as "
+        "crazyflie_2.1; default: paper_132g.",
         str,
         "MODEL",
     ),
     option(
         "--robots",
-        "Write a problem for this number of robots, of two drones each, 3 to 12; 3.",
+        "Write a problem for this number of robots, 3 to 12, of two drones each; default: 3.",
         int,
         "N",
     ),
     option(
         "--schema",
-        "Write problem.schema.json, with which editors complete and check problem files.",
+        "Write problem.schema.json, by which editors complete and check problem files.",
     ),
     type=str,
     required=False,

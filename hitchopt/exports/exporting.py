@@ -124,7 +124,7 @@ def export_motion(
     task = ExportTask(*content, settings=settings, notes=tuple(notes), has_trims=kind.has_heading)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
-        raise FileError(f"{place}: is there already; an export is a folder, so name another")
+        raise FileError(f"{place}: already exists; an export is a folder: choose another name")
     certificate_of(plan, say).raise_if_violated()
     with _scratch_folder(place) as scratch:
         task, exports = _export_task(kind, task, scratch, say)
@@ -139,9 +139,8 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
             continue
         if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
             yield (
-                f"distances allow for tracking errors of {tube}, as simulated; real drones in "
-                f"public logs were off by {Tube(*RECORDED_TUBE)}: set limits.tracking to your "
-                "measured error"
+                f"distances allow for tracking errors of {tube}; recorded drones were off by "
+                f"{Tube(*RECORDED_TUBE)}: set limits.tracking to your measured error"
             )
             return
 
@@ -153,7 +152,7 @@ def _notes(kind: Format, motion: Motion, options: ExportOptions) -> Iterator[str
     trim = 100.0 * float(np.max(np.linalg.norm(motion.team.trim, axis=1)))
     size = f"trims of drones, up to {trim:.3g} cm,"  # they turn with the heading
     if trim and kind.flown_by and kind.has_heading:
-        yield f"setpoints include {size} at the heading of the files: keep it in flight"
+        yield f"setpoints include {size} for the heading in the files: keep this heading in flight"
     elif trim and kind.flown_by:
         yield f"{size} are not included: {kind.name} has no heading, with which they turn"
     if kind.velocity_settings and not options.positions_only:
@@ -419,7 +418,8 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
         is_rounded = is_rounded and not task.holds_tension
         for factor in RETRY_STRETCHES if is_rounded else ():
             slower = stretched(task.motion, factor)
-            note = f"flown {factor - 1.0:.0%} slower than the plan: rounded, it would lose a limit"
+            slowdown = f"exported {factor - 1.0:.0%} slower than planned"
+            note = f"{slowdown}: at full speed, rounding would break a limit"
             yield (replace(task, motion=slower, notes=(*task.notes, note)),)
         yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
@@ -562,7 +562,7 @@ def _move_exports(
     for folder, sources in (new | {folder: {} for folder in obsolete}).items():
         owned = {MANIFEST, *listed_names(read_manifest(folder), "files")}
         if foreign := [name for name in sources if name not in owned and (folder / name).exists()]:
-            reason = "is there already and not from an export; choose another folder with -o"
+            reason = "already exists and is not an export; choose another folder with -o"
             raise FileError(f"{folder / foreign[0]}: {reason}")
         _move(folder, sources, owned | {*sources}, MANIFEST)
     for folder in obsolete:

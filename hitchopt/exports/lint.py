@@ -373,7 +373,7 @@ def _end_findings(
         if size > bound:
             reason = f"{what} jumps by {size:.3g} {unit} where pieces join at t = {t:.4g} s"
             level = error if what == "position" else warning
-            yield level("jump", names[drone], f"{reason}; mend it")
+            yield level("jump", names[drone], f"{reason}; correct it")
     speeds, bound = np.linalg.norm(last.ends(1)[1][-1], axis=-1), rules.jumps[1]
     if speeds[fastest := int(np.argmax(speeds))] > bound:
         reason = f"still moves at {speeds[fastest]:.3g} m/s at t = {last.breaks[-1]:.4g} s"
@@ -427,7 +427,7 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
     digests = mapping_at(manifest, "digests")
     for name, file in files.items():
         if not file.exists():
-            yield error("missing", name, "was exported and is not there")
+            yield error("missing", name, "was exported but is missing")
         elif digests.get(name) != digest(file):
             reason = "is not what was exported and verified; export it again, without edits"
             yield (error if file.suffix.lower() in kind.endings else note)("changed", name, reason)
@@ -454,7 +454,7 @@ def _start_findings(
         start = [first[0] - offset[0], first[1] - offset[1]]
         point = mapping_at(robots, name).get("initial_position")
         if not _is_point(point):
-            yield error("start", name, f"is nowhere in {fleet.name}; give its initial_position")
+            yield error("start", name, f"is not in {fleet.name}; give its initial_position")
         elif (distance := math.dist(point[:2], start)) > START_TOLERANCE:
             reason = f"{fleet.name} places it {distance:.3g} m from below its first place, "
             yield error("start", name, f"{reason}{start[0]:.4g}, {start[1]:.4g}; correct it")

@@ -59,45 +59,48 @@ class ExportOptions(Record):
 
     format: str
     frame: Annotated[
-        str | None, Key(words("enu", "nwu", "ned"), "Frame of the files; null: the format's usual")
+        str | None,
+        Key(words("enu", "nwu", "ned"), "Frame of the files; null: the format's default"),
     ] = None
     origin: Annotated[
         Sequence[float],
-        Key(points((3,), "x, y, z"), "The plan's origin in that frame: east, north, up [m]"),
+        Key(points((3,), "x, y, z"), "Origin of the plan in that frame: east, north, up [m]"),
     ] = (0.0, 0.0, 0.0)
     yaw: Annotated[
-        float, Key(ANGLE, "Rotation of the plan there, counter-clockwise from above")
+        float, Key(ANGLE, "Rotation of the plan in that frame, counter-clockwise seen from above")
     ] = 0.0
     fleet: Path | str | None = None
     rate: Annotated[
-        float | None, Key(RATE, "Samples per second, where it samples; null: the format's usual")
+        float | None, Key(RATE, "Samples per second of sampled formats; null: the format's default")
     ] = None
-    stretch: Annotated[float, Key(NUMBER, "Factor of all durations, from 1 on")] = 1.0
+    stretch: Annotated[float, Key(NUMBER, "Factor on all durations, at least 1")] = 1.0
     storage: Annotated[str, Key(words(*STORAGES), "Storage of a ros2bag")] = "mcap"
     ros_distro: Annotated[
-        str, Key(words(*ROS_DISTROS), "Release that a ros2bag is for; later ones read it too")
+        str, Key(words(*ROS_DISTROS), "ROS 2 release of a ros2bag; later releases read it too")
     ] = "humble"
     hold_tension: Annotated[
         bool,
-        Key(FLAGS, "Move setpoints outward to hold the tension in other formats than uploads, too"),
+        Key(
+            FLAGS, "Move setpoints outward to hold the tension, also in formats other than uploads"
+        ),
     ] = False
     allow_slack: Annotated[
-        bool, Key(FLAGS, "Write uploads that cannot hold the tension all the same")
+        bool, Key(FLAGS, "Write uploads even if they cannot hold the tension")
     ] = False
     positions_only: Annotated[
-        bool, Key(FLAGS, "Allow for drones that follow positions alone, and trail them by v kd/kp")
+        bool, Key(FLAGS, "Certify for drones that follow positions alone and trail them by v kd/kp")
     ] = False
     stiffness: Annotated[
-        float | None, Key(STIFFNESS, "Of the drones' position loops; null: the team's")
+        float | None, Key(STIFFNESS, "Stiffness of the drones' position loops; null: the team's")
     ] = None
     damping: Annotated[
         float | None,
-        Key(DAMPING, "Of these loops; null: that of a damping ratio of 5/6"),
+        Key(DAMPING, "Damping of these loops; null: that of a damping ratio of 5/6"),
     ] = None
     longer_rests: Annotated[
         bool,
         Key(
             FLAGS,
-            "Whether a plan that is cut may rest longer where it is, for setpoints to come to rest",
+            "Whether rests where a plan is cut may be extended until setpoints are at rest",
         ),
     ] = True

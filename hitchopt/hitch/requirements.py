@@ -150,7 +150,7 @@ CORNER = points((3,), "x, y, z", largest=units.MAX_WALL)
 @documented
 @dataclass(frozen=True, eq=False)
 class Arena(ByValue):
-    """The box that the drones stay in."""
+    """Box that the drones stay in."""
 
     lower: Annotated[Array, Key(CORNER, "Corner (3,) with the least x, y, z [m]", [-4, -4, 0])]
     upper: Annotated[Array, Key(CORNER, "Corner (3,) with the greatest x, y, z [m]", [4, 4, 3])]

@@ -100,7 +100,9 @@ class Aborts:
         """Return the first abort for a command at a plan time [s]; see ``Plan.abort``."""
         check_choice("how", how, get_args(How))
         if nonnegative("t", time) > self.motion.duration:
-            raise InputError("t", time, f"within {self.motion.duration:g} s", "ask within the plan")
+            raise InputError(
+                "t", time, f"within {self.motion.duration:g} s", "choose a time within the plan"
+            )
         planned = self._in_place if how in ("hold", "back") else self._landing
         found = planned(time, how)
         if isinstance(found, Abort):

@@ -95,7 +95,9 @@ class Reactions:
         if drone not in names:
             raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
         if nonnegative("t", time) > motion.duration:
-            raise InputError("t", time, f"within {motion.duration:g} s", "ask within the plan")
+            raise InputError(
+                "t", time, f"within {motion.duration:g} s", "choose a time within the plan"
+            )
         states, lost = states_at(motion, time), names.index(drone)
         descent, start = self._motion_after(float(time)), min(time + DELAY, motion.duration)
         if bool(states.formed):
@@ -114,7 +116,7 @@ class Reactions:
         if self.motion.team.has_cables and self.motion.requirements.objects:
             reason = "the team carries objects, or stands among them"
             if self.motion.team.robots == 2 and self.motion.team.layout.closed:
-                reason += "; two cables hold nothing without all four drones: what they carry falls"
+                reason += "; two cables need all four drones: what they carry falls"
             raise _no_reaction(time, reason)
         reasons = list[str]()
         for delay in STOP_DELAYS:

@@ -79,7 +79,7 @@ class Player(OneLine):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
         if motion.others:
             reason = f"{motion.others[0].name} flies on a clock that cannot be slowed"
-            raise UnsupportedError(f"{reason}; plan without others, or use aborts alone")
+            raise UnsupportedError(f"{reason}; plan without others, or use aborts only")
         self.motion: Motion = motion
         self._shared = _shared_data(motion)
         self._start, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
@@ -247,7 +247,7 @@ class Player(OneLine):
                 reason += "; a held object has inertia, stop where the plan does"
             if len(self._shared.sliding_spans):
                 reason += "; legs lean against friction, and are not flown backward"
-            remedy = "ask later, for another rate or time, or plan with limits.reserve below 1"
+            remedy = "try later or another rate or time, or plan with limits.reserve below 1"
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {reason}; {remedy}")
         self._profile = self._clamped(profile)
         if profile.phases:  # a held object can start as slowly as it has stopped

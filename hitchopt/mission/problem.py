@@ -452,14 +452,14 @@ class Problem(ByValue):
     separation: Annotated[Separation, Key(mapping_of(Separation), "Distances to keep")] = field(
         default_factory=Separation
     )
-    arena: Annotated[Arena | None, Key(mapping_of(Arena), "The box that the drones stay in")] = None
+    arena: Annotated[Arena | None, Key(mapping_of(Arena), "Box that the drones stay in")] = None
     title: Annotated[str, Key(TITLE, "Title of the plan")] = ""
     objects: Annotated[
         Mapping[str, SolidObject], Key(OBJECTS, "Carried objects and obstacles, by name")
     ] = field(default_factory=dict)
     others: Annotated[
         Mapping[str, Other],
-        Key(OTHERS, "Plans that fly besides, by name, at rest before and after"),
+        Key(OTHERS, "External plans in the same airspace, by name, at rest before and after"),
     ] = field(default_factory=dict)
     keep_out: tuple[Prism, ...] = ()
     teams: Mapping[str, TeamMission] = field(init=False, repr=False)

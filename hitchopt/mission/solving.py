@@ -55,14 +55,14 @@ def _with_tracking_advice(
         return error
     if tube == Tube.of(team.tracking):
         advice = (
-            f"choose a stiffer controller: this distance is wider for its tracking errors of "
-            f"{tube}; state limits.tracking only if measured errors are smaller"
+            f"choose a stiffer controller, since its tracking errors of {tube} widen this "
+            "distance; set limits.tracking only to measured errors"
         )
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
     of_two = (
-        f"two cables are hardly ever tied by drones that may be off by more upright than level, as "
-        f"here by {tube}: set limits.tracking to {tube.level:g} if it was measured"
+        f"two cables are hardly ever tied if vertical tracking errors exceed horizontal ones ({tube} "
+        f"here): set limits.tracking to {tube.level:g} if it was measured"
     )
     tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
     violations = list[Violation]()

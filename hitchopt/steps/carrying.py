@@ -284,7 +284,7 @@ BY = words("rest", "grip")
 BY_TEXT = "rest: its rim lies on the clasps; grip: cables are wrapped around it"
 
 HoldTension = Annotated[
-    float | None, Key(TENSION, "Of all cables while it is held; without it the team's")
+    float | None, Key(TENSION, "Tension of all cables while it is held; default: the team's")
 ]
 
 BALANCE_CHECKS = frozenset({"equilibrium", "keep_out"})

@@ -447,7 +447,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
         hitches.append(end)
     motion, joints = BlendedMorph(hitches, requirements).solve()
     times = [0.0, *joints.tolist(), motion.duration]
-    remarks = ["goes on without a stop"] * (len(steps) - 1) + [""]
+    remarks = ["continues without a stop"] * (len(steps) - 1) + [""]
     phases = tuple(
         Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
         for j, step in enumerate(steps)

@@ -53,12 +53,12 @@ class Fly(Step):
         Array,
         Key(
             SWARM_PLACES,
-            "Where they come to rest (N, 3) [m], [x, y, z] per drone",
+            "Goals (N, 3) [m], [x, y, z] per drone",
             [[1, 0, 1], [-1, 0, 1]],
         ),
     ]
     duration: Annotated[
-        float | None, Key(DURATION, "Exactly that long; without it as fast as possible")
+        float | None, Key(DURATION, "Exact duration; default: as fast as possible")
     ] = None
 
     def resolved_for(self, team: Team) -> Self:
@@ -85,7 +85,7 @@ class Fly(Step):
         if limit is not None and duration is not None and duration > limit:
             remedy = "lower duration, or raise limits.duration"
             violation = Violation(
-                "duration", duration, limit, "max", "s", (), "as asked for", remedy
+                "duration", duration, limit, "max", "s", (), "as requested", remedy
             )
             raise InfeasibleError([violation])
         prisms = [(f"prism {k}", prism) for k, prism in enumerate(requirements.keep_out)]

@@ -251,7 +251,7 @@ class Settle(Step):
     time_key: ClassVar[str] = "seconds"
     seconds: Annotated[
         float | Literal["auto"],
-        Key(AUTO_SECONDS, "How long; auto: four swings, slower where limits need that", 5),
+        Key(AUTO_SECONDS, "Duration; auto: four swings, slower where limits require it", 5),
     ] = AUTO
 
     def resolved_for(self, team: Team) -> Self:
@@ -287,8 +287,8 @@ _RANGE_FORMS = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
 TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 
 OPTIMIZE_TEXT = (
-    "Look for a faster route even where the straight one satisfies all limits; by default only "
-    "where it takes more than 1.3 times as long as every drone and vertex alone"
+    "Search for a faster route even if the straight one is feasible; by default only if that "
+    "takes more than 1.3 times as long as every drone and vertex alone"
 )
 
 
@@ -304,7 +304,7 @@ class Morph(ShapeStep):
     blend: Blend = False
     optimize: Annotated[bool, Key(FLAGS, OPTIMIZE_TEXT)] = False
     tension: Annotated[
-        tuple[float, float] | None, Key(TENSION_RANGE, "Range of tensions meanwhile")
+        tuple[float, float] | None, Key(TENSION_RANGE, "Range of tensions during the step")
     ] = None
     settle: SettleAtEnd = AUTO
 
@@ -406,9 +406,9 @@ def _checked_index(key: str, index: int, count: int) -> int:
 
 
 _ENDS = points((2, 2), "x, y")
-_ENDS_TEXT = "Where its ends go, [[x, y], [x, y]] [m], its first vertex first"
+_ENDS_TEXT = "Goals of its ends, [[x, y], [x, y]] [m], its first vertex first"
 
-Offset = Annotated[Array | None, Key(POINT2, "By how much, [dx, dy] [m], in place of to")]
+Offset = Annotated[Array | None, Key(POINT2, "Displacement [dx, dy] [m], instead of to")]
 
 
 @documented
@@ -421,7 +421,7 @@ class MoveVertex(MoveStep):
     """
 
     vertex: WhichPoint
-    to: Annotated[Array | None, Key(POINT2, "Where to, [x, y] [m]")] = None
+    to: Annotated[Array | None, Key(POINT2, "Goal [x, y] [m]")] = None
     by: Offset = None
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -620,7 +620,7 @@ class FollowVertex(ActionStep):
 class Transport(HitchStep):
     """Move the whole hitch and turn it about its centroid; its shape and legs stay."""
 
-    to: Annotated[Array, Key(POINT3, "Where its centroid goes, [x, y, z] [m]", [0, 0, 1])]
+    to: Annotated[Array, Key(POINT3, "Goal [x, y, z] of its centroid [m]", [0, 0, 1])]
     yaw: Yaw = 0.0
     duration: Seconds = None
 

@@ -156,17 +156,17 @@ SETTLE_TEXT = (
 )
 
 Seconds = Annotated[
-    float | None, Key(DURATION, "Exactly that long; without it as fast as the limits allow")
+    float | None, Key(DURATION, "Exact duration; default: as fast as the limits allow")
 ]
-Blend = Annotated[bool, Key(FLAGS, "Go on into the next step without a stop")]
+Blend = Annotated[bool, Key(FLAGS, "Continue into the next step without a stop")]
 SettleAtEnd = Annotated[
     float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
 ]
 LegsAtEnd = Annotated[SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end")]
 WhichPoint = Annotated[int, Key(INDEX, "Which, from 0", 0)]
 ObjectOf = Annotated[str, Key(OBJECT_NAME, "Name of the object", "box")]
-Place = Annotated[Array, Key(POINT3, "Where its base goes, [x, y, z] [m]", [1, 0, 0])]
-Yaw = Annotated[float, Key(TURN, "By how much it turns, counter-clockwise")]
+Place = Annotated[Array, Key(POINT3, "Goal [x, y, z] of its base [m]", [1, 0, 0])]
+Yaw = Annotated[float, Key(TURN, "Rotation, counter-clockwise")]
 Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 
 

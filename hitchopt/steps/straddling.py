@@ -119,7 +119,11 @@ class Tie(Step):
     ] = None
     tension: Annotated[
         float | None,
-        Key(TENSION, "Of all cables while they are tied; null: low, as their weight permits", 0.3),
+        Key(
+            TENSION,
+            "Tension of all cables while they are tied; null: low, as their weight permits",
+            0.3,
+        ),
     ] = None
     duration: Seconds = None
 

@@ -297,7 +297,7 @@ def grounded(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
 
 
 def stopped(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return the speed of drones at the end of a step, unless it goes on without a stop."""
+    """Return the speed of drones at the end of a step, unless it continues without a stop."""
     rates = norm(s.p.points.c[1][s.pieces[-1], : s.p.N, :, -1])
     return 0.0 if value else float(np.max(rates))
 
@@ -379,7 +379,7 @@ def setting_faults(p: Plan) -> Iterator[Fault]:
     yield time, len(prisms) != len(own["keep_out"]), "keep_out has another number of prisms"
     for path, stated, values in sections:
         for key, value in stated.items() if isinstance(stated, dict) else ():
-            yield time, contradicts(key, value, values or {}), f"{path}.{key} is not as asked for"
+            yield time, contradicts(key, value, values or {}), f"{path}.{key} is not as requested"
 
 
 def _flat(body: Any) -> dict[str, Any]:
@@ -416,7 +416,7 @@ def start_faults(p: Plan) -> Iterator[Fault]:
     if hitch:
         shown = {"polygon": s.vertices(0)[:, :2], "altitude": s.vertices(0)[:, 2]}
         off = _size(legs(s, hitch.get("legs"), {}, 0))
-        yield float(p.breaks[0]), not off <= CLOSE, "start.hitch.legs is not as asked for"
+        yield float(p.breaks[0]), not off <= CLOSE, "start.hitch.legs is not as requested"
     elif drones:
         shown = {"q": s.drones(0)[::2], "r": s.drones(0)[1::2]}
     places = hitch or drones or {"": start}
@@ -425,7 +425,7 @@ def start_faults(p: Plan) -> Iterator[Fault]:
         if key in shown and not isinstance(value, str | dict | None):
             off = _size(shown[key] - np.array(value, dtype=float))
             path = f"start.{key}".rstrip(".")
-            yield float(p.breaks[0]), not off <= CLOSE, f"{path} is not as asked for"
+            yield float(p.breaks[0]), not off <= CLOSE, f"{path} is not as requested"
 
 
 def step_faults(p: Plan) -> Iterator[Fault]:
@@ -441,7 +441,7 @@ def step_faults(p: Plan) -> Iterator[Fault]:
         s = Step(p, np.flatnonzero(within), moving)
         ((name, keys),) = step.items()
         for key, off in differences(s, name, keys or {}):
-            yield end, not off <= CLOSE, f"mission[{i}].{name}.{key} is not as asked for"
+            yield end, not off <= CLOSE, f"mission[{i}].{name}.{key} is not as requested"
 
 
 def differences(s: Step, name: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, float]]:

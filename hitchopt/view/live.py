@@ -271,7 +271,7 @@ class LiveView:
         self.phases = Buttons(gui, self.panel.add_tab("Phases"), self._show_phase_at)
         checks = self.panel.add_tab("Certificate")
         with checks:
-            gui.add_markdown("Every worst value holds for all t. A click shows where and when.")
+            gui.add_markdown("Each worst value holds for all t. Click to see where and when.")
             gui.add_button("no highlight", color=IDLE_COLOUR).on_click(self._remove_highlight)
         self.checks = Buttons(gui, checks, self._show_check)
         self._plots_tab = self.panel.add_tab("Plots")

@@ -167,7 +167,7 @@ def test_shows_declare_limits_and_hold_the_tension(plan: Path) -> None:
     options = ["--stiffness", "4.75", "--damping", "1.3"]
     said = run("export", plan, "--format", "skybrush", "-o", "files", *options, code=0).stdout
     assert "note: setpoints lie up to 8.4" in said
-    assert "loops of 4.75 N/m and 1.3 N s/m" in said
+    assert "gains 4.75 N/m, 1.3 N s/m" in said
     assert "separation" in said
     assert "thrust" not in said.partition("from the plan, over all time")[0]
     assert "0 errors, 0 warnings" in run("lint", "files").stdout

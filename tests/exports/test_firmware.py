@@ -214,7 +214,7 @@ def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: 
             assert {name: robots[name]["firmware_params"] for name in robots} == parameters
         assert settings.exists() == (name != "compressed")
     if name in UPLOADED:
-        assert any("name team.quadrotor.controller" in note for note in unnamed["notes"])
+        assert any("set team.quadrotor.controller" in note for note in unnamed["notes"])
         assert any("use cflib" in note for note in named["notes"]) == (name == "compressed")
 
 

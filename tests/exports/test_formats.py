@@ -183,7 +183,7 @@ def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:
     assert {p.name for p in folder.iterdir()} == {"export.json", "mine.txt", "setpoints.parquet"}
     other.mkdir()
     (other / "setpoints.parquet").write_text("somebody's")
-    with pytest.raises(FileError, match="not from an export"):
+    with pytest.raises(FileError, match="is not an export"):
         exported(swarm_plan(), "parquet", other)
     assert (other / "setpoints.parquet").read_text() == "somebody's"
 

@@ -381,6 +381,6 @@ def test_changed_tables_are_reported(tmp_path: Path) -> None:
     assert changed_tables(tmp_path) == ["setpoints.csv"]
     assert [each for each in lint(table)[0].findings if each.rule == "changed"]
     told = CliRunner().invoke(main, ["check", str(tmp_path)])
-    assert (told.exit_code, "setpoints.csv: is another table" in told.stderr) == (3, True)
+    assert (told.exit_code, "setpoints.csv: differs from the table" in told.stderr) == (3, True)
     (tmp_path / "certificate.json").unlink()
     assert changed_tables(tmp_path) == []

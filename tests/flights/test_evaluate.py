@@ -98,8 +98,8 @@ def test_an_unknown_weight_is_fitted() -> None:
     assert result.density == pytest.approx(target.team.cable_density, rel=0.02)
     assert np.nanmax(result.errors) < 3e-4
     assert any("weigh them" in remark for remark in result.remarks)
-    assert result.sag == "the plan ignores the cables' weight: their sag is in these errors"
-    assert "g/m is planned, and not in these errors" in ho.evaluate(flight, target).sag
+    assert result.sag == "the plan ignores the cables' weight: these errors include sag"
+    assert "g/m is planned: these errors do not include it" in ho.evaluate(flight, target).sag
     assert np.nanmax(ho.evaluate(flight, weightless, density=0.006).errors) < 1e-4
 
 

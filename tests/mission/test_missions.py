@@ -71,7 +71,7 @@ def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
         np.testing.assert_allclose(state.legs, rest.legs, atol=1e-6)
     for phase in passing.phases[:-1]:
         assert fastest(passing, phase.end) > 0.1
-        assert phase.remark == "goes on without a stop"
+        assert phase.remark == "continues without a stop"
     assert fastest(passing, passing.duration) < 1e-9
     assert [p.start for p in passing.phases[1:]] == [p.end for p in passing.phases[:-1]]
     assert passing.certificate["continuity"].worst < 1e-9

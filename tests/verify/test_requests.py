@@ -281,7 +281,7 @@ def test_check_names_keys_that_only_the_curves_between_show(tmp_path: Path) -> N
     write_plan(tmp_path / "plan.npz", motion_of("moved"), "", text)
     run = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert run.exit_code == 2
-    assert "mission[4].follow_vertex.path is not as asked for" in run.output
+    assert "mission[4].follow_vertex.path is not as requested" in run.output
 
 
 def test_a_text_and_its_data_are_the_same(tmp_path: Path) -> None:

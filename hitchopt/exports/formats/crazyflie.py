@@ -341,12 +341,12 @@ def parameter_notes(task: ExportTask) -> Iterator[str]:
     controllers = {"ctrlMel", "ctrlLee", "posCtlPid"}
     if all(controllers & {*groups} for groups in task.settings["parameters"].values()):
         yield (
-            "gains, mass and thrust are exported with the filter's parameters; attitude gains "
-            "assume a drone of the Crazyflie's proportions"
+            "gains, mass, thrust and filter parameters are exported; attitude gains assume the "
+            "Crazyflie's proportions: check them on one drone"
         )
     else:
         yield (
-            "only the filter's parameters are exported: for gains, mass and thrust name "
+            "only filter parameters are exported; for gains, mass and thrust set "
             "team.quadrotor.controller"
         )
     names = []
@@ -401,8 +401,8 @@ EQUAL_ERRORS = Scale(position=2e-4, velocity=1e-2, acceleration=0.2)  # Errors o
 
 
 CLIENT = (
-    "no script is written, as crazyflie_py cannot upload these bytes: use cflib, whose memory of "
-    "trajectories takes them as they are (docs/how_to/export.md)"
+    "no script is written, since crazyflie_py cannot upload these bytes: upload them with cflib "
+    "(docs/how_to/export.md)"
 )
 
 

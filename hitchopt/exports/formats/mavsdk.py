@@ -100,7 +100,7 @@ class MavsdkDroneShow(Format):
             "with its own settings mavsdk_drone_show replaces rows by a climb and a landing: in "
             f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
-            "launch every drone at px, py of its first row: its rows are counted from there",
+            "launch every drone at px, py of its first row, the origin of its rows",
             "set PX4's parameters as in export.json, and MPC_THR_HOVER as measured without cables",
             *px4_notes(task.motion.team, task.options.stiffness, task.options.damping),
         )

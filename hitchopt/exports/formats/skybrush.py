@@ -112,8 +112,8 @@ class SkybrushShow(Format):
     frames = ("nwu",)
     accuracy = 2e-3
     feed_forward = (
-        "not in this file: the autopilots track positions with controllers of their own, and the "
-        "format has no accelerations"
+        "not in this file: autopilots track positions with their own controllers, and the format "
+        "has no accelerations"
     )
     needs_stiffness = True
     bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long segments fit less well, but round better
@@ -125,7 +125,9 @@ class SkybrushShow(Format):
             returns = plan_returns(motion, task.frame)
             head = {"version": 1, "landingSpeed": _landing_speed(motion)}
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
-            notes = [f"rthPlan: {len(returns)} coordinated returns, from where drones stop at once"]
+            notes = [
+                f"rthPlan: {len(returns)} coordinated returns that begin where drones can stop"
+            ]
         breaks = fit_breaks(motion.drones, CUBIC, task.bound)
         fit = task.frame.placed(fit_pieces(task.curves, breaks, CUBIC))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)

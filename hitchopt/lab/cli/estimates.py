@@ -40,7 +40,7 @@ def _statics_options() -> Sequence[click.Option]:
         ),
         option(
             "--tolerance",
-            "Ranges for errors: those of --error, else ±1 cm of cables and ±2 cm of drones.",
+            "Compute ranges for errors: --error, or ±1 cm of cables and ±2 cm of drones.",
         ),
         assignment_option(
             "--error",
@@ -54,7 +54,7 @@ def _statics_options() -> Sequence[click.Option]:
 @command(
     "directory DIR",
     option("--at times", "Time [s]; repeatable.", float, "T", multiple=True),
-    option("--samples", "Times without --at.", 25, "N"),
+    option("--samples", "Number of times if --at is not given.", 25, "N"),
     _statics_options,
     *picture_options(),
 )
@@ -156,13 +156,18 @@ def _statics_tables(content: dict[str, Any]) -> str:
 
 @command(
     "recordings RECORDING...",
-    option("--plan", "Plan flown; else where RECORDING lies, or none for hovers.", PATH, "DIR"),
+    option(
+        "--plan",
+        "Plan that was flown; default: the plan next to RECORDING, or none for hovers.",
+        PATH,
+        "DIR",
+    ),
     option("-o --output", "Team, or drones of hovers, with the estimates (YAML).", PATH, "FILE"),
-    option("--density", "Cable density, as weighed.", float, "KG/M"),
-    option("--mass", "Of every drone in hovers.", float, "KG"),
-    option("--kp", "Level gain of the position loop, in hovers.", float, "N/M"),
-    option("--kd", "Its damping, in hovers.", float, "N S/M"),
-    option("--names", "Drones by recorded names in hovers, such as cf2=q0,cf7=r0.", str, "NAMES"),
+    option("--density", "Measured density of the cables.", float, "KG/M"),
+    option("--mass", "Mass of every drone, for hovers.", float, "KG"),
+    option("--kp", "Horizontal stiffness of the position loop, for hovers.", float, "N/M"),
+    option("--kd", "Damping of the position loop, for hovers.", float, "N S/M"),
+    option("--names", "Names of drones in hovers, such as cf2=q0,cf7=r0.", str, "NAMES"),
     nargs=-1,
     required=True,
 )
@@ -279,7 +284,7 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     errors = calibration.drone_errors.T[task.team.listed]
     columns += zip(team.drone_names, errors, strict=True)
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
-    title = "Distances to the plan [cm], mean ± standard deviation (largest)"
+    title = "Errors [cm], mean ± standard deviation (largest)"
     remarks += [f"note: {note}" for note in calibration.recording.notes]
     return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
 
@@ -293,8 +298,8 @@ def _fit_options() -> Sequence[click.Option]:
     return (
         key_option("--clearance", task["clearance"]),
         key_option("--object-height height", task["height"]),
-        option("--mass", "To be held [kg]; ends with 3 if it is not.", float, "KG"),
-        option("--by", "How --mass is to be held.", "grip", choices=("grip", "rest")),
+        option("--mass", "Mass to hold [kg]; ends with 3 if it cannot be held.", float, "KG"),
+        option("--by", "How to hold --mass.", "grip", choices=("grip", "rest")),
         key_option("--friction", task["friction"], "FLOAT"),
         key_option("--clasp-friction", task["clasp_friction"], "FLOAT"),
         key_option("--tension", task["tension"]),

@@ -19,9 +19,14 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
 
 @command(
     "recording [RECORDING]",
-    option("--plan", "Plan that was flown; without it the recording is listed.", PATH, "DIR"),
-    option("-o --output", "Results; else `evaluation` beside RECORDING.", PATH, "OUT"),
-    option("--names", "Drones by recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
+    option(
+        "--plan",
+        "Plan that was flown; without it, the contents of the recording are listed.",
+        PATH,
+        "DIR",
+    ),
+    option("-o --output", "Output directory; default: evaluation next to RECORDING.", PATH, "OUT"),
+    option("--names", "Names of drones by recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
     option(
         "--frame",
         "plan, y-up, fit, or a file such as another flight's evaluation.json.",
@@ -29,19 +34,26 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
         "FRAME",
     ),
     option("--start", "Time of the recording at which the plan begins; else fitted.", float, "S"),
-    option("--unit", "Of lengths: m, cm, mm, in, ft; else as the file states, or m.", str, "UNIT"),
+    option(
+        "--unit",
+        "Unit of lengths: m, cm, mm, in, ft; default: that of the file, or m.",
+        str,
+        "UNIT",
+    ),
     option(
         "--topic",
-        "Topic with the drones' positions, such as /cf1/pose, where a star stands for any text; "
-        "else measured before estimated before commanded ones.",
+        "Topic with the drones' positions, such as /cf1/pose, where * matches any text; default: "
+        "measured, then estimated, then commanded positions.",
         str,
         "TOPIC",
     ),
-    option("--density", "Cable density, as weighed.", float, "KG/M"),
+    option("--density", "Measured density of the cables.", float, "KG/M"),
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),
     *picture_options(),
-    option("--markers", "Say where markers go on the cables of the plan; needs no recording."),
+    option(
+        "--markers", "Print where to place markers on the cables of the plan; needs no recording."
+    ),
     required=False,
 )
 def evaluate(
@@ -92,7 +104,7 @@ def evaluate(
     say(_tables(result), directory=str(folder), evaluation=summary(result))
     for remark in result.remarks:
         say(f"note: {remark}")
-    say(f"results are in {folder}; {LATEX} is the table in LaTeX")
+    say(f"results are in {folder}; {LATEX} is the LaTeX table")
 
 
 def _tables(evaluation: ho.Evaluation) -> str:

@@ -72,11 +72,11 @@ def _settings_options() -> Sequence[click.Option]:
 
 @command(
     "directory DIR",
-    option("-o --output", "Results; else DIR/simulation.", PATH, "OUT"),
+    option("-o --output", "Output directory; default: DIR/simulation.", PATH, "OUT"),
     option(
         "--preset",
-        "Links of 30 mm, to see whether it holds; or of 10 mm, five times slower, with correct "
-        "friction, to measure vertices.",
+        "fast: links of 30 mm, to see whether the hitch holds; accurate: links of 10 mm, correct "
+        "friction, five times slower, to measure vertices.",
         "fast",
         choices=("fast", "accurate"),
     ),
@@ -85,19 +85,22 @@ def _settings_options() -> Sequence[click.Option]:
     option(
         "--perturbed",
         "Downwash, noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, cables "
-        "0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place;"
-        " or as given. The team's cable friction always acts.",
+        "0.5 % and starts 2 cm off, objects 10 % in mass, 20 % in friction and 2 cm in place; "
+        "--perturb overrides these. The team's cable friction always acts.",
     ),
     _settings_options,
     option(
         "--as-calibrated",
-        "Trims, thrust factors and rotor drag (0.012 N s/m) of drones in FILE, which hitchopt "
-        "calibrate writes, whatever the plan knows of them.",
+        "Trims, thrust factors and rotor drag (0.012 N s/m) of drones from a FILE of hitchopt "
+        "calibrate, overriding the plan's values.",
         PATH,
         "FILE",
     ),
     option(
-        "--lose", "Stop its motors then, such as q0@12.5; the others react.", str, "DRONE@SECONDS"
+        "--lose",
+        "Stop the motors of a drone at a time, such as q0@12.5; the others react.",
+        str,
+        "DRONE@SECONDS",
     ),
     option("--reaction/--no-reaction", "Whether the others react to a loss, or ignore it.", True),
     *picture_options("the picture of a single flight"),
@@ -201,7 +204,7 @@ def _simulate_one(
         say(words, tracking=words)
     if simulation.errors.t.size and not task.groups:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(directory)])
-        say(f"for the table in LaTeX: {command}")
+        say(f"LaTeX table: {command}")
     for failure in simulation.outcome.failures:
         status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{status}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -220,17 +223,17 @@ def flight_tables(simulation: Simulation) -> str:
     densities = {key: np.atleast_1d(x) for key, x in content["density"].items()}
     grams = {key: span_text(1e3 * x, ".4g") for key, x in densities.items()}
     rows: dict[str, object] = {
-        "least separation of drones [ellipsoids]": _of_pair(separation, ".2f"),
-        "nearest drones [m]": _of_pair(nearest, ".3f"),
-        "drones to their setpoints [cm]": spread_text(spreads["tracking"]),
-        "tension over planned": spread_text(spreads["tension_ratio"], 1.0, ".2f"),
+        "minimum separation of drones [ellipsoids]": _of_pair(separation, ".2f"),
+        "minimum distance of drones [m]": _of_pair(nearest, ".3f"),
+        "drone errors [cm]": spread_text(spreads["tracking"]),
+        "tension / planned tension": spread_text(spreads["tension_ratio"], 1.0, ".2f"),
         "largest tension [N]": figures["peak_tension"],
         "largest thrust [N]": figures["peak_thrust"],
         "largest tilt [°]": figures["peak_tilt"],
         "flown by": _flown_by(simulation.settings),
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
-        "ropes weigh [g/m]": grams["simulated"],
-        "  as the plan knows": grams["planned"],
+        "rope density: simulated [g/m]": grams["simulated"],
+        "  planned": grams["planned"],
         "extra rope for bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
     }
     parts = []
@@ -244,7 +247,7 @@ def flight_tables(simulation: Simulation) -> str:
             {"vertex": name, **{key: known_text(100.0 * x) for key, x in values.items()}}
             for name, values in each.items()
         ]
-        parts.append(table("Vertices to the plan, sag included [cm]", vertices))
+        parts.append(table("Vertex errors, sag included [cm]", vertices))
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
@@ -261,9 +264,9 @@ def _inexact(settings: Settings) -> list[str]:
 
     preset = settings.preset
     line = (
-        f"preset {preset.name}: links of {1e3 * preset.segment:g} mm catch at clasps, vertices are "
-        f"1 to 2 cm off; measure them with preset={ACCURATE.name}, links of "
-        f"{1e3 * ACCURATE.segment:g} mm"
+        f"preset {preset.name}: vertices are 1 to 2 cm off, since links of "
+        f"{1e3 * preset.segment:g} mm catch at clasps; measure them with "
+        f"preset={ACCURATE.name}, links of {1e3 * ACCURATE.segment:g} mm"
     )
     return [] if preset.exact else [line]
 
@@ -317,7 +320,7 @@ def _campaign_tables(campaign: Campaign) -> str:
 
 @command(
     "study STUDY",
-    option("-o --output", "Results; else ./ and the stem.", PATH, "DIR"),
+    option("-o --output", "Output directory; default: ./ and the stem of STUDY.", PATH, "DIR"),
     option("--workers", "Processes; by default one per processor.", int, "N"),
     option("--scheduler", "A dask scheduler, such as tcp://host:8786.", str, "ADDRESS"),
     width_option("the picture"),

@@ -132,8 +132,8 @@ class Evaluation(OneLine):
         """Whether the cables' sag is in the errors of vertices, in words."""
         if self.task.team.cable_density > 0.0:
             weight = f"{1e3 * self.task.team.cable_density:g} g/m"
-            return f"the sag of cables of {weight} is planned, and not in these errors"
-        return "the plan ignores the cables' weight: their sag is in these errors"
+            return f"the sag of cables of {weight} is planned: these errors do not include it"
+        return "the plan ignores the cables' weight: these errors include sag"
 
     @property
     def drone_errors(self) -> Array:
@@ -475,7 +475,7 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     kind = "crossings" if evaluation.clasps is None else "clasps"
     kind += ", ± standard error" if np.isfinite(evaluation.standard_errors).any() else ""
     for axes, words in (
-        (top, f"vertices to the plan [mm]\n({kind})"),
+        (top, f"vertex errors [mm]\n({kind})"),
         (bottom, "drones to their\nsetpoints [mm]"),
     ):
         axes.set(ylabel=words, xlim=(t[0], t[-1]))
@@ -495,7 +495,7 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     if width is None:
         if last.get_legend_handles_labels()[0]:  # None without vertices and markers
             last.legend(fontsize="small", frameon=False)
-        words = f"vertices to the plan: {summaries.get('vertices', 'not measured')}"
+        words = f"vertex errors: {summaries.get('vertices', 'not measured')}"
         style.headline(figure, evaluation.flight.source, words)
     else:
         named = [top, bottom, last] if len(points) <= MAX_NAMED else [last]

@@ -47,13 +47,17 @@ HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone 
 # Warnings: about cables without friction, about those without weight, with the density of their
 # ropes [g/m] and the preset, about drones with different controllers, and about those not simulated
 NO_FRICTION = (
-    "friction is assumed to be 0; with a coefficient of 0.1, vertices end about 5 cm off; "
+    "friction is assumed to be 0; with a coefficient of 0.1, vertices end about 5 cm off: "
 )
 NO_FRICTION += "state team.cable_friction, or give friction="
-WEIGHTLESS = "cables count as weightless: they fly as ropes of {:.2g} g/m, the lightest that {} "
-WEIGHTLESS += "holds; state team.cable_density, or give density="
-SEVERAL = "controllers fly as one, the ideal one; controller= names another"
-NOT_FLOWN = "drones are at their setpoints, without cables; only hitches are simulated"
+WEIGHTLESS = (
+    "cables are weightless in the plan, and fly as ropes of {:.2g} g/m, the lightest that {} "
+)
+WEIGHTLESS += "can simulate: state team.cable_density, or give density="
+SEVERAL = "controllers are replaced by the ideal one; choose another with controller="
+NOT_FLOWN = (
+    "only hitches are simulated: these drones follow their setpoints exactly, without cables"
+)
 
 SUCCEEDED = "succeeded"  # Verdict of a flight that holds
 FAILED = "failed"  # Verdict of a flight that does not hold
@@ -146,11 +150,13 @@ def tracking_verdict(flight: SimulatedFlight) -> str:
     if task.motion is None or errors.size == 0:
         return ""
     level, upright = np.hypot(errors[..., 0], errors[..., 1]), np.abs(errors[..., 2])
-    largest = f"{np.max(level):.3g} m level, {np.max(upright):.3g} m upright"
+    largest = f"{np.max(level):.3g} m horizontally, {np.max(upright):.3g} m vertically"
     if tube.level == 0.0:
-        return f"drones were off by {largest}; the plan allows for no errors (limits.tracking)"
-    state = "as allowed for" if tube.contains(errors) else "more than allowed for"
-    return f"drones were off by up to {largest}, {state}: limits.tracking is {tube}"
+        return (
+            f"drones were off by up to {largest}; the plan allows for no errors (limits.tracking)"
+        )
+    state = "within" if tube.contains(errors) else "more than"
+    return f"drones were off by up to {largest}, {state} limits.tracking ({tube})"
 
 
 def tracking_errors(flight: SimulatedFlight) -> Array:

@@ -100,7 +100,7 @@ class Perturbations(Record):
     noise: Annotated[float, Key(DISTANCE, "Error of measured positions per axis")] = 0.0
     velocity_noise: Annotated[float, Key(SPEED_OR_ZERO, "Error of velocities per axis")] = 0.0
     wind: Annotated[float, Key(FORCE, "Root mean square of the gusts' force on a drone")] = 0.0
-    steady_wind: Annotated[float, Key(FORCE, "Constant level force on every drone")] = 0.0
+    steady_wind: Annotated[float, Key(FORCE, "Constant horizontal force on every drone")] = 0.0
     lag: Annotated[
         float | None,
         Key(

@@ -72,7 +72,7 @@ class FitTask(Record):
         float,
         Key(
             TENSION,
-            "Tension of all cables; null: the largest level pull that tilt and thrust allow",
+            "Tension of all cables; null: the largest horizontal pull that tilt and thrust allow",
         ),
     ]
     cable_length: Annotated[
@@ -186,7 +186,7 @@ def fit(
     clearance: distance of cables to the object while it is enclosed [m].
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
-    tension: of all cables [N]; None for the largest level pull that tilt and thrust allow.
+    tension: of all cables [N]; None for the largest horizontal pull that tilt and thrust allow.
     cable_length: [m]; None for the shortest that keeps drones apart around the object.
     clasp_friction: coefficient between cables, which reduces the mass that is gripped.
     quadrotor: kind or name of a model; limits, separation: the default ones if None.
@@ -204,7 +204,7 @@ def fit(
     limit, binding = kind.level_pull(requirements.limits.tilt)
     if tension is None:
         tension = limit
-        notes.append(f"tension {limit:.4g} N, the largest level pull: {binding} binds")
+        notes.append(f"tension {limit:.4g} N, the largest horizontal pull: {binding} binds")
     if positive("tension", tension) > limit:
         remedy = Capacity(limit, binding).suggested
         raise InfeasibleError([Violation(binding, tension, limit, "max", "N", (), "", remedy)])
