@@ -61,8 +61,8 @@ def _with_tracking_advice(
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
     of_two = (
-        f"two cables are hardly ever tied if vertical tracking errors exceed horizontal ones ({tube} "
-        f"here): set limits.tracking to {tube.level:g} if it was measured"
+        "two cables are hardly ever tied if vertical tracking errors exceed horizontal ones, here "
+        f"{tube}: set limits.tracking to {tube.level:g} if it was measured"
     )
     tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
     violations = list[Violation]()

@@ -215,7 +215,7 @@ def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: 
         assert settings.exists() == (name != "compressed")
     if name in UPLOADED:
         assert any("set team.quadrotor.controller" in note for note in unnamed["notes"])
-        assert any("use cflib" in note for note in named["notes"]) == (name == "compressed")
+        assert any("with cflib" in note for note in named["notes"]) == (name == "compressed")
 
 
 def test_a_stated_latency_is_stored_and_checked_before_arming(tmp_path: Path) -> None:
