@@ -16,6 +16,8 @@ GOLDEN = 0.6180339887498949
 """Fractional part of the golden ratio: sums of a few of its multiples and powers do not tie."""
 
 EAST = np.array([1.0, 0.0, 0.0])  # Default direction of vectors without one
+NEXT, LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # Axis after each axis, and before it
+LOWER, UPPER = 3 * LAST + NEXT, 3 * NEXT + LAST  # Entries of flat 3x3 matrices, and mirror images
 
 
 def dot(a: Array, b: Array) -> Array:
@@ -33,6 +35,25 @@ def length(a: Array) -> Array:
 def cross(a: Array, b: Array) -> Array:
     """Return the products a₀ b₁ - a₁ b₀ (…) of vectors (…, d), positive if b is left of a."""
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def cross_product(a: Array, b: Array) -> Array:
+    """Return the cross products (…, 3) of vectors (…, 3), much faster than ``np.cross`` for few."""
+    products: Array = a.take(NEXT, -1) * b.take(LAST, -1) - a.take(LAST, -1) * b.take(NEXT, -1)
+    return products
+
+
+def skew_matrix(a: Array) -> Array:
+    """Return the matrices (…, 3, 3) of cross products with vectors (…, 3)."""
+    flat = np.zeros((*a.shape[:-1], 9))
+    flat[..., LOWER], flat[..., UPPER] = a, -a
+    return flat.reshape(*a.shape, 3)
+
+
+def axial_vector(matrices: Array) -> Array:
+    """Return the vectors (…, 3) whose skew matrices are antisymmetric parts of (…, 3, 3)."""
+    flat = matrices.reshape(*matrices.shape[:-2], 9)
+    return np.asarray(0.5 * (flat.take(LOWER, -1) - flat.take(UPPER, -1)))
 
 
 def left_of(a: Array) -> Array:

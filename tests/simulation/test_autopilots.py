@@ -21,6 +21,7 @@ from scripted import hanging_task, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.errors import InputError
+from hitchopt.geometry.vectors import axial_vector, cross_product, skew_matrix
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import (
     CONTROLLERS,
@@ -34,8 +35,14 @@ from hitchopt.hitch.flight_controller import (
 from hitchopt.lab.simulation import estimator as estimators
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
-from hitchopt.lab.simulation.estimator import LATENCY, Estimator, frame_age, rotation
-from hitchopt.lab.simulation.flight import fly
+from hitchopt.lab.simulation.estimator import (
+    LATENCY,
+    Estimator,
+    frame_age,
+    rotation,
+    rotation_vector,
+)
+from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
 from hitchopt.lab.simulation.settings import Settings, settings_of
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
@@ -624,3 +631,38 @@ def test_hitches_hold_with_the_exported_filter_and_are_lost_with_the_firmwares(
         )
         if gains is None:
             assert np.max(np.linalg.norm(record.drones - record.commanded, axis=-1)[rest]) < 0.06
+
+
+@pytest.mark.parametrize("largest", [1e-6, 1e-2, 1.5, 3.1])
+def test_rotation_vectors_are_those_of_rotations(largest: float) -> None:
+    """Small angles have a series, and those of 90° and more the library's formula."""
+    vectors = np.random.default_rng(6).standard_normal((50, 3))
+    vectors *= np.linspace(0.0, largest, 50)[:, None] / np.linalg.norm(vectors, axis=1)[:, None]
+    np.testing.assert_allclose(rotation_vector(rotation(vectors)), vectors, atol=1e-12)
+    matrices = skew_matrix(vectors)
+    np.testing.assert_array_equal(axial_vector(matrices), vectors)
+    others = np.roll(vectors, 1, axis=0)
+    products = np.cross(vectors, others)
+    np.testing.assert_array_equal(cross_product(vectors, others), products)
+    np.testing.assert_allclose(np.einsum("iab,ib->ia", matrices, others), products, atol=1e-15)
+
+
+def test_the_commands_of_several_teams_hold_their_last_setpoint() -> None:
+    random = np.random.default_rng(2)
+    short, long = (Commands(*random.standard_normal((4, k, d, 3))) for k, d in ((2, 4), (5, 6)))
+    both = Commands.joined([short, long])
+    for index in (0, 1, 4, 7):
+        for name, values in vars(both[index]).items():
+            expected = [getattr(x[index], name) for x in (short, long)]
+            np.testing.assert_array_equal(values, np.concatenate(expected))
+
+
+def test_the_expected_time_is_that_of_steps_which_count() -> None:
+    task = resting_task(regular_hitch(3), 0.1)
+    settings = Settings(controller="mellinger")
+    run = FlightInProgress(task, settings)
+    assert run.expected_seconds() > 0.0
+    flight, whole = run.flown(), fly(task, settings)
+    for name, values in vars(whole.record).items():
+        np.testing.assert_array_equal(getattr(flight.record, name), values)
+    assert run.steps == round((SETTLE_TIME + flight.pulled) / PERIOD)

@@ -133,7 +133,12 @@ def simulate(
     from hitchopt.lab.simulation.judgement import warnings
     from hitchopt.lab.simulation.settings import settings_of
     from hitchopt.lab.simulation.task import read_task
-    from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
+    from hitchopt.lab.sweeps.campaign import (
+        expected_seconds,
+        processes,
+        run_campaign,
+        save_campaign,
+    )
 
     directory = plan_path(directory).parent
     if lose is not None and runs is not None:
@@ -151,6 +156,11 @@ def simulate(
     if runs is None:
         _simulate_one(task, settings, folder, directory, format, width)
         return
+    with ProgressBar("building ropes"):
+        seconds, count = expected_seconds(task, settings), processes(runs, workers)
+    if math.isfinite(seconds):
+        total = f"about {math.ceil(runs / count) * seconds:.0f} s"
+        say(f"{runs} flights of about {seconds:.0f} s each in {count} processes: {total}")
     with ProgressBar("flying") as progress:
         campaign = run_campaign(task, settings, runs, workers, progress)
     save_campaign(folder, campaign)
@@ -184,6 +194,7 @@ def _simulate_one(
     task: Task, settings: Settings, folder: Path, directory: Path, format: str, width: float | None
 ) -> None:
     """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
+    from hitchopt.lab.simulation.flight import FlightInProgress
     from hitchopt.lab.simulation.judgement import (
         FAILED,
         NOT_SIMULATED,
@@ -193,8 +204,12 @@ def _simulate_one(
     from hitchopt.lab.simulation.report import Simulation, ending, summary
     from hitchopt.motion.plan_file import read_saved_plan
 
-    with ProgressBar("building ropes") as progress:
-        simulation = Simulation.of(task, settings, progress)
+    with ProgressBar("building ropes"):
+        flight = FlightInProgress(task, settings)
+        seconds = flight.expected_seconds()
+    say(f"{flight.steps:,} steps, about {seconds:.0f} s")
+    with ProgressBar("flying") as progress:
+        simulation = Simulation.judged(flight.flown(progress))
     saved = read_saved_plan(plan_path(directory))
     with ProgressBar("writing the results"):
         simulation.save(folder, saved.title, saved.motion, format, width)

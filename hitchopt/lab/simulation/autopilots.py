@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import axial_vector, cross_product, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import FlightController
 from hitchopt.lab.simulation.commands import Commands
@@ -89,9 +89,10 @@ class Autopilots:
         estimator: Estimator | None = None,
     ) -> None:
         self._name, self._masses, self._inertia = loops[0].name, masses[:, None], inertia
-        self._kp, self._kd, self._ki, self._integral_limit = (
+        self._kp, self._kd, self._ki, self._limit = (
             per_axis(loops, name) for name in ("kp", "kd", "ki", "ki_limit")
         )
+        self._integrates, self._weight = bool(np.any(self._ki)), GRAVITY * self._masses * UP
         feed_forward = np.array([loop.feed_forward for loop in loops])
         self.gains = PositionGains(self._kp, self._kd, self._ki, feed_forward)
         self._feed_forward = feed_forward[:, None]
@@ -99,19 +100,20 @@ class Autopilots:
         gains = ATTITUDES[self._name]
         pairs = [gains.stiffness, gains.damping, (gains.lead, 0.0), gains.integral]
         self._attitude_gains = np.array(pairs)[:, [0, 0, 1]]
+        self._integrates_attitudes = any(gains.integral)
         self._estimator, self._ticks = estimator, 0
         self._integral = self._attitude_integral = self._force = np.zeros_like(inertia)
         self._goal, self._thrust = np.zeros((len(loops), 3, 3)), np.zeros(len(loops))
         self._last_error: Array | None = None
         arms = ARM * BODY_RADIUS * MOMENT_SHARES
-        self._mixer, self._wrench = MOMENT_SIGNS / (4.0 * arms), MOMENT_SIGNS * arms
+        self._mixer, self._wrench = (MOMENT_SIGNS / (4.0 * arms)).T, MOMENT_SIGNS * arms
         self._max_thrust, self._lag = 0.25 * max_thrust[:, None], lag
         self._motors = np.tile(0.25 * GRAVITY * self._masses, 4)
 
     @property
     def thrusts(self) -> Array:
         """Current thrusts (2n,) [N]."""
-        return np.asarray(np.sum(self._motors, axis=1))
+        return np.asarray(np.add.reduce(self._motors, axis=1))
 
     @property
     def moments(self) -> Array:
@@ -137,10 +139,13 @@ class Autopilots:
             self._set_goals(commands, state, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
         attitudes = state.attitudes
         thrust, answer = self._attitude_loops(attitudes, rates, commands.rates, seconds)
-        moments = self._inertia * answer + np.cross(rates, self._inertia * rates)
-        goals = 0.25 * thrust[:, None] + moments @ self._mixer.T
-        excess = np.max(goals, axis=1, keepdims=True) - self._max_thrust
-        goals = np.clip(goals - np.maximum(excess, 0.0), 0.0, self._max_thrust)  # attitude first
+        moments = self._inertia * answer + cross_product(rates, self._inertia * rates)
+        goals = 0.25 * thrust[:, None] + moments @ self._mixer
+        limit = self._max_thrust
+        if np.logical_or.reduce(goals > limit, axis=None):  # attitude first
+            excess = np.maximum.reduce(goals, axis=1, keepdims=True) - limit
+            goals -= np.maximum(excess, 0.0)
+        goals = np.minimum(np.maximum(goals, 0.0), limit)
         decay = np.exp(-seconds / self._lag) if self._lag > 0.0 else 0.0
         self._motors = goals + (self._motors - goals) * decay
 
@@ -148,16 +153,17 @@ class Autopilots:
         self, commands: Commands, state: RigidBodies | Estimator, seconds: float
     ) -> None:
         """Run the position loops, which set desired attitudes, and thrusts of cascades."""
-        weight = GRAVITY * self._masses
         push = self._kp * (commands.positions - state.positions)
         if self._name == "pid":
             push = np.clip(push, -MAX_SPEED * self._kd, MAX_SPEED * self._kd)
-        integral = self._integral + seconds * self._ki / self._kp * push
-        self._integral = np.clip(integral, -self._integral_limit, self._integral_limit)
-        force = push + self._integral + weight * UP - self._kd * state.velocities
+        if self._integrates:
+            integral, limit = self._integral + seconds * self._ki / self._kp * push, self._limit
+            self._integral = np.minimum(np.maximum(integral, -limit), limit)
+        force = push + self._integral + self._weight - self._kd * state.velocities
         feed_forward = self._masses * commands.accelerations + self._kd * commands.velocities
-        force = self._force = force + self._feed_forward * feed_forward
-        level, lift = force[:, :2], force[:, 2:]
+        force += self._feed_forward * feed_forward
+        self._force, level, lift = force, force[:, :2], force[:, 2:]
+        weight = self._weight[:, 2:]
         if self._name == "pid":
             tilt = np.clip(level / weight, -self._tilt, self._tilt)
             force = np.hstack([np.tan(tilt), np.ones_like(lift)])
@@ -174,17 +180,17 @@ class Autopilots:
         self, attitudes: Array, rates: Array, desired_rates: Array, seconds: float
     ) -> tuple[Array, Array]:
         """Return thrusts (2n,) [N] and angular accelerations (2n, 3) of the attitude loops."""
-        relative = self._goal.transpose(0, 2, 1) @ attitudes  # R_d^T R
-        error = 0.5 * np.stack(
-            [relative[:, i, j] - relative[:, j, i] for i, j in ((2, 1), (0, 2), (1, 0))], axis=-1
-        )
+        error = axial_vector(self._goal.transpose(0, 2, 1) @ attitudes)  # of R_d^T R
         rate_error = rates - desired_rates
         stiffness, damping, lead, integral = self._attitude_gains
-        self._attitude_integral = self._attitude_integral + seconds * integral * error
-        answer = stiffness * error + damping * rate_error + self._attitude_integral
+        if self._integrates_attitudes:
+            self._attitude_integral = self._attitude_integral + seconds * integral * error
+        answer = stiffness * error + damping * rate_error
+        if self._integrates_attitudes:
+            answer += self._attitude_integral
         if self._last_error is not None:
-            answer = answer + lead * (rate_error - self._last_error) / seconds
+            answer += lead * (rate_error - self._last_error) / seconds
         self._last_error = rate_error
         if self._name in ("pid", "px4"):
             return self._thrust, -answer
-        return np.einsum("ia,ia->i", self._force, attitudes[:, :, 2]), -answer
+        return np.add.reduce(self._force * attitudes[:, :, 2], axis=1), -answer

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -39,10 +39,21 @@ class Commands:
     accelerations: Array  # (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward
     rates: Array  # (…, 2n, 3) [rad/s], about the bodies' axes
 
+    @classmethod
+    def joined(cls, each: Sequence[Commands]) -> Commands:
+        """Return the samples of several teams; those that end early hold their last one."""
+        samples = np.arange(max(len(commands.positions) for commands in each))
+
+        def joined(name: str) -> Array:
+            columns = (getattr(commands, name).take(samples, 0, mode="clip") for commands in each)
+            return np.concatenate([*columns], axis=1)
+
+        return cls(*(joined(field.name) for field in fields(cls)))
+
     def __getitem__(self, index: int) -> Commands:
         """Return the setpoints of one sample, of the last one beyond it."""
-        last = len(self.positions) - 1
-        return Commands(*(values[min(index, last)] for values in vars(self).values()))
+        i = min(index, len(self.positions) - 1)
+        return Commands(self.positions[i], self.velocities[i], self.accelerations[i], self.rates[i])
 
 
 def resolved(task: Task, settings: Settings) -> Settings:

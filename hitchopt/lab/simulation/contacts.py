@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
@@ -57,34 +56,46 @@ class ClaspContacts:
 
     def __init__(self, world: World, team: Team) -> None:
         self._world, layout = world, team.layout
-        ranks = np.arange(len(layout.clasps))
-        self._clasp = np.full((team.robots, team.robots), -1)
-        self._clasp[layout.behind, layout.ahead] = ranks
+        self._clasps = ranks = np.arange(len(layout.clasps))
+        # Clasps by pairs of flexes: where the second cable begins, and where it ends. The last row
+        # and column are those of contacts with other bodies, whose flex is -1
+        begins = np.full((team.robots + 1,) * 2, -1)
+        begins[layout.behind, layout.ahead] = ranks
+        either = np.maximum(begins, begins.T)
+        self._begins, self._ends = (np.where(x >= 0, x, either) for x in (begins, begins.T))
+        self._clasps_twice = bool(np.any(self._begins != self._ends))
         self._segments = np.diff(world.cable_vertices) - 1
-        self._force, self._moment, self._count = np.zeros(len(ranks)), np.zeros((len(ranks), 3)), 0
+        # Of every step since the last call of ``collect``: flexes, elements of the second one,
+        # rows of the constraints, normal forces and places of all contacts
+        self._steps: list[tuple[Index, Index, Index, Array, Array]] = []
 
     def now(self) -> tuple[Index, Index, Array]:
         """Return contacts (c,) of the last step, their clasps (c,) and normal forces (c,) [N]."""
-        data = self._world.data
-        flexes, rows = data.contact.flex, data.contact.efc_address
-        between = np.flatnonzero(np.all(flexes >= 0, axis=1) & (rows >= 0))
-        one, other = flexes[between].T
-        ahead, behind = self._clasp[one, other], self._clasp[other, one]
-        # Two cables that clasp twice: at the vertex at which the other one begins, or ends
-        first = data.contact.elem[between, 1] < 0.5 * self._segments[other]
-        clasp = np.where((ahead >= 0) & ((behind < 0) | first), ahead, behind)
-        contacts = between[clasp >= 0]
-        force = np.maximum(data.efc_force[rows[contacts]], 0.0)  # elliptic: the normal comes first
-        return contacts, clasp[clasp >= 0], force
+        contact = self._world.data.contact
+        contacts, clasp = self._at_clasps(contact.flex, contact.elem[:, 1], contact.efc_address)
+        return contacts, clasp, self._normal_forces()[contacts]
+
+    def _normal_forces(self) -> Array:
+        """Return the normal forces (contacts,) [N]; of no meaning for contacts without a row."""
+        data = self._world.data  # cones are elliptic: the normal force comes first
+        return np.asarray(np.maximum(data.efc_force[data.contact.efc_address], 0.0))
+
+    def _at_clasps(self, flex: Index, element: Index, rows: Index) -> tuple[Index, Index]:
+        """Return indices (c,) of the contacts at clasps that have forces, and their clasps (c,)."""
+        one, other = flex.T
+        clasp = self._begins[one, other]
+        if self._clasps_twice:
+            at_end = element >= 0.5 * self._segments[other]
+            clasp = np.where(at_end, self._ends[one, other], clasp)
+        (chosen,) = np.nonzero((clasp >= 0) & (rows >= 0))
+        return chosen, clasp[chosen]
 
     def gather(self) -> None:
         """Add the contacts of the last step."""
-        self._count += 1
-        if self._world.data.ncon:
-            chosen, clasp, force = self.now()
-            np.add.at(self._force, clasp, force)
-            moments = force[:, None] * self._world.data.contact.pos[chosen]
-            np.add.at(self._moment, clasp, moments)
+        contact = self._world.data.contact
+        columns = (contact.flex, contact.elem[:, 1], contact.efc_address)
+        flex, element, rows = (column.copy() for column in columns)
+        self._steps.append((flex, element, rows, self._normal_forces(), contact.pos.copy()))
 
     def collect(self, minimum: Array | float = 0.0) -> tuple[Array, Array]:
         """Return vertices and forces since the last call, and reset.
@@ -92,11 +103,18 @@ class ClaspContacts:
         Vertices (clasps, 3) [m] are centres of the contact force; nan for forces below ``minimum``
         (clasps,) [N]. Forces (clasps,) [N] are mean sums of normal forces.
         """
-        forces = self._force / max(self._count, 1)
+        total, moment = np.zeros(len(self._clasps)), np.zeros((len(self._clasps), 3))
+        count = max(len(self._steps), 1)
+        if self._steps:
+            *columns, force, place = map(np.concatenate, zip(*self._steps, strict=True))
+            chosen, clasp = self._at_clasps(*columns)
+            pressing = force[chosen] * (clasp == self._clasps[:, None])
+            total, moment = pressing.sum(axis=1), pressing @ place[chosen]
+            self._steps.clear()
+        forces = total / count
         bears = (forces > 0.0) & (forces >= minimum)
-        vertices = np.full_like(self._moment, np.nan)
-        vertices[bears] = self._moment[bears] / self._force[bears, None]
-        self._force[:], self._moment[:], self._count = 0.0, 0.0, 0
+        vertices = np.full_like(moment, np.nan)
+        vertices[bears] = moment[bears] / total[bears, None]
         return vertices, forces
 
 
@@ -145,24 +163,23 @@ def touching(
     scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     count, names = len(world.drones), [*world.drone_names, *names]
     drones = np.concatenate([world.drones, passing]) * scale
-    nearby: Any = cKDTree(world.nodes * scale).query_ball_point(drones, 1.0)  # a list per drone
-    drone = np.repeat(np.arange(len(drones)), [len(entry) for entry in nearby])
-    node = np.array([i for entry in nearby for i in entry], dtype=np.intp)
-    cable = np.searchsorted(world.cable_vertices, node, side="right") - 1
+    drone, node = np.nonzero(cdist(drones, world.nodes * scale) <= 1.0)
+    cable = world.node_cables[node]
     index = node - world.cable_vertices[cable]
     from_end = np.where(drone % 2 == 0, index, world.ropes.segments[cable] - index)
     distant = from_end * world.ropes.segment_lengths[cable] > EXCLUDED_LENGTH * BODY_RADIUS
     distant &= drones[drone, 2] / scale[2] > world.ground + LANDED_HEIGHT
     foreign = (drone // 2 != cable) | distant  # on another cable, or far along the own one
-    pairs = np.unique(np.column_stack([drone, cable])[foreign], axis=0)
+    pairs = sorted({*zip(drone[foreign].tolist(), cable[foreign].tolist(), strict=True)})
     flexes = world.data.contact.flex
     between = flexes[np.all(flexes >= 0, axis=1)]
     across = between[world.groups[between[:, 0]] != world.groups[between[:, 1]]]
-    nearby = sorted(cKDTree(drones).query_pairs(2.0))  # i < j; ellipsoids
+    crossings = sorted({(i, k) for i, k in across.tolist()})
+    close = np.argwhere(cdist(drones[:count], drones) <= 2.0).tolist()  # two ellipsoids
     return [
-        *((names[i], names[j]) for i, j in nearby if i < count),
+        *((names[i], names[j]) for i, j in close if i < j),
         *((names[i], world.cable_names[k]) for i, k in pairs),
-        *((world.cable_names[i], world.cable_names[j]) for i, j in np.unique(across, axis=0)),
+        *((world.cable_names[i], world.cable_names[k]) for i, k in crossings),
     ]
 
 
@@ -184,6 +201,7 @@ class ObjectContacts:
         self._rank[objects] = np.arange(len(objects))
         self._group = np.full(bodies, "", dtype=object)
         self._group[world.model.flex_vertbodyid] = np.repeat(world.groups, counts)
+        self._untouched = np.zeros(len(objects), dtype=np.bool_)
         self._holder = np.array([cargo.holders.get(name, "") for name in cargo.names], dtype=object)
 
     def wrong(self, index: int) -> list[tuple[str, str]]:
@@ -191,9 +209,9 @@ class ObjectContacts:
 
         Cables may touch held objects. Lifted objects may touch nothing else, drones nothing at all.
         """
-        item, body = self._pairs()
-        if not len(item):
+        if not self._cargo.objects:
             return []
+        item, body = self._pairs()
         held, is_lifted = self._cargo.held[index], np.append(self._lifted[index], False)
         kind, lifted = self._kind[body], is_lifted[item] | is_lifted[self._rank[body]]
         held = held[item] & (self._holder[item] == self._group[body])
@@ -204,7 +222,9 @@ class ObjectContacts:
     @property
     def cables(self) -> NDArray[np.bool_]:
         """Whether cables touch each object (objects,)."""
-        touched = np.zeros(len(self._cargo.objects), dtype=np.bool_)
+        touched = self._untouched.copy()
+        if not len(touched):
+            return touched
         thing, body = self._pairs()
         touched[thing[self._kind[body] == CABLE]] = True
         return touched

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError, InputError
-from hitchopt.geometry.vectors import EAST, left_of, length, unit
+from hitchopt.geometry.vectors import axial_vector, cross_product, left_of, length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.quadrotor import MEASURED, Quadrotor, kinds_of
 from hitchopt.lab.feedback import Feedback
@@ -170,6 +170,8 @@ class Drift:
 
     def advance(self, seconds: float) -> Array:
         """Return the value ``seconds`` later."""
+        if not self._spread:
+            return self.value
         decay = np.exp(-seconds / self._correlation_time)
         new = self._spread * np.sqrt(1.0 - decay**2)
         self.value = decay * self.value + new * self._random.standard_normal(self.value.shape)
@@ -223,17 +225,26 @@ class Disturbances:
         }
 
 
-def drag(world: World, damping: float = 0.0) -> Array:
-    """Return the drag on the cables' inner nodes, as on cylinders (nodes, 3) [N].
+class CableDrag:
+    """Drag on the cables' inner nodes, as on cylinders."""
 
-    ``damping`` [1/s] is an additional decay rate of velocities.
-    """
-    velocities, ropes = world.data.qvel[world.node_dofs], world.ropes
-    segments = np.repeat(ropes.segment_lengths, ropes.segments - 1)
-    density = np.repeat(np.broadcast_to(ropes.density, ropes.lengths.shape), ropes.segments - 1)
-    area, mass = ropes.preset.diameter * segments, density * segments
-    rate = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * area * length(velocities) + damping * mass
-    return np.asarray(-rate[:, None] * velocities)
+    def __init__(self, world: World) -> None:
+        ropes, self._world = world.ropes, world
+        inner = ropes.segments - 1
+        segments = np.repeat(ropes.segment_lengths, inner)
+        density = np.repeat(np.broadcast_to(ropes.density, ropes.lengths.shape), inner)
+        # Drag over the square of the speed (nodes,) [N s²/m²]
+        self._resistance = 0.5 * AIR_DENSITY * DRAG_COEFFICIENT * (ropes.preset.diameter * segments)
+        self._mass = density * segments
+
+    def apply(self, damping: float = 0.0) -> None:
+        """Apply the drag at current velocities, which ``damping`` [1/s] lets decay in addition."""
+        world = self._world
+        velocities = world.data.qvel[world.node_dofs]
+        rate = self._resistance * length(velocities)
+        if damping:
+            rate += damping * self._mass
+        world.data.qfrc_applied[world.node_dofs] = -rate[:, None] * velocities
 
 
 def downwash(drones: Array, thrusts: Array) -> Array:
@@ -315,7 +326,9 @@ class Pilots:
         integral = self._integral + seconds * self.gains.integral * errors
         self._integral = np.clip(integral, -self._integral_limit, self._integral_limit)
 
-    def command(self, setpoints: States, bodies: RigidBodies, seconds: float, pull: Array) -> None:
+    def command(
+        self, setpoints: States, bodies: RigidBodies, seconds: float, pull: Array | float
+    ) -> None:
         """Run controllers and motors for the next ``seconds``.
 
         Bodies are measured states; ``pull`` (2n, 3) [N] is added to the desired force.
@@ -348,20 +361,24 @@ def turning_moments(
     """
     goals = desired_attitudes(desired)
     size = np.maximum(length(desired), MIN_FORCE)[:, None]
-    goal_rates = np.einsum("iba,ib->ia", goals, np.cross(unit(desired, UP), growth) / size)
+    turning = cross_product(goals[..., 2], growth) / size
+    goal_rates = np.einsum("iba,ib->ia", goals, turning)
     relative = np.einsum("iba,ibc->iac", goals, attitudes)  # R_d^T R
-    skew = 0.5 * (relative - relative.transpose(0, 2, 1))
-    error = np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=-1)
+    error = axial_vector(relative)
     feed_forward = np.einsum("iba,ib->ia", relative, goal_rates)  # R^T R_d omega_d
     acceleration = -ATTITUDE_GAIN * error - RATE_GAIN * (rates - feed_forward)
-    return np.asarray(inertia * acceleration + np.cross(rates, inertia * rates))
+    return np.asarray(inertia * acceleration + cross_product(rates, inertia * rates))
 
 
 def desired_attitudes(desired: Array) -> Array:
     """Return attitudes (2n, 3, 3) with the third axis along the thrust and the first toward x."""
     third = unit(desired, UP)
-    second = unit(np.cross(third, EAST))
-    return np.asarray(np.stack([np.cross(second, third), second, third], axis=-1))
+    second = np.zeros_like(third)  # across the thrust and x
+    second[:, 1], second[:, 2] = third[:, 2], -third[:, 1]
+    second = unit(second)
+    axes: Array = np.empty((*third.shape, 3))
+    axes[..., 0], axes[..., 1], axes[..., 2] = cross_product(second, third), second, third
+    return axes
 
 
 class VertexFeedback:

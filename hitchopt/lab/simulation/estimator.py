@@ -15,6 +15,7 @@ from math import floor
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hitchopt.geometry.vectors import axial_vector, cross_product, dot, length, skew_matrix
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import EstimatorParameters
 from hitchopt.lab.simulation.world import RigidBodies
@@ -37,6 +38,7 @@ ROUNDING = 1e-9  # Rounding error of a number of steps
 INITIAL_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a converged filter [m], [m/s], [rad]
 
 EYE = np.eye(3)
+SMALL_ANGLE = 1e-3  # Below it, a series gives the angle over the sine of its half [rad]
 
 
 def frame_age(latency: float) -> float:
@@ -48,14 +50,28 @@ def frame_age(latency: float) -> float:
     return (floor(latency * RATE + ROUNDING) + 1) / RATE
 
 
-def skew(v: Array) -> Array:
-    """Return the matrices (…, 3, 3) of cross products with vectors (…, 3)."""
-    return np.asarray(np.cross(v[..., None, :], -EYE))
-
-
 def rotation(turn: Array) -> Array:
     """Return the matrices (…, 3, 3) of rotations by vectors (…, 3) [rad]."""
     return np.asarray(Rotation.from_rotvec(turn).as_matrix())
+
+
+def rotation_vector(matrices: Array) -> Array:
+    """Return the vectors (…, 3) [rad] of rotation matrices (…, 3, 3).
+
+    Rotations by less than 90° have the formula that ``Rotation`` uses for them, without its checks.
+    """
+    cosines = matrices[..., 0, 0] + matrices[..., 1, 1] + matrices[..., 2, 2]
+    if cosines.min() <= 1.0:
+        return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
+    axis, w = 2.0 * axial_vector(matrices), 1.0 + cosines  # a quaternion, but for its length
+    size = np.sqrt(dot(axis, axis) + w * w)
+    axis, w = axis / size[..., None], w / size
+    angle = 2.0 * np.arctan2(length(axis), w)
+    square = angle * angle
+    series = 2.0 + square / 12.0 + 7.0 * square * square / 2880.0
+    small = angle <= SMALL_ANGLE
+    factor = np.where(small, series, angle / np.sin(0.5 * np.where(small, 1.0, angle)))
+    return np.asarray(factor[..., None] * axis)
 
 
 class Filter:
@@ -77,6 +93,8 @@ class Filter:
         errors = np.repeat([parameters.position_error, parameters.attitude_error or 0.0], 3)
         self._observed = np.r_[0:3, 6:9] if parameters.attitude_error else np.r_[0:3]
         self._errors = np.diag(errors[: len(self._observed)] ** 2)
+        # Derivatives (k, 9, 9) of errors by those one step ago, which predictions fill in
+        self._transition = np.tile(np.eye(9), (len(positions), 1, 1))
 
     @property
     def velocities(self) -> Array:
@@ -86,22 +104,21 @@ class Filter:
     def advance(self, rates: Array, specific_forces: Array, dt: float) -> None:
         """Predict over a time [s] from mean rates (k, 3) [rad/s] and forces along z (k,) [m/s²]."""
         upward, v = self.attitudes[:, 2], self._velocities  # the world's z axis in the body's frame
-        turning, turn = skew(rates), self.attitudes
-        transition = np.tile(np.eye(9), (len(v), 1, 1))
+        turn, transition = self.attitudes, self._transition
+        crossed_by_rates, crossed_by_v, crossed_by_up = skew_matrix(np.array([rates, v, upward]))
         transition[:, 0:3, 3:6] = turn * dt
-        transition[:, 0:3, 6:9] = -turn @ skew(v) * dt
-        transition[:, 3:6, 3:6] -= turning * dt
-        transition[:, 3:6, 6:9] = -GRAVITY * skew(upward) * dt
-        transition[:, 6:9, 6:9] -= turning * dt
+        transition[:, 0:3, 6:9] = -turn @ crossed_by_v * dt
+        transition[:, 3:6, 6:9] = -GRAVITY * crossed_by_up * dt
+        transition[:, 3:6, 3:6] = transition[:, 6:9, 6:9] = EYE - crossed_by_rates * dt
         force = -GRAVITY * upward
         force[:, 2] += specific_forces
         step = dt * v + 0.5 * dt**2 * force
         self.positions = self.positions + np.einsum("iab,ib->ia", turn, step)
-        self._velocities = v + dt * (force - np.cross(rates, v))
+        self._velocities = v + dt * (force - cross_product(rates, v))
         self.attitudes = turn @ rotation(dt * rates)
         self.variances = transition @ self.variances @ transition.transpose(0, 2, 1)
-        self._bound()
-        self.variances[:, range(9), range(9)] += dt * self._added
+        bounded = self._bounded_diagonals()
+        bounded += dt * self._added
 
     def observe(self, positions: Array, attitudes: Array | None = None) -> None:
         """Correct with captured positions (k, 3) [m] and attitudes (k, 3, 3), if these are used."""
@@ -111,20 +128,22 @@ class Filter:
             if attitudes is None:
                 raise ValueError("the filter needs captured attitudes")
             relative = self.attitudes.transpose(0, 2, 1) @ attitudes
-            residual = np.hstack([residual, Rotation.from_matrix(relative).as_rotvec()])
-        innovation = p[:, observed][:, :, observed] + self._errors
-        gain = np.linalg.solve(innovation, p[:, observed]).transpose(0, 2, 1)
+            residual = np.concatenate([residual, rotation_vector(relative)], axis=1)
+        rows = p[:, observed]
+        innovation = rows[:, :, observed] + self._errors
+        gain = np.linalg.solve(innovation, rows).transpose(0, 2, 1)
         step = np.einsum("iab,ib->ia", gain, residual)
         self.positions = self.positions + step[:, 0:3]
         self._velocities = self._velocities + step[:, 3:6]
         self.attitudes = self.attitudes @ rotation(step[:, 6:9])
-        p = p - gain @ p[:, observed]
+        p = p - gain @ rows
         self.variances = 0.5 * (p + p.transpose(0, 2, 1))
-        self._bound()
+        self._bounded_diagonals()
 
-    def _bound(self) -> None:
-        diagonal = np.einsum("iaa->ia", self.variances)
-        np.maximum(diagonal, MIN_VARIANCE, out=diagonal)
+    def _bounded_diagonals(self) -> Array:
+        """Bound the variances' diagonals from below; return a view (k, 9) of them."""
+        diagonals: Array = np.einsum("iaa->ia", self.variances)
+        return np.maximum(diagonals, MIN_VARIANCE, out=diagonals)
 
 
 class Estimator(Filter):
@@ -155,7 +174,7 @@ class Estimator(Filter):
     def predict(self, bodies: RigidBodies) -> None:
         """Predict from the readings since the last prediction, 1 / RATE ago."""
         dt = 1.0 / RATE
-        rates, previous = np.mean(self._gyro, axis=0), self._last
+        rates, previous = np.add.reduce(self._gyro) / len(self._gyro), self._last
         self._gyro, self._last = [], bodies
         acceleration = (bodies.velocities - previous.velocities) / dt + [0.0, 0.0, GRAVITY]
         thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import islice
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -46,7 +48,9 @@ PULL_RATIO = 1.5  # Tension of the pull test over the plan's
 PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its first half
 
 FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
-TOUCH_PERIOD = 0.02  # Period of searches for contacts [s]
+ESTIMATE_STEPS = 60  # Steps whose time tells that of the whole flight
+# Period of searches for contacts, and of checks of strain and penetration [s]
+CHECK_PERIOD = 0.02
 REPORT_PERIOD = 50  # Samples between two calls of ``progress``
 
 LOSS_TIME = 2.5  # Time after the loss of a drone with more substeps [s]
@@ -121,29 +125,38 @@ class SimulatedFlight:
 def fly(task: Task, settings: Settings, progress: Progress | None = None) -> SimulatedFlight:
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
+    Parameters and errors are those of ``FlightInProgress``.
+    """
+    return FlightInProgress(task, settings).flown(progress)
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """What a plan commands at one of its samples, and is used for several steps."""
+
+    index: int  # of the sample
+    setpoints: States  # with the drones' trims
+    end_offsets: Array  # of thick ropes from their drones (2n, 3) [m]
+    load_shares: Array  # of loads that cables carry (n,)
+    is_slack: bool  # whether the plan's tensions are too small to calm ropes
+
+
+class FlightInProgress:
+    """A flight in progress, with cables as they are before the first step.
+
     It begins with a hitch if the plan has one at the first setpoint, else with hanging cables.
     Controllers receive only setpoints, including planned cable forces. Raises InputError for a
     density too small for the team's tension or an unstable position loop, ShapeError for cables too
     short for the first setpoints, and UnsupportedError without mujoco, or for several groups with
     feedback or a lost drone.
     """
-    run = _FlightInProgress(task, settings, progress)
-    try:
-        run.fly()
-    except InvalidRunError as error:
-        return run.flight(error)
-    return run.flight(None)
 
-
-class _FlightInProgress:
-    """A flight in progress."""
-
-    def __init__(self, task: Task, settings: Settings, progress: Progress | None) -> None:
+    def __init__(self, task: Task, settings: Settings) -> None:
         team, preset = task.team, settings.preset
         self._may_stream, settings = settings.upload is None, resolved(task, settings)
         if task.motion is not None and settings.lost is not None:
             task.motion.require_one_team("the simulated loss of a drone")
-        self._task, self._settings, self._progress = task, settings, progress
+        self._task, self._settings = task, settings
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
         self._disturbances, parts = disturbances, task.parts
         end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
@@ -187,10 +200,29 @@ class _FlightInProgress:
         period = CONTROL_PERIOD if settings.controller == IDEAL else PERIOD
         self._substeps = max(1, round(period / step))
         self._period = self._substeps * step
-        self._damping = 0.0
-        self._starts = world.cable_vertices[:-1] - np.arange(team.robots)  # of each cable's edges
-        self._peaks: Array = np.zeros(team.robots)
-        self._search_time = self._frame_time = -np.inf
+        self._damping, self._drag = 0.0, control.CableDrag(world)
+        self._calm_tension = MIN_CALM_TENSION * team.tension
+        self._mean_calm_tension = float(np.mean(self._calm_tension))
+        self._tensions = world.tensions  # of all segments after the last step
+        positions = task.states.positions + self._drone_models.trims
+        self._setpoints = replace(task.states, positions=positions)
+        self._outward_pulls = _outward_pulls(task)
+        self._moment = self._moment_at(0)
+        # Samples of the commands and of the plan that were sent last; None if others corrected them
+        self._source_of_sent: tuple[int, int] | None = None
+        self._loose_offset = self._drones(0) - task.states.positions[0]
+        self._settling = iter(self._times(-SETTLE_TIME, 0.0))
+        self._start_record()
+
+    def _start_record(self) -> None:
+        """Start an empty record of the flight."""
+        world = self._world
+        count = len(world.ropes.lengths)
+        self._progress: Progress | None = None
+        self._starts = world.cable_vertices[:-1] - np.arange(count)  # of each cable's edges
+        self._peaks: Array = np.zeros(count)
+        self._error: InvalidRunError | None = None  # that ended the settling
+        self._check_time = self._frame_time = -np.inf
         self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
         self._rows: list[tuple[Any, ...]] = []
         self._touches: dict[tuple[str, str], float] = {}
@@ -206,12 +238,13 @@ class _FlightInProgress:
         pairs = [*zip(task.parts, teams, strict=True)]
         self._command_delay = 0.0
         try:
-            self._commands = [received(part, team, settings) for part, team in pairs]
+            each = [received(part, team, settings) for part, team in pairs]
         except (InfeasibleError, UnsupportedError):
             if not self._may_stream:
                 raise
             settings = self._settings = replace(settings, upload=False)
-            self._commands = [received(part, team, settings) for part, team in pairs]
+            each = [received(part, team, settings) for part, team in pairs]
+        self._commands = Commands.joined(each)
         if isinstance(settings.estimator, EstimatorParameters):
             stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
             latency = max(stated) if settings.latency is None else settings.latency
@@ -224,24 +257,22 @@ class _FlightInProgress:
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
 
-    def fly(self) -> None:
+    def flown(self, progress: Progress | None = None) -> SimulatedFlight:
+        """Return the flight, simulated to its end or until the simulation becomes invalid."""
+        self._progress = progress
+        try:
+            self._fly_all()
+        except InvalidRunError as error:
+            return self._flight(error)
+        return self._flight(None)
+
+    def _fly_all(self) -> None:
         """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
-        task, world = self._task, self._world
-        end = task.duration
-        each = [np.full(part.team.drones, part.states.formed[0]) for part in task.parts]
-        tied = np.concatenate(each)
-        loose_offset = tied[:, None] * (self._drones(0) - task.states.positions[0])
-        friction = world.model.flex_friction.copy()
-        world.model.flex_friction[:] = 0.0  # the initial state has no history
-        for time in self._times(-SETTLE_TIME, 0.0):
-            progress = min(1.0, (time + SETTLE_TIME) / TIGHTENING_TIME)
-            share = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
-            self._damping = SETTLE_DAMPING * (1.0 - share)
-            self._step(time, 0, np.where(tied, share, 1.0), (1.0 - share) * loose_offset)
-        world.model.flex_friction[:] = friction
+        world, end = self._world, self._task.duration
+        self._settle()
         self._contacts.collect()
         self._peaks[:] = 0.0
-        self._sample(0.0, 0)
+        self._sample(0.0, 0, 0)
         self._fly(0.0, end)
         self._fly(end, end + REST_TIME)
         self._rested = end + REST_TIME
@@ -250,143 +281,214 @@ class _FlightInProgress:
             self._fly(self._rested, self._rested + PULL_TIME, PULL_RATIO)
             self._pulled = self._rested + PULL_TIME
 
+    @property
+    def steps(self) -> int:
+        """Number of steps of the whole flight."""
+        pull = PULL_TIME if self._settings.pull_test and self._lost is None else 0.0
+        return round((SETTLE_TIME + self._task.duration + REST_TIME + pull) / self._period)
+
+    def expected_seconds(self) -> float:
+        """Return the processor time of the flight [s], extrapolated from its first steps."""
+        start = process_time()
+        try:
+            self._settle(ESTIMATE_STEPS)
+        except InvalidRunError as error:
+            self._error = error
+        return (process_time() - start) / ESTIMATE_STEPS * self.steps
+
+    def _settle(self, steps: int | None = None) -> None:
+        """Continue to settle for some steps, or to the end, without friction and its history."""
+        if self._error is not None:
+            raise self._error
+        task, world = self._task, self._world
+        tied = np.concatenate(
+            [np.full(part.team.drones, part.states.formed[0]) for part in task.parts]
+        )
+        friction = world.model.flex_friction.copy()
+        world.model.flex_friction[:] = 0.0
+        for time in islice(self._settling, steps):
+            progress = min(1.0, (time + SETTLE_TIME) / TIGHTENING_TIME)
+            share = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
+            self._damping = SETTLE_DAMPING * (1.0 - share)
+            offset = (1.0 - share) * tied[:, None] * self._loose_offset
+            self._step(time, 0, np.where(tied, share, 1.0), offset)
+        world.model.flex_friction[:] = friction
+
     def _fly(self, begin: float, end: float, pull: float = 1.0) -> None:
         """Fly between two times [s], while the tension grows to ``pull`` times its value."""
         task, sample = self._task, math.floor(RATE * begin + ROUNDING)
         index = task.index(begin)
         for time in self._times(begin, end):
             if (now := math.floor(RATE * time + ROUNDING)) != sample:
-                self._sample(time, index)
-                sample, index = now, task.index(time)
+                following = task.index(time)
+                self._sample(time, index, following)
+                sample, index = now, following
                 if self._progress is not None and sample % REPORT_PERIOD == 0:
                     self._progress(f"flying, {time:.1f} of {end:.1f} s")
             growth = min(1.0, 2.0 * (time - begin) / (end - begin))
-            self._step(time, index, 1.0 + (pull - 1.0) * growth)
-        self._sample(end, index)
+            factor = 1.0 + (pull - 1.0) * growth
+            self._step(time, index, None if pull == 1.0 else np.full(task.team.drones, factor))
+        self._sample(end, index, task.index(end))
 
-    def _times(self, begin: float, end: float) -> Array:
+    def _times(self, begin: float, end: float) -> list[float]:
         """Return the times of the commands in [begin, end)."""
         count = max(0, round((end - begin) / self._period))
-        return begin + self._period * np.arange(count, dtype=np.float64)
+        times: list[float] = (begin + self._period * np.arange(count, dtype=np.float64)).tolist()
+        return times
 
     def _step(
-        self, time: float, index: int, pull: Array | float, offset: Array | float = 0.0
+        self, time: float, index: int, pull: Array | None = None, offset: Array | None = None
     ) -> None:
-        """Command the drones by a setpoint with an offset [m], and advance by one period.
+        """Command the drones by a setpoint, with an ``offset`` [m], and advance by one period.
 
-        ``pull`` is a factor of the plan's tension, common or by drone (2n,): less than 1 while a
-        hitch is tightened, more than 1 in the pull test, in which drones add the force.
+        ``pull`` (2n,) is a factor of the plan's tension by drone: less than 1 while a hitch is
+        tightened, more than 1 in the pull test, in which drones add the force; None is 1.
         """
-        world, task, period, flying = self._world, self._task, self._period, time >= 0.0
-        pull = np.broadcast_to(pull, task.team.drones)
+        world, task, period = self._world, self._task, self._period
         disturbances, pilots, substeps = self._disturbances, self._pilots, 1
         if self._lost is not None and time >= self._lost[1]:
             pilots.stop(self._lost[0])
             substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
-        setpoints = task.states[index]
-        drones = self._drone_models
-        setpoints = replace(setpoints, positions=setpoints.positions + offset + drones.trims)
-        bodies, passing = self._bodies(index), task.passing.at(index)
+        if index != self._moment.index:
+            self._moment = self._moment_at(index)
+        moment, drones = self._moment, self._drone_models
+        setpoints = moment.setpoints
+        if offset is not None:
+            positions = task.states.positions[index] + offset + drones.trims
+            setpoints = replace(setpoints, positions=positions)
+        actual = world.bodies
+        positions = actual.positions - moment.end_offsets
+        bodies = drones.measured(
+            RigidBodies(positions, actual.velocities, actual.attitudes, actual.rates)
+        )
         if self._settings.estimator is None:
             measured = bodies.positions + disturbances.noise.advance(period)
             velocities = bodies.velocities + disturbances.velocity_noise.advance(period)
             bodies = replace(bodies, positions=measured, velocities=velocities)
-        measured = bodies.positions
-        if self._feedback is not None and flying:
-            setpoints = self._feedback.corrected(setpoints, time, period, measured)
-        pulling = pilots.gains.feed_forward | (pull > 1.0)
-        added = ((pull - 1.0) * pulling)[:, None] * self._outward_pulls(index)
+        if self._feedback is not None and time >= 0.0:
+            setpoints = self._feedback.corrected(setpoints, time, period, bodies.positions)
         push = disturbances.wind.advance(period) + disturbances.steady_wind
-        push = push - drones.drag * world.bodies.velocities
-        push = push + self._command(time, index, setpoints, bodies, added)
+        if drones.drag:
+            push -= drones.drag * actual.velocities
+        added = None if pull is None else self._added_pulls(pull)
+        self._command(time, setpoints, bodies, added)
+        if added is not None and not isinstance(pilots, control.Pilots):
+            push += added
         if self._settings.perturbations.downwash:
-            below = np.concatenate([world.drones, passing])
+            below = np.concatenate([actual.positions, task.passing.at(index)])
             thrusts = np.concatenate([pilots.thrusts, GRAVITY * task.passing.masses])
-            push = push + control.downwash(below, thrusts)[: len(push)]
+            push += control.downwash(below, thrusts)[: len(push)]
         world.push(*drones.actual(pilots.thrusts, pilots.moments), push)
-        planned = np.minimum(pull[::2], 1.0)  # by cable
+        is_loose, load_shares = moment.is_slack, moment.load_shares
+        if pull is not None:
+            by_cable = np.minimum(pull[::2], 1.0)
+            is_loose = self._are_slack(by_cable * setpoints.tensions)
+            load_shares = by_cable * load_shares
         if self._loads is not None:
-            self._loads.apply(planned * task.load_shares(index), period)
-        world.data.qfrc_applied[world.node_dofs] = control.drag(world, self._damping)
-        calm_tension = MIN_CALM_TENSION * task.team.tension
-        loose = np.any(planned * task.states.tensions[index] < calm_tension)
-        loose = loose or np.mean(world.tensions) < np.mean(calm_tension)  # planned or actual
-        substeps = max(substeps, world.ropes.substeps(float(np.max(world.tensions))))
-        world.step(self._substeps, loose=bool(loose), substeps=substeps)
-        check_valid(world, time)
+            self._loads.apply(load_shares, period)
+        self._drag.apply(self._damping)
+        mean_tension = np.add.reduce(self._tensions) / len(self._tensions)
+        is_loose |= bool(mean_tension < self._mean_calm_tension)
+        substeps = max(substeps, world.ropes.substeps(float(np.maximum.reduce(self._tensions))))
+        world.step(self._substeps, loose=is_loose, substeps=substeps)
+        self._observe(time)
+
+    def _added_pulls(self, pull: Array) -> Array:
+        """Return the force (2n, 3) [N] that drones add to the plan's by factors of its tension."""
+        pulling = self._pilots.gains.feed_forward | (pull > 1.0)
+        pulls: Array = self._outward_pulls[self._moment.index]
+        return ((pull - 1.0) * pulling)[:, None] * pulls
+
+    def _observe(self, time: float) -> None:
+        """Check and record the state after the step at a time [s]."""
+        world, index = self._world, self._moment.index
+        self._tensions = world.tensions
         self._contacts.gather()
-        np.maximum(self._peaks, np.maximum.reduceat(world.tensions, self._starts), out=self._peaks)
-        if flying and time - self._search_time >= TOUCH_PERIOD - ROUNDING:
-            self._search_time = time
-            touching = contacts.touching(world, task.passing.names, passing)
-            for pair in (*touching, *self._objects.wrong(index)):
-                self._touches.setdefault(pair, time)
+        np.maximum(self._peaks, np.maximum.reduceat(self._tensions, self._starts), out=self._peaks)
+        if time - self._check_time >= CHECK_PERIOD - ROUNDING or not world.is_finite:
+            self._check_time = time
+            check_valid(world, time)
+            if time >= 0.0:
+                passing = self._task.passing
+                touching = contacts.touching(world, passing.names, passing.at(index))
+                for pair in (*touching, *self._objects.wrong(index)):
+                    self._touches.setdefault(pair, time)
         if time - self._frame_time >= FRAME_PERIOD - ROUNDING:
             self._frame_time = time
             state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
             self._frames.append((time, *state))
 
     def _command(
-        self, time: float, index: int, setpoints: States, bodies: RigidBodies, added: Array
-    ) -> Array:
-        """Run controllers and motors for a period; return external forces on drones (2n, 3) [N].
+        self, time: float, setpoints: States, bodies: RigidBodies, added: Array | None
+    ) -> None:
+        """Run controllers and motors for a period.
 
-        ``added`` (2n, 3) [N] is an additional pull; setpoints are those of an index, corrected.
+        Setpoints are those of a moment, corrected. Simplified controllers pull with ``added``
+        (2n, 3) [N] in addition.
         """
-        pilots, period, plan = self._pilots, self._period, self._task.states[index]
+        pilots, period, moment = self._pilots, self._period, self._moment
         if isinstance(pilots, control.Pilots):
-            pilots.command(setpoints, bodies, period, added)
+            pilots.command(setpoints, bodies, period, 0.0 if added is None else added)
             if time >= 0.0:
                 pilots.integrate(setpoints.positions - bodies.positions, period)
-            return np.zeros_like(added)
+            return
         sample = max(0, math.floor(RATE * (time - self._command_delay) + ROUNDING))
-        parts = [vars(commands[sample]).values() for commands in self._commands]
-        commands = Commands(*(np.concatenate(x) for x in zip(*parts, strict=True)))
-        positions = commands.positions + (setpoints.positions - plan.positions)
-        velocities = commands.velocities + (setpoints.velocities - plan.velocities)
-        commands = replace(commands, positions=positions, velocities=velocities)
-        pilots.advance(commands, bodies, period)
-        return added
+        source = (sample, moment.index) if setpoints is moment.setpoints else None
+        if source is None or source != self._source_of_sent:
+            self._source_of_sent = source
+            self._sent = self._corrected(self._commands[sample], setpoints)
+        pilots.advance(self._sent, bodies, period)
 
-    def _bodies(self, index: int) -> RigidBodies:
-        """Return the drones' states as they know them, without the end offsets of thick ropes."""
-        bodies = replace(self._world.bodies, positions=self._drones(index))
-        return self._drone_models.measured(bodies)
+    def _corrected(self, commands: Commands, setpoints: States) -> Commands:
+        """Return commands with the differences of setpoints from those of the plan."""
+        plan, index = self._task.states, self._moment.index
+        return Commands(
+            commands.positions + (setpoints.positions - plan.positions[index]),
+            commands.velocities + (setpoints.velocities - plan.velocities[index]),
+            commands.accelerations,
+            commands.rates,
+        )
+
+    def _moment_at(self, index: int) -> _Moment:
+        """Return what the plan commands at a sample."""
+        setpoints = self._setpoints[index]
+        return _Moment(
+            index,
+            setpoints,
+            self._end_offsets[index],
+            self._task.load_shares(index),
+            is_slack=self._are_slack(setpoints.tensions),
+        )
+
+    def _are_slack(self, tensions: Array) -> bool:
+        """Return whether planned tensions (n,) [N] are too small for ropes to be calm."""
+        return bool(np.logical_or.reduce(tensions < self._calm_tension))
 
     def _drones(self, index: int) -> Array:
         """Return positions of the drones without the end offsets of thick ropes (2n, 3) [m]."""
         return np.asarray(self._world.drones - self._end_offsets[index])
 
-    def _outward_pulls(self, index: int) -> Array:
-        """Return planned tensions along the legs outward, level with objects (2n, 3) [N]."""
-        task = self._task
-        states = task.states[index]
-        legs = states.positions - states.vertices[task.team.layout.pulled_to]
-        pulls: Array = np.repeat(states.tensions, 2)[:, None] * unit(legs)
-        if task.cargo.objects and np.any(task.cargo.load_share[index] > 0.0):
-            pulls[:, 2] = 0.0
-        return pulls
-
-    def _sample(self, time: float, index: int) -> None:
-        """Record the state at ``time`` [s], up to which setpoint ``index`` applied, and peaks."""
+    def _sample(self, time: float, index: int, following: int) -> None:
+        """Record the state at ``time`` [s], from setpoint ``index`` to the ``following`` one."""
         world = self._world
         commanded = self._task.states.positions[index]
         touched = self._contacts.collect(self._least_bearing[index])
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
             self._feedback.observe(time, touched[0])
-        means = np.add.reduceat(world.tensions, self._starts) / world.ropes.segments
-        tilts = np.arccos(np.clip(world.bodies.attitudes[:, 2, 2], -1.0, 1.0))
+        means = np.add.reduceat(self._tensions, self._starts) / world.ropes.segments
+        cosines = world.bodies.attitudes[:, 2, 2]
+        tilts = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
         state = (means, self._peaks.copy(), self._pilots.thrusts.copy(), tilts)
-        places = (time, self._task.index(time), self._drones(index), commanded)
+        places = (time, following, self._drones(index), commanded)
         self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
         self._peaks[:] = 0.0
 
-    def flight(self, error: InvalidRunError | None) -> SimulatedFlight:
+    def _flight(self, error: InvalidRunError | None) -> SimulatedFlight:
         """Return the simulated part of the flight."""
         world = self._world
         if not self._rows:  # ended while it settled
-            self._sample(0.0, 0)
+            self._sample(0.0, 0, 0)
         t, nodes, poses = zip(*self._frames, strict=True) if self._frames else ((), (), ())
         shapes = np.array(nodes, dtype=np.float32), world.cable_vertices
         return SimulatedFlight(
@@ -405,6 +507,16 @@ class _FlightInProgress:
             objects=world.objects,
             error=error,
         )
+
+
+def _outward_pulls(task: Task) -> Array:
+    """Return planned tensions along the legs outward, level with objects (samples, 2n, 3) [N]."""
+    states, cargo = task.states, task.cargo
+    legs = states.positions - states.vertices[:, task.team.layout.pulled_to]
+    pulls: Array = np.repeat(states.tensions, 2, axis=1)[..., None] * unit(legs)
+    if cargo.objects:
+        pulls[np.any(cargo.load_share > 0.0, axis=1), :, 2] = 0.0
+    return pulls
 
 
 def ground_of(task: Task) -> float:

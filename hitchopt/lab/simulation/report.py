@@ -83,7 +83,11 @@ class Simulation(OneLine):
     @classmethod
     def of(cls, task: Task, settings: Settings, progress: Progress | None = None) -> Simulation:
         """Return a simulated flight of a task; parameters and errors are those of ``fly``."""
-        flight = fly(task, settings, progress)
+        return cls.judged(fly(task, settings, progress))
+
+    @classmethod
+    def judged(cls, flight: SimulatedFlight) -> Simulation:
+        """Return a flight with its outcome and errors."""
         return cls(flight, judge(flight), vertex_errors(flight))
 
     @property

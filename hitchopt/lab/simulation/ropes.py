@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -96,19 +97,19 @@ class Ropes:
         ratio = self.preset.reserve * max(tension, 0.0) / self.largest_tension
         return min(max(math.ceil(math.sqrt(ratio) - ROUNDING), 1), MAX_SUBSTEPS)
 
-    @property
+    @cached_property
     def segments(self) -> NDArray[np.intp]:
         """Number of segments of each cable (n,), even."""
         halves = np.ceil(self.lengths / (2.0 * self.preset.segment) - ROUNDING)
         counts: NDArray[np.intp] = 2 * np.maximum(halves, 1.0).astype(np.intp)
         return counts
 
-    @property
+    @cached_property
     def segment_lengths(self) -> Array:
         """Length of one segment of each cable (n,) [m]."""
         return self.lengths / self.segments
 
-    @property
+    @cached_property
     def largest_tension(self) -> float:
         """Largest tension at which waves and contacts are resolved [N]."""
         wave = COURANT * self.segment_lengths / self.preset.time_step

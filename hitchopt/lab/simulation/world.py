@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import HitchoptError, optional_module
-from hitchopt.geometry.vectors import length
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.ropes import ROUNDING, Ropes
 from hitchopt.lab.simulation.task import group_of
@@ -142,10 +142,16 @@ class World:
         self._node_origins = model.body_pos[nodes]  # positions at which qpos is zero
         # Nodes of cable k with its drones are flex vertices from entry k of (n + 1,) to the next
         self.cable_vertices: Index = np.concatenate([[0], np.cumsum(ropes.segments + 1)])
-        # Cable of each edge (edges,)
+        # Cables of nodes and drones (nodes,), and of edges (edges,)
+        self.node_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments + 1)
         self.edge_cables: Index = np.repeat(np.arange(len(ropes.lengths)), ropes.segments)
         self._last_edges: Index = self.cable_vertices[1:-1] - 1  # between cables
+        self._shortest_segment = float(np.min(ropes.segment_lengths))
+        # Addresses (2n, 6) of velocities and rates
+        self._moving_dofs: Index = np.concatenate([self.drone_dofs, self.drone_dofs + 3], axis=1)
+        self._wrenches = np.zeros((2 * count, 6))
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
+        self._stepping = float(model.opt.timestep), self._edge_time
 
     def place(self, cables: list[Array]) -> None:
         """Place the nodes of cables with drones at the ends, n of (segments + 1, 3) [m]."""
@@ -164,18 +170,26 @@ class World:
         step, longest = self.ropes.preset.time_step, self._longest_edge_time
         time = longest if substeps == 1 else min(longest, EDGE_STEPS * step / substeps)
         if loose:
-            across = np.diff(self.data.qvel[self._vertex_dofs], axis=0)
+            velocities = self.data.qvel.take(self._vertex_dofs)
+            across = velocities[1:] - velocities[:-1]
             across[self._last_edges] = 0.0
-            rate = float(np.max(length(across))) / float(np.min(self.ropes.segment_lengths))
+            rate = math.sqrt(np.maximum.reduce(dot(across, across))) / self._shortest_segment
             time = max(min(time, MAX_LINK_TURN / max(rate, 1.0)), MIN_EDGE_TIME_RATIO * longest)
         lower, upper = LOOSE_CHANGES if loose else TAUT_CHANGES
         time = self._edge_time = min(max(time, lower * self._edge_time), upper * self._edge_time)
         count_per_step = substeps
         if time < longest:
             count_per_step = max(count_per_step, math.ceil(EDGE_STEPS * step / time - ROUNDING))
-        self.model.opt.timestep = step / count_per_step
-        self.model.eq_solref[:, 0] = time
+        if (step / count_per_step, time) != self._stepping:
+            self._stepping = step / count_per_step, time
+            self.model.opt.timestep = step / count_per_step
+            self.model.eq_solref[:, 0] = time
         self._mujoco.mj_step(self.model, self.data, nstep=count * count_per_step)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all positions and attitudes are finite, and so is their sum."""
+        return math.isfinite(np.add.reduce(self.data.qpos))
 
     @property
     def nodes(self) -> Array:
@@ -195,22 +209,25 @@ class World:
     @property
     def drones(self) -> Array:
         """Positions of the drones (2n, 3) [m]."""
-        return np.asarray(self.data.qpos[self._drone_qpos])
+        return np.asarray(self.data.qpos.take(self._drone_qpos))
 
     @property
     def bodies(self) -> RigidBodies:
         """State of the drones."""
-        moving = self.data.qvel
-        attitudes = self.data.xmat[self.drone_bodies].reshape(-1, 3, 3)
-        return RigidBodies(
-            self.drones, moving[self.drone_dofs], attitudes, moving[self.drone_dofs + 3]
-        )
+        moving = self.data.qvel.take(self._moving_dofs)
+        return RigidBodies(self.drones, moving[:, :3], self._attitudes, moving[:, 3:])
+
+    @property
+    def _attitudes(self) -> Array:
+        """Axes of the drones as columns (2n, 3, 3)."""
+        return np.asarray(self.data.xmat.take(self.drone_bodies, 0).reshape(-1, 3, 3))
 
     def push(self, thrusts: Array, moments: Array, forces: Array) -> None:
         """Apply thrusts (2n,) and moments about the bodies' axes, and forces (2n, 3) [N]."""
-        attitudes, applied = self.bodies.attitudes, self.data.xfrc_applied
-        applied[self.drone_bodies, :3] = forces + thrusts[:, None] * attitudes[:, :, 2]
-        applied[self.drone_bodies, 3:] = np.einsum("iab,ib->ia", attitudes, moments)
+        attitudes, wrenches = self._attitudes, self._wrenches
+        wrenches[:, :3] = forces + thrusts[:, None] * attitudes[:, :, 2]
+        wrenches[:, 3:] = np.einsum("iab,ib->ia", attitudes, moments)
+        self.data.xfrc_applied[self.drone_bodies] = wrenches
 
     @property
     def poses(self) -> Array:
@@ -241,10 +258,13 @@ class InvalidRunError(HitchoptError):
 
 
 def check_valid(world: World, time: float) -> None:
-    """Raise InvalidRunError if the step up to a time [s] of the flight is invalid."""
+    """Raise InvalidRunError if the step up to a time [s] of the flight is invalid.
+
+    MuJoCo counts its warnings, and starts again from a state that is not finite.
+    """
     data, ropes = world.data, world.ropes
     exact = ropes.preset.exact
-    if not np.all(np.isfinite(data.qpos)) or data.warning.number.any():
+    if not world.is_finite or data.warning.number.any():
         raise InvalidRunError("state", "its state is no longer finite", time, "all", exact=exact)
     substeps = ropes.preset.time_step / world.model.opt.timestep
     strains = np.abs(data.flexedge_length / world.model.flexedge_length0 - 1.0)

@@ -13,6 +13,7 @@ from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
 from hitchopt.lab.simulation.commands import resolved
+from hitchopt.lab.simulation.flight import FlightInProgress
 from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun, Failure
 from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, Simulation, number
 from hitchopt.lab.simulation.settings import Settings
@@ -80,10 +81,7 @@ def run_campaign(
     process.
     Raises InputError for an invalid number of runs or invalid settings.
     """
-    integer("runs", runs, 1)
-    if workers is not None:
-        integer("workers", workers, 1)
-    workers = min(runs, workers or os.cpu_count() or 1)
+    workers = processes(runs, workers)
     flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
     completed: list[CampaignRun] = []
     with contextlib.ExitStack() as stack:
@@ -99,6 +97,27 @@ def run_campaign(
                 succeeded = sum(run.succeeded for run in completed)
                 progress(f"{len(completed)} of {runs} flown, {succeeded} succeeded")
     return Campaign(resolved(task, settings), tuple(sorted(completed, key=lambda run: run.seed)))
+
+
+def processes(runs: int, workers: int | None = None) -> int:
+    """Return the number of processes that simulate ``runs`` flights.
+
+    Raises InputError for invalid numbers.
+    """
+    integer("runs", runs, 1)
+    if workers is not None:
+        integer("workers", workers, 1)
+    return min(runs, workers or os.cpu_count() or 1)
+
+
+def expected_seconds(task: Task, settings: Settings) -> float:
+    """Return the processor time of a flight [s] from its first steps; nan if it cannot start."""
+    try:
+        return FlightInProgress(task, settings).expected_seconds()
+    except (InputError, UnsupportedError):
+        raise
+    except HitchoptError:
+        return float("nan")
 
 
 def run_flight(settings: Settings, task: Task) -> CampaignRun:
