@@ -415,13 +415,9 @@ def test_a_stop_uses_only_the_remaining_friction(motion: Motion) -> None:
         assert 0.9 * half < RADIUS * turned <= half
 
 
-def test_too_heavy_objects_are_refused_with_the_capacity_of_fit(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
-    found = ho.fit(
-        RADIUS, 3, cable_length=1.6, tension=1.3, clasp_friction=0.1, limits=ho.Limits(tilt_deg=60)
-    ).holding
+def test_too_heavy_objects_are_refused_with_the_capacity_of_fit() -> None:
+    options: Any = {"cable_length": 1.6, "tension": 1.3, "clasp_friction": 0.1, "compared": ()}
+    found = ho.fit(RADIUS, 3, limits=ho.Limits(tilt_deg=60), **options).holding
     grip, rim = (found.capacity(by).mass for by in ("grip", "rest"))
     with pytest.raises(ho.InfeasibleError) as refused:
         ho.solve(ho.problem_from_dict(drum(mass=1.5)))

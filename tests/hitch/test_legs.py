@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from hitchopt import Arena, Hitch, InputError, Limits, Separation, Team
 from hitchopt.geometry import regular_polygon
-from hitchopt.hitch import pairs as pair_table
 from hitchopt.hitch.pairs import CROSSING, SEPARATION, TautBodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import layout_of
@@ -112,18 +111,14 @@ def test_an_arena_limits_legs_and_a_small_one_gives_the_largest_margin() -> None
     assert margin(hitch) >= 0.9
 
 
-@pytest.mark.parametrize(("direct", "swept"), [(64, 20), (0, 20), (0, 0)])
-def test_near_pairs_are_those_of_every_frame(
-    direct: int, swept: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of drifting boxes, without an index, or listed for all frames at once or by halves."""
-    monkeypatch.setattr(pair_table, "MAX_DIRECT_BODIES", direct)
-    monkeypatch.setattr(pair_table, "MAX_SWEPT_PAIRS", swept)
-    bodies, rng = TautBodies.of(layout_of(6, "closed")), np.random.default_rng(4)
+@pytest.mark.parametrize(("robots", "size"), [(6, 3.0), (16, 8.0), (16, 1.0)])
+def test_near_pairs_are_those_of_every_frame(robots: int, size: float) -> None:
+    """Of drifting boxes: few; many, listed for all frames at once; a crowd, listed by halves."""
+    bodies, rng = TautBodies.of(layout_of(robots, "closed")), np.random.default_rng(4)
     limits = np.array([0.24, 0.0, 0.05])
     count, cutoff = len(bodies.nodes), 0.3
     drift = 0.02 * np.arange(7)[:, None, None] * rng.normal(size=(count, 2))
-    lowest = 3.0 * rng.uniform(size=(count, 2)) + drift
+    lowest = size * rng.uniform(size=(count, 2)) + drift
     highest = lowest + rng.uniform(0.0, 0.3, (count, 2))
     i, j = np.triu_indices(count, 1)
     gaps = np.maximum(lowest[:, i] - highest[:, j], lowest[:, j] - highest[:, i])

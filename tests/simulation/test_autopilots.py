@@ -32,12 +32,12 @@ from hitchopt.hitch.flight_controller import (
     FlightController,
     stiffest_gains,
 )
-from hitchopt.lab.simulation import estimator as estimators
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import (
     LATENCY,
     Estimator,
+    SensorNoise,
     frame_age,
     rotation,
     rotation_vector,
@@ -339,15 +339,13 @@ def test_motors_turn_before_they_lift_and_fade_with_their_lag() -> None:
     assert pilots.thrusts[0] == pytest.approx(before * np.exp(-1.0))
 
 
-def test_without_noise_the_filter_is_exact_for_a_free_drone(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_without_noise_the_filter_is_exact_for_a_free_drone() -> None:
     """The drone moves by its thrust alone and turns; the filter has no residual."""
-    for name in ("POSITION_NOISE", "ATTITUDE_NOISE", "GYRO_NOISE", "ACCELEROMETER_NOISE"):
-        monkeypatch.setattr(estimators, name, 0.0)
+    exact = SensorNoise(0.0, 0.0, 0.0, 0.0)
     now = replace(bodies_at_rest(1), velocities=np.array([[0.4, -0.2, 0.1]]))
     tilted = replace(now, attitudes=rotation(np.array([[0.1, -0.1, 0.0]])))
-    known = [Estimator(each, tilted, np.random.default_rng(0)) for each in (HELD, ONE_MARKER)]
+    random = np.random.default_rng(0)
+    known = [Estimator(each, tilted, random, noise=exact) for each in (HELD, ONE_MARKER)]
     for i in range(2000):
         for each in known:
             each.read(now)

@@ -63,15 +63,8 @@ def test_a_box_is_enclosed_by_a_rectangle_and_a_disc_by_regular_polygons() -> No
         enclosing_polygon(narrow, 7, 0.035)
 
 
-@pytest.fixture
-def _one_number_of_robots(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Fit for the robots that are asked for alone, without a table of others."""
-    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", ())
-
-
-@pytest.mark.usefixtures("_one_number_of_robots")
 def test_cables_are_long_enough_for_the_enclosing_polygon() -> None:
-    holding = ho.fit(ho.Section(radius=0.2), 3, tension=1.0).holding
+    holding = ho.fit(ho.Section(radius=0.2), 3, tension=1.0, compared=()).holding
     assert holding.enclosing is not None
     drum = ho.SolidObject(ho.Section(radius=0.2), 0.0, 0.3, 0.03, at=[2.0, 1.0, 0.0])
     team = ho.Team(3, holding.cable_length, tension=1.0)
@@ -136,13 +129,13 @@ def test_lengths_and_tensions_that_fit_keep_all_distances(n: int) -> None:
             assert weakest == 0.0
 
 
-@pytest.mark.usefixtures("_one_number_of_robots")
 def test_resting_loads_are_limited_by_clasps_thrust_and_support() -> None:
     """At 1 m/s² the line of force through half of the height leans by 1/g."""
 
     def holding_with(max_thrust: float = 5.0, height: float = 0.3) -> Holding:
         kind = ho.Quadrotor(max_thrust=max_thrust)
-        return ho.fit(0.3, 4, cable_length=1.4, tension=1.0, quadrotor=kind, height=height).holding
+        options: dict[str, Any] = {"cable_length": 1.4, "tension": 1.0, "compared": ()}
+        return ho.fit(0.3, 4, quadrotor=kind, height=height, **options).holding
 
     weak, strong = (holding_with(max_thrust, height=0.2).rest_capacity for max_thrust in (1.9, 5.0))
     assert weak.binding == "thrust"
@@ -157,9 +150,9 @@ def test_resting_loads_are_limited_by_clasps_thrust_and_support() -> None:
     assert (unstable.mass, unstable.binding) == (0.0, "support")
 
 
-def test_fit_of_a_cylinder(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", (3, 4))
-    fit = ho.fit(0.2, 3, tension=1.3, limits=ho.Limits(tilt=math.radians(60.0)))
+def test_fit_of_a_cylinder() -> None:
+    limits = ho.Limits(tilt=math.radians(60.0))
+    fit = ho.fit(0.2, 3, tension=1.3, limits=limits, compared=(3, 4))
     assert fit.notes[0] == "outline: circle of radius 0.2 m"
     grips = fit.capacities("grip")
     best = grips[3]
@@ -182,11 +175,11 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
     assert len(fit.section.core) == 4
 
 
-@pytest.mark.usefixtures("_one_number_of_robots")
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ({"robots": 1}, "robots = 1"),
+        ({"compared": [2]}, "compared = 2"),
         ({"tension": -1.0}, "tension = -1"),
         ({"clearance": -0.1}, "clearance = -0.1"),
         ({"outline": [[0, 0], [1, 1], [2, 2]]}, "outline"),
@@ -198,14 +191,11 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
 )
 def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: str) -> None:
     with pytest.raises((ho.InputError, ho.InfeasibleError), match=words):
-        ho.fit(**({"outline": 0.2, "robots": 3} | options))
+        ho.fit(**({"outline": 0.2, "robots": 3, "compared": ()} | options))
 
 
-def test_two_cables_are_tied_and_hold_more_than_three(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("hitchopt.lab.statics.fit.TABLE_ROBOTS", (3,))
-    fit = ho.fit(0.12, 2, tension=1.0, height=0.4)
+def test_two_cables_are_tied_and_hold_more_than_three(tmp_path: Path) -> None:
+    fit = ho.fit(0.12, 2, tension=1.0, height=0.4, compared=(3,))
     assert fit.notes[-1] == "two cables are tied 0.35 m above the base"
     assert fit.holding.cable_length < 1.6
     assert fit.holding.grip_capacity.binding == "grip"
@@ -223,7 +213,7 @@ def test_two_cables_are_tied_and_hold_more_than_three(
         ho.fit(0.12, 2, cable_length=0.8)
 
 
-@pytest.mark.usefixtures("_one_number_of_robots")
+@pytest.mark.slow
 def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
     tmp_path: Path,
 ) -> None:

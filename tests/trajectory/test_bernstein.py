@@ -96,18 +96,12 @@ def test_shared_tables_are_read_only() -> None:
             table[..., 0] = 7.0
 
 
-@pytest.mark.parametrize(
-    ("pairs", "max_product"), [(None, None), (1, 2**18), (600, 2**18), (2**18, 0), (600, 0)]
-)
-def test_products_broadcast_and_are_computed_in_batches(
-    pairs: int | None, max_product: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if pairs is not None:
-        monkeypatch.setattr(bernstein, "MAX_PAIRS", pairs)
-        monkeypatch.setattr(bernstein, "MAX_PRODUCT", max_product)
+@pytest.mark.parametrize("rows", [7, 500, 4000])
+def test_products_broadcast_in_one_matrix_product_convolved_or_in_batches(rows: int) -> None:
+    """Of arrays of up to 1.4 million pairs of coefficients."""
     rng = np.random.default_rng(2)
-    a, b, v = (rng.normal(size=size) for size in ((7, 5, 3, 6), (5, 1, 4), (1, 5, 3, 4)))
-    x = rng.uniform(size=(7, 5))
+    a, b, v = (rng.normal(size=size) for size in ((rows, 5, 3, 6), (5, 1, 4), (1, 5, 3, 4)))
+    x = rng.uniform(size=(rows, 5))
     values = bernstein.evaluate(a, x[..., None])
     product, inner = bernstein.multiply(a, b), bernstein.dot(a, v)
     expected = values * bernstein.evaluate(b, x[..., None])

@@ -10,6 +10,7 @@ a cable moves, and is corrected by the captured position and, of a rigid body, a
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import dataclass
 from math import floor
 
 import numpy as np
@@ -24,10 +25,25 @@ from hitchopt.values import Array
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
 LATENCY = 0.01  # Delay of motion capture [s] if none is stated, up to the use of a frame
 
-POSITION_NOISE = 1e-3  # Standard deviation of captured positions, per axis and frame [m]
-ATTITUDE_NOISE = 1e-2  # Standard deviation of captured attitudes, per axis and frame [rad]
-GYRO_NOISE = 0.02  # Standard deviation of the gyroscope, per reading [rad/s]
-ACCELEROMETER_NOISE = 0.2  # Standard deviation of the accelerometer, per reading [m/s²]
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Standard deviations of readings of motion capture and of an IMU."""
+
+    position: float = 1e-3
+    """Of captured positions, per axis and frame [m]."""
+
+    attitude: float = 1e-2
+    """Of captured attitudes, per axis and frame [rad]."""
+
+    gyroscope: float = 0.02
+    """Of angular rates, per reading [rad/s]."""
+
+    accelerometer: float = 0.2
+    """Of specific forces, per reading [m/s²]."""
+
+
+SENSOR_NOISE = SensorNoise()
 
 TURN_NOISE = 0.1  # The firmware's process noise of attitudes [rad/s]
 NOISE_RATE = 1000.0  # Rate at which process noise is added [Hz]
@@ -158,16 +174,18 @@ class Estimator(Filter):
         bodies: RigidBodies,
         random: np.random.Generator,
         age: int = 5,
+        noise: SensorNoise = SENSOR_NOISE,
     ) -> None:
         super().__init__(parameters, bodies.positions, bodies.velocities, bodies.attitudes)
-        self._random, self._last = random, bodies  # state at the last prediction
+        self._random, self._noise = random, noise
+        self._last = bodies  # state at the last prediction
         self._gyro: list[Array] = []  # readings since then
         self._passed = deque([bodies], age + 1)  # at the last readings
 
     def read(self, bodies: RigidBodies) -> Array:
         """Return gyroscope readings (2n, 3) [rad/s] for true states."""
         self._passed.append(bodies)
-        noise = GYRO_NOISE * self._random.standard_normal(bodies.rates.shape)
+        noise = self._noise.gyroscope * self._random.standard_normal(bodies.rates.shape)
         self._gyro.append(bodies.rates + noise)
         return self._gyro[-1]
 
@@ -178,15 +196,15 @@ class Estimator(Filter):
         self._gyro, self._last = [], bodies
         acceleration = (bodies.velocities - previous.velocities) / dt + [0.0, 0.0, GRAVITY]
         thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]
-        noise = ACCELEROMETER_NOISE * self._random.standard_normal(len(acceleration))
+        noise = self._noise.accelerometer * self._random.standard_normal(len(acceleration))
         specific_forces = np.einsum("ia,ia->i", acceleration, thrust_axis) + noise
         self.advance(rates, specific_forces, dt)
 
     def correct(self) -> None:
         """Correct with the frame that arrives."""
         captured = self._passed[0]
-        noise = self._random.standard_normal((2, *captured.positions.shape))
+        shift, turn = self._random.standard_normal((2, *captured.positions.shape))
         self.observe(
-            captured.positions + POSITION_NOISE * noise[0],
-            captured.attitudes @ rotation(ATTITUDE_NOISE * noise[1]),
+            captured.positions + self._noise.position * shift,
+            captured.attitudes @ rotation(self._noise.attitude * turn),
         )

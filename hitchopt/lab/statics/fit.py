@@ -8,7 +8,7 @@ the separation of the drones.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -36,7 +36,7 @@ from hitchopt.planners.carrying.polygons import (
 from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.steps.straddling import Tie, needed_height
-from hitchopt.values import integer, points, positive
+from hitchopt.values import integer, points, positive, sequence
 from hitchopt.values.fields import Key, Record, with_fields
 from hitchopt.values.units import CABLE_LENGTH, DISTANCE, FRICTION, LENGTH, TENSION
 
@@ -175,6 +175,7 @@ def fit(
     quadrotor: Quadrotor | str | None = None,
     limits: Limits | None = None,
     separation: Separation | None = None,
+    compared: Sequence[int] = TABLE_ROBOTS,
 ) -> Fit:
     """Return the hitch polygons for an object's outline, and the largest masses that they hold.
 
@@ -190,6 +191,7 @@ def fit(
     cable_length: [m]; None for the shortest that keeps drones apart around the object.
     clasp_friction: coefficient between cables, which reduces the mass that is gripped.
     quadrotor: kind or name of a model; limits, separation: the default ones if None.
+    compared: other numbers of robots whose largest masses are reported.
 
     Raises
     ------
@@ -197,6 +199,8 @@ def fit(
     InfeasibleError: no hitch encloses the object, or the drones cannot hold the tension.
     """
     integer("robots", robots, 2, MAX_ROBOTS)
+    for number in sequence("compared", compared):
+        integer("compared", number, 3, MAX_ROBOTS)
     (kind,) = kinds_of(quadrotor, 1, "object")
     stated = Requirements(limits or Limits(), separation or Separation())
     requirements = stated.flown_by(Swarm(1, quadrotor=kind)).with_reserve
@@ -219,7 +223,7 @@ def fit(
         cable_length=cable_length,
         clasp_friction=clasp_friction,
     )
-    numbers = sorted({robots, *TABLE_ROBOTS})
+    numbers = sorted({robots, *compared})
     holding = _tied(task) if robots == 2 else _holding(task, robots)
     if holding.tied_at is not None:
         notes.append(f"two cables are tied {holding.tied_at:.3g} m above the base")
