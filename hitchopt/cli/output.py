@@ -217,24 +217,17 @@ def show_places(motion: ho.Motion, addresses: Mapping[str, str] | None = None) -
 
     ``addresses`` are those of drones by name.
     """
-    rows = list[dict[str, str]]()
-    for group in motion.groups:
-        team = group.motion.team
-        if team.assignment is None or team.assignment.is_identity:
-            continue
-        ends = team.layout.anchors.tolist()
-        for name, place in zip(team.listed_names, team.listed.tolist(), strict=True):
-            edge, end = divmod(place, 2)
-            row = {
-                "drone": group.label(name),
-                "place": f"edge {edge}, {('start', 'end')[end]}",
-                "vertex": team.point_names[ends[place]],
-                "leg": f"{'de'[end]}_{edge}",
-                "mass": f"{1e3 * team.mass[place]:.4g} g",
-            }
-            if addresses:
-                row["address"] = addresses[group.label(name)]
-            rows.append(row)
+    from hitchopt.exports.placing import drone_places
+
+    moved = {
+        group.label(name)
+        for group in motion.groups
+        if (assignment := group.motion.team.assignment) and not assignment.is_identity
+        for name in group.motion.team.listed_names
+    }
+    rows = [row for row in drone_places(motion) if row["drone"] in moved]
+    if addresses:
+        rows = [{**row, "address": addresses[row["drone"]]} for row in rows]
     if rows:
         more = f"… and {len(rows) - MAX_PLACES} more\n" if len(rows) > MAX_PLACES else ""
         say(f"{table('Places of drones', rows[:MAX_PLACES])}\n{more}", places=rows)

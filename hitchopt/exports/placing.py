@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
+from hitchopt.motion.motion import Motion
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
@@ -54,6 +55,28 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}\Z")  # Valid in files, ROS topics
 RESERVED = {"y", "n", "yes", "no", "on", "off", "true", "false", "null"}  # Literals of YAML 1.1
 URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Radio addresses of drones
 PER_RADIO = 15  # Drones per radio with uploaded trajectories
+
+
+def drone_places(motion: Motion) -> list[dict[str, str]]:
+    """Return a row per drone on a cable, in the problem's order: place on the hitch, and mass."""
+    rows = list[dict[str, str]]()
+    for group in motion.groups:
+        team = group.motion.team
+        if not team.has_cables:
+            continue
+        ends = team.layout.anchors.tolist()
+        for name, place in zip(team.listed_names, team.listed.tolist(), strict=True):
+            edge, end = divmod(place, 2)
+            rows.append(
+                {
+                    "drone": group.label(name),
+                    "place": f"edge {edge}, {('start', 'end')[end]}",
+                    "vertex": team.point_names[ends[place]],
+                    "leg": f"{'de'[end]}_{edge}",
+                    "mass": f"{1e3 * team.mass[place]:.4g} g",
+                }
+            )
+    return rows
 
 
 _WORD = strings(1000)

@@ -595,6 +595,20 @@ def test_lint_reads_the_parameters_and_markers_of_robots(tmp_path: Path) -> None
     assert not [f for f in lint(tmp_path)[0].findings if f.rule == "parameters"]
 
 
+def test_the_note_says_where_each_drone_is_on_the_hitch(tmp_path: Path) -> None:
+    motion = hitch_plan()
+    exported(motion, "crazyswarm2", tmp_path)
+    rows = re.findall(
+        r"^(\w+) +(\w+) +edge (\d), (start|end) +p(\d)",
+        (tmp_path / "README.txt").read_text("utf-8"),
+        re.MULTILINE,
+    )
+    assert [role for _, role, *_ in rows] == list(motion.team.listed_names)
+    for (_, _, edge, end, vertex), place in zip(rows, motion.team.listed, strict=True):
+        assert 2 * int(edge) + ("start", "end").index(end) == place
+        assert int(vertex) == motion.team.layout.anchors[place]
+
+
 def test_the_checklist_is_the_same_everywhere(tmp_path: Path) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     page = (ROOT / "docs/how_to/before_you_fly.md").read_text(encoding="utf-8")

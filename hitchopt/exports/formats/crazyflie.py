@@ -43,7 +43,7 @@ from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.parts import cut_into_parts
-from hitchopt.exports.placing import AXES
+from hitchopt.exports.placing import AXES, drone_places
 from hitchopt.exports.refit import (
     PieceKind,
     Scale,
@@ -311,12 +311,25 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
         "README.txt": _template("start_note.txt").format(
             title=task.title or "A plan of hitchopt",
             place=f"\n{place}{texts['parts']}\n" if place else "",
+            drones=_places_text(task),
             placeholders=hint if task.fleet.is_placeholder else "",
             slack=texts["slack"] if slack else "",
             pull=f"\n{texts[pull]}\n{texts['mind']}" if task.motion.has_cables else "",
             **common,
         ),
     }
+
+
+def _places_text(task: ExportTask) -> str:
+    """Return the table of drones on cables: names in the files and the problem, and places."""
+    robots = {member.role: member.name for member in task.fleet.members}
+    rows = [{"name": robots[row["drone"]], **row} for row in drone_places(task.motion)]
+    if not rows:
+        return ""
+    lines = [[*rows[0]], *([*row.values()] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+    return "\nDrones by name in these files and in the problem:\n" + "\n".join(text) + "\n"
 
 
 def _slack_points(task: ExportTask) -> dict[str, list[float]]:
