@@ -129,15 +129,17 @@ def read_plan(directory: str, file: str, package: str) -> None:
 
     if not Path(ho.__file__).resolve().is_relative_to(package):
         raise SystemExit(f"{ho.__file__} is not in {package}")
-    groups, curves = contents(ho.load(directory).motion)
+    plan = ho.load(directory)
+    groups, curves = contents(getattr(plan, "flight", None) or plan.motion)
     np.savez(file, allow_pickle=False, **curves)
     print(json.dumps(groups))
 
 
-def contents(motion: Any) -> tuple[dict[str, Any], Curves]:
-    """Return the phases of every group and external plan of a motion, and its curves."""
+def contents(flight: Any) -> tuple[dict[str, Any], Curves]:
+    """Return the phases of every team and external plan of a flight, and its curves."""
     groups, curves = dict[str, Any](), Curves()
-    for prefix, members in (("", motion.groups), ("others/", motion.others)):
+    teams = getattr(flight, "teams", None) or flight.groups  # as versions name them
+    for prefix, members in (("", teams), ("others/", flight.others)):
         for each in members:
             own, label = each.motion, f"{prefix}{each.name or 'team'}"
             groups[label] = [phase_data(phase, own.team.robots) for phase in own.phases]

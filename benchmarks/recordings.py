@@ -204,7 +204,7 @@ def fly(plan: ho.Plan, rate: float, seed: int) -> tuple[Array, Array, Array, Arr
     """Return times, drones, markers and true crossings of a perturbed flight of a plan."""
     flown, task = (
         ho.simulate(plan, perturbed=True, seed=seed, pull_test=False),
-        Task.of(plan.motion),
+        Task.of(plan.flight),
     )
     record = flown.flight.record
     t = np.arange(0.0, min(task.duration, record.t[-1]), 1.0 / rate)
@@ -286,14 +286,14 @@ def main() -> None:
         plan = plan_of(name)
         flown = fly(plan, RATE, options.seed)
         table.section(f"{name}, {plan.duration:.1f} s", *columns)
-        task = Task.of(plan.motion)
+        task = Task.of(plan.flight)
         for words, camera in ROWS.items():
             table.row(words, *Comparison.of(task, flown, camera, options.seed).row())
     columns = ("experiment", "evaluated", "true crossings", "the paper's flight")
     table.section("The paper's experiments: mean errors of the vertices [m]", *columns)
     for name, paper in PAPER.items():
         plan = experiment(name)
-        task, flown = Task.of(plan.motion), fly(plan, RATE, options.seed)
+        task, flown = Task.of(plan.flight), fly(plan, RATE, options.seed)
         comparison = Comparison.of(task, flown, Camera(noise=5e-4, lost=0.1), options.seed)
         true = np.linalg.norm(comparison.true - comparison.evaluation.planned, axis=-1)
         table.row(

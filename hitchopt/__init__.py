@@ -51,6 +51,7 @@ PUBLIC_NAMES = {
     "mission.problem": ("DronesStart", "HitchStart", "Problem"),
     "mission.repair": ("Suggestion",),
     "mission.solving": ("forget",),
+    "motion.flight": ("Flight", "TeamMotion"),
     "motion.motion": ("Motion", "Phase"),
     "motion.states": ("States",),
     "objects": ("Rim", "Section", "SolidObject"),

@@ -52,6 +52,8 @@ from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as H
 from hitchopt.mission.problem import Problem as Problem
 from hitchopt.mission.repair import Suggestion as Suggestion
 from hitchopt.mission.solving import forget as forget
+from hitchopt.motion.flight import Flight as Flight
+from hitchopt.motion.flight import TeamMotion as TeamMotion
 from hitchopt.motion.motion import Motion as Motion, Phase as Phase
 from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject

@@ -91,8 +91,8 @@ def solve(
     task = _loaded(problem)
     with time_limit(_seconds(limit), progress) as report:
         solution = solve_problem(task, report)
-    check_request(task.request, solution.motion)
-    return Plan(solution.motion, solution.certificate, task.title, source)
+    check_request(task.request, solution.flight)
+    return Plan(solution.flight, solution.certificate, task.title, source)
 
 
 def separate(

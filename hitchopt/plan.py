@@ -14,14 +14,14 @@ from hitchopt.checks import Certificate, certify
 from hitchopt.checks.distances import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
 from hitchopt.hitch import Hitch
-from hitchopt.mission.others import NAME, named_groups
-from hitchopt.motion.combined import combined
+from hitchopt.mission.others import NAME, named_teams
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import assumption_notes, tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, read_saved_plan
 from hitchopt.motion.request import check_request
 from hitchopt.motion.retiming import shifted
-from hitchopt.motion.states import States, final_hitch, states_at
+from hitchopt.motion.states import States, final_hitch, flight_states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
 from hitchopt.values import check_instance, flag, integer, nonnegative, path, text
@@ -36,42 +36,51 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Plan(OneLine):
-    """A certified motion of a hitch, or of a swarm without cables.
+    """A certified flight of a hitch, of a swarm without cables, or of several teams.
 
-    ``motion`` holds the polynomials, the team and the requirements; ``certificate`` the checks over
-    all t; ``title`` and ``problem`` the title and the text of the problem file, if any.
+    ``flight`` holds a motion for each team, with its polynomials, team and requirements, and
+    external plans; ``certificate`` the checks over all t; ``title`` and ``problem`` the title and
+    the text of the problem file, if any.
     """
 
-    motion: Motion
+    flight: Flight
     certificate: Certificate
     title: str = ""
     problem: str = ""
 
     def _parts(self) -> Iterator[str]:
-        motion, limited = self.motion, self.certificate.limited
+        limited = self.certificate.limited
         yield from [short(self.title)] if self.title else []
-        yield f"{len(motion.team.drone_names)} drones"
+        yield f"{len(self.flight.team.drone_names)} drones"
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
         yield f"{sum(check.holds for check in limited)} of {len(limited)} limits hold"
 
     @property
+    def motion(self) -> Motion:
+        """The motion of the only team.
+
+        Raises UnsupportedError for several teams: each has its motion in ``flight.teams``.
+        """
+        return self.flight.of_one_team("plan.motion", others=True)
+
+    @property
     def duration(self) -> float:
         """Duration of all steps together [s]."""
-        return self.motion.duration
+        return self.flight.duration
 
     @property
     def phases(self) -> tuple[Phase, ...]:
         """The time spans of the steps, in order."""
-        return self.motion.phases
+        return self.flight.phases
 
     @property
     def end(self) -> Hitch:
         """The hitch at the end of the plan, from which another plan can start.
 
         Raises InputError if the plan ends with free cables, UnsupportedError if the tensions have
-        changed.
+        changed, or for several teams.
         """
-        return final_hitch(self.motion)
+        return final_hitch(self.flight.of_one_team("plan.end", others=True))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -82,16 +91,16 @@ class Plan(OneLine):
         """
         notes = list[str]()
         with contained("a note"):
-            notes += weightless_notes(self.motion, self.problem)
-            notes += assumption_notes(self.motion, self.problem)
-            notes += tracking_warnings(self.motion)
+            notes += weightless_notes(self.flight, self.problem)
+            notes += assumption_notes(self.flight, self.problem)
+            notes += tracking_warnings(self.flight)
         return tuple(notes)
 
     def _repr_html_(self) -> str:
         """Return the summary card for notebooks: picture, phases, certificate and notes."""
         from hitchopt.view.pictures import plan_card
 
-        return plan_card(self.motion, self.certificate, self.title, self.notes)
+        return plan_card(self.flight, self.certificate, self.title, self.notes)
 
     def plot(self, axes: Axes | None = None) -> Axes:
         """Draw start, paths and end from above on matplotlib axes, and return the axes.
@@ -104,7 +113,7 @@ class Plan(OneLine):
 
         if axes is not None and not isinstance(axes, mpl_axes.Axes):
             raise InputError("axes", axes, "matplotlib axes", "leave it out for a new figure")
-        return plot_from_above(self.motion, axes)
+        return plot_from_above(self.flight, axes)
 
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
         """Return the rows of ``setpoints.csv``, with their phases, as a pandas data frame.
@@ -114,7 +123,7 @@ class Plan(OneLine):
         """
         from hitchopt.exports.directory import data_frame
 
-        return data_frame(self.motion, rate)
+        return data_frame(self.flight, rate)
 
     def at(self, t: ArrayLike) -> States:
         """Return the states of drones and vertices at times t (…) [s]: arrays of leading shape (…).
@@ -122,7 +131,7 @@ class Plan(OneLine):
         Drones and robots are in the order of the problem. The drones rest after the end. Raises
         InputError for a time before the start.
         """
-        return states_at(self.motion, t).listed(self.motion.team)
+        return flight_states_at(self.flight, t).listed(self.flight.team)
 
     def abort(self, t: float, how: str = "hold") -> Plan:
         """Return the plan up to time t, followed by a certified abort.
@@ -145,8 +154,8 @@ class Plan(OneLine):
         """
         from hitchopt.live.abort import Aborts
 
-        entry = Aborts(self.motion).plan(t, how)
-        return Plan(entry.motion, entry.certificate, f"{self.title} ({how} at {t:g} s)".strip())
+        entry = Aborts(self.flight).plan(t, how)
+        return Plan(entry.flight, entry.certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
     def save(
         self,
@@ -171,14 +180,14 @@ class Plan(OneLine):
         """
         from hitchopt.exports.directory import REPORT, save_plan
 
-        motion, folder = self.motion, path("directory", directory)
+        folder = path("directory", directory)
         is_drawn = flag("picture", picture)
 
         def report_share(fraction: float) -> None:
             if progress is not None:
                 progress(f"writing setpoints, {fraction:.0%}")
 
-        content = motion, self.certificate, self.title
+        content = self.flight, self.certificate, self.title
         pages = {REPORT: lambda file: self._write_report(file, file.parent)}
         pages = pages if flag("report", report) else {}
         save_plan(folder, *content, rate, pages, report_share, self.problem)
@@ -197,7 +206,7 @@ class Plan(OneLine):
         from hitchopt.view.style import save_figure
 
         def write(file: Path) -> None:
-            save_figure(draw_summary(self.motion, self.certificate, self.title), file)
+            save_figure(draw_summary(self.flight, self.certificate, self.title), file)
 
         return save_picture(path("directory", directory), self.certificate, write)
 
@@ -206,8 +215,8 @@ class Plan(OneLine):
         from hitchopt.view.report import write_report
         from hitchopt.view.scene import ghost_scene
 
-        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
-        content = self.motion, self.certificate, self.title, self.problem
+        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.flight)
+        content = self.flight, self.certificate, self.title, self.problem
         write_report(file, *content, directory, other)
 
     def report(self, directory: Path | str, *, ghost: Path | str | None = None) -> Path:
@@ -260,7 +269,7 @@ class Plan(OneLine):
                 raise InputError("ghost", str(ghost), bound, "leave out save: it is shown live")
             from hitchopt.view.report import save_view
 
-            content = self.motion, self.certificate, self.title, self.problem
+            content = self.flight, self.certificate, self.title, self.problem
             save_view(path("save", save), *content, progress, width)
             return None
         import webbrowser
@@ -268,9 +277,9 @@ class Plan(OneLine):
         from hitchopt.view.live import LiveView, open_server
         from hitchopt.view.scene import ghost_scene
 
-        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.motion)
+        other = None if ghost is None else ghost_scene(path("ghost", ghost), self.flight)
         server = open_server(host, port)
-        live = LiveView(server, self.motion, self.certificate, self.title, ghost=other)
+        live = LiveView(server, self.flight, self.certificate, self.title, ghost=other)
         if browser:
             webbrowser.open(live.url)
         return live
@@ -299,12 +308,12 @@ class Plan(OneLine):
             the plan or its tension, or a limit is violated in the format; nothing is written.
         UnsupportedError: a library that the format needs is not installed.
         """
-        from hitchopt.exports.exporting import export_motion
+        from hitchopt.exports.exporting import export_flight
         from hitchopt.exports.options import ExportOptions
 
         parsed = ExportOptions(text("format", format), **options)
         place = path("folder", folder)
-        return export_motion(self.motion, self.title, parsed, place, progress, self.problem)
+        return export_flight(self.flight, self.title, parsed, place, progress, self.problem)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
@@ -340,14 +349,14 @@ def closest(
     width: of the picture [inch], then a figure for a paper with text of 8 pt.
     """
     check_instance("plan", plan, Plan)
-    pairs = closeness(plan.motion, integer("spans", spans, 1))
+    pairs = closeness(plan.flight, integer("spans", spans, 1))
     if picture is not None:
         picture = path("picture", picture)
         from hitchopt.view.pictures import draw_closeness
         from hitchopt.view.style import save_figure
 
         try:
-            save_figure(draw_closeness(plan.motion, pairs, width), picture)
+            save_figure(draw_closeness(plan.flight, pairs, width), picture)
         except OSError as error:
             raise FileError(f"{picture}: cannot be written: {error.strerror}") from error
     return pairs
@@ -373,23 +382,23 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     check_instance("other", other, Plan)
     at = nonnegative("at", at)
     first, second = (NAME.check(f"names[{k}]", name) for k, name in enumerate(names))
-    other_groups, others = (
-        [replace(each, motion=shifted(each.motion, at)) for each in motions]
-        for motions in (other.motion.groups, other.motion.others)
+    other_teams, others = (
+        [replace(each, motion=shifted(each.motion, at)) for each in teams]
+        for teams in (other.flight.teams, other.flight.others)
     )
-    groups = [*named_groups(first, plan.motion.groups), *named_groups(second, other_groups)]
-    motion = combined(groups, [*plan.motion.others, *others])
+    teams = [*named_teams(first, plan.flight.teams), *named_teams(second, other_teams)]
+    flight = Flight(tuple(teams), (*plan.flight.others, *others))
     title = " and ".join(filter(None, (plan.title, other.title)))
-    return Plan(motion, certify(motion), title)
+    return Plan(flight, certify(flight), title)
 
 
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from the polynomials.
 
-    Raises FileError if there is no plan, it is damaged, or its motion does not match its request.
+    Raises FileError if there is no plan, it is damaged, or its flight does not match its request.
     """
     saved = read_requested_plan(path("directory", directory) / PLAN)
-    return Plan(saved.motion, certify(saved.motion), saved.title, saved.problem)
+    return Plan(saved.flight, certify(saved.flight), saved.title, saved.problem)
 
 
 def read_requested_plan(file: Path) -> SavedPlan:
@@ -399,8 +408,8 @@ def read_requested_plan(file: Path) -> SavedPlan:
         from hitchopt.mission.loading import request_in  # heavy
 
         try:
-            request = request_in(saved.problem, saved.motion.requirements.objects)
-            check_request(request, saved.motion)
+            request = request_in(saved.problem, saved.flight.requirements.objects)
+            check_request(request, saved.flight)
         except InputError as error:
             reason = " ".join(str(error).split())
             raise FileError(f"{file}: the problem in it differs: {reason}") from error

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt import verify as second
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.verify import cables, driver, links, objects, teams, tying
@@ -37,9 +38,9 @@ ROWS: dict[str, tuple[Rows, ...]] = {
 """Functions of ``verify`` that have the rows of a limit."""
 
 
-def opinion_of(motion: Motion, folder: Path, *functions: Rows) -> Iterator[second.Row]:
-    """Write a plan of a motion, and yield the rows of functions, or all."""
-    write_plan(folder / "plan.npz", motion)
+def opinion_of(flown: Motion | Flight, folder: Path, *functions: Rows) -> Iterator[second.Row]:
+    """Write a plan, and yield the rows of functions, or all."""
+    write_plan(folder / "plan.npz", Flight.of(flown))
     return opinion(folder / "plan.npz", *functions) if functions else second.verify(folder)
 
 

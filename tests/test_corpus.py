@@ -25,7 +25,7 @@ def store(folder: Path, data: dict[str, Any], curves: corpus.Curves) -> Path:
 
 def stored(name: str) -> tuple[dict[str, Any], corpus.Curves]:
     plan = planned(name)
-    groups, curves = corpus.contents(plan.motion)
+    groups, curves = corpus.contents(plan.flight)
     data = {"exit": 0, "message": [], **plan.certificate.to_dict(), "groups": groups}
     return json.loads(json.dumps(data)), curves
 

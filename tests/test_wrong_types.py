@@ -84,7 +84,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     *((call, {"path": NOWHERE}) for call in (ho.load_problem,)),
     *((call, {"directory": NOWHERE}) for call in (ho.load, ho.load_sweep)),
     *((call, {"plan": PLAN, "t": AFTER}) for call in (ho.equilibrium, ho.tolerance)),
-    (ho.certify, {"motion": PLAN.motion}),
+    (ho.certify, {"flight": PLAN.flight}),
     (ho.closest, {"plan": PLAN, "spans": 2}),
     (ho.hanging_cable, {"first": [0, 0, 0], "second": [1, 0, 0], "length": 2.0, "points": 5}),
     (ho.regular_polygon, {"n": 3, "edge": 1.0, "angle": 0.0}),

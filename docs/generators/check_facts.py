@@ -6,7 +6,7 @@ import inspect
 from typing import Any
 
 from hitchopt.checks.registry import REPORTS, RULES
-from hitchopt.checks.rule import CheckRule, ReportRule, WorstOverSpans
+from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, WorstOverSpans
 from hitchopt.motion.motion import CableState
 
 SENSES = {"min": "must not fall below the limit", "max": "must not rise above the limit"}
@@ -51,9 +51,9 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
     }
 
 
-def _facts_of_report(rule: ReportRule) -> dict[str, str]:
+def _facts_of_report(rule: ReportRule | FlightReport) -> dict[str, str]:
     limit = "`limits.tracking`, if stated; else it is only reported"
-    limit = limit if rule.remedy else "none: it is only reported"
+    limit = limit if isinstance(rule, ReportRule) else "none: it is only reported"
     return {"`worst`": _unit(rule.unit), "limit": limit}
 
 

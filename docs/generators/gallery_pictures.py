@@ -46,17 +46,17 @@ def draw(file: Path, *, solved: bool) -> Figure:
     a plan is drawn as its task.
     """
     plan = ho.solve(file) if solved else None
-    if plan is not None and plan.motion.has_cables:
+    if plan is not None and plan.flight.has_cables:
         figure = new_figure(SIZE, None)
-        shots = shots_in_motion(plan.motion, PANELS)
+        shots = shots_in_motion(plan.flight, PANELS)
         chosen = np.unique(np.linspace(0, len(shots) - 1, PANELS).round().astype(int))
         place = figure.add_gridspec(1, 1, **EDGES)[0]
-        draw_plan_storyboard(place, plan.motion, [shots[i] for i in chosen])
+        draw_plan_storyboard(place, plan.flight, [shots[i] for i in chosen])
         return figure
     figure = new_figure(SIZE)
     axes = figure.add_subplot()
     if plan is not None:
-        draw_plan_view(axes, plan.motion)
+        draw_plan_view(axes, plan.flight)
         if legend := axes.get_legend():
             legend.remove()
     else:

@@ -1,8 +1,8 @@
-"""Distances between the groups of a plan, and between them and external plans.
+"""Distances between the teams of a flight, and between them and external plans.
 
-Each group is certified alone (``certify``). Between groups, the same distances apply as within one:
+Each team is certified alone (``certify``). Between teams, the same distances apply as within one:
 checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``object_clearance``. Two
-groups are compared on their common breaks, in runs of pieces on which neither ties nor unties its
+teams are compared on their common breaks, in runs of pieces on which neither ties nor unties its
 hitch; they are at rest before and after their motions.
 
 Cables without a hitch stay within upright regions (``checks.bodies``). The distance of such a
@@ -29,11 +29,11 @@ from hitchopt.checks.bodies import (
 )
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import Solid, from_above, pairs_with_shape
-from hitchopt.checks.distances import Moving, Shape, nearest, smallest
+from hitchopt.checks.distances import Moving, Shape, nearest_of, smallest
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase
-from hitchopt.checks.spans import ROUNDING, cable_names, cached, magnitude
+from hitchopt.checks.spans import ROUNDING, cable_names, cached, flight_magnitude, magnitude
 from hitchopt.checks.tracking import (
     OF_PAIRS,
     PARTS,
@@ -42,9 +42,9 @@ from hitchopt.checks.tracking import (
     ellipsoid_axes,
 )
 from hitchopt.hitch.pairs import DISTANCES
-from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.combined import moved_objects, same_object
-from hitchopt.motion.motion import CLASPED_STATES, CableState, Group, Motion
+from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
+from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import REST_DRIFT
@@ -57,26 +57,26 @@ LAID = frozenset({CableState.LAYING})
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """A group on a run of pieces, and the regions of its cables while it has no hitch."""
+    """A team on a run of pieces, and the regions of its cables while it has no hitch."""
 
-    group: Group
+    flown: TeamMotion
     sheets: CableSheets | None  # None without cables
     carried: frozenset[str]  # objects that it moves at any time
 
     @property
     def motion(self) -> Motion:
-        """The group's motion."""
-        return self.group.motion
+        """The team's motion."""
+        return self.flown.motion
 
     @property
     def drones(self) -> Bodies:
-        """The group's drones."""
-        return drones_of(self.motion).labelled(self.group.label)
+        """The team's drones."""
+        return drones_of(self.motion).labelled(self.flown.label)
 
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Two groups on common pieces on which each has a hitch or none, and their distances."""
+    """Two teams on common pieces on which each has a hitch or none, and their distances."""
 
     first: Side
     second: Side
@@ -84,7 +84,7 @@ class Run:
 
     @property
     def both(self) -> tuple[tuple[Side, Side], ...]:
-        """Both orders of the two groups."""
+        """Both orders of the two teams."""
         return (self.first, self.second), (self.second, self.first)
 
     @property
@@ -93,7 +93,7 @@ class Run:
         return ROUNDING * (magnitude(self.first.motion) + magnitude(self.second.motion))
 
     def moving(self, first: Bodies, second: Bodies, **options: Any) -> Moving:
-        """Return the pairs of bodies of the first and the second group."""
+        """Return the pairs of bodies of the first and the second team."""
         options = {"margin": self.margin} | options
         return Moving.between(self.first.motion, first, second, **options)
 
@@ -105,25 +105,24 @@ class Run:
         shape: Solid,
         pose: Enclosed,
     ) -> Moving:
-        """Return the pairs of bodies of one group and a shape that moves with a pose."""
+        """Return the pairs of bodies of one team and a shape that moves with a pose."""
         points = points if isinstance(points, Enclosed) else Enclosed(points)
         margin = self.margin + ROUNDING * shape.slab.size
         return pairs_with_shape(self.first.motion, points, names, label, shape, pose, margin=margin)
 
 
 @cached
-def runs(motion: Motion) -> tuple[Run, ...]:
-    """Return the runs of all pairs of groups, at least one of them the motion's own."""
-    groups, separation = motion.all_groups, motion.requirements.separation
-    count, result = len(motion.groups), list[Run]()
-    for i in range(count):
-        for j in range(i + 1, len(groups)):
-            result += _runs(groups[i], groups[j], separation)
+def runs(flight: Flight) -> tuple[Run, ...]:
+    """Return the runs of all pairs of teams, at least one of them the flight's own."""
+    separation, result = flight.requirements.separation, list[Run]()
+    for i, first in enumerate(flight.teams):
+        for second in flight.all_teams[i + 1 :]:
+            result += _runs(first, second, separation)
     return tuple(result)
 
 
-def _runs(first: Group, second: Group, separation: Separation) -> Iterator[Run]:
-    """Yield the runs of two groups."""
+def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iterator[Run]:
+    """Yield the runs of two teams."""
     ends = np.array([each.motion.drones.breaks[[0, -1]] for each in (first, second)])
     begin, end = float(np.min(ends)), float(np.max(ends))
     motions = [padded(each.motion, begin, end) for each in (first, second)]
@@ -138,25 +137,25 @@ def _runs(first: Group, second: Group, separation: Separation) -> Iterator[Run]:
         a, b = (
             Side(
                 replace(
-                    group,
+                    flown,
                     motion=each.slice_pieces(pieces, each.overlapping(breaks[start], breaks[stop])),
                 ),
                 own and own.on(pieces),
                 moved_objects(each),
             )
-            for group, each, own in zip((first, second), (one, other), sheets, strict=True)
+            for flown, each, own in zip((first, second), (one, other), sheets, strict=True)
         )
         yield Run(a, b, separation)
 
 
 def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
-    """Return the cables of a group, if ``parts`` with names of taut parts; None without cables."""
+    """Return the cables of a team, if ``parts`` with names of taut parts; None without cables."""
     motion, sheets = side.motion, side.sheets
     if sheets is None:
         return None
     if motion.formed[0]:
-        return (taut_parts if parts else taut_cables)(motion).labelled(side.group.label)
-    return Bodies(sheets.corners, cable_names(motion), sheets.outline).labelled(side.group.label)
+        return (taut_parts if parts else taut_cables)(motion).labelled(side.flown.label)
+    return Bodies(sheets.corners, cable_names(motion), sheets.outline).labelled(side.flown.label)
 
 
 def drone_pairs(run: Run) -> Iterator[Moving]:
@@ -167,7 +166,7 @@ def drone_pairs(run: Run) -> Iterator[Moving]:
 
 
 def drones_and_cables(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and cables of the other."""
+    """Yield the pairs of drones of one team and cables of the other."""
     for one, other in run.both:
         if (cables := cables_of(other)) is not None:
             yield run.moving(one.drones, cables)
@@ -181,7 +180,7 @@ def cable_pairs(run: Run) -> Iterator[Moving]:
 
 
 def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclosed]]:
-    """Yield the objects of one group that are not obstacles of the other, and their poses."""
+    """Yield the objects of one team that are not obstacles of the other, and their poses."""
     obstacles = other.motion.requirements.objects
     for index, (name, body) in enumerate(one.motion.requirements.objects.items()):
         pose = one.motion.poses.coefficients[:, index]
@@ -191,7 +190,7 @@ def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclose
 
 
 def drones_and_objects(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and objects of the other."""
+    """Yield the pairs of drones of one team and objects of the other."""
     for one, other in run.both:
         drones = one.drones
         for name, body, pose in _objects(other, one):
@@ -200,7 +199,7 @@ def drones_and_objects(run: Run) -> Iterator[Moving]:
 
 
 def taut_or_laid(side: Side) -> Bodies | None:
-    """Return the cables of a group that are under tension: parts, or strips while they are laid."""
+    """Return the cables of a team that are under tension: parts, or strips while they are laid."""
     cables, laid = cables_of(side, parts=True), side.motion.in_states(LAID)
     if cables is None or not cables.outline:
         return cables
@@ -214,7 +213,7 @@ def drones_above_cables(
     formula: Callable[..., Bound] = below,
     shape: Callable[[Slab | None], Shape] | None = None,
 ) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and taut cables of the other, in scaled coordinates.
+    """Yield the pairs of drones of one team and taut cables of the other, in scaled coordinates.
 
     Options are those of ``pairs_with_slab``; the shape is that without a slab.
     """
@@ -227,7 +226,7 @@ def drones_above_cables(
 
 
 def drones_above(run: Run, scale: Array, **options: Any) -> Iterator[Moving]:
-    """Yield the pairs of drones of one group and what their downwash would move of the other.
+    """Yield the pairs of drones of one team and what their downwash would move of the other.
 
     Coordinates are scaled; ``options`` are those of ``pairs_with_slab``.
     """
@@ -251,7 +250,7 @@ def _drones_above(run: Run) -> Iterator[Moving]:
 
 
 def cables_and_objects(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of objects of one group and cables or objects of the other."""
+    """Yield the pairs of objects of one team and cables or objects of the other."""
     for one, other in run.both:
         for name, body, pose in _objects(other, one):
             for slab in body.slabs:
@@ -289,41 +288,51 @@ ACROSS: dict[str, Callable[[Run], Iterable[Moving]]] = {
     "downwash": _drones_above,
     "object_clearance": cables_and_objects,
 }
-"""Pairs between groups, by check of DISTANCES."""
+"""Pairs between teams, by check of DISTANCES."""
 
 
-def check_across(rule: CheckRule, motion: Motion) -> Check | None:
-    """Return the check of a rule between groups; None if nothing is compared."""
+def check_across(
+    rule: CheckRule, flight: Flight, requirements: Requirements | None = None
+) -> Check | None:
+    """Return the check of a rule between teams; None if nothing is compared.
+
+    ``requirements`` are the flight's own by default, or these with divided heights.
+    """
     if rule.name not in ACROSS:
         return None
-    pairs, limit = ACROSS[rule.name], DISTANCES[rule.name].limit(motion.requirements.separation)
-    evaluate = nearest(
-        lambda whole: (each for run in runs(whole) for each in pairs(run)), scaled=rule.unit != "m"
-    )
-    worst = evaluate(motion, limit)
+    requirements = requirements or flight.requirements
+    limit = DISTANCES[rule.name].limit(requirements.separation)
+    ratio = requirements.height_ratio if rule.unit == "m" else 1.0
+    cases = (each.flattened(ratio) for run in runs(flight) for each in ACROSS[rule.name](run))
+    worst = nearest_of(cases, limit, flight_magnitude(flight))
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
 
 
-def radius_across(motion: Motion, checks: Iterable[Check | None], gamma: float) -> WorstCase:
-    """Return the largest tracking error with which groups keep their distances [m]."""
+def radius_across(
+    flight: Flight, requirements: Requirements, checks: Iterable[Check | None], gamma: float
+) -> WorstCase:
+    """Return the largest tracking error with which teams keep their distances [m].
+
+    Heights are divided as the requirements state; ``checks`` are those between teams with them.
+    """
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
-    axes, height_ratio = ellipsoid_axes(motion.requirements), motion.requirements.height_ratio
     for check in filter(None, checks):
         if check.name in DISTANCES and PARTS[check.name] is not OF_PAIRS:
             slack = max(check.worst - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
             terms.append(WorstCase(slack, check.time, check.where))
 
     def above(scale: Array, **options: Any) -> Iterator[Moving]:
-        """Yield what is below drones of all pairs of groups."""
-        for run in runs(motion):
+        """Yield what is below drones of all pairs of teams."""
+        for run in runs(flight):
             yield from drones_above(run, scale, **options)
 
     factor = DISTANCES["downwash"].approach(ratio)
-    terms.append(downwash_radius(above, motion.requirements, factor))
+    terms.append(downwash_radius(above, requirements, factor))
     tightest = min(terms, key=lambda term: term.worst)
-    for run in runs(motion):
-        moving = run.moving(run.first.drones, run.second.drones).flattened(height_ratio)
-        moving = replace(moving, shape=Ellipsoid(axes))
+    ellipsoid = Ellipsoid(ellipsoid_axes(requirements))
+    for run in runs(flight):
+        drones = run.moving(run.first.drones, run.second.drones)
+        moving = replace(drones.flattened(requirements.height_ratio), shape=ellipsoid)
         pair = smallest(moving, incumbent=2.0 * tightest.worst)
         radius = max(0.5 * pair.worst, 0.0)
         if pair.item >= 0 and radius < tightest.worst:

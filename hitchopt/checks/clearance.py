@@ -68,7 +68,6 @@ from hitchopt.hitch.catenary import (
     level_length,
 )
 from hitchopt.hitch.pairs import CABLE, DISTANCES, TautBodies
-from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import (
     CLASPED_STATES,
@@ -840,13 +839,3 @@ ARENA = CheckRule(
 )
 """Drones, taut cables and held objects stay in the arena; ``cable_clearance`` and
 ``object_clearance`` keep hanging cables and objects above its floor."""
-
-
-def below_ground(motion: Motion) -> Check | None:
-    """Return the height above z = 0 [m] as a check if it is negative and there is no arena."""
-    if motion.requirements.arena is not None:
-        return None
-    open_ = Arena([-UNBOUNDED, -UNBOUNDED, 0.0], [UNBOUNDED, UNBOUNDED, UNBOUNDED])
-    needed = replace(motion.requirements, arena=open_)
-    check = ARENA.check(motion.replaced(requirements=needed))
-    return None if check is None or check.worst >= -CONTACT_GAP else check

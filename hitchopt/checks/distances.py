@@ -29,9 +29,11 @@ from hitchopt.checks.bodies import Bodies, clasped_cables, taut_parts
 from hitchopt.checks.certificate import Check, with_tolerance
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
+    ROUNDING,
     UPWARD,
     cable_names,
     clasped_pairs,
+    flight_magnitude,
     magnitude,
     pair_of,
     phase_parts,
@@ -43,7 +45,9 @@ from hitchopt.geometry.broadphase import Boxes, Pairs, few_close_pairs
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
 from hitchopt.hitch.pairs import DISTANCES, TautBodies
+from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CLASPED_STATES, FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.bernstein import same_degree
@@ -461,23 +465,31 @@ def nearest(
     """
 
     def evaluate(motion: Motion, limit: float) -> WorstCase:
-        size = magnitude(motion)
-        target, best = with_tolerance(limit, "min", size, 0.5), WorstCase(math.inf, 0.0, size=size)
         ratio = 1.0 if scaled else motion.requirements.height_ratio
-        for moving in (each.flattened(ratio) for each in cases(motion)):
-            tolerance = moving.tolerance
-            if tolerance is None:
-                pair = smallest(moving, target=target, incumbent=best.worst)
-            else:  # the answer only depends on the time span
-                pair = smallest(moving, relative=tolerance, absolute=tolerance)
-            value = max(pair.worst, 0.0)
-            if value < best.worst and pair.item < 0:  # no attained distance is smaller
-                best = replace(best, worst=value)
-            elif value < best.worst:
-                best = WorstCase(value, pair.time, moving.pair_names(pair.item), size)
-        return best
+        flattened = (moving.flattened(ratio) for moving in cases(motion))
+        return nearest_of(flattened, limit, magnitude(motion))
 
     return evaluate
+
+
+def nearest_of(cases: Iterable[Moving], limit: float, size: float) -> WorstCase:
+    """Return the smallest distance over several cases of bodies; infinite without any.
+
+    ``limit`` is that of the distance, ``size`` the largest length that enters [m].
+    """
+    target, best = with_tolerance(limit, "min", size, 0.5), WorstCase(math.inf, 0.0, size=size)
+    for moving in cases:
+        tolerance = moving.tolerance
+        if tolerance is None:
+            pair = smallest(moving, target=target, incumbent=best.worst)
+        else:  # the answer only depends on the time span
+            pair = smallest(moving, relative=tolerance, absolute=tolerance)
+        value = max(pair.worst, 0.0)
+        if value < best.worst and pair.item < 0:  # no attained distance is smaller
+            best = replace(best, worst=value)
+        elif value < best.worst:
+            best = WorstCase(value, pair.time, moving.pair_names(pair.item), size)
+    return best
 
 
 # Changes that separate a drone from another one, or from a cable, of one hitch
@@ -539,15 +551,26 @@ def _leg_change(motion: Motion, check: Check) -> str:
     return f"use a {'shorter' if spread < 0.0 else 'longer'} cable or {LARGER_POLYGON}"
 
 
-def scaled_drones(motion: Motion, drones: PiecewisePolynomial) -> Moving:
-    """Return all pairs of drones, scaled by ``Separation.scale``: ratios are distances."""
-    scale, names = motion.requirements.separation.scale, motion.team.drone_names
-    margin = position_margin(motion) * float(np.max(scale))
+def _scaled_drones(
+    drones: PiecewisePolynomial, names: Sequence[str], separation: Separation, size: float
+) -> Moving:
+    """Return all pairs of drones, scaled by ``Separation.scale``: ratios are distances.
+
+    ``size`` is the largest coordinate [m].
+    """
+    scale = separation.scale
+    margin = ROUNDING * size * float(np.max(scale))
     points = (drones.coefficients * scale[:, None])[:, :, None]
     return Moving(drones.breaks, points, margin=margin, names=(names, names))
 
 
-_DRONE_DISTANCE = nearest(lambda motion: [scaled_drones(motion, motion.drones)], scaled=True)
+def _pairs_of_drones(motion: Motion) -> tuple[Moving]:
+    """Return all pairs of drones of a team, scaled by ``Separation.scale``."""
+    names, separation = motion.team.drone_names, motion.requirements.separation
+    return (_scaled_drones(motion.drones, names, separation, magnitude(motion)),)
+
+
+_DRONE_DISTANCE = nearest(_pairs_of_drones, scaled=True)
 
 SEPARATION = CheckRule(
     "separation",
@@ -704,7 +727,7 @@ class Closeness(OneLine):
         return "\n".join([heads, *rows])
 
 
-def closeness(motion: Motion, spans: int = CLOSENESS_SPANS) -> Closeness:
+def closeness(flight: Flight, spans: int = CLOSENESS_SPANS) -> Closeness:
     """Return the closest pairs of drones, for all t.
 
     Every bound holds on all of its span, rounding included, within 1e-4 of an attained value,
@@ -712,21 +735,22 @@ def closeness(motion: Motion, spans: int = CLOSENESS_SPANS) -> Closeness:
 
     Parameters
     ----------
-    motion: a motion of at least two drones.
+    flight: a flight of at least two drones.
     spans: number of equal time spans.
 
     Raises
     ------
     InputError: a single drone, or no span.
     """
-    names = motion.team.drone_names
+    names = flight.team.drone_names
     if len(names) < 2:
         raise InputError("drones", len(names), "at least 2", "one drone has no neighbour")
     if spans < 1:
         raise InputError("spans", spans, "at least 1", "48 are usual")
-    edges = np.linspace(motion.drones.breaks[0], motion.drones.breaks[-1], spans + 1).tolist()
-    drones = on_breaks(motion.drones, merged_breaks([np.array(edges), motion.drones.breaks]))
-    every = scaled_drones(motion, drones)
+    edges = np.linspace(flight.breaks[0], flight.breaks[-1], spans + 1).tolist()
+    drones = on_breaks(flight.drones, merged_breaks([np.array(edges), flight.breaks]))
+    separation = flight.requirements.separation
+    every = _scaled_drones(drones, names, separation, flight_magnitude(flight))
 
     def closest(moving: Moving, start: float, end: float) -> Closest:
         minimum = smallest(moving)

@@ -1,23 +1,26 @@
-"""All checks in the order of a certificate, and the functions that certify a motion."""
+"""All checks in the order of a certificate, and the functions that certify a flight."""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
 from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
-from hitchopt.checks.distances import GROUND
+from hitchopt.checks.distances import GROUND, UNBOUNDED
 from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
-from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult
+from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.hitch.requirements import Arena
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import padded
+from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.values import check_instance, nonnegative, sequence
 
 RULES = (
@@ -50,27 +53,34 @@ RULES = (
 )
 """One rule per check; a new check needs one record and one line here."""
 
-REPORTS = (tracking.TRACKING_RADIUS, stops.RULE)
-"""Quantities that a certificate reports after its checks, usually without a limit."""
+TEAM_REPORTS = (tracking.TRACKING_RADIUS,)
+"""Reports of each team; those of a joined motion follow from those of its parts."""
 
-MERGEABLE_REPORTS = tuple(report for report in REPORTS if not report.whole)
-"""Reports of a joined motion that follow from those of its parts."""
+FLIGHT_REPORTS = (stops.STOPPABLE,)
+"""Reports of whole flights."""
+
+REPORTS = (*TEAM_REPORTS, *FLIGHT_REPORTS)
+"""Quantities that a certificate reports after its checks, usually without a limit."""
 
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
 
-_CERTIFICATES: WeakKeyDictionary[Motion, Certificate] = WeakKeyDictionary()
-"""Certificates that this process has computed, by motion."""
+Report = ReportRule | FlightReport
+TeamResults = dict[str, tuple[SpanResult, ...]]
+"""Results of one team's checks, by the rules' names."""
+
+_CERTIFICATES: WeakKeyDictionary[Motion | Flight, Certificate] = WeakKeyDictionary()
+"""Certificates that this process has computed; those of a team that flies alone by its motion."""
 
 
 def certify(
-    motion: Motion,
+    flight: Flight | Motion,
     progress: Callable[[str], None] | None = None,
     gamma: float = GAMMA,
     *,
-    reports: Sequence[ReportRule] = REPORTS,
+    reports: Sequence[Report] = REPORTS,
 ) -> Certificate:
-    """Check a motion for all t.
+    """Check a flight for all t.
 
     No quantity exceeds its ``worst`` at any t. Bounds are tight to ``1e-4``, relative, or ``2e-7``
     in the unit of the quantity; distances to hanging cables to millimetres. Margins cover rounding.
@@ -79,133 +89,155 @@ def certify(
 
     Parameters
     ----------
-    motion: the plan.
+    flight: the flight of a plan, or the motion of a team that flies alone.
     progress: called with the name of every check at its start, and the number of finished ones.
         With it, reports are evaluated at once, otherwise when they are first read.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
-    reports: reports of the certificate, in addition to those with a limit. Pass MERGEABLE_REPORTS
-        if ``merged`` computes the others.
+    reports: reports of the certificate, in addition to those with a limit. Pass TEAM_REPORTS if
+        ``merged`` computes the others.
 
     Raises
     ------
     InputError: a gamma that is negative or not finite.
     """
-    check_instance("motion", motion, Motion)
-    gamma = nonnegative("gamma", gamma)
-    requested: tuple[ReportRule, ...] = sequence("reports", reports)
-    limited = [each for each in REPORTS if each.limit(motion) is not None]
+    check_instance("flight", flight, Flight, Motion)
+    flight, gamma = Flight.of(flight), nonnegative("gamma", gamma)
+    requested: tuple[Report, ...] = sequence("reports", reports)
+    limited = [x for x in TEAM_REPORTS if x.limit(flight.requirements) is not None]
     unlimited = [each for each in REPORTS if each in requested and each not in limited]
-    mergeable = [each for each in (*limited, *unlimited) if not each.whole]
-    parts = _parts(motion)
+    several = len(flight.all_teams) > 1
 
-    def tell(part: Motion, each: CheckRule | ReportRule) -> None:
-        if progress is not None:
-            rules = [rule for rule in RULES if rule.limit_of(part) is not None]
-            names = [rule.name for rule in rules] + [report.name for report in mergeable]
-            if each.name in names:
-                label = f"{parts[part].name}: " if parts[part].name else ""
-                progress(f"{label}{each.name}, {names.index(each.name)} of {len(names)}")
+    def announce(flown: TeamMotion, each: CheckRule | ReportRule) -> None:
+        """Report that a check of a team is evaluated next."""
+        if progress is None:
+            return
+        names = [rule.name for rule in RULES if rule.limit_of(flown.motion) is not None]
+        names += [x.name for x in TEAM_REPORTS if x in limited or x in unlimited]
+        if each.name in names:
+            label = f"{flown.name}: " if flown.name else ""
+            progress(f"{label}{each.name}, {names.index(each.name)} of {len(names)}")
 
-    results = dict[Motion, dict[str, tuple[SpanResult, ...]]]()
-    for part in parts:
-        own = results[part] = {}
+    def results_of(flown: TeamMotion) -> TeamResults:
+        """Return the results of all checks of one team."""
+        results = TeamResults()
         with value_cache():
             for rule in RULES:
-                tell(part, rule)
-                own[rule.name] = rule.span_results(part)
-    with value_cache():
-        several = len(motion.all_groups) > 1
-        across = {rule.name: _across(rule, motion) for rule in RULES} if several else {}
-        checks = list[Check | None]()
-        for rule in RULES:
-            alone = [
-                _label(worst_of(span.check for span in results[part][rule.name]), group)
-                for part, group in parts.items()
-            ]
-            checks.append(worst_of([*alone, across.get(rule.name)]))
+                announce(flown, rule)
+                results[rule.name] = rule.span_results(flown.motion)
+        return results
 
-    def reported(report: ReportRule) -> Check | None:
+    of_teams = [(flown, results_of(flown)) for flown in flight.teams]
+    with value_cache():
+        between = {rule: _between_teams(rule, flight) for rule in RULES} if several else {}
+
+    def checked(rule: CheckRule) -> Check | None:
+        """Return the check of a rule, in all teams and between them."""
+        checks = [
+            _label(worst_of(span.check for span in results[rule.name]), flown)
+            for flown, results in of_teams
+        ]
+        return worst_of([*checks, between.get(rule)])
+
+    def reported(report: Report) -> Check | None:
         """Return the check of a report."""
-        if report.whole:
+        if isinstance(report, FlightReport):
             if progress is not None:
                 progress(f"{report.name}, of the whole motion")
-            return report.check(motion, {}, gamma)
-        values = list[Check | None]()
+            return report.check(flight)
+        checks = list[Check | None]()
         with value_cache():
-            for part, group in parts.items():
-                tell(part, report)
-                values.append(_label(report.check(part, results[part], gamma), group))
-            if across:
-                flat = tracking.flattened(motion)
-                same = flat is motion
-                between = across if same else {x: _across(RULE_OF[x], flat) for x in across}
-                radius = radius_across(flat, between.values(), gamma)
-                values.append(radius.check(report, report.limit(motion), gamma))
-        return worst_of(values)
+            for flown, results in of_teams:
+                announce(flown, report)
+                checks.append(_label(report.check(flown.motion, results, gamma), flown))
+            if several:
+                checks.append(_radius_between_teams(report, flight, between, gamma))
+        return worst_of(checks)
 
-    checks += map(reported, limited)
-    certificate = _stored(motion, checks, lambda: map(reported, unlimited))
+    checks = [*map(checked, RULES), *map(reported, limited)]
+    certificate = _stored(flight, checks, lambda: map(reported, unlimited))
     if progress is not None:
         _ = certificate.checks
     return certificate
 
 
-def _parts(motion: Motion) -> dict[Motion, Group]:
-    """Return the motions that are checked alone, with their groups."""
-    several = len(motion.all_groups) > 1
-    return {
-        each.motion.replaced(others=()) if several else each.motion: each for each in motion.groups
-    }
+def check_of(rule: CheckRule, flight: Flight, *, exported: bool = False) -> Check | None:
+    """Return the check of one rule for all teams of a flight, and between them."""
+    checks = [_label(rule.check(x.motion, exported=exported), x) for x in flight.teams]
+    several = len(flight.all_teams) > 1
+    return worst_of([*checks, _between_teams(rule, flight) if several else None])
 
 
-def check_of(rule: CheckRule, motion: Motion, *, exported: bool = False) -> Check | None:
-    """Return the check of one rule for all parts of a motion, and between them."""
-    checks = [
-        _label(rule.check(part, exported=exported), group) for part, group in _parts(motion).items()
-    ]
-    return worst_of([*checks, _across(rule, motion) if len(motion.all_groups) > 1 else None])
+ABOVE_GROUND = Arena([-UNBOUNDED, -UNBOUNDED, 0.0], [UNBOUNDED, UNBOUNDED, UNBOUNDED])
+"""Space above the ground, z = 0."""
 
 
-def _across(rule: CheckRule, motion: Motion) -> Check | None:
-    """Return the check of a rule between groups; for continuity, that of rests at their ends."""
-    if rule is CONTINUITY:
-        return rest_continuity(motion.all_groups)
-    return check_across(rule, motion)
+def below_ground(flight: Flight) -> Check | None:
+    """Return the height above z = 0 [m] as a check if it is negative and there is no arena."""
+    if flight.requirements.arena is not None:
+        return None
+
+    def over_ground(motion: Motion) -> Motion:
+        """Return a motion within the space above the ground."""
+        above = replace(motion.requirements, arena=ABOVE_GROUND)
+        return motion.replaced(requirements=above)
+
+    check = check_of(clearance.ARENA, flight.each_team(over_ground))
+    return None if check is None or check.worst >= -CONTACT_GAP else check
 
 
-def rest_continuity(groups: Iterable[Group]) -> Check | None:
-    """Return the continuity of groups with rests before and after their motions."""
+def _between_teams(rule: CheckRule, flight: Flight) -> Check | None:
+    """Return the check of a rule between teams; for continuity, that of rests at their ends."""
+    return rest_continuity(flight.all_teams) if rule is CONTINUITY else check_across(rule, flight)
+
+
+def _radius_between_teams(
+    report: ReportRule, flight: Flight, between: Mapping[CheckRule, Check | None], gamma: float
+) -> Check:
+    """Return the check of the tracking error with which teams keep their distances.
+
+    ``between`` are the checks between them, without divided heights.
+    """
+    requirements = tracking.flattened(flight.requirements)
+    if requirements is not flight.requirements:
+        between = {rule: check_across(rule, flight, requirements) for rule in RULES}
+    radius = radius_across(flight, requirements, between.values(), gamma)
+    return radius.check(report, report.limit(requirements), gamma)
+
+
+def rest_continuity(teams: Iterable[TeamMotion]) -> Check | None:
+    """Return the continuity of teams with rests before and after their motions."""
     checks = list[Check | None]()
-    for group in groups:
-        begin, end = group.motion.drones.breaks[[0, -1]].tolist()
-        motion = padded(group.motion.replaced(others=()), begin - 1.0, end + 1.0)
-        checks.append(_label(CONTINUITY.check(motion), group))
+    for flown in teams:
+        begin, end = flown.motion.drones.breaks[[0, -1]].tolist()
+        motion = padded(flown.motion, begin - 1.0, end + 1.0)
+        checks.append(_label(CONTINUITY.check(motion), flown))
     return worst_of(checks)
 
 
-def _label(check: Check | None, group: Group) -> Check | None:
-    """Return a group's check with names of drones, cables and vertices labelled by group."""
-    if check is None or not group.name:
+def _label(check: Check | None, flown: TeamMotion) -> Check | None:
+    """Return a team's check with names of drones, cables and vertices labelled by team."""
+    if check is None or not flown.name:
         return check
-    same = {GROUND, *group.motion.requirements.objects}
-    where = tuple(place if place in same else group.label(place) for place in check.where)
+    same = {GROUND, *flown.motion.requirements.objects}
+    where = tuple(place if place in same else flown.label(place) for place in check.where)
     return replace(check, where=where)
 
 
-def certificate_of(motion: Motion, progress: Callable[[str], None] | None = None) -> Certificate:
-    """Return the certificate of a motion, computed only once in this process.
+def certificate_of(flight: Flight, progress: Callable[[str], None] | None = None) -> Certificate:
+    """Return the certificate of a flight, computed only once in this process.
 
     Reports may be missing from it. ``progress`` is that of ``certify``.
     """
-    return _CERTIFICATES.get(motion) or certify(motion, progress, reports=())
+    known = _CERTIFICATES.get(flight.alone or flight)
+    return known or certify(flight, progress, reports=())
 
 
 def _stored(
-    motion: Motion, checks: Sequence[Check | None], reports: Callable[[], Iterable[Check | None]]
+    flight: Flight, checks: Sequence[Check | None], reports: Callable[[], Iterable[Check | None]]
 ) -> Certificate:
-    """Return the certificate, which is stored without reports: these refer to the motion."""
-    stored = Certificate(motion.duration, tuple(filter(None, checks)))
-    _CERTIFICATES[motion] = stored
+    """Return the certificate, which is stored without reports: these refer to the flight."""
+    stored = Certificate(flight.duration, tuple(filter(None, checks)))
+    _CERTIFICATES[flight.alone or flight] = stored
     return replace(stored, reports=lambda: filter(None, reports()))
 
 
@@ -221,9 +253,9 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     motion: the parts in sequence, each starting where the previous one ends.
     parts: their certificates; checks of duration in them are not used.
     """
-    limit = tracking.TRACKING_RADIUS.limit(motion)
-    if motion.others or limit is not None:
+    if any(report.limit(motion.requirements) is not None for report in TEAM_REPORTS):
         return certify(motion)  # parts are certified against wider distances
+    flight = Flight.of(motion)
     by_name = _by_name(motion, parts, [part.limited for part in parts])
     joints, checks = len(parts) > 1, list[Check | None]()
     for rule in RULES:
@@ -233,11 +265,12 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     def reported() -> Iterator[Check | None]:
         """Yield the checks of all reports."""
         by_name = _by_name(motion, parts, [part.checks for part in parts])
-        for report in REPORTS:
-            worst = worst_of(by_name[report.name])
-            yield report.check(motion, {}, GAMMA) if report.whole else worst
+        for report in TEAM_REPORTS:
+            yield worst_of(by_name[report.name])
+        for whole in FLIGHT_REPORTS:
+            yield whole.check(flight)
 
-    return _stored(motion, checks, reported)
+    return _stored(flight, checks, reported)
 
 
 def _by_name(

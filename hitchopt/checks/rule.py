@@ -10,6 +10,8 @@ import numpy as np
 
 from hitchopt.checks.certificate import Check, with_tolerance, worst_of
 from hitchopt.checks.spans import MotionSpans, runs_of
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
@@ -34,7 +36,10 @@ class WorstCase:
     limit: float | None = None
 
     def check(
-        self, rule: CheckRule | ReportRule, limit: float | None, gamma: float | None = None
+        self,
+        rule: CheckRule | ReportRule | FlightReport,
+        limit: float | None,
+        gamma: float | None = None,
     ) -> Check:
         """Return the check of a rule."""
         limit = limit if self.limit is None else self.limit
@@ -180,22 +185,38 @@ SpanResults = Mapping[str, Sequence[SpanResult]]
 class ReportRule:
     """A quantity that a certificate reports, from a motion, its checks' results and ``gamma``.
 
-    If the motion's requirements state a limit, it is always checked, with remedies. With ``whole``,
-    a joined motion is evaluated as a whole, since processes may begin in one part and end in the
-    next; such a value assumes no ``gamma``.
+    If the requirements state a limit, it is always checked, with remedies.
     """
 
     name: str
     unit: str
     sense: str
     evaluate: Callable[[Motion, SpanResults, float], WorstCase]
-    whole: bool = False
-    limit: Callable[[Motion], float | None] = lambda _: None
-    remedy: str = ""
-    free_remedy: str = ""
+    limit: Callable[[Requirements], float | None]
+    remedy: str
+    free_remedy: str
 
     def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check:
-        """Return the value as a check, which holds without a limit."""
-        limit, assumed_gamma = self.limit(motion), None if self.whole else gamma
+        """Return the value of one team as a check, which holds without a limit."""
         with np.errstate(all="ignore"):
-            return self.evaluate(motion, results, gamma).check(self, limit, assumed_gamma)
+            worst_case = self.evaluate(motion, results, gamma)
+        return worst_case.check(self, self.limit(motion.requirements), gamma)
+
+
+@dataclass(frozen=True, eq=False)
+class FlightReport:
+    """A quantity of a whole flight that a certificate reports; it has no limit.
+
+    A joined motion is evaluated as a whole, since processes may begin in one part and end in the
+    next.
+    """
+
+    name: str
+    unit: str
+    sense: str
+    evaluate: Callable[[Flight], WorstCase]
+
+    def check(self, flight: Flight) -> Check:
+        """Return the value as a check, which holds."""
+        with np.errstate(all="ignore"):
+            return self.evaluate(flight).check(self, None)

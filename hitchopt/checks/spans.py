@@ -17,6 +17,7 @@ from typing import Any, NamedTuple, Self, TypeVar, cast
 import numpy as np
 
 from hitchopt.hitch.team import Layout
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import reduce_constants
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
@@ -81,6 +82,14 @@ def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of drones, and of vertices while the hitch exists [m]."""
     parts = motion.drones.coefficients, motion.vertices.coefficients[motion.formed]
     return max(float(np.max(np.abs(c), initial=0.0)) for c in parts)
+
+
+@cached
+def flight_magnitude(flight: Flight) -> float:
+    """Return ``magnitude`` of the only team, or the largest coordinate of all drones [m]."""
+    if len(flight.teams) == 1:
+        return magnitude(flight.teams[0].motion)
+    return float(np.max(np.abs(flight.drones.coefficients), initial=0.0))
 
 
 def position_margin(motion: Motion) -> float:

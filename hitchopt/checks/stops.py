@@ -30,7 +30,7 @@ from hitchopt.checks.objects import (
     spare_friction,
     turning_reach,
 )
-from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
+from hitchopt.checks.rule import FlightReport, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
     derivative,
@@ -41,9 +41,9 @@ from hitchopt.checks.spans import (
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY
+from hitchopt.motion.flight import REST_RATE, Flight
 from hitchopt.motion.loads import centre_path, held_pieces, supports_of
 from hitchopt.motion.motion import HoldBy, Motion
-from hitchopt.motion.retiming import REST_RATE
 from hitchopt.objects import SolidObject
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
@@ -214,15 +214,15 @@ class ClockLimit:
 
 
 class ClockLimits:
-    """Limits of a motion's parts that bound clocks; ``carried`` are those of carried objects."""
+    """Limits of a flight's teams that bound clocks; ``carried`` are those of carried objects."""
 
-    def __init__(self, motion: Motion) -> None:
-        groups = [group.motion for group in motion.groups]
+    def __init__(self, flight: Flight) -> None:
+        motions = [each.motion for each in flight.teams]
         with value_cache():
             self.carried = [
-                _inertia(path, slack) for each in groups for path, slack in carried_paths(each)
+                _inertia(path, slack) for each in motions for path, slack in carried_paths(each)
             ]
-            self._drones = [_limit_of_drones(each) for each in groups]
+            self._drones = [_limit_of_drones(each) for each in motions]
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
         """Return which clocks (owners,), with rates from -1 to 1, keep all limits."""
@@ -321,19 +321,19 @@ class StopTable:
         return float(self.starts[best]), float(self.durations[best])
 
 
-def stop_table(motion: Motion, limits: ClockLimits | None = None) -> StopTable:
-    """Return stops that provably keep all limits of a motion, SPACING [s] from each other.
+def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
+    """Return stops that provably keep all limits of a flight, SPACING [s] from each other.
 
     Each has the shortest of some candidate durations, by bisection; stops that end no sooner than a
     later one are skipped. The end counts as rest if the drones are at rest there. ``limits`` are
-    those of the motion, if known.
+    those of the flight, if known.
     """
-    limits = limits or ClockLimits(motion)
-    begin, end = (float(each) for each in motion.drones.breaks[[0, -1]])
-    max_starts = max(MAX_STARTS // motion.team.drones, MIN_STOPS)
+    limits = limits or ClockLimits(flight)
+    begin, end = (float(each) for each in flight.breaks[[0, -1]])
+    max_starts = max(MAX_STARTS // flight.team.drones, MIN_STOPS)
     count = max(2, int(min(np.ceil((end - begin) / SPACING), max_starts)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
-    rate = max(np.max(np.abs(motion.drones.ends(order)[1][-1])) for order in (1, 2))
+    rate = max(np.max(np.abs(flight.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if rate <= REST_RATE else np.inf
     ladder = np.geomspace(MIN_STOP, MAX_STOP, STOP_COUNT)
     durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
@@ -413,11 +413,11 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     return motion.drones.replaced(paths), np.column_stack(slack) / body.mass
 
 
-def _longest_stop(motion: Motion, _: SpanResults, __: float) -> WorstCase:
+def _longest_stop(flight: Flight) -> WorstCase:
     """Return the longest time to rest [s] over all times of a command, with that time."""
-    longest, begins = stop_table(motion).longest
+    longest, begins = stop_table(flight).longest
     worst = int(np.argmax(longest))
     return WorstCase(float(longest[worst]), float(begins[worst]))
 
 
-RULE = ReportRule("stoppable", "s", "max", _longest_stop, whole=True)
+STOPPABLE = FlightReport("stoppable", "s", "max", _longest_stop)

@@ -111,12 +111,11 @@ PARTS: dict[str, Part | str] = {
 """Each check's part in the radius, or the reason why it has none."""
 
 
-def flattened(motion: Motion) -> Motion:
-    """Return the motion with requirements whose heights the stated tracking errors divide."""
-    requirements = motion.requirements
+def flattened(requirements: Requirements) -> Requirements:
+    """Return requirements whose heights the stated tracking errors divide."""
     if (ratio := requirements.limits.tube.ratio) == requirements.height_ratio:
-        return motion
-    return motion.replaced(requirements=replace(requirements, height_ratio=ratio))
+        return requirements
+    return replace(requirements, height_ratio=ratio)
 
 
 def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
@@ -139,9 +138,10 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
 
 def _flattened_results(motion: Motion, results: SpanResults) -> tuple[Motion, SpanResults]:
     """Return the flattened motion, and results with its slacks."""
-    flat = flattened(motion)
-    if flat is motion:
+    requirements = flattened(motion.requirements)
+    if requirements is motion.requirements:
         return motion, results
+    flat = motion.replaced(requirements=requirements)
     rules = [rule for rule in RULES if rule.limit_of(flat) is not None]
     return flat, {**results, **{rule.name: rule.span_results(flat) for rule in rules}}
 
@@ -378,7 +378,7 @@ TRACKING_RADIUS = ReportRule(
     "m",
     "min",
     _radius,
-    limit=lambda motion: motion.requirements.limits.tube.level or None,
+    limit=lambda requirements: requirements.limits.tube.level or None,
     remedy="give cables or polygons more room or stiffer gains, or state limits.tracking as "
     "measured, if that is less",
     free_remedy="place the robots farther apart, give stiffer gains, or state limits.tracking as "

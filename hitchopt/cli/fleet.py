@@ -98,7 +98,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
 
     Without DIR or --format it lists the formats.
     """
-    from hitchopt.exports.exporting import export_motion
+    from hitchopt.exports.exporting import export_flight
     from hitchopt.exports.format import format_of
     from hitchopt.exports.options import HOMES, ExportOptions
     from hitchopt.exports.placing import read_fleet
@@ -119,13 +119,13 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         output = parent / f"{path.parent.resolve().name or 'plan'}-{parsed.format}"
     with ProgressBar("certifying") as progress:
         saved = read_saved_plan(path)
-        motion, title, problem = saved
-        exports = export_motion(motion, title, parsed, output, progress, problem)
+        flight, title, problem = saved
+        exports = export_flight(flight, title, parsed, output, progress, problem)
     addresses = dict[str, str]()
     if parsed.fleet is not None:
-        members = read_fleet(parsed.fleet, motion.team.listed_names).members
+        members = read_fleet(parsed.fleet, flight.team.listed_names).members
         addresses = {each.role: f"{each.name}, {each.uri}" for each in members}
-    show_places(motion, addresses)
+    show_places(flight, addresses)
     entries, said = [], set[str]()
     for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)
@@ -247,19 +247,19 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     from hitchopt.motion.plan_file import read_plan
 
     path = plan_path(directory)
-    motion = read_plan(path)
-    how = how or _default_abort(motion)
+    flight = read_plan(path)
+    how = how or _default_abort(flight)
     with ProgressBar("planning aborts") as progress:
-        aborts = abort_table(motion, how, every, progress)
+        aborts = abort_table(flight, how, every, progress)
     rows = []
     for entry in aborts.entries:
-        phase = next((p for p in motion.phases if p.end >= entry.rest - 1e-6), motion.phases[-1])
+        phase = next((p for p in flight.phases if p.end >= entry.rest - 1e-6), flight.phases[-1])
         times = {"commands until": entry.start, "at rest after": entry.start + entry.seconds}
-        times["ends"] = entry.motion.duration
+        times["ends"] = entry.flight.duration
         rows.append({"phase": phase.name, **{name: f"{t:.3f} s" for name, t in times.items()}})
     say(table(f"Aborts: {how}", rows))
     thrust, angle = (
-        max(largest_at_rest(group.motion, quantity) for group in motion.groups)
+        max(largest_at_rest(each.motion, quantity) for each in flight.teams)
         for quantity in (thrust_share, tilt)
     )
     needed = f"{thrust:.1%} of a drone's thrust, {angle:.2f}°"
@@ -281,8 +281,8 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         exit_infeasible()
 
 
-def _default_abort(motion: ho.Motion) -> str:
-    return "release_and_land" if motion.has_cables else "land"
+def _default_abort(flight: ho.Flight) -> str:
+    return "release_and_land" if flight.has_cables else "land"
 
 
 @command(
@@ -352,24 +352,24 @@ def fly(
     with ProgressBar("certifying"):
         plan = ho.load(plan_path(directory).parent)
     plan.certificate.raise_if_violated()
-    motion = plan.motion
-    outlet = _outlet_of(motion, **options)
-    tables = _abort_tables(motion, how)
-    watched = motion.team.drone_names if measurements else ()
-    commanded, operator = CommandedPlan(motion, tables), Operator()
+    flight = plan.flight
+    outlet = _outlet_of(flight, **options)
+    tables = _abort_tables(flight, how)
+    watched = flight.team.drone_names if measurements else ()
+    commanded, operator = CommandedPlan(flight, tables), Operator()
     with ThreadPoolExecutor(1) as workers, operator.attached():
         parts = commanded, outlet, operator.commands, watched, workers.submit, say
-        flight = SetpointStream(*parts, rate=rate, patience=patience)
+        stream = SetpointStream(*parts, rate=rate, patience=patience)
         say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
         with _land_on_signals(operator.add):
             due = time.monotonic()
             try:
-                while flight.tick(time.monotonic()):
+                while stream.tick(time.monotonic()):
                     due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
                     time.sleep(max(0.0, due - time.monotonic()))
             finally:
-                outlet.close(landed=flight.landed)
-    landed, late = flight.landed, flight.late
+                outlet.close(landed=stream.landed)
+    landed, late = stream.landed, stream.late
     if late:
         say(f"{late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
     say("landed" if landed else "not landed", err=not landed, landed=landed, late=late)
@@ -378,7 +378,7 @@ def fly(
 
 
 def _outlet_of(
-    motion: ho.Motion,
+    flight: ho.Flight,
     over: str,
     targets: tuple[str, ...],
     listen: str,
@@ -392,7 +392,7 @@ def _outlet_of(
     from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
     from hitchopt.live.links import CrazyflieOutlet, JsonOutlet, MavlinkOutlet, address
 
-    team, names = motion.team, motion.team.listed_names
+    team, names = flight.team, flight.team.listed_names
     kind: Any = {"json": JsonOutlet, "mavlink": MavlinkOutlet, "crazyflie": CrazyflieOutlet}[over]
     refuse_controllers(team, kind.controllers, f"--over {over}")
     frame = ReferenceFrame("ned" if over == "mavlink" else "enu", origin, math.radians(yaw_deg))
@@ -400,7 +400,7 @@ def _outlet_of(
         members = (placeholder_fleet(names) if fleet is None else read_fleet(fleet, names)).members
         robots = [member.name for member in members]
         crazyflies = CrazyflieOutlet(names, robots, frame, team_parameters(team))
-        say(pilot_checklist(motion))
+        say(pilot_checklist(flight))
         return crazyflies
     own_address = address("--listen", listen)
     addresses = [address("--to", each) for each in targets]
@@ -414,15 +414,15 @@ def _outlet_of(
     return outlet
 
 
-def _abort_tables(motion: ho.Motion, how: str | None) -> dict[str, AbortTable]:
+def _abort_tables(flight: ho.Flight, how: str | None) -> dict[str, AbortTable]:
     """Return the aborts of the commands ``abort`` and ``land``."""
     from hitchopt.live.abort import abort_table
 
-    how = how or _default_abort(motion)
+    how = how or _default_abort(flight)
     aborts = {}
     with ProgressBar("planning aborts") as progress:
         for each in dict.fromkeys(("land", how)):
-            aborts[each] = abort_table(motion, each, progress=progress)
+            aborts[each] = abort_table(flight, each, progress=progress)
             if not aborts[each].entries:
                 remedy = "a lost link could not end on the ground; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")

@@ -187,16 +187,16 @@ def quantities(title: str, values: Mapping[str, object]) -> str:
     return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
 
 
-def show_plan(title: str, motion: ho.Motion, certificate: ho.Certificate) -> None:
+def show_plan(title: str, flight: ho.Flight, certificate: ho.Certificate) -> None:
     """Report the phases and the certificate of a plan."""
     columns = ("name", "step", "start", "end", "remark")
-    phases = [{name: getattr(phase, name) for name in columns} for phase in motion.phases]
-    message = f"{phase_table(motion.phases)}\n\n{certificate_table(certificate)}\n"
+    phases = [{name: getattr(phase, name) for name in columns} for phase in flight.phases]
+    message = f"{phase_table(flight.phases)}\n\n{certificate_table(certificate)}\n"
     message = f"{title}\n{message}" if title else message
     say(message, title=title, phases=phases, certificate=certificate.to_dict())
-    from hitchopt.checks.clearance import below_ground
+    from hitchopt.checks.registry import below_ground
 
-    low = below_ground(motion)
+    low = below_ground(flight)
     if low is not None:
         depth = f"{', '.join(low.where)} is {-low.worst:.4g} m below z = 0 at t = {low.time:.4g} s"
         say(f"warning: {depth}; give an arena, whose floor is the ground", err=True)
@@ -212,7 +212,7 @@ def show_notes(plan: ho.Plan) -> None:
 MAX_PLACES = 40  # Drones whose places are printed; all are in the JSON output
 
 
-def show_places(motion: ho.Motion, addresses: Mapping[str, str] | None = None) -> None:
+def show_places(flight: ho.Flight, addresses: Mapping[str, str] | None = None) -> None:
     """Report where drones of the problem are on the hitch, unless robot k holds edge k.
 
     ``addresses`` are those of drones by name.
@@ -220,12 +220,12 @@ def show_places(motion: ho.Motion, addresses: Mapping[str, str] | None = None) -
     from hitchopt.exports.placing import drone_places
 
     moved = {
-        group.label(name)
-        for group in motion.groups
-        if (assignment := group.motion.team.assignment) and not assignment.is_identity
-        for name in group.motion.team.listed_names
+        each.label(name)
+        for each in flight.teams
+        if (assignment := each.motion.team.assignment) and not assignment.is_identity
+        for name in each.motion.team.listed_names
     }
-    rows = [row for row in drone_places(motion) if row["drone"] in moved]
+    rows = [row for row in drone_places(flight) if row["drone"] in moved]
     if addresses:
         rows = [{**row, "address": addresses[row["drone"]]} for row in rows]
     if rows:

@@ -111,57 +111,57 @@ def _save(file: Path, path: Path, recording: Path | None, width: float | None) -
     from hitchopt.view.report import save_view
     from hitchopt.view.scene import ghost_scene
 
-    motion, certificate, title, text = _load_content(path)
+    flight, certificate, title, text = _load_content(path)
     with ProgressBar("certifying and drawing") as progress:
         if recording is None:
-            proven = certificate or ho.certify(motion)
-            save_view(file, motion, proven, title, text, progress, width)
+            proven = certificate or ho.certify(flight)
+            save_view(file, flight, proven, title, text, progress, width)
         else:
-            scene, title = ghost_scene(recording, motion), f"{title} (flown)".strip()
+            scene, title = ghost_scene(recording, flight), f"{title} (flown)".strip()
             save_film(file, scene, title, lambda x: progress(f"drawing the film, {x:.0%}"))
     say(f"wrote {file}", file=str(file))
 
 
-def _load_content(path: Path) -> tuple[ho.Motion, ho.Certificate | None, str, str]:
-    """Return motion, certificate, title and problem text; a saved plan is not certified yet."""
+def _load_content(path: Path) -> tuple[ho.Flight, ho.Certificate | None, str, str]:
+    """Return flight, certificate, title and problem text; a saved plan is not certified yet."""
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.storage.yaml_file import read_text
 
     if path.suffix not in SUFFIXES:
         saved = read_saved_plan(plan_path(path))
-        return saved.motion, None, saved.title, saved.problem
+        return saved.flight, None, saved.title, saved.problem
     problem, text = ho.load_problem(path), read_text(path)[0]
     with ProgressBar("planning") as progress:
         plan = ho.solve(problem, progress)
-    return plan.motion, plan.certificate, plan.title, text
+    return plan.flight, plan.certificate, plan.title, text
 
 
 def _serve(
     server: Any,
-    content: tuple[ho.Motion, ho.Certificate | None, str, str],
+    content: tuple[ho.Flight, ho.Certificate | None, str, str],
     file: Path,
     ghost: Path | None,
 ) -> LiveView:
     """Show a plan in the page of a server, with an editor that saves to ``file``."""
-    from hitchopt.steps.certified_motions import CertifiedMotion
+    from hitchopt.steps.certified_motions import CertifiedFlight
     from hitchopt.view.editing import Editing
     from hitchopt.view.live import LiveView
     from hitchopt.view.panel import EditingPanel
     from hitchopt.view.scene import ghost_scene
 
-    motion, certificate, title, text = content
-    other = None if ghost is None else ghost_scene(ghost, motion)
-    live = LiveView(server, motion, certificate, title, other)
+    flight, certificate, title, text = content
+    other = None if ghost is None else ghost_scene(ghost, flight)
+    live = LiveView(server, flight, certificate, title, other)
     if certificate is None:
         connected = threading.Event()
         server.on_client_connect(lambda _: connected.set())
         if connected.wait(LOADING_TIME):
             time.sleep(DRAWING_TIME)
         with ProgressBar("certifying"):
-            certificate = ho.certify(motion)
+            certificate = ho.certify(flight)
         live.show_certificate(certificate)
     try:
-        editing = Editing(text, file, CertifiedMotion(live.motion, certificate))
+        editing = Editing(text, file, CertifiedFlight(live.flight, certificate))
     except HitchoptError as error:
         say(f"it cannot be edited here: {error}")
     else:

@@ -41,7 +41,7 @@ from hitchopt.errors import (
 
 if TYPE_CHECKING:
     from hitchopt.live.lost import UnsurvivableSpan
-    from hitchopt.motion.motion import Motion
+    from hitchopt.motion.flight import Flight
 
 SUFFIXES = (".yaml", ".yml")  # Suffixes of problem files
 MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
@@ -162,16 +162,16 @@ def _plan(
 
     with ProgressBar("planning", limit) as progress:
         plan = replace(ho.solve(problem, progress=progress, limit=limit), problem=text)
-    show_plan(plan.title, plan.motion, plan.certificate)
-    show_places(plan.motion)
-    for group in plan.motion.groups:
-        _show_models(group.motion.team)
+    show_plan(plan.title, plan.flight, plan.certificate)
+    show_places(plan.flight)
+    for each in plan.flight.teams:
+        _show_models(each.motion.team)
     with contained("a note on tracking"):
-        for note in tracking_notes(plan.motion):
+        for note in tracking_notes(plan.flight):
             say(f"note: {note}")
     with ProgressBar("writing") as progress:
         plan.save(folder, rate, progress, report=report, picture=False)
-    content = certificate_content(plan.motion, plan.certificate, folder / PLAN)
+    content = certificate_content(plan.flight, plan.certificate, folder / PLAN)
     say(f"certified; the plan is in {folder}", directory=str(folder), certificate=content)
     return plan
 
@@ -289,24 +289,26 @@ def check(
 
     path = plan_path(directory)
     saved = read_requested_plan(path)
-    motion = saved.motion
+    flight = saved.flight
     with ProgressBar("certifying") as progress:
-        certificate = ho.certify(motion, progress, gamma)
+        certificate = ho.certify(flight, progress, gamma)
     unsurvivable: Sequence[UnsurvivableSpan] = ()
     if survivable:
+        from hitchopt.live.lost import FEATURE
         from hitchopt.live.lost import survivable as survivable_share
 
         with ProgressBar("planning reactions") as progress:
+            motion = flight.of_one_team(FEATURE)
             share, unsurvivable = survivable_share(motion, progress=progress)
         certificate = ho.Certificate(certificate.duration, (*certificate.checks, share))
         record(without_reaction=[asdict(span) for span in unsurvivable])
-    show_plan(saved.title, motion, certificate)
-    record(certificate=certificate_content(motion, certificate, path))
+    show_plan(saved.title, flight, certificate)
+    record(certificate=certificate_content(flight, certificate, path))
     for span in unsurvivable:
         say(f"{span.drone}, {span.start:.4g} s to {span.end:.4g} s: {span.reason}")
     if closest or picture is not None:
         with ProgressBar("finding the closest neighbours"):
-            neighbours = ho.closest(ho.Plan(motion, certificate), picture=picture, width=width)
+            neighbours = ho.closest(ho.Plan(flight, certificate), picture=picture, width=width)
         say(f"Closest neighbours\n{neighbours}\n", closest=str(neighbours).splitlines())
         if picture is not None:
             say(f"the closest neighbours over time are drawn in {picture}")
@@ -315,10 +317,10 @@ def check(
         raise FileError("\n".join(differences))
     reason = "differs from the table that was written with the certificate; solve again"
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
-    if changed := [*_changed_others(motion, path), *changed]:
+    if changed := [*_changed_others(flight, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
     say(f"certified; recomputed from {path}")
-    show_notes(ho.Plan(motion, certificate, problem=saved.problem))
+    show_notes(ho.Plan(flight, certificate, problem=saved.problem))
 
 
 def _differences_from_request(path: Path) -> Iterator[str]:
@@ -334,14 +336,14 @@ def _differences_from_request(path: Path) -> Iterator[str]:
                 yield f"{path}: the problem in it differs: {row.where}"
 
 
-def _changed_others(motion: Motion, path: Path) -> Iterator[str]:
+def _changed_others(flight: Flight, path: Path) -> Iterator[str]:
     """Yield messages on other plans in ``others`` that are missing or have changed.
 
     Their paths are relative to the working directory, the plan's directory, or its parent.
     """
     from hitchopt.motion.plan_file import is_of
 
-    for each in motion.others:
+    for each in flight.others:
         folders = Path(), path.parent, path.parent.parent
         files = [file for folder in folders if (file := plan_path(folder / each.plan)).is_file()]
         if not any(is_of(each, file) for file in files):

@@ -14,9 +14,10 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, optional_module
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.motion.states import States, iterate_states, sample_times, states_at
+from hitchopt.motion.states import States, flight_states_at, iterate_flight_states, sample_times
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.decimals import formatted, padded
 from hitchopt.storage.files import (
@@ -55,7 +56,7 @@ DIAGNOSIS_FORMAT = "hitchopt-diagnosis/1"
 
 def save_plan(
     directory: Path | str,
-    motion: Motion,
+    flight: Flight,
     certificate: Certificate,
     title: str = "",
     rate: float = 100.0,
@@ -70,16 +71,16 @@ def save_plan(
     """
     certificate.raise_if_violated()
     writers: dict[str, Writer] = {
-        PLAN: lambda path: write_plan(path, motion, title, problem),
-        SETPOINTS: lambda path: write_setpoints(path, motion, rate, progress),
+        PLAN: lambda path: write_plan(path, flight, title, problem),
+        SETPOINTS: lambda path: write_setpoints(path, flight, rate, progress),
         **(pages or {}),
     }
-    if motion.has_cables:
-        writers[VERTICES] = lambda path: write_vertices(path, motion, rate)
+    if flight.has_cables:
+        writers[VERTICES] = lambda path: write_vertices(path, flight, rate)
     tables = [name for name in (SETPOINTS, VERTICES) if name in writers]
 
     def seal(path: Path) -> None:
-        content = certificate_content(motion, certificate, path.with_name(PLAN))
+        content = certificate_content(flight, certificate, path.with_name(PLAN))
         digests = {name: digest(path.with_name(name)) for name in tables}
         write_strict_json(path, content | {"tables": digests})
 
@@ -87,9 +88,11 @@ def save_plan(
     return replace_files(directory, writers, OWNED, seal=CERTIFICATE, previous="remove")
 
 
-def certificate_content(motion: Motion, certificate: Certificate, plan: Path) -> dict[str, Any]:
+def certificate_content(flight: Flight, certificate: Certificate, plan: Path) -> dict[str, Any]:
     """Return the content of ``certificate.json`` for the motion in a plan file."""
-    assigned = {} if motion.assignment is None else {"assignment": motion.assignment.to_dict()}
+    assigned = (
+        {} if flight.team.assignment is None else {"assignment": flight.team.assignment.to_dict()}
+    )
     return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
 
 
@@ -187,14 +190,14 @@ def _values(states: States) -> Array:
 
 
 def write_setpoints(
-    path: Path, motion: Motion, rate: float, progress: Progress | None = None
+    path: Path, flight: Flight, rate: float, progress: Progress | None = None
 ) -> None:
     """Write one row per sample at ``rate`` [Hz] and drone, by time, then drone; yaw is 0."""
-    times, team = sample_times(motion.duration, rate), motion.team
+    times, team = sample_times(flight.duration, rate), flight.team
     names = team.listed_names
 
     def blocks() -> Iterator[tuple[Array, Array]]:
-        for states in iterate_states(motion, times, max(1, ROWS // len(names))):
+        for states in iterate_flight_states(flight, times, max(1, ROWS // len(names))):
             yield states.t, _values(states.listed(team))
             if progress is not None:
                 progress(min(float(states.t[-1]) / float(times[-1] or 1.0), 1.0))
@@ -202,13 +205,13 @@ def write_setpoints(
     write_rows(path, HEADER, (names, blocks()))
 
 
-def write_vertices(path: Path, motion: Motion, rate: float) -> None:
+def write_vertices(path: Path, flight: Flight, rate: float) -> None:
     """Write one row per sample and vertex, while the hitch exists; row k has edge k's tension.
 
-    The tension of the last point of an open chain is empty. Vertices of several groups have names
-    such as ``b.p2``, one group after the other.
+    The tension of the last point of an open chain is empty. Vertices of several teams have names
+    such as ``b.p2``, one team after the other.
     """
-    times = sample_times(motion.duration, rate)
+    times = sample_times(flight.duration, rate)
 
     def blocks(part: Motion, t: Array, points: int) -> Iterator[tuple[Array, Array]]:
         breaks, size = part.drones.breaks, max(1, ROWS // points)
@@ -222,7 +225,7 @@ def write_vertices(path: Path, motion: Motion, rate: float) -> None:
             yield t[block], values + 0.0  # no negative zeros
 
     tables = []
-    for each in motion.groups:
+    for each in flight.teams:
         if points := each.motion.team.layout.points:
             names = [each.label(f"p{k}") if each.name else str(k) for k in range(points)]
             tables.append((names, blocks(each.motion, times, points)))
@@ -252,14 +255,14 @@ def write_rows(
                     file.write(line.tobytes().translate(None, b"\0"))
 
 
-def data_frame(motion: Motion, rate: float) -> DataFrame:
+def data_frame(flight: Flight, rate: float) -> DataFrame:
     """Return the rows of ``setpoints.csv`` and the name of the phase, by time, then drone."""
     pandas = optional_module("pandas", "data frames need", "pandas")
-    times, names = sample_times(motion.duration, rate), motion.team.listed_names
-    states = states_at(motion, times).listed(motion.team)
+    times, names = sample_times(flight.duration, rate), flight.team.listed_names
+    states = flight_states_at(flight, times).listed(flight.team)
     values = _values(states).reshape(len(times) * len(names), -1)
-    phases = [f"{phase.name} ({i})" for i, phase in enumerate(motion.phases)]
-    ends = np.array([phase.end for phase in motion.phases[:-1]])
+    phases = [f"{phase.name} ({i})" for i, phase in enumerate(flight.phases)]
+    ends = np.array([phase.end for phase in flight.phases[:-1]])
     current = np.repeat(np.array(phases)[np.searchsorted(ends, times, side="right")], len(names))
     first, drone, *columns = HEADER.split(",")
     drones = pandas.Categorical(np.tile(names, len(times)), pandas.Index(list(names)))

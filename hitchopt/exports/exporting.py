@@ -31,9 +31,9 @@ from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict,
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
 from hitchopt.hitch.forces import INTEGRAL, SLACK, undetermined_tension
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import stretched
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
@@ -77,8 +77,8 @@ class Export(OneLine):
         return {name: self.folder / name for name in (*self.files, MANIFEST)}
 
 
-def export_motion(
-    motion: Motion,
+def export_flight(
+    flight: Flight,
     title: str,
     options: ExportOptions,
     folder: Path | str,
@@ -91,7 +91,7 @@ def export_motion(
 
     Parameters
     ----------
-    motion, title, options: the plan and the options of the export.
+    flight, title, options: the plan and the options of the export.
     folder: created if it is missing. A name with the suffix of the format's only file is that of
         the file, and the manifest is written next to it.
     progress: status callback.
@@ -101,8 +101,8 @@ def export_motion(
     InfeasibleError if the format cannot hold the plan, or violates a limit; nothing is written.
     """
     say = progress or (lambda _: None)
-    kind, roles, place = format_of(options.format), motion.team.listed_names, Path(folder)
-    plan = stretched(motion, options.stretch)
+    kind, roles, place = format_of(options.format), flight.team.listed_names, Path(folder)
+    plan = flight.stretched(options.stretch)
     if options.rate is not None and kind.rate == 0.0:
         bound = f"left out for {kind.name}"
         raise InputError("rate", options.rate, bound, "it does not sample")
@@ -115,11 +115,11 @@ def export_motion(
     else:
         fleet = read_fleet(options.fleet, roles)
     rate = kind.rate if options.rate is None else options.rate
-    _check_gains(kind, motion.team, options)
-    settings = kind.settings(motion.team, options)
+    _check_gains(kind, flight.team, options)
+    settings = kind.settings(flight.team, options)
     notes = list[str]()
     with contained("a note"):
-        notes += [*weightless_notes(motion, problem), *_notes(kind, plan, options)]
+        notes += [*weightless_notes(flight, problem), *_notes(kind, plan, options)]
     content = plan, title, frame, fleet, rate, options
     task = ExportTask(*content, settings=settings, notes=tuple(notes), has_trims=kind.has_heading)
     is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
@@ -131,10 +131,10 @@ def export_motion(
         return _move_exports(exports, place, kind, task)
 
 
-def tracking_notes(motion: Motion) -> Iterator[str]:
+def tracking_notes(flight: Flight) -> Iterator[str]:
     """Yield a note if distances allow for the errors that simulated controllers have."""
-    for group in motion.groups:
-        tube, team = group.motion.requirements.limits.tube, group.motion.team
+    for each in flight.teams:
+        tube, team = each.motion.requirements.limits.tube, each.motion.team
         if team.tracking is None or Tube.of(team.tracking) != tube:
             continue
         if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
@@ -145,39 +145,39 @@ def tracking_notes(motion: Motion) -> Iterator[str]:
             return
 
 
-def _notes(kind: Format, motion: Motion, options: ExportOptions) -> Iterator[str]:
+def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str]:
     """Yield notes on tracking errors, trims of drones, velocities, and other plans in the air."""
-    yield from tracking_warnings(motion)
-    yield from tracking_notes(motion)
-    trim = 100.0 * float(np.max(np.linalg.norm(motion.team.trim, axis=1)))
+    yield from tracking_warnings(flight)
+    yield from tracking_notes(flight)
+    trim = 100.0 * float(np.max(np.linalg.norm(flight.team.trim, axis=1)))
     size = f"trims of drones, up to {trim:.3g} cm,"  # they turn with the heading
     if trim and kind.flown_by and kind.has_heading:
         yield f"setpoints include {size} for the heading in the files: keep this heading in flight"
     elif trim and kind.flown_by:
         yield f"{size} are not included: {kind.name} has no heading, with which they turn"
     if kind.velocity_settings and not options.positions_only:
-        speed = largest_rate(motion.drones, 1).worst
+        speed = largest_rate(flight.drones, 1).worst
         size = f"at up to {speed:.2g} m/s"
-        if all(_is_known(each.motion.team, options) for each in motion.groups):
-            size = f"up to {speed * max(_lags(motion, options)):.2g} m at {speed:.2g} m/s"
+        if all(_is_known(each.motion.team, options) for each in flight.teams):
+            size = f"up to {speed * max(_lags(flight, options)):.2g} m at {speed:.2g} m/s"
         yield (
             f"velocities follow from the curves with {kind.velocity_settings}; without them drones "
             f"trail positions by v kd/kp, {size}: positions_only=True allows for it"
         )
-    for each in motion.others:
+    for each in flight.others:
         yield (
             f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
             "s of this plan: fly both on one clock"
         )
 
 
-def _lags(motion: Motion, options: ExportOptions) -> tuple[float, float]:
-    """Return the largest ``trailing_times`` [s] of a motion's drones, level and upright.
+def _lags(flight: Flight, options: ExportOptions) -> tuple[float, float]:
+    """Return the largest ``trailing_times`` [s] of a flight's drones, level and upright.
 
     Raises InputError if gains of a team are not known.
     """
     lags = list[Array]()
-    for team in (each.motion.team for each in motion.groups):
+    for team in (each.motion.team for each in flight.teams):
         gains = loop_gains(team, options.stiffness, options.damping, "positions_only=True")
         lags.append(np.max(trailing_times(*gains, team.mass[:, None]), axis=0))
     level, _, upright = np.max(lags, axis=0).tolist()
@@ -193,9 +193,9 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
     """
     if not task.options.positions_only:
         return task
-    planned, lags = task.without_offsets or task.motion, _lags(task.motion, task.options)
-    speed = largest_rate(task.motion.drones, 1).worst
-    own = Tube.enclosing(_own_errors(each.motion) for each in planned.groups) or Tube.of(None)
+    planned, lags = task.without_offsets or task.flight, _lags(task.flight, task.options)
+    speed = largest_rate(task.flight.drones, 1).worst
+    own = Tube.enclosing(_own_errors(each.motion) for each in planned.teams) or Tube.of(None)
 
     def with_trailing(tube: Tube, fastest: float) -> Tube:
         """Return the errors of drones that fly up to a speed [m/s]."""
@@ -210,7 +210,7 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
             wider = with_fields(motion.requirements.limits, tracking=tube)
             return motion.replaced(requirements=replace(motion.requirements, limits=wider))
 
-        return certify(planned.each_group(widened))[TRACKING_RADIUS.name]
+        return certify(planned.each_team(widened))[TRACKING_RADIUS.name]
 
     check = check_at(1.0)
     size = f"trail them by v kd/kp, up to {speed * max(lags):.2g} m at {speed:.2g} m/s"
@@ -237,7 +237,7 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
 
 
 def _own_errors(motion: Motion) -> Tube:
-    """Return the tracking errors of a group's drones: as stated for each, else as allowed for."""
+    """Return the tracking errors of a team's drones: as stated for each, else as allowed for."""
     stated = [kind.tracking for kind in motion.team.quadrotor if kind.tracking is not None]
     if len(stated) < len(motion.team.quadrotor):
         return motion.requirements.limits.tube
@@ -282,8 +282,8 @@ def _export_task(
         try:
             held = task
             if needs_offsets:
-                moved = held_tension(task.motion, task.options.stiffness, task.options.damping)
-                held = replace(task, motion=moved.motion, without_offsets=task.motion)
+                moved = held_tension(task.flight, task.options.stiffness, task.options.damping)
+                held = replace(task, flight=moved.flight, without_offsets=task.flight)
                 held = replace(held, notes=(*task.notes, moved.note))
             held = _allowing_for_trailing(kind, held)
             held = replace(held, undetermined=_undetermined_reasons(kind, held))
@@ -302,7 +302,7 @@ def _export_task(
 
 def _needs_offsets(kind: Format, task: ExportTask) -> bool:
     """Return whether setpoints have to hold the tension."""
-    is_taken = all(_takes_force(kind, task, team) for team in _hitch_teams(task.motion))
+    is_taken = all(_takes_force(kind, task, team) for team in _hitch_teams(task.flight))
     return task.options.hold_tension or (_needs_stiffness(kind, task) and not is_taken)
 
 
@@ -326,7 +326,7 @@ def _slack_reason(kind: Format, task: ExportTask) -> str:
     """Return why the drones of an upload lose the tension, or an empty string."""
     if not _needs_stiffness(kind, task):
         return ""
-    teams = _hitch_teams(task.motion)
+    teams = _hitch_teams(task.flight)
     if _needs_offsets(kind, task) and any(map(is_overridden, teams)):
         return INTEGRAL
     is_known = all(_is_known(team, task.options) for team in teams)
@@ -337,7 +337,7 @@ def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) 
     """Return the first change, in words, with which the export holds the tension."""
     for number, (words, changed) in enumerate(_remedies(kind, task)):
         with contextlib.suppress(InfeasibleError, InputError):
-            settings = kind.settings(changed.motion.team, changed.options)
+            settings = kind.settings(changed.flight.team, changed.options)
             trial = replace(changed, settings=settings)
             if not _slack_reason(kind, trial):
                 _export_task(kind, trial, scratch / str(number), say)
@@ -347,7 +347,7 @@ def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) 
 
 def _remedies(kind: Format, task: ExportTask) -> Iterator[tuple[str, ExportTask]]:
     """Yield changes, in words, and the changed task."""
-    teams = _hitch_teams(task.motion)
+    teams = _hitch_teams(task.flight)
     if not any(map(_controllers, teams)) and not all(_is_known(t, task.options) for t in teams):
         stiffness = float(f"{kind.stiffest * min(np.min(team.mass) for team in teams):.3g}")
         options = replace(task.options, stiffness=stiffness)
@@ -378,18 +378,18 @@ def _flown_by(task: ExportTask, change: Callable[[Quadrotor], Quadrotor]) -> Exp
     """Return a task with other kinds of drones on its cables."""
 
     def changed(motion: Motion) -> Motion:
-        if not motion.has_cables:
+        if not motion.team.has_cables:
             return motion
         kinds = tuple(map(change, motion.team.quadrotor))
         return motion.replaced(team=with_fields(motion.team, quadrotor=kinds))
 
-    return replace(task, motion=task.motion.each_group(changed))
+    return replace(task, flight=task.flight.each_team(changed))
 
 
 def _undetermined_reasons(kind: Format, task: ExportTask) -> tuple[str, ...]:
     """Return the reasons why the files leave the tension undetermined, if any."""
     reasons = list[str]()
-    for team in _hitch_teams(task.motion) if kind.flown_by else ():
+    for team in _hitch_teams(task.flight) if kind.flown_by else ():
         is_trusted = not _needs_stiffness(kind, task) or _is_known(team, task.options)
         reasons += undetermined_tension(
             integral=bool(np.any(np.isinf(team.integral[:, :2]))),  # level
@@ -398,9 +398,9 @@ def _undetermined_reasons(kind: Format, task: ExportTask) -> tuple[str, ...]:
     return tuple(dict.fromkeys(reasons))
 
 
-def _hitch_teams(motion: Motion) -> list[Team]:
-    """Return the teams that form a hitch during a motion."""
-    return [each.motion.team for each in motion.groups if np.any(each.motion.formed)]
+def _hitch_teams(flight: Flight) -> list[Team]:
+    """Return the teams that form a hitch during a flight."""
+    return [each.motion.team for each in flight.teams if np.any(each.motion.formed)]
 
 
 def _controllers(team: Team) -> list[str]:
@@ -417,10 +417,10 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
         is_rounded = len(kind.bounds) > 1 and not _exceeds_memory(refusals[0])
         is_rounded = is_rounded and not task.holds_tension
         for factor in RETRY_STRETCHES if is_rounded else ():
-            slower = stretched(task.motion, factor)
+            slower = task.flight.stretched(factor)
             slowdown = f"exported {factor - 1.0:.0%} slower than planned"
             note = f"{slowdown}: at full speed, rounding would break a limit"
-            yield (replace(task, motion=slower, notes=(*task.notes, note)),)
+            yield (replace(task, flight=slower, notes=(*task.notes, note)),)
         yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
     for number, tasks in enumerate(candidates()):
@@ -428,7 +428,7 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             folder = scratch / str(number)
             exports = [_export_part(kind, each, folder, say, refusals) for each in tasks]
             is_slower = number > 0 and len(tasks) == 1
-            if not is_slower or certificate_of(tasks[0].motion).certified:
+            if not is_slower or certificate_of(tasks[0].flight).certified:
                 return exports
     # Parts that fit in memory say more than the whole that does not
     raise next((each for each in refusals if not _exceeds_memory(each)), refusals[0])
@@ -457,8 +457,8 @@ def _export_part(
             violated = {each.constraint for refusal in refusals for each in refusal.violations}
             for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
                 where = task.frame, task.names
-                verdict = verify(task.motion, contents, *where, subset, task.trims)
-                if violations := verdict.violations(task.motion, kind.accuracy):
+                verdict = verify(task.flight, contents, *where, subset, task.trims)
+                if violations := verdict.violations(task.flight, kind.accuracy):
                     reason = OFFSET_REASON if task.holds_tension else ROUNDING_REASON
                     raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
         except InfeasibleError as refusal:
@@ -476,14 +476,14 @@ def _export_part(
             "drones": {member.role: member.name for member in task.fleet.members},
             "start_offsets": dict(zip(task.names, (offsets + 0.0).tolist(), strict=True)),
             "duration": verdict.duration,
-            "plan_span": [task.begins, task.begins + task.motion.duration - task.rest],
+            "plan_span": [task.begins, task.begins + task.flight.duration - task.rest],
             "position_error_m": asdict(verdict.position),
             "velocity_error_m_s": asdict(verdict.velocity),
             "checks": Certificate(verdict.duration, verdict.checks).to_dict()["checks"],
             "not_carried": verdict.not_carried,
-            "feed_forward": feed_forward if task.motion.has_cables else NO_CABLE_FORCE,
+            "feed_forward": feed_forward if task.flight.has_cables else NO_CABLE_FORCE,
             "undetermined_tension": list(task.undetermined),
-            "tracking": _tracking_facts(task.motion),
+            "tracking": _tracking_facts(task.flight),
             "notes": list(notes),
             "files": sorted(written.files),
             "digests": {name: digest(folder / name) for name in sorted(written.files)},
@@ -495,23 +495,22 @@ def _export_part(
     raise refusals[-1]
 
 
-def _tracking_facts(motion: Motion) -> dict[str, Any]:
+def _tracking_facts(flight: Flight) -> dict[str, Any]:
     """Return the tracking errors [m] that distances allow for, those by gains, and warnings."""
-    groups = [(each.name, each.motion) for each in motion.groups]
 
-    def by_group(tube_of: Callable[[Motion], Tube]) -> dict[str, Any]:
-        return {name: asdict(tube_of(own)) for name, own in groups}
+    def by_team(tube_of: Callable[[Motion], Tube]) -> dict[str, Any]:
+        return {each.name: asdict(tube_of(each.motion)) for each in flight.teams}
 
     return {
-        "allowed_for_m": by_group(lambda own: own.requirements.limits.tube),
-        "by_gains_m": by_group(lambda own: Tube.of(own.team.tracking)),
-        "understated": list(tracking_warnings(motion)),
+        "allowed_for_m": by_team(lambda motion: motion.requirements.limits.tube),
+        "by_gains_m": by_team(lambda motion: Tube.of(motion.team.tracking)),
+        "understated": list(tracking_warnings(flight)),
     }
 
 
 def _manifest_head(kind: Format, task: ExportTask) -> dict[str, Any]:
     head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
-    names = _controllers(task.motion.team)
+    names = _controllers(task.flight.team)
     return {**head, "flown_by": kind.flown_by, "controllers": names, **task.frame.to_dict()}
 
 
@@ -550,10 +549,10 @@ def _move_exports(
     folders = [place / part.folder.name if several else place for part in exports]
     new = {folder: part.sources for part, folder in zip(exports, folders, strict=True)}
     if several:
-        cuts = task.plan if task.rests_longer else task.motion
+        cuts = task.plan if task.rests_longer else task.flight
         ends = [*(part.begins for part in exports[1:]), cuts.duration]
         spans = [[part.begins, end] for part, end in zip(exports, ends, strict=True)]
-        content = _manifest_head(kind, task) | {"duration": task.motion.duration, "files": []}
+        content = _manifest_head(kind, task) | {"duration": task.flight.duration, "files": []}
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}
         new[place] = {MANIFEST: first.folder.parent / MANIFEST}
         write_strict_json(new[place][MANIFEST], content)

@@ -20,9 +20,15 @@ from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
 from hitchopt.exports.placing import Fleet, ReferenceFrame
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, STOCK
-from hitchopt.motion.motion import Motion
-from hitchopt.motion.retiming import between
-from hitchopt.motion.states import HOVER, States, attitudes, iterate_states, sample_times, states_at
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.states import (
+    HOVER,
+    States,
+    attitudes,
+    flight_states_at,
+    iterate_flight_states,
+    sample_times,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices, closest_word
 
@@ -33,10 +39,10 @@ FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180°
 class ExportTask:
     """A plan or a part of it, and all options of its files.
 
-    Drones are in the order of the problem, but those of the motion in the order of their places.
+    Drones are in the order of the problem, but those of the flight in the order of their places.
     """
 
-    motion: Motion  # starts at t = 0; with setpoints as drones if offsets hold the tension
+    flight: Flight  # starts at t = 0; with setpoints as drones if offsets hold the tension
     title: str
     frame: ReferenceFrame  # the files' frame
     fleet: Fleet  # the drones
@@ -45,7 +51,7 @@ class ExportTask:
     begins: float = 0.0  # start of the part in the plan [s]
     number: int = 1  # number of the part, from 1
     part: str = ""  # description of the part; empty for the whole plan
-    without_offsets: Motion | None = None  # the same without offsets that hold the tension, if any
+    without_offsets: Flight | None = None  # the same without offsets that hold the tension, if any
     rest: float = 0.0  # duration of the rest that is added to the part's end [s]
     bound: float = 1.0  # factor of the usual refit error
     trailing: Check | None = None  # of the distances of drones that trail positions alone
@@ -57,24 +63,24 @@ class ExportTask:
     @property
     def trims(self) -> Array:
         """Setpoints minus planned places (D, 3) [m] in the plan, in which drones' yaw is 0."""
-        trims: Array = np.insert(self.motion.team.trim[self.order], 2, 0.0, axis=1)
+        trims: Array = np.insert(self.flight.team.trim[self.order], 2, 0.0, axis=1)
         return trims if self.has_trims else 0.0 * trims
 
     @property
     def order(self) -> Indices:
-        """(D,): places of the drones in the motion."""
-        return self.motion.team.listed
+        """(D,): places of the drones in the flight."""
+        return self.flight.team.listed
 
     @property
     def curves(self) -> PiecewisePolynomial:
         """Curves (D, 3) [m] of the drones in the plan."""
-        drones = self.motion.drones
+        drones = self.flight.drones
         return drones.replaced(drones.coefficients[:, self.order])
 
     @property
     def masses(self) -> Array:
         """(D,) [kg]: masses of the drones."""
-        return self.motion.team.mass[self.order]
+        return self.flight.team.mass[self.order]
 
     def placed(self, part: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return curves (D, 3) of drones [m] as setpoints in the files' frame."""
@@ -82,33 +88,33 @@ class ExportTask:
 
     @property
     def holds_tension(self) -> bool:
-        """Whether the motion has offsets to hold its tension."""
+        """Whether the flight has offsets to hold its tension."""
         return self.without_offsets is not None
 
     @property
-    def plan(self) -> Motion:
+    def plan(self) -> Flight:
         """The plan or the part of it, from t = 0, without offsets."""
-        return self.motion if self.without_offsets is None else self.without_offsets
+        return self.flight if self.without_offsets is None else self.without_offsets
 
     @property
     def rests_longer(self) -> bool:
         """Whether parts rest longer at their ends than the plan, for offsets to come to rest."""
-        is_alone = len(self.motion.groups) == 1 and not self.motion.others
+        is_alone = self.flight.alone is not None
         return self.options.longer_rests and self.holds_tension and is_alone
 
     def between(self, start: float, end: float) -> ExportTask:
-        """Return the task of the part between two times [s] of the motion at which drones rest.
+        """Return the task of the part between two times [s] of the flight at which drones rest.
 
         If parts rest longer, the times are those of the plan, and the part has offsets of its own.
         """
         part = replace(self, begins=start)
         if self.rests_longer:
-            plan = between(self.plan, start, end)
+            plan = self.plan.between(start, end)
             held = held_tension(plan, self.options.stiffness, self.options.damping)
-            return replace(part, motion=held.motion, without_offsets=plan, rest=REST_TIME)
+            return replace(part, flight=held.flight, without_offsets=plan, rest=REST_TIME)
         if self.without_offsets is not None:
-            part = replace(part, without_offsets=between(self.without_offsets, start, end))
-        return replace(part, motion=between(self.motion, start, end))
+            part = replace(part, without_offsets=self.without_offsets.between(start, end))
+        return replace(part, flight=self.flight.between(start, end))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,7 +131,7 @@ class ExportTask:
         body axes are forward, right, down, otherwise forward, left, up. If offsets hold the
         tension, cable forces are zero.
         """
-        return self._samples(states_at(self.motion, t).listed(self.motion.team))
+        return self._samples(flight_states_at(self.flight, t).listed(self.flight.team))
 
     def planned(self, t: float) -> Array:
         """Return the drones' positions (D, 3) [m] in the plan at a time, without offsets."""
@@ -133,21 +139,21 @@ class ExportTask:
 
     def heights(self, t: float) -> Array:
         """Return the drones' heights (D,) [m] above the floor at a time, without offsets."""
-        heights: Array = self.planned(t)[:, 2] - self.motion.requirements.floor
+        heights: Array = self.planned(t)[:, 2] - self.flight.requirements.floor
         return heights
 
     def blocks(self, rows: int) -> Iterator[tuple[Array, dict[str, Array]]]:
         """Yield times (S,) and samples at the task's rate, in blocks of rows (time, drone)."""
-        times = sample_times(self.motion.duration, self.rate)
-        for states in iterate_states(self.motion, times, max(1, rows // len(self.names))):
-            yield states.t, self._samples(states.listed(self.motion.team))
+        times = sample_times(self.flight.duration, self.rate)
+        for states in iterate_flight_states(self.flight, times, max(1, rows // len(self.names))):
+            yield states.t, self._samples(states.listed(self.flight.team))
 
     def _samples(self, states: States) -> dict[str, Array]:
         frame, mass = self.frame, self.masses[:, None]
         rotated, heading = frame.vectors, frame.heading
         share = 0.0 if self.holds_tension else 1.0
         forces, force_rates = share * states.cable_forces, share * states.cable_force_rates
-        gain = self.motion.team.pull_gain[self.order]
+        gain = self.flight.team.pull_gain[self.order]
         forward = states.accelerations - gain * forces / mass
         thrusts = rotated(mass * (forward + HOVER))
         rates = rotated(mass * states.jerks - gain * force_rates)

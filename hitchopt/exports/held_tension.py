@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from hitchopt.checks.drones import largest_rate
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import DAMPING_RATIO
-from hitchopt.motion.combined import combined
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import prolonged
 from hitchopt.motion.states import states_at
@@ -46,7 +47,7 @@ LIMIT_MARGIN = 0.2  # Margin of speed and acceleration limits over setpoints, fo
 class HeldTension:
     """Setpoints of a plan that hold its tension, for controllers with given gains."""
 
-    motion: Motion  # the extended plan with setpoints as drones
+    flight: Flight  # the extended plan with setpoints as drones
     stiffness: Array  # (2n, 3) [N/m]
     damping: Array  # (2n, 3) [N s/m]
     offset: float  # largest offset of a setpoint from its drone [m]
@@ -72,7 +73,7 @@ def is_overridden(team: Team) -> bool:
 
 
 def held_tension(
-    motion: Motion, stiffness: float | None = None, damping: float | None = None
+    flight: Flight, stiffness: float | None = None, damping: float | None = None
 ) -> HeldTension:
     """Return setpoints with which controllers fly a plan without feed-forward of cable forces.
 
@@ -80,24 +81,22 @@ def held_tension(
     integral, which would move drones toward their setpoints, and InfeasibleError if forces change
     too fast.
     """
-    if not motion.has_cables:
+    if not flight.has_cables:
         raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
-    if len(motion.groups) == 1:
-        return _group_setpoints(motion, stiffness, damping)
     held = {
-        each.name: _group_setpoints(each.motion, stiffness, damping)
-        for each in motion.groups
-        if each.motion.has_cables
+        each.name: _team_setpoints(each.motion, stiffness, damping)
+        for each in flight.teams
+        if each.motion.team.has_cables
     }
-    groups = [
+    teams = [
         replace(each, motion=held[each.name].motion if each.name in held else each.motion.untimed)
-        for each in motion.groups
+        for each in flight.teams
     ]
     k, c = (
         np.concatenate([getattr(h, x) for h in held.values()]) for x in ("stiffness", "damping")
     )
     offset, error = (max(getattr(each, x) for each in held.values()) for x in ("offset", "error"))
-    return HeldTension(combined(groups, motion.others), k, c, offset, error)
+    return HeldTension(replace(flight, teams=tuple(teams)), k, c, offset, error)
 
 
 def loop_gains(
@@ -139,8 +138,20 @@ def trailing_times(stiffness: Array, damping: Array, mass: Array) -> Array:
     return times
 
 
-def _group_setpoints(motion: Motion, stiffness: float | None, damping: float | None) -> HeldTension:
-    """Return the setpoints of one group with cables."""
+class _TeamSetpoints(NamedTuple):
+    """Setpoints of one team that hold its tension; fields are those of ``HeldTension``."""
+
+    motion: Motion
+    stiffness: Array
+    damping: Array
+    offset: float
+    error: float
+
+
+def _team_setpoints(
+    motion: Motion, stiffness: float | None, damping: float | None
+) -> _TeamSetpoints:
+    """Return the setpoints of one team with cables."""
     team = motion.team
     if is_overridden(team):
         bound = "0 with hold_tension=True: integrals move drones after their setpoints"
@@ -181,7 +192,7 @@ def _group_setpoints(motion: Motion, stiffness: float | None, damping: float | N
     )
     held = replace(split, drones=drones, requirements=replace(split.requirements, limits=widened))
     largest = float(np.max(np.linalg.norm(offsets.coefficients, axis=-2)))
-    return HeldTension(held, k, c, largest, error)
+    return _TeamSetpoints(held, k, c, largest, error)
 
 
 def _solve_offsets(

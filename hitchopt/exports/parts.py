@@ -16,8 +16,8 @@ from itertools import pairwise
 from hitchopt.checks.registry import certificate_of
 from hitchopt.exports.format import ExportTask
 from hitchopt.exports.held_tension import REST_TIME
-from hitchopt.motion.motion import JOINT, TAKE_OFF, Motion
-from hitchopt.motion.retiming import append_motion, between, prolonged, rest_breaks
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import JOINT, TAKE_OFF
 
 Fits = Callable[[ExportTask], bool]  # Whether a part fits in memory
 
@@ -29,22 +29,22 @@ def cut_into_parts(task: ExportTask, fits: Fits) -> Sequence[ExportTask]:
     take-off alone, after which tying would wait for the next upload. Of as many parts, those that
     end with a taut hitch are preferred.
     """
-    motion = task.plan if task.rests_longer else task.motion
-    if motion.others:
+    flight = task.plan if task.rests_longer else task.flight
+    if flight.others:
         return ()
-    rests = motion.drones.breaks[rest_breaks(motion)].tolist()
-    while len(cuts := _cuts(task, motion, rests, fits)) > 2:
+    rests = flight.breaks[flight.rest_breaks].tolist()
+    while len(cuts := _cuts(task, flight, rests, fits)) > 2:
         parts = _parts(task, cuts)
         if not task.rests_longer or certificate_of(_flown(parts)).certified:
             return parts
-        uncertified = [cut for cut in cuts[1:-1] if not _may_rest(motion, cut)]
+        uncertified = [cut for cut in cuts[1:-1] if not _may_rest(flight, cut)]
         if not uncertified:
             break
         rests = [rest for rest in rests if rest not in uncertified]
     return ()
 
 
-def _cuts(task: ExportTask, motion: Motion, rests: Sequence[float], fits: Fits) -> list[float]:
+def _cuts(task: ExportTask, flight: Flight, rests: Sequence[float], fits: Fits) -> list[float]:
     """Return the times [s] of the parts' starts and of the end; empty if parts do not fit."""
 
     def is_too_long(start: float, end: float) -> bool:
@@ -52,33 +52,33 @@ def _cuts(task: ExportTask, motion: Motion, rests: Sequence[float], fits: Fits) 
 
     cuts = [*rests[:1]]
     while (start := cuts[-1]) < rests[-1]:
-        after = max(start, _end_of_take_off(motion, start)) + JOINT
+        after = max(start, _end_of_take_off(flight, start)) + JOINT
         ends = [rest for rest in rests if rest > after]
         count = bisect_left(ends, True, key=partial(is_too_long, start))
         if count == 0:
             return []
         cuts.append(ends[count - 1])
     for i in range(len(cuts) - 2, 0, -1):
-        after = max(cuts[i - 1], _end_of_take_off(motion, cuts[i - 1])) + JOINT
-        taut = [rest for rest in rests if after < rest <= cuts[i] and _is_taut(motion, rest)]
+        after = max(cuts[i - 1], _end_of_take_off(flight, cuts[i - 1])) + JOINT
+        taut = [rest for rest in rests if after < rest <= cuts[i] and _is_taut(flight, rest)]
         fitting = (rest for rest in reversed(taut) if not is_too_long(rest, cuts[i + 1]))
         cuts[i] = next(fitting, cuts[i])
     return cuts
 
 
-def _end_of_take_off(motion: Motion, start: float) -> float:
+def _end_of_take_off(flight: Flight, start: float) -> float:
     """Return the end [s] of the take-offs at a time; the time without any, or with nothing else."""
     end = start
-    for group in motion.groups:
-        phases = [phase for phase in group.motion.phases if phase.end > start + JOINT]
+    for each in flight.teams:
+        phases = [phase for phase in each.motion.phases if phase.end > start + JOINT]
         others = (phase.start for phase in phases if phase.name != TAKE_OFF)
         end = max(end, next(others, start))
     return end
 
 
-def _is_taut(motion: Motion, time: float) -> bool:
+def _is_taut(flight: Flight, time: float) -> bool:
     """Return whether all hitches are taut right before and after a time [s]."""
-    phases = [phase for each in motion.groups for phase in each.motion.phases]
+    phases = [phase for each in flight.teams for phase in each.motion.phases]
     return all(phase.formed for phase in phases if phase.start - JOINT < time < phase.end + JOINT)
 
 
@@ -104,13 +104,13 @@ def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:
     return parts
 
 
-def _flown(parts: Sequence[ExportTask]) -> Motion:
+def _flown(parts: Sequence[ExportTask]) -> Flight:
     """Return the plan as its parts fly it, with the rests that are added."""
-    return reduce(append_motion, (prolonged(part.plan, part.rest) for part in parts))
+    return reduce(Flight.followed_by, (part.plan.prolonged(part.rest) for part in parts))
 
 
-def _may_rest(motion: Motion, time: float) -> bool:
+def _may_rest(flight: Flight, time: float) -> bool:
     """Return whether a plan is certified with a longer rest at a time [s]."""
-    first, last = motion.drones.breaks[[0, -1]].tolist()
-    before = prolonged(between(motion, first, time), REST_TIME)
-    return certificate_of(append_motion(before, between(motion, time, last))).certified
+    first, last = flight.breaks[[0, -1]].tolist()
+    before = flight.between(first, time).prolonged(REST_TIME)
+    return certificate_of(before.followed_by(flight.between(time, last))).certified

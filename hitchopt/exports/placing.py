@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, finite
@@ -57,11 +57,11 @@ URI = re.compile(r"(radio|usb|udp|tcp|serial)://\S+\Z")  # Radio addresses of dr
 PER_RADIO = 15  # Drones per radio with uploaded trajectories
 
 
-def drone_places(motion: Motion) -> list[dict[str, str]]:
+def drone_places(flight: Flight) -> list[dict[str, str]]:
     """Return a row per drone on a cable, in the problem's order: place on the hitch, and mass."""
     rows = list[dict[str, str]]()
-    for group in motion.groups:
-        team = group.motion.team
+    for each in flight.teams:
+        team = each.motion.team
         if not team.has_cables:
             continue
         ends = team.layout.anchors.tolist()
@@ -69,7 +69,7 @@ def drone_places(motion: Motion) -> list[dict[str, str]]:
             edge, end = divmod(place, 2)
             rows.append(
                 {
-                    "drone": group.label(name),
+                    "drone": each.label(name),
                     "place": f"edge {edge}, {('start', 'end')[end]}",
                     "vertex": team.point_names[ends[place]],
                     "leg": f"{'de'[end]}_{edge}",

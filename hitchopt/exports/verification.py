@@ -19,8 +19,8 @@ from hitchopt.checks.spans import ROUNDING, value_cache
 from hitchopt.errors import FileError, Violation
 from hitchopt.exports.contents import FileContents, held_until
 from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import JOINT, Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import JOINT, Motion
 from hitchopt.motion.retiming import slice_time
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -58,7 +58,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Errors and checks of an exported motion."""
+    """Errors and checks of an exported flight."""
 
     duration: float  # [s]
     position: Deviation  # [m]
@@ -71,12 +71,12 @@ class Verdict:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
-    def violations(self, motion: Motion, accuracy: float) -> list[Violation]:
+    def violations(self, flight: Flight, accuracy: float) -> list[Violation]:
         """Return the violated limits of an export; ``accuracy`` is the format's [m]."""
         violations = []
         for check in self.violated:
             rule = RULE_OF[check.name]
-            planned = check_of(rule, motion, exported=True) or check
+            planned = check_of(rule, flight, exported=True) or check
             values = f"{planned.worst:.6g}, the export loses {abs(check.worst - planned.worst):.3g}"
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
             remedy = SLOWER_REMEDY if rule.derivative > 0 else MARGIN_REMEDY
@@ -91,14 +91,14 @@ class Verdict:
 
 
 def verify(
-    motion: Motion,
+    flight: Flight,
     contents: FileContents,
     frame: ReferenceFrame,
     names: Sequence[str],
     rules: Sequence[CheckRule] = EXPORT_RULES,
     trims: Array | float = 0.0,
 ) -> Verdict:
-    """Return errors and checks of files of the plan ``motion``, from t = 0.
+    """Return errors and checks of files of the plan ``flight``, from t = 0.
 
     ``frame`` is that of the files, ``names`` (D,) are their names of the drones, in the order of
     the problem. Setpoints are off the places by ``trims`` (D, 3) [m] in the plan. Raises FileError
@@ -108,10 +108,10 @@ def verify(
     if missing or len(contents.names) != len(names):
         reason = f"{missing[0]} is missing" if missing else "there are more of them"
         raise FileError(f"its drones are not those of the plan: {reason}")
-    numbers = np.argsort(motion.team.listed)  # of the drones at the motion's places
+    numbers = np.argsort(flight.team.listed)  # of the drones at the flight's places
     index = [contents.names.index(names[drone]) for drone in numbers]
     offsets = np.broadcast_to(trims, (len(names), 3))[numbers]
-    firsts = np.cumsum([len(each.motion.team.drone_names) for each in motion.groups])[:-1]
+    firsts = np.cumsum([len(each.motion.team.drone_names) for each in flight.teams])[:-1]
     carried = [rule for rule in rules if rule.derivative <= contents.smooth + 1]
     checks, deviations, end = list[list[Check | None]](), list[list[Deviation]](), 0.0
     for window in contents.windows():
@@ -122,18 +122,18 @@ def verify(
         curves = frame.in_plan(window.replaced(window.coefficients[:, index]))
         places = curves.coefficients - offsets[..., None]
         coefficients = np.split(places, firsts, axis=1)
-        groups = list[Group]()
-        for group, part in zip(motion.groups, coefficients, strict=True):
-            planned = _plan_between(group.motion, window.breaks)
+        teams = list[TeamMotion]()
+        for flown, part in zip(flight.teams, coefficients, strict=True):
+            planned = _plan_between(flown.motion, window.breaks)
             exported = on_breaks(curves.replaced(part), planned.drones.breaks)
-            deviations.append(_deviations(exported, planned, group))
-            groups.append(replace(group, motion=replace(planned, drones=exported)))
-        others = [replace(o, motion=slice_time(o.motion, start, end)) for o in motion.others]
-        whole = combined(groups, others)
+            deviations.append(_deviations(exported, planned, flown))
+            teams.append(replace(flown, motion=replace(planned, drones=exported)))
+        others = [replace(x, motion=slice_time(x.motion, start, end)) for x in flight.others]
+        whole = Flight(tuple(teams), tuple(others))
         with value_cache():
             checks.append([check_of(rule, whole, exported=True) for rule in carried])
-    if end < motion.duration - JOINT:
-        raise FileError(f"ends at t = {end:g} s, before the plan does, at {motion.duration:g} s")
+    if end < flight.duration - JOINT:
+        raise FileError(f"ends at t = {end:g} s, before the plan does, at {flight.duration:g} s")
     each = zip(*deviations, strict=True)
     position, velocity = (max(errors, key=lambda error: error.worst) for errors in each)
     worst = tuple(filter(None, map(worst_of, zip(*checks, strict=True))))
@@ -155,13 +155,15 @@ def _plan_between(motion: Motion, breaks: Array) -> Motion:
     return motion.map_curves(span, overlapping)
 
 
-def _deviations(exported: PiecewisePolynomial, motion: Motion, group: Group) -> list[Deviation]:
+def _deviations(
+    exported: PiecewisePolynomial, motion: Motion, flown: TeamMotion
+) -> list[Deviation]:
     """Return the largest deviations of curves on a plan's breaks, in position and velocity."""
     degree, deviations = max(exported.degree, motion.drones.degree), []
     planned = bernstein.elevate(motion.drones.coefficients, degree)
     difference = exported.replaced(bernstein.elevate(exported.coefficients, degree) - planned)
     for order, margin in enumerate((ROUNDING * float(np.max(np.abs(planned))), 0.0)):
         worst = largest_rate(difference, order)
-        drone = group.label(motion.team.drone_names[worst.item])
+        drone = flown.label(motion.team.drone_names[worst.item])
         deviations.append(Deviation(worst.worst + margin, worst.time, drone))
     return deviations

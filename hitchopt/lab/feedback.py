@@ -30,6 +30,7 @@ from hitchopt.hitch.pairs import SEPARATION, TautBodies, end_combinations, limit
 from hitchopt.lab.statics.equilibrium import conditions_of, energy_of, samples_of
 from hitchopt.lab.statics.tolerance import responses
 from hitchopt.live.player import Sampler, Setpoints
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
@@ -99,10 +100,11 @@ class Feedback(OneLine):
         delay: float = 0.05,
         stiffness: ArrayLike | None = None,
     ) -> None:
-        motion = getattr(plan, "motion", plan)
-        if not isinstance(motion, Motion) or not motion.has_cables:
+        flown = getattr(plan, "flight", plan)
+        flight = Flight.of(flown) if isinstance(flown, Flight | Motion) else None
+        if flight is None or not flight.has_cables:
             raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
-        motion.require_one_team("feedback")
+        motion = flight.of_one_team("feedback")
         if motion.requirements.keep_out or motion.requirements.objects:
             reason = "feedback keeps no distance to keep-outs and objects: fly without them"
             raise UnsupportedError(reason)

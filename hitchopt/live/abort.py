@@ -27,13 +27,13 @@ from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, CableState, Group, Motion, Phase
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, CableState, Motion, Phase
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.request import objects_at
 from hitchopt.motion.retiming import (
     append_motion,
     on_clock,
-    rest_breaks,
     resting,
     truncated,
     with_last_poses,
@@ -45,6 +45,7 @@ from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.step import RestState, StepTask
 from hitchopt.steps.tying import Release, vertical_motion
 from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, check_choice, nonnegative, positive
 
@@ -71,12 +72,12 @@ class StoppedPlan:
     start: float  # plan time at which the clock starts to slow down [s]
     seconds: float  # time from there to the rest [s]
     rest: float  # plan time at the rest [s]
-    motion: Motion
+    flight: Flight
 
 
 @dataclass(frozen=True, eq=False)
 class Abort(StoppedPlan):
-    """A plan that stops, and continues with a certified motion."""
+    """A plan that stops, and continues with a certified flight."""
 
     certificate: Certificate
 
@@ -92,16 +93,16 @@ class _Refused:
 class Aborts:
     """The aborts of one plan."""
 
-    def __init__(self, motion: Motion) -> None:
-        self.others = motion.others  # they fly on regardless of this plan's clock
-        self.motion = motion.replaced(others=()) if motion.others else motion
+    def __init__(self, flight: Flight) -> None:
+        self.others = flight.others  # they fly on regardless of this plan's clock
+        self.flight = flight.without_others
 
     def plan(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s]; see ``Plan.abort``."""
         check_choice("how", how, get_args(How))
-        if nonnegative("t", time) > self.motion.duration:
+        if nonnegative("t", time) > self.flight.duration:
             raise InputError(
-                "t", time, f"within {self.motion.duration:g} s", "choose a time within the plan"
+                "t", time, f"within {self.flight.duration:g} s", "choose a time within the plan"
             )
         planned = self._in_place if how in ("hold", "back") else self._landing
         found = planned(time, how)
@@ -117,7 +118,7 @@ class Aborts:
             if how in ("land", "release_and_land") and not self._can_land(stop):
                 continue
             origin = self._free_before(stop.rest) if how == "back" else stop.rest
-            if moves_standing(self.motion, time, stop.rest, origin):
+            if moves_standing(self.flight, time, stop.rest, origin):
                 continue
             found = self._attempt(stop, how, origin)
             if isinstance(found, Abort):
@@ -134,7 +135,7 @@ class Aborts:
         for stop in self._stops(time, holdable=False):
             ways = list[Abort]()
             for rest in self._landing_rests(stop.rest):
-                if rest in unsuited or moves_standing(self.motion, time, stop.rest, rest):
+                if rest in unsuited or moves_standing(self.flight, time, stop.rest, rest):
                     continue
                 if any((each.rest - rest) * (stop.rest - rest) > 0.0 for each in ways):
                     continue
@@ -145,7 +146,7 @@ class Aborts:
                     best = best or found.error
                     unsuited |= {rest} if found.at_end else set()
             if ways:
-                return min(ways, key=lambda way: way.motion.duration)
+                return min(ways, key=lambda way: way.flight.duration)
         return best
 
     def _attempt(
@@ -160,16 +161,16 @@ class Aborts:
         except InfeasibleError as error:
             return _Refused(error, at_end=False)
         try:
-            motion = self._continuation(way, how, origin).replaced(others=self.others)
+            flight = replace(self._continuation(way, how, origin), others=self.others)
         except InfeasibleError as error:
             return _Refused(error, at_end=True)
-        if isinstance(shorter, Abort) and motion.duration >= shorter.motion.duration:
+        if isinstance(shorter, Abort) and flight.duration >= shorter.flight.duration:
             return _Refused(_refusal("is shorter"), at_end=True)
-        certificate = certify(motion)
+        certificate = certify(flight)
         if certificate.certified:
-            return Abort(stop.start, stop.seconds, stop.rest, motion, certificate)
+            return Abort(stop.start, stop.seconds, stop.rest, flight, certificate)
         at_end = all(check.time > way.duration + JOINT for check in certificate.violated)
-        return _Refused(infeasible_error(certificate, motion), at_end)
+        return _Refused(infeasible_error(certificate, flight), at_end)
 
     def _stops(self, time: float, *, holdable: bool = True) -> Iterator[StoppedPlan]:
         """Yield the plan stopped after increasing delays from a time [s], up to its next rest.
@@ -177,85 +178,92 @@ class Aborts:
         A stop later than that would begin what has not begun. ``holdable`` leaves out rests while
         tensions change, or before the chords of a swap have met.
         """
-        rests = self.motion.drones.breaks[rest_breaks(self.motion)]
-        candidates = [(start, False) for start in time + DELAYS if start < self.motion.duration]
+        rests = self.flight.breaks[self.flight.rest_breaks]
+        candidates = [(start, False) for start in time + DELAYS if start < self.flight.duration]
         candidates += [(rest, True) for rest in rests if rest >= time - JOINT]
         for start, is_rest in sorted(candidates):
-            stop = until_stop(self.motion, float(start), stop=not is_rest)
-            can_hold = _is_holdable(stop.motion)
+            stop = until_stop(self.flight, float(start), stop=not is_rest)
+            can_hold = _is_holdable(stop.flight)
             if can_hold or not holdable:
                 yield stop
             if can_hold and is_rest:
                 return
 
     def _free_before(self, time: float) -> float:
-        """Return the last plan time [s] with free cables in all groups, 0 without cables."""
-        groups = [each for each in self.motion.groups if each.motion.has_cables]
-        if not groups:
+        """Return the last plan time [s] with free cables in all teams, 0 without cables."""
+        teams = [each for each in self.flight.teams if each.motion.team.has_cables]
+        if not teams:
             return 0.0
-        while (free := min(min(time, _free_before(each, time).end) for each in groups)) < time:
+        while (free := min(min(time, _free_before(each, time).end) for each in teams)) < time:
             time = free
         return time
 
     def _can_land(self, stop: StoppedPlan) -> bool:
-        """Return whether all groups can land from a stop."""
-        groups = zip(self.motion.groups, stop.motion.groups, strict=True)
+        """Return whether all teams can land from a stop."""
+        teams = zip(self.flight.teams, stop.flight.teams, strict=True)
         return all(
-            _can_land(plan.motion, part.motion.phases[-1], stop.rest) for plan, part in groups
+            _can_land(plan.motion, part.motion.phases[-1], stop.rest) for plan, part in teams
         )
 
     def _landing_rests(self, time: float) -> list[float]:
-        """Return the plan's rests [s] from which all groups can land, the nearest first.
+        """Return the plan's rests [s] from which all teams can land, the nearest first.
 
         There is at most one after the time [s]: later ones belong to what has not begun.
         """
-        rests = self.motion.drones.breaks[rest_breaks(self.motion)]
+        rests = self.flight.breaks[self.flight.rest_breaks]
         behind = [x for x in rests[rests < time - JOINT].tolist() if self._lands_at(x, ahead=False)]
         ahead = (x for x in rests[rests > time + JOINT].tolist() if self._lands_at(x, ahead=True))
         return sorted([*behind, *islice(ahead, 1)], key=lambda rest: abs(rest - time))
 
     def _lands_at(self, rest: float, *, ahead: bool) -> bool:
-        """Return whether all groups can land from a rest [s] that is ahead, or behind."""
-        for group in self.motion.groups:
-            phases = group.motion.phases
+        """Return whether all teams can land from a rest [s] that is ahead, or behind."""
+        for flown in self.flight.teams:
+            phases = flown.motion.phases
             before = next(phase for phase in phases if phase.end > rest - JOINT)
             after = next((phase for phase in phases if phase.end > rest + JOINT), before)
             last = before if ahead else after  # the phase in which the rest is reached
             hangs = not {before.state, after.state}.isdisjoint(HANGING_STATES)
-            if not (_can_land(group.motion, last, rest) or (hangs and not last.formed)):
+            if not (_can_land(flown.motion, last, rest) or (hangs and not last.formed)):
                 return False
         return True
 
-    def _way(self, stop: StoppedPlan, origin: float) -> Motion:
+    def _way(self, stop: StoppedPlan, origin: float) -> Flight:
         """Return the stopped plan, flown on or back to a plan time [s]."""
         if abs(origin - stop.rest) <= JOINT:
-            return stop.motion
-        player = Player(self.motion, stop.rest, 0.0)
+            return stop.flight
+        player = Player(self.flight, stop.rest, 0.0)
         player.seek(origin)
-        return append_motion(stop.motion, on_clock(self.motion, player.ahead))
+        return stop.flight.followed_by(_on_clock(self.flight, player.ahead))
 
-    def _continuation(self, whole: Motion, how: str, origin: float) -> Motion:
+    def _continuation(self, whole: Flight, how: str, origin: float) -> Flight:
         """Return a way to a plan time [s] and what follows it, not yet certified."""
-        groups = iter(self.motion.groups)
 
-        def continued(motion: Motion) -> Motion:
-            group = next(groups)
+        def continued(motion: Motion, planned: TeamMotion) -> Motion:
+            """Return a team's way and what follows it."""
             if how in ("hold", "back"):
-                phase = _free_before(group, origin) if how == "back" else None
+                phase = _free_before(planned, origin) if how == "back" else None
                 return append_motion(motion, resting(motion, HOLD, phase))
             try:
                 return _with_landing(motion, untie=how == "release_and_land")
             except InfeasibleError as error:
-                raise error.of_group(group.name) from None
+                raise error.of_group(planned.name) from None
 
-        return whole.each_group(continued)
+        pairs = zip(whole.teams, self.flight.teams, strict=True)
+        return Flight(
+            tuple(replace(way, motion=continued(way.motion, planned)) for way, planned in pairs)
+        )
 
 
-def moves_standing(motion: Motion, *times: float) -> bool:
+def _on_clock(flight: Flight, clock: ClockPhases) -> Flight:
+    """Return a flight on a clock, as ``on_clock``."""
+    return flight.each_team(lambda motion: on_clock(motion, clock))
+
+
+def moves_standing(flight: Flight, *times: float) -> bool:
     """Return whether an object that stands at the first plan time [s] moves between them."""
     first, last = min(times), max(times)
-    for group in motion.groups:
-        own = group.motion
+    for flown in flight.teams:
+        own = flown.motion
         standing = own.load_share.at(times[0]) < 1.0 - SHARE_TOLERANCE
         if not np.any(standing) or last - first <= JOINT:
             continue
@@ -267,15 +275,15 @@ def moves_standing(motion: Motion, *times: float) -> bool:
     return False
 
 
-def _is_holdable(motion: Motion) -> bool:
-    """Return whether a motion can rest at its end."""
-    held = append_motion(motion, resting(motion, HOLD))
+def _is_holdable(flight: Flight) -> bool:
+    """Return whether a flight can rest at its end."""
+    held = flight.followed_by(flight.each_team(lambda motion: resting(motion, HOLD)))
     checks = [check_of(RULE_OF[name], held) for name in REST_CHECKS]
     return all(check is None or check.holds for check in checks)
 
 
 def _can_land(motion: Motion, phase: Phase, time: float) -> bool:
-    """Return whether a group can land from a phase at a plan time [s].
+    """Return whether a team can land from a phase at a plan time [s].
 
     It can from free cables, and with a hitch that neither holds nor encloses an object.
     """
@@ -284,21 +292,21 @@ def _can_land(motion: Motion, phase: Phase, time: float) -> bool:
     return phase.hold is None and not _encloses(motion, time)
 
 
-def _free_before(group: Group, time: float) -> Phase:
-    """Return the last phase of a group, not after a plan time [s], in which cables hang free.
+def _free_before(flown: TeamMotion, time: float) -> Phase:
+    """Return the last phase of a team, not after a plan time [s], in which cables hang free.
 
     Without cables, that is the phase at this time.
     """
-    for phase in reversed(group.motion.phases):
+    for phase in reversed(flown.motion.phases):
         if phase.start < time + JOINT and phase.state in HANGING_STATES:
             return phase
-    cables = f"cables of {group.name}" if group.name else "cables"
+    cables = f"cables of {flown.name}" if flown.name else "cables"
     reason = f"back from t = {time:.4g} s: {cables} have not hung free before"
     raise _refusal(reason, "choose hold, land or release_and_land")
 
 
 def _encloses(motion: Motion, time: float) -> bool:
-    """Return whether a group's hitch encloses an object below the object's top."""
+    """Return whether a team's hitch encloses an object below the object's top."""
     if not (motion.requirements.objects and motion.team.layout.closed):
         return False
     vertices, poses = motion.vertices.at(time), motion.poses.at(time)
@@ -312,13 +320,13 @@ def _encloses(motion: Motion, time: float) -> bool:
     return False
 
 
-def until_stop(motion: Motion, time: float, *, stop: bool = True) -> StoppedPlan:
+def until_stop(flight: Flight, time: float, *, stop: bool = True) -> StoppedPlan:
     """Return the plan until its clock has stopped, as soon as possible from a time [s] on.
 
     Without ``stop``, the time is a rest of the plan, which ends there. The result has no limit on
     its duration.
     """
-    whole, player, parts = motion.untimed, Player(motion, time), list[Motion]()
+    whole, player, parts = flight.untimed, Player(flight, time), list[Flight]()
     seconds = player.pause() if stop else 0.0
     clock = player.ahead
     player.step(seconds)
@@ -326,11 +334,13 @@ def until_stop(motion: Motion, time: float, *, stop: bool = True) -> StoppedPlan
         time += float(clock.duration[0])
         clock = clock.select(slice(1, None))
     if time > JOINT:
-        parts.append(truncated(whole, time))
+        parts.append(whole.each_team(lambda motion: truncated(motion, time)))
     if len(clock):
-        parts.append(on_clock(whole, clock))
-    motion = reduce(append_motion, parts or [resting(whole, HOLD, first=True)])
-    return StoppedPlan(time, float(np.sum(clock.duration)), player.time, motion)
+        parts.append(_on_clock(whole, clock))
+    if not parts:
+        parts.append(whole.each_team(lambda motion: resting(motion, HOLD, first=True)))
+    stopped = reduce(Flight.followed_by, parts)
+    return StoppedPlan(time, float(np.sum(clock.duration)), player.time, stopped)
 
 
 def _refusal(when: str, remedy: str = "abort earlier or later") -> InfeasibleError:
@@ -416,10 +426,10 @@ class AbortTable:
 
 
 def abort_table(
-    motion: Motion, how: str, every: float = DEFAULT_INTERVAL, progress: Progress | None = None
+    flight: Flight, how: str, every: float = DEFAULT_INTERVAL, progress: Progress | None = None
 ) -> AbortTable:
     """Return aborts from all times of a plan, with an entry about ``every`` [s] of plan time."""
-    every, aborts, end = positive("every", every), Aborts(motion), motion.duration
+    every, aborts, end = positive("every", every), Aborts(flight), flight.duration
     entries, missing, time = list[Abort](), list[tuple[float, float]](), 0.0
     last, refused = 0.0, False  # start of the last entry; whether none was found since
     while True:
@@ -447,7 +457,7 @@ def save_aborts(directory: Path | str, table: AbortTable) -> Path:
     names = [f"{table.how}_{i:03d}.npz" for i in range(len(table.entries))]
     rows = [
         {key: getattr(entry, key) for key in ("start", "seconds", "rest")}
-        | {"ends": entry.motion.duration, "plan": name}
+        | {"ends": entry.flight.duration, "plan": name}
         for entry, name in zip(table.entries, names, strict=True)
     ]
     content = {
@@ -462,7 +472,7 @@ def save_aborts(directory: Path | str, table: AbortTable) -> Path:
         with zipfile.ZipFile(path, "w") as archive, tempfile.TemporaryDirectory() as scratch:
             for entry, name in zip(table.entries, names, strict=True):
                 file = Path(scratch) / name
-                write_plan(file, entry.motion, f"{table.how} at {entry.start:g} s")
+                write_plan(file, entry.flight, f"{table.how} at {entry.start:g} s")
                 archive.writestr(zipfile.ZipInfo(name), file.read_bytes())
 
     writers = {ABORTS: lambda path: write_strict_json(path, content), ABORT_PLANS: write_plans}

@@ -19,8 +19,9 @@ from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import AbortTable, moves_standing
 from hitchopt.live.player import Player, Setpoints
-from hitchopt.motion.motion import JOINT, Motion
-from hitchopt.motion.states import states_at
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import JOINT
+from hitchopt.motion.states import flight_states_at
 from hitchopt.values import Array, positive
 
 COMMANDS = ("pause", "resume", "back", "abort", "land")
@@ -47,10 +48,10 @@ class FleetSetpoints:
 class CommandedPlan:
     """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables."""
 
-    def __init__(self, motion: Motion, tables: Mapping[str, AbortTable]) -> None:
-        self.motion = motion
-        self._player = _player_at(motion, 0.0, 0.0)
-        player = cache(lambda entry: _player_at(entry.motion, entry.start + entry.seconds, 1.0))
+    def __init__(self, flight: Flight, tables: Mapping[str, AbortTable]) -> None:
+        self.flight = flight
+        self._player = _player_at(flight, 0.0, 0.0)
+        player = cache(lambda entry: _player_at(entry.flight, entry.start + entry.seconds, 1.0))
         self._landings = {
             command: [(entry.rest, player(entry)) for entry in table.entries]
             for command, table in tables.items()
@@ -67,11 +68,11 @@ class CommandedPlan:
     @property
     def landed(self) -> bool:
         """Whether the plan is completed and the drones are on the ground."""
-        motion = self._player.motion
-        if not self._player.resting or self._player.time < motion.duration - JOINT:
+        flight = self._player.flight
+        if not self._player.resting or self._player.time < flight.duration - JOINT:
             return False
-        heights = motion.drones.coefficients[-1, :, 2, -1]
-        return self.descending or bool(np.all(heights <= motion.requirements.floor + JOINT))
+        heights = flight.drones.coefficients[-1, :, 2, -1]
+        return self.descending or bool(np.all(heights <= flight.requirements.floor + JOINT))
 
     def step(self, seconds: float) -> FleetSetpoints:
         """Advance the time [s] and return the setpoints to send.
@@ -81,9 +82,10 @@ class CommandedPlan:
         if self._landing is not None and self._player.resting:
             self._player, self._landing = self._landing, None
             self.descending = True
-        motion, setpoints = self._player.motion, self._player.step(seconds)
-        states = states_at(motion, [setpoints.time]).listed(motion.team)
-        mass, gain = states.masses[0, :, None], motion.team.pull_gain[motion.team.listed]
+        flight, setpoints = self._player.flight, self._player.step(seconds)
+        states, team = flight_states_at(flight, [setpoints.time]), flight.team
+        states = states.listed(team)
+        mass, gain = states.masses[0, :, None], team.pull_gain[team.listed]
         gain = 0.0 * gain if self.landed else gain
         forward = setpoints.accelerations - gain * states.cable_forces[0] / mass
         return FleetSetpoints(
@@ -118,7 +120,7 @@ class CommandedPlan:
             return f"landing continues, in {self._player.resume():.2f} s"
         time, refusal = self._player.time, InfeasibleError([], f"{command}: the plan has none")
         landings = [
-            x for x in self._landings[command] if not moves_standing(self.motion, time, x[0])
+            x for x in self._landings[command] if not moves_standing(self.flight, time, x[0])
         ]
         nearest = sorted(landings, key=lambda x: (x[0] < time, abs(x[0] - time)))
         for rest, landing in nearest[:MAX_ATTEMPTS]:
@@ -132,9 +134,9 @@ class CommandedPlan:
         raise refusal
 
 
-def _player_at(motion: Motion, time: float, rate: float) -> Player:
+def _player_at(flight: Flight, time: float, rate: float) -> Player:
     """Return a player with computed stops, so that a pause is immediate."""
-    player = Player(motion, time, rate)
+    player = Player(flight, time, rate)
     _ = player.stops
     return player
 
@@ -244,7 +246,7 @@ class SetpointStream:
         if lost:
             return f"no signal from {', '.join(lost)}"
         if self._last is not None and self._plan.resting:
-            names = self._plan.motion.team.listed_names
+            names = self._plan.flight.team.listed_names
             for name, setpoint in zip(names, self._last.setpoints.positions, strict=True):
                 error = float(np.linalg.norm(self._measured.get(name, setpoint) - setpoint))
                 if error > MAX_ERROR:

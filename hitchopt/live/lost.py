@@ -21,6 +21,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
 from hitchopt.live.abort import straight_down, until_stop
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import States, states_at
@@ -29,6 +30,8 @@ from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, nonnegative, positive
+
+FEATURE = "a reaction to a lost drone"  # it supports a single team
 
 DELAY = 0.05  # time from the loss until the survivors react [s]
 LIMIT_SHARE = 0.8  # share of the limits that is used in the descent
@@ -82,7 +85,6 @@ class Reactions:
     """The reactions of one plan; motions after a loss are shared by all drones."""
 
     def __init__(self, motion: Motion) -> None:
-        motion.require_one_team("a reaction to a lost drone")
         self.motion = motion
         self._motion_after = lru_cache(maxsize=256)(self._certified_motion)
 
@@ -211,7 +213,8 @@ def _heights(motion: Motion) -> Array:
 
 def _with_descent(motion: Motion, time: float) -> tuple[Motion, Check | None]:
     """Return a plan that stops from a time [s] on and lands, and the first violated check."""
-    motion = until_stop(motion, min(time, motion.duration)).motion
+    (stopped,) = until_stop(Flight.of(motion), min(time, motion.duration)).flight.teams
+    motion = stopped.motion
     if motion.phases[-1].formed or not motion.team.has_cables:
         motion = _with_common_descent(motion)  # hanging cables would be dragged on the ground
     checks = [RULE_OF[name].check(motion) for name in DESCENT_CHECKS]

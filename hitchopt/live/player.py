@@ -17,6 +17,7 @@ import numpy as np
 
 from hitchopt.checks.stops import MAX_STOP, MIN_STOP, ClockLimits, StopTable, stop_table
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
@@ -63,7 +64,7 @@ class Player(OneLine):
 
     Parameters
     ----------
-    plan: a plan or its motion; players of the same motion share computed data.
+    plan: a plan, its flight, or the motion of a team; players of the same one share computed data.
     time: initial plan time [s].
     rate: initial rate of the clock, from -1 to 1.
 
@@ -74,22 +75,23 @@ class Player(OneLine):
     """
 
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:
-        motion = getattr(plan, "motion", plan)
-        if not isinstance(motion, Motion):
+        flown = getattr(plan, "flight", plan)
+        if not isinstance(flown, Flight | Motion):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
-        if motion.others:
-            reason = f"{motion.others[0].name} flies on a clock that cannot be slowed"
+        flight = Flight.of(flown)
+        if flight.others:
+            reason = f"{flight.others[0].name} flies on a clock that cannot be slowed"
             raise UnsupportedError(f"{reason}; plan without others, or use aborts only")
-        self.motion: Motion = motion
-        self._shared = _shared_data(motion)
-        self._start, self._end = (float(b) for b in motion.drones.breaks[[0, -1]])
+        self.flight = flight
+        self._shared = _shared_data(flight.alone or flight)
+        self._start, self._end = (float(b) for b in flight.breaks[[0, -1]])
         self._check_time(time)
         self._profile = self._clamped(ClockProfile(float(time), _checked_rate(rate)))
         self._durations = DURATIONS
 
     def _parts(self) -> Iterator[str]:
-        yield f"{len(self.motion.team.drone_names)} drones"
-        yield f"{self.motion.duration:.4g} s"
+        yield f"{len(self.flight.team.drone_names)} drones"
+        yield f"{self.flight.duration:.4g} s"
 
     @property
     def stops(self) -> StopTable:
@@ -127,7 +129,7 @@ class Player(OneLine):
         time, rate, slope, jerk = self._profile.now
         each = [sampler.values(time, rate, slope, jerk) for sampler in self._shared.samplers]
         places = np.concatenate(each, axis=1)
-        return Setpoints(time, rate, *places[:, self.motion.team.listed])
+        return Setpoints(time, rate, *places[:, self.flight.team.listed])
 
     def pause(self) -> float:
         """Stop as soon as the limits allow; return the time until rest [s]."""
@@ -262,17 +264,17 @@ def _checked_rate(rate: float) -> float:
 
 
 class _SharedData:
-    """Data shared by all players of a motion."""
+    """Data shared by all players of a flight, or of the motion of a team that flies alone."""
 
-    def __init__(self, motion: Motion) -> None:
-        self.motion = motion
-        self.limits = ClockLimits(motion)
-        self.samplers = [Sampler(each.motion.drones) for each in motion.groups]
+    def __init__(self, flown: Flight | Motion) -> None:
+        self.flight = flight = Flight.of(flown)
+        self.limits = ClockLimits(flight)
+        self.samplers = [Sampler(each.motion.drones) for each in flight.teams]
 
     @cached_property
     def stops(self) -> StopTable:
         """The stops from full rate."""
-        return stop_table(self.motion, self.limits)
+        return stop_table(self.flight, self.limits)
 
     @cached_property
     def sliding_spans(self) -> Array:
@@ -280,7 +282,7 @@ class _SharedData:
 
         Spans in which drones swing at fixed leg lengths may be flown backward.
         """
-        return np.concatenate([_sliding_spans(each.motion) for each in self.motion.groups])
+        return np.concatenate([_sliding_spans(each.motion) for each in self.flight.teams])
 
     def slides_back(self, clock: ClockPhases) -> bool:
         """Return whether cables slide backward while legs lean."""
@@ -291,7 +293,7 @@ class _SharedData:
 
 
 def _sliding_spans(motion: Motion) -> Array:
-    """Return the spans (m, 2) [s] of pieces on which one group's legs lean and cables slide."""
+    """Return the spans (m, 2) [s] of pieces on which one team's legs lean and cables slide."""
     if not motion.has_friction:
         return np.zeros((0, 2))
     breaks, pulls = motion.drones.breaks, motion.pulls.coefficients

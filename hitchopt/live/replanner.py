@@ -31,6 +31,7 @@ from hitchopt.hitch.model import DroneJets, FlatJets, drone_jets
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.hitch.series import Series, chained, product
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.retiming import append_motion, cut, resting, truncated, with_last_poses
 from hitchopt.plan import Plan
@@ -103,7 +104,7 @@ class Retarget(OneLine):
     @cached_property
     def plan(self) -> Plan:
         """The whole plan, with a full certificate of its own; the old plan until ``start``."""
-        return Plan(self.motion, certify(self.motion), "Steered")
+        return Plan(Flight.of(self.motion), certify(self.motion), "Steered")
 
 
 class _Departure(NamedTuple):
@@ -130,7 +131,7 @@ class Replanner(OneLine):
     ------
     InputError: the start is of another team, or ends without a hitch.
     InfeasibleError: the start violates a limit at rest.
-    UnsupportedError: robots join or leave the hitch, or several teams fly.
+    UnsupportedError: several teams, or other plans, fly.
     """
 
     def __init__(
@@ -148,8 +149,7 @@ class Replanner(OneLine):
         for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
             check_instance(key, value, kind, type(None))
         if isinstance(start, Plan):
-            start.motion.require_one_team("a replanner")
-            motion, goal = start.motion, start.end
+            motion, goal = start.flight.of_one_team("a replanner"), start.end
         else:
             phase = Phase("hold", 0, 0.0, HOLD)
             motion, goal = rest_motion(start, Requirements(), HOLD, phase), start
@@ -180,7 +180,7 @@ class Replanner(OneLine):
     @property
     def plan(self) -> Plan:
         """The current plan from the start of steering, with its full certificate."""
-        return Plan(self.motion, certify(self.motion), "Steered")
+        return Plan(Flight.of(self.motion), certify(self.motion), "Steered")
 
     def retarget(
         self,

@@ -11,8 +11,7 @@ from typing import Annotated
 from hitchopt.checks import certify
 from hitchopt.checks.registry import rest_continuity
 from hitchopt.errors import InputError
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import Group
+from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.plan_file import saved_others
 from hitchopt.storage.archive import PLAN
 from hitchopt.values import ByValue, path
@@ -25,9 +24,9 @@ NAME = strings(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a let
 """Names of teams and of other plans."""
 
 
-def named_groups(name: str, groups: Sequence[Group]) -> list[Group]:
-    """Return groups with the prefix ``name``: ``name.a``, or ``name`` for a nameless group."""
-    return [replace(group, name=".".join(filter(None, (name, group.name)))) for group in groups]
+def named_teams(name: str, teams: Sequence[TeamMotion]) -> list[TeamMotion]:
+    """Return teams with the prefix ``name``: ``name.a``, or ``name`` for a nameless team."""
+    return [replace(each, name=".".join(filter(None, (name, each.name)))) for each in teams]
 
 
 @documented
@@ -42,7 +41,7 @@ class Other(ByValue):
     InputError: a time before the start, or a plan whose own certificate does not hold, or that
         moves as it begins or ends.
     FileError: no plan there, or a damaged one.
-    UnsupportedError: a hitch that changes its robots.
+    UnsupportedError: several teams, one with cables that are tied around an object.
     """
 
     plan: Annotated[
@@ -52,25 +51,23 @@ class Other(ByValue):
 
     def __post_init__(self) -> None:
         store(self, plan=str(path("plan", self.plan)), at=self.at)
-        for each in self._groups:
-            each.motion.require_one_team("a plan beside another one", others=False)
-        certificate = certify(combined(self._groups), reports=())
+        certificate = certify(Flight(self._teams), reports=())
         if not certificate.certified:
             names = ", ".join(check.name for check in certificate.violated)
             bound = f"a plan whose own certificate holds, not without {names}"
             raise InputError("plan", self.plan, bound, "solve its problem again")
-        if (rest := rest_continuity(self._groups)) is not None and not rest.holds:
+        if (rest := rest_continuity(self._teams)) is not None and not rest.holds:
             names = ", ".join(rest.where)
             bound = f"a plan at rest as it begins and ends, unlike {names} at t = {rest.time:.4g} s"
             raise InputError("plan", self.plan, bound, "let it end with hold")
 
     @cached_property
-    def _groups(self) -> Sequence[Group]:
+    def _teams(self) -> tuple[TeamMotion, ...]:
         return saved_others("", Path(self.plan) / PLAN, str(self.plan), self.at)
 
-    def groups(self, name: str) -> Sequence[Group]:
-        """Return its groups under a name, with times on the clock of this plan."""
-        return named_groups(name, self._groups)
+    def teams(self, name: str) -> Sequence[TeamMotion]:
+        """Return its teams under a name, with times on the clock of this plan."""
+        return named_teams(name, self._teams)
 
 
 OTHERS = dict_of(mapping_of(Other), NAME, MAX_GROUPS)

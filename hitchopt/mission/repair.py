@@ -191,7 +191,7 @@ class _Search:
             return UNMOVED if unmoved else broken_constraints(error)
         except (HitchoptError, TimeIsUp):  # larger changes may still succeed
             return frozenset()
-        return Suggestion(change, plan.motion.duration)
+        return Suggestion(change, plan.flight.duration)
 
     def _partial_verdict(self, covered: frozenset[str], change: Change | None) -> Verdict | None:
         """Return the verdict; a change that repairs the covered faults counts as a suggestion.

@@ -19,8 +19,10 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import schedule_teams
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.steps.certified_motions import (
+    CertifiedFlight,
     CertifiedMotion,
     check_above_ground,
     check_at_rest,
@@ -104,7 +106,7 @@ def check_controllers(team: Team) -> None:
 
 def solve_problem(
     problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
-) -> CertifiedMotion:
+) -> CertifiedFlight:
     """Return the certified plan of all teams; without ``optimiser`` on direct routes only.
 
     ``progress`` is a status callback. With other plans in the air a team may wait before each step.
@@ -120,7 +122,8 @@ def solve_problem(
     }
     if problem.others or len(alone) > 1:
         return schedule_teams(problem, {name: each.motion for name, each in alone.items()}, report)
-    return alone[""]
+    (only,) = alone.values()
+    return CertifiedFlight(Flight.of(only.motion), only.certificate)
 
 
 def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:

@@ -12,11 +12,11 @@ from hitchopt.checks import certify
 from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch.requirements import Separation
 from hitchopt.mission.problem import Problem
-from hitchopt.motion.combined import combined, moved_objects
-from hitchopt.motion.motion import WAIT, Group, Motion, Phase, concatenated
+from hitchopt.motion.flight import Flight, TeamMotion, moved_objects
+from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.schedule import STEP, Blocked, Placed, SampledPath, Schedule
-from hitchopt.steps.certified_motions import CertifiedMotion, infeasible_error
+from hitchopt.steps.certified_motions import CertifiedFlight, infeasible_error
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -33,12 +33,13 @@ PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5  # Maxima of the first three deriva
 
 def schedule_teams(
     problem: Problem, alone: Mapping[str, Motion], report: Progress
-) -> CertifiedMotion:
+) -> CertifiedFlight:
     """Return the certified plan of all teams, and other plans, given that of each team alone.
 
     Raises InfeasibleError if no start time separates a team from the others.
     """
-    requirements = combined([Group(name, each) for name, each in alone.items()]).requirements
+    teams = tuple(TeamMotion(name, each) for name, each in alone.items())
+    requirements = Flight(teams).requirements
     timed = {
         (name, k)
         for name, mission in problem.teams.items()
@@ -49,7 +50,7 @@ def schedule_teams(
         _Item(index, row, before, requirements.separation, alone, timed)
         for index, (row, before) in enumerate(_items(alone, problem.items))
     ]
-    others = [group for name, other in problem.others.items() for group in other.groups(name)]
+    others = [each for name, other in problem.others.items() for each in other.teams(name)]
     for margin in MARGINS:
         report("finding when each team begins")
         tracking_margin = margin + 2.0 * requirements.limits.tube.largest
@@ -68,15 +69,15 @@ def schedule_teams(
             if margin == 0.0:
                 raise
             break  # report the certificate of the smaller margin
-        groups = [Group(name, _merge_waits(concatenated(each))) for name, each in flown.items()]
-        motion = combined(groups, others)
+        wholes = [(name, _merge_waits(concatenated(parts))) for name, parts in flown.items()]
+        flight = Flight(tuple(TeamMotion(*each) for each in wholes), tuple(others))
         report("certifying all teams together")
-        certificate = certify(motion)
+        certificate = certify(flight)
         if certificate.certified:
             break
     if not certificate.certified:
-        raise infeasible_error(certificate, motion)
-    return CertifiedMotion(motion, certificate)
+        raise infeasible_error(certificate, flight)
+    return CertifiedFlight(flight, certificate)
 
 
 def _items(
@@ -112,19 +113,21 @@ class _Item:
     ) -> None:
         self.index, self.row, self.timed = index, row, timed
         self.tracks = [
-            SampledPath(Group(name, row.get(name, before[name])), moved_objects(motion))
+            SampledPath(TeamMotion(name, row.get(name, before[name])), moved_objects(motion))
             for name, motion in alone.items()
         ]
         self.schedule = Schedule(self.tracks, separation, self._layer)
 
     def _layer(self, k: int, layer: int) -> SampledPath | None:
-        name = self.tracks[k].group.name
+        name = self.tracks[k].flown.name
         height = LAYER_HEIGHT * self.schedule.separation.height * (1.0 if layer == 1 else -1.0)
         motion = self.row.get(name)
         if motion is None or (name, motion.phases[0].step) in self.timed:
             return None  # a layer takes longer
         detour = _detour(motion, height)
-        return None if detour is None else SampledPath(Group(name, detour), self.tracks[k].owned)
+        return (
+            None if detour is None else SampledPath(TeamMotion(name, detour), self.tracks[k].owned)
+        )
 
     def fly(
         self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], margin: float
@@ -133,7 +136,7 @@ class _Item:
         schedule = self.schedule.solve(others, margin)
         if isinstance(schedule, Blocked):
             raise _blocked_error(schedule, self.index)
-        delayed = [(x.track.group.name, STEP * x.start, x.track.group.motion) for x in schedule]
+        delayed = [(x.track.flown.name, STEP * x.start, x.track.flown.motion) for x in schedule]
         end = max(delay + motion.duration for name, delay, motion in delayed if name in self.row)
         for name, delay, motion in delayed:
             if name in self.row:

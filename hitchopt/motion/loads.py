@@ -23,6 +23,7 @@ from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.quadrotor import MODELS
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, HoldBy, Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT, in_frame
@@ -63,15 +64,15 @@ def stated_tensions(motion: Motion) -> Array:
 USUAL_DENSITY = 0.01  # Density of a cord of 4 mm [kg/m], of drones without a model
 
 
-def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
+def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
     """Yield a note for every hitch whose problem does not state the density of its cables.
 
     It says how much lower vertices hang with the cables of its drones' models, or USUAL_DENSITY.
     ``problem`` is the text of the problem file; without it, a density of 0 is not stated.
     """
     data = parse_yaml(problem) if problem else None
-    for group in motion.groups:
-        own, key = group.motion, f"teams.{group.name}" if group.name else "team"
+    for flown in flight.teams:
+        own, key = flown.motion, f"teams.{flown.name}" if flown.name else "team"
         section: object = data
         for name in key.split("."):
             section = section.get(name) if isinstance(section, dict) else None
@@ -81,21 +82,21 @@ def weightless_notes(motion: Motion, problem: str = "") -> Iterator[str]:
         models = [MODELS[kind.model] if kind.model else None for kind in own.team.quadrotor]
         density = max(USUAL_DENSITY if each is None else each.cable_density for each in models)
         drop = float(np.max(sags(own, density)))
-        cables = f"cables of {group.name}" if group.name else "cables"
+        cables = f"cables of {flown.name}" if flown.name else "cables"
         yield (
             f"{cables} count as weightless; at {1e3 * density:g} g/m vertices would hang "
             f"{100.0 * drop:.2g} cm lower: state {key}.cable_density"
         )
 
 
-def assumption_notes(motion: Motion, problem: str = "") -> Iterator[str]:
+def assumption_notes(flight: Flight, problem: str = "") -> Iterator[str]:
     """Yield a note for every held object whose mass or friction the problem does not state."""
     data = parse_yaml(problem) if problem else None
     sections = data.get("objects") if isinstance(data, dict) else None
     if not isinstance(sections, dict):
         return
-    for group in motion.groups:
-        own = group.motion
+    for flown in flight.teams:
+        own = flown.motion
         for name in dict.fromkeys(p.hold.object for p in own.phases if p.hold is not None):
             section, body = sections.get(name), own.requirements.objects[name]
             values = {"mass": f"a mass of {body.mass:g} kg", "friction": f"{body.friction:g}"}
@@ -106,11 +107,12 @@ def assumption_notes(motion: Motion, problem: str = "") -> Iterator[str]:
                 yield f"objects.{name}: {assumed} assumed; state {' and '.join(missing)}"
 
 
-def tracking_warnings(motion: Motion) -> Iterator[str]:
+def tracking_warnings(flight: Flight) -> Iterator[str]:
     """Yield a warning for every team whose stated tracking error is below its controllers'."""
-    for group in motion.groups:
-        if warning := group.motion.requirements.understated_tracking(group.motion.team):
-            yield f"{group.name}: {warning}" if group.name else warning
+    for flown in flight.teams:
+        motion = flown.motion
+        if warning := motion.requirements.understated_tracking(motion.team):
+            yield f"{flown.name}: {warning}" if flown.name else warning
 
 
 def sags(motion: Motion, density: float) -> Array:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
@@ -23,7 +23,7 @@ from hitchopt.values import check_instance, lazy, sequence, true_runs
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
 
-WAIT = "wait"  # Name of phases in which a group waits at rest while others fly
+WAIT = "wait"  # Name of phases in which a team waits at rest while others fly
 
 TAKE_OFF = "take-off"  # Name of phases in which tying begins, up from the ground
 
@@ -141,23 +141,6 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
         raise InputError("phases", spans, bound, remedy)
 
 
-@dataclass(frozen=True, eq=False)
-class Group:
-    """A motion among several on one clock, with its team's name; a single motion has no name.
-
-    For an external plan, ``digest`` is the digest of its file and ``plan`` the path as written.
-    """
-
-    name: str
-    motion: Motion
-    digest: str = ""
-    plan: str = ""
-
-    def label(self, name: str) -> str:
-        """Return the full name of one of its drones, cables or vertices, such as ``a.q0``."""
-        return f"{self.name}.{name}" if self.name else name
-
-
 CURVES = (
     *("drones", "vertices", "legs", "tensions", "leg_tensions"),
     *("poses", "load_share", "contacts", "anchors"),
@@ -183,7 +166,7 @@ SHARE_TOLERANCE = 2.0**-40
 
 @dataclass(frozen=True, eq=False)
 class Motion(OneLine):
-    """Drones, vertices, legs and tensions over time, and the requirements on them.
+    """The motion of one team: drones, vertices, legs and tensions, and the requirements on them.
 
     While no hitch exists, vertices and legs have no meaning and tensions are 0. Swarms of single
     drones have none of them.
@@ -208,8 +191,6 @@ class Motion(OneLine):
         is wrapped around, one point if straight; by default the edges' midpoints.
     anchors: shape (n, 2, 3) [m], inner ends of the q- and the r-leg of each cable in the state
         BENT. In all others legs end at the vertices (``inner_ends``), the default.
-    others: external plans on this motion's clock, at rest before and after their own time. All
-        distances to them are kept.
 
     Raises
     ------
@@ -228,7 +209,6 @@ class Motion(OneLine):
     load_share: PiecewisePolynomial = PLAIN
     contacts: PiecewisePolynomial = PLAIN
     anchors: PiecewisePolynomial = PLAIN
-    others: tuple[Group, ...] = ()
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.drones} drones"
@@ -275,11 +255,10 @@ class Motion(OneLine):
         for name in CURVES:
             if getattr(self, name) is not PLAIN or name not in SOURCES:
                 check_instance(name, getattr(self, name), PiecewisePolynomial)
-        for name, kind in (("phases", Phase), ("others", Group)):
-            entries = sequence(name, getattr(self, name))
-            object.__setattr__(self, name, entries)
-            for i, each in enumerate(entries):
-                check_instance(f"{name}[{i}]", each, kind)
+        phases = sequence("phases", self.phases)
+        object.__setattr__(self, "phases", phases)
+        for i, phase in enumerate(phases):
+            check_instance(f"phases[{i}]", phase, Phase)
 
     def _plain_curve(self, name: str) -> PiecewisePolynomial:
         """Return a curve of SOURCES as it is without friction, wrapped edges and moving objects."""
@@ -357,36 +336,6 @@ class Motion(OneLine):
         if not team.has_cables:
             phases = [replace(phase, state=CableState.NONE) for phase in phases]
         return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
-
-    @property
-    def groups(self) -> tuple[Group, ...]:
-        """The combined motions; the motion itself if it is a single one."""
-        return (Group("", self),)
-
-    @property
-    def all_groups(self) -> tuple[Group, ...]:
-        """Its groups and all ``others``."""
-        return self.groups + self.others
-
-    def each_group(self, change: Callable[[Motion], Motion]) -> Motion:
-        """Return the motion with ``change`` applied to every group."""
-        return change(self)
-
-    @property
-    def has_cables(self) -> bool:
-        """Whether any of its teams has cables."""
-        return any(each.motion.team.has_cables for each in self.groups)
-
-    def require_one_team(self, feature: str, *, others: bool = True) -> None:
-        """Raise UnsupportedError for motions that a feature for one hitch does not support.
-
-        These are several groups, and external plans if ``others``.
-        """
-        flying = self.all_groups if others else self.groups
-        if len(flying) > 1:
-            names = ", ".join(each.name or "the team" for each in flying)
-            message = f"{feature} supports a single team, not {names}"
-            raise UnsupportedError(f"{message}; plan that team in a separate file")
 
     @property
     def assignment(self) -> Assignment | None:

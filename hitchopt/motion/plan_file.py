@@ -22,8 +22,8 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Group, Motion, Phase
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Motion, Phase
 from hitchopt.motion.request import PLANNER_ONLY, REMEDY, check_same, decoded, encoded, objects_at
 from hitchopt.motion.retiming import shifted
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
@@ -61,47 +61,47 @@ class Records(NamedTuple):
 
 
 class SavedPlan(NamedTuple):
-    """Contents of a plan file: the plan, its title, and the text of its problem file if known."""
+    """Contents of a plan file: the flight, its title, and the text of its problem if known."""
 
-    motion: Motion
+    flight: Flight
     title: str
     problem: str
 
 
-def write_plan(path: Path, motion: Motion, title: str = "", problem: str = "") -> None:
+def write_plan(path: Path, flight: Flight, title: str = "", problem: str = "") -> None:
     """Write a plan, with the text of its problem file if known, to a new file or over an old one.
 
     The same plan gives the same bytes. Raises OSError if the file cannot be written.
     """
-    settings = json.dumps(_settings(motion, title, problem), allow_nan=False)
+    settings = json.dumps(_settings(flight, title, problem), allow_nan=False)
     arrays = {"format": np.array(FORMAT), "settings": np.array(settings)}
-    for folder, groups in ((GROUPS, motion.groups), (OTHERS, motion.others)):
-        for i, each in enumerate(groups):
+    for folder, teams in ((GROUPS, flight.teams), (OTHERS, flight.others)):
+        for i, each in enumerate(teams):
             arrays |= {f"{folder}/{i}/{name}": x for name, x in _arrays(each.motion).items()}
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _settings(motion: Motion, title: str, problem: str) -> dict[str, Any]:
+def _settings(flight: Flight, title: str, problem: str) -> dict[str, Any]:
     """Return everything but arrays, as JSON values."""
     heads = {
-        key: [_head(each) for each in groups]
-        for key, groups in ((GROUPS, motion.groups), (OTHERS, motion.others))
+        key: [_head(each) for each in teams]
+        for key, teams in ((GROUPS, flight.teams), (OTHERS, flight.others))
     }
     data = parse_yaml(problem, "problem") if problem else None
     request = data if isinstance(data, dict) else None
     return {"title": title, "problem": problem, "request": request, **heads}
 
 
-def _head(group: Group) -> dict[str, Any]:
-    """Return a team or an external plan without its arrays, as JSON values."""
-    own = group.motion
+def _head(flown: TeamMotion) -> dict[str, Any]:
+    """Return a team, or one of an external plan, without its arrays, as JSON values."""
+    own = flown.motion
     requirements = replace(own.requirements, objects=objects_at(own))
     phases = with_cables(own.phases, own.team.labels)
     records = encoded(Records(own.team.of_problem, requirements, phases, own.assignment))
     for name in PLANNER_ONLY:
         del records["requirements"][name]
-    return {"name": group.name, "plan": group.plan, "digest": group.digest, "records": records}
+    return {"name": flown.name, "plan": flown.plan, "digest": flown.digest, "records": records}
 
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
@@ -146,34 +146,31 @@ def _stored(states: Sequence[str]) -> list[str]:
     return ["breaks", *(x for x in CURVES if CableState.BENT in states or x != "anchors")]
 
 
-def read_plan(path: Path) -> Motion:
+def read_plan(path: Path) -> Flight:
     """Return the plan of a file that hitchopt wrote; errors are those of ``read_saved_plan``."""
-    return read_saved_plan(path).motion
+    return read_saved_plan(path).flight
 
 
-def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[Group, ...]:
-    """Return the groups of a plan file as external plans that start at a time ``at`` [s].
+def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[TeamMotion, ...]:
+    """Return the teams of a plan file as those of an external plan that starts at ``at`` [s].
 
     They are named ``name``, or ``name.a``, ``name.b`` for several teams; ``plan`` is the path as
     written. External plans of that plan are left out. Errors are those of ``read_saved_plan``.
     """
     return tuple(
-        Group(
-            ".".join(filter(None, (name, each.name))),
-            shifted(each.motion.replaced(others=()), at),
-            digest(path),
-            plan,
+        TeamMotion(
+            ".".join(filter(None, (name, each.name))), shifted(each.motion, at), digest(path), plan
         )
-        for each in read_plan(path).groups
+        for each in read_plan(path).teams
     )
 
 
-def is_of(other: Group, path: Path) -> bool:
+def is_of(other: TeamMotion, path: Path) -> bool:
     """Return whether a plan file contains an external plan, as ``saved_others`` reads it."""
     try:
         at = float(other.motion.drones.breaks[0])
-        groups = saved_others(other.name.partition(".")[0], path, other.plan, at)
-        saved = next(each for each in groups if each.name == other.name)
+        teams = saved_others(other.name.partition(".")[0], path, other.plan, at)
+        saved = next(each for each in teams if each.name == other.name)
         check_same("", _head(saved), _head(other), "as in its plan")
     except (FileError, InputError, StopIteration):
         return False
@@ -219,19 +216,19 @@ def _saved_plan(path: Path) -> SavedPlan:
     settings = json.loads(str(read_arrays(path, ["settings"])["settings"]))
     if not isinstance(settings, dict):
         raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
-    groups, others = (
-        [_group(path, key, i, head) for i, head in enumerate(settings[key])]
+    teams, others = (
+        tuple([_team_motion(path, key, i, head) for i, head in enumerate(settings[key])])
         for key in (GROUPS, OTHERS)
     )
-    _check_groups(groups)
+    _check_teams(teams)
     title, problem = line("title", settings["title"]), text("problem", settings["problem"])
-    motion = combined(groups, others)
-    check_same("", _settings(motion, title, problem), settings, "as plans are written")
-    return SavedPlan(motion, title, problem)
+    flight = Flight(teams, others)
+    check_same("", _settings(flight, title, problem), settings, "as plans are written")
+    return SavedPlan(flight, title, problem)
 
 
-def _group(path: Path, key: str, index: int, head: Mapping[str, Any]) -> Group:
-    """Return a team or an external plan from its head and its arrays."""
+def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> TeamMotion:
+    """Return a team, or one of an external plan, from its head and its arrays."""
     names = _stored([phase["state"] for phase in head["records"]["phases"]])
     stored = read_arrays(path, [f"{key}/{index}/{label}" for label in names])
     arrays = dict(zip(names, stored.values(), strict=True))
@@ -266,17 +263,17 @@ def _group(path: Path, key: str, index: int, head: Mapping[str, Any]) -> Group:
     except InputError as error:
         raise error.within(f"{key}.{name}" if name else key) from error
     origin = [text(label, head[label]) for label in ("digest", "plan")]
-    return Group(name, motion, *(origin if key == OTHERS else ()))
+    return TeamMotion(name, motion, *(origin if key == OTHERS else ()))
 
 
-def _check_groups(groups: Sequence[Group]) -> None:
+def _check_teams(teams: Sequence[TeamMotion]) -> None:
     """Raise InputError unless teams end together, and nothing moves in phases named WAIT."""
-    for each in groups:
-        end, duration = each.motion.duration, groups[0].motion.duration
+    for each in teams:
+        end, duration = each.motion.duration, teams[0].motion.duration
         if abs(end - duration) > JOINT:
             bound = f"up to {duration:g} s, as for all teams"
             raise InputError(f"{each.name}.breaks", end, bound, REMEDY)
-        for index, phase in enumerate(each.motion.phases if len(groups) > 1 else ()):
+        for index, phase in enumerate(each.motion.phases if len(teams) > 1 else ()):
             pieces = each.motion.phase_of_piece == index
             if phase.name != WAIT or not np.any(pieces):
                 continue

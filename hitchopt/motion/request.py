@@ -24,6 +24,7 @@ from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.quadrotor import MEASURED, Quadrotor
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
@@ -235,8 +236,8 @@ def mission_of(motion: Motion) -> list[dict[str, Any]]:
     return results
 
 
-def check_request(request: Mapping[str, Any], motion: Motion) -> None:
-    """Raise InputError with the key if a motion differs from a problem's request.
+def check_request(request: Mapping[str, Any], flight: Flight) -> None:
+    """Raise InputError with the key if a flight differs from a problem's request.
 
     Keys that the problem does not specify are not compared. A step may use less than the requested
     range of tensions. For several teams, the request maps their names to their requests. ``others``
@@ -246,19 +247,19 @@ def check_request(request: Mapping[str, Any], motion: Motion) -> None:
     teams = {key: value for key, value in request.items() if key != "others"}
     if "others" in request:
         others = dict[str, dict[str, Any]]()
-        for each in motion.others:
+        for each in flight.others:
             name = each.name.partition(".")[0]
             facts = {"plan": each.plan, "at": float(each.motion.drones.breaks[0])}
             keys = request["others"].get(name, facts)
             others[name] = {key: fact for key, fact in facts.items() if key in keys}
         check_same("request.others", request["others"], others, "as requested")
-    if len(motion.groups) == 1:
-        _check_team(teams, motion)
+    if len(flight.teams) == 1:
+        _check_team(teams, flight.teams[0].motion)
         return
-    names = [each.name for each in motion.groups]
+    names = [each.name for each in flight.teams]
     if teams.keys() != set(names):
         raise InputError("request", names, f"the teams {sorted(teams)}", REMEDY)
-    for each in motion.groups:
+    for each in flight.teams:
         try:
             _check_team(teams[each.name], each.motion)
         except InputError as error:

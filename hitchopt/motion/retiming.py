@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, concatenated
@@ -15,30 +14,11 @@ from hitchopt.trajectory.clock_phases import ClockPhases, advance
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, on_breaks
 from hitchopt.values import Array, Indices
 
-REST_RATE = 1e-6  # Largest speed [m/s] and acceleration [m/s²] at rest
-
-
-def rest_breaks(motion: Motion) -> NDArray[np.intp]:
-    """Return the indices of breaks, first and last included, at which all drones are at rest."""
-    at_rest = np.ones(motion.drones.pieces - 1, dtype=np.bool_)
-    for group, order in product(motion.groups, (1, 2)):  # on the breaks of each group
-        rates = group.motion.drones.differentiated(order)
-        left, right = on_breaks(rates, motion.drones.breaks).ends()
-        for values in (right[:-1], left[1:]):
-            at_rest &= np.max(np.linalg.norm(values, axis=-1), axis=-1) <= REST_RATE
-    return np.concatenate([[0], 1 + np.flatnonzero(at_rest), [motion.drones.pieces]])
-
 
 def cut(motion: Motion, first: int, last: int) -> Motion:
     """Return the pieces from break ``first`` to break ``last``, starting at t = 0."""
-    return between(motion, *motion.drones.breaks[[first, last]].tolist())
-
-
-def between(motion: Motion, start: float, end: float) -> Motion:
-    """Return the motion between two times [s], starting at t = 0; ``padded`` after its own time."""
-    others = tuple(replace(each, motion=shifted(each.motion, -start)) for each in motion.others)
-    parted = motion.each_group(lambda own: shifted(slice_time(own, start, end), -start))
-    return parted.replaced(others=others)
+    start, end = motion.drones.breaks[[first, last]].tolist()
+    return shifted(slice_time(motion, start, end), -start)
 
 
 def slice_time(motion: Motion, start: float, end: float) -> Motion:
@@ -89,7 +69,7 @@ def stretched(motion: Motion, factor: float) -> Motion:
         raise InputError("stretch", factor, "from 1 to 100", "1.05 flies 5 % slower")
     if factor == 1.0:
         return motion
-    return motion.each_group(lambda own: own.untimed.slowed(factor))
+    return motion.untimed.slowed(factor)
 
 
 MAX_PIECE = 0.1
@@ -107,8 +87,6 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
 
     The clock's phases are contiguous and within the motion's time.
     """
-    if len(motion.groups) > 1:
-        return motion.each_group(lambda own: on_clock(own, clock))
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
@@ -171,23 +149,18 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
 
 def truncated(motion: Motion, time: float) -> Motion:
     """Return the motion up to a time [s], exact up to rounding."""
-    return motion.each_group(lambda own: slice_time(own, float(own.drones.breaks[0]), time))
+    return slice_time(motion, float(motion.drones.breaks[0]), time)
 
 
 def append_motion(first: Motion, second: Motion) -> Motion:
-    """Return two motions in sequence, group by group; a continued phase stays one phase."""
-    followers = iter(second.groups)
-
-    def appended(own: Motion) -> Motion:
-        motion, count = concatenated([own, next(followers).motion]), len(own.phases)
-        last, following = motion.phases[count - 1 : count + 1]
-        merged = last.retimed(last.start, following.end)
-        if following.retimed(last.start, following.end) != merged:
-            return motion
-        phases = (*motion.phases[: count - 1], merged, *motion.phases[count + 1 :])
-        return motion.replaced(phases=phases)
-
-    return first.each_group(appended)
+    """Return two motions in sequence; a continued phase stays one phase."""
+    motion, count = concatenated([first, second]), len(first.phases)
+    last, following = motion.phases[count - 1 : count + 1]
+    merged = last.retimed(last.start, following.end)
+    if following.retimed(last.start, following.end) != merged:
+        return motion
+    phases = (*motion.phases[: count - 1], merged, *motion.phases[count + 1 :])
+    return motion.replaced(phases=phases)
 
 
 def resting(
@@ -203,13 +176,10 @@ def resting(
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
 
-    def of_group(group: Motion) -> Motion:
-        own_phase = group.phases[0 if first else -1] if phase is None else phase
-        if own_phase.state is CableState.CLASPING:
-            own_phase = replace(own_phase, state=CableState.FREE)
-        return group.map_curves(part, [own_phase.retimed(0.0, seconds)])
-
-    return motion.each_group(of_group)
+    rest_phase = motion.phases[0 if first else -1] if phase is None else phase
+    if rest_phase.state is CableState.CLASPING:
+        rest_phase = replace(rest_phase, state=CableState.FREE)
+    return motion.map_curves(part, [rest_phase.retimed(0.0, seconds)])
 
 
 def prolonged(motion: Motion, seconds: float) -> Motion:
@@ -220,10 +190,8 @@ def prolonged(motion: Motion, seconds: float) -> Motion:
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
         return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[-1, ..., -1])
 
-    def rest(group: Motion) -> Motion:
-        return group.map_curves(part, [group.phases[-1].retimed(0.0, seconds)])
-
-    return append_motion(motion, motion.each_group(rest))
+    rest = motion.map_curves(part, [motion.phases[-1].retimed(0.0, seconds)])
+    return append_motion(motion, rest)
 
 
 def with_last_poses(previous: Motion, motion: Motion) -> Motion:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.hitch import GRAVITY, Hitch, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array, as_array, nonnegative, positive
@@ -202,45 +203,67 @@ def sample_times(duration: float, rate: float) -> Array:
 
 
 def states_at(motion: Motion, t: ArrayLike) -> States:
-    """Return the states at times t (…) [s], at least one, from the plan's start.
+    """Return the states of one team at times t (…) [s], at least one, from the motion's start.
 
     After its end, a plan stays at rest.
 
     Raises InputError for no time, a time before the start, or one that is not finite.
     """
+    return flight_states_at(Flight.of(motion), t)
+
+
+def flight_states_at(flight: Flight, t: ArrayLike) -> States:
+    """Return the states of all drones of a flight, as ``states_at``.
+
+    Of several teams, vertices, legs and tensions are left out: they are those of each team.
+    """
     requested = as_array(t)
     if requested.size == 0 or not np.all((requested >= -TIME_TOLERANCE) & np.isfinite(requested)):
         raise InputError("t", t, "finite times from 0 s on", "pass times from the plan's start")
-    times = np.minimum(requested, motion.duration)
-    block_size = max(1, BLOCK // (3 * len(motion.team.drone_names)))
-    blocks = list(iterate_states(motion, times.ravel(), block_size))
+    times = np.minimum(requested, flight.duration)
+    block_size = max(1, BLOCK // (3 * len(flight.team.drone_names)))
+    blocks = list(iterate_flight_states(flight, times.ravel(), block_size))
     states: dict[str, Any] = {}
     for field in fields(States):
         values = np.concatenate([getattr(block, field.name) for block in blocks])
         states[field.name] = values.reshape((*times.shape, *values.shape[1:]))
     for name in ZERO_AT_REST:
-        states[name][requested > motion.duration + TIME_TOLERANCE] = 0.0
+        states[name][requested > flight.duration + TIME_TOLERANCE] = 0.0
     return States(**states | {"t": requested})
 
 
-def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[States]:
-    """Yield the states at ``times`` (samples,) [s] in blocks of at most ``block_size``.
+def iterate_flight_states(flight: Flight, times: Array, block_size: int) -> Iterator[States]:
+    """Yield the states of all drones of a flight in blocks, as ``iterate_states``.
 
-    Several groups are combined; their cables are evaluated group by group.
+    Of several teams, vertices, legs and tensions are left out: they are those of each team.
     """
-    if len(motion.groups) > 1:
-        each = [iterate_states(group.motion, times, block_size) for group in motion.groups]
-        for blocks in zip(*each, strict=True):
-            t = blocks[0].t
-            common: dict[str, Any] = {
-                name: np.concatenate([getattr(block, name) for block in blocks], axis=1)
-                for name in DRONE_FIELDS
-            }
-            for name in ("vertices", "legs", "tensions", "poses", "load_share"):
-                common[name] = getattr(motion, name).at(motion.drones.breaks[0] + t)
-            common["object_poses"], formed = common.pop("poses"), np.zeros(len(t), np.bool_)
-            yield States(t=t, formed=formed, vertex_velocities=common["vertices"], **common)
+    each_team = [iterate_states(each.motion, times, block_size) for each in flight.teams]
+    if len(each_team) == 1:
+        yield from each_team[0]
         return
+    for blocks in zip(*each_team, strict=True):
+        t = blocks[0].t
+        count = len(t)
+        of_drones: dict[str, Array] = {
+            name: np.concatenate([getattr(block, name) for block in blocks], axis=1)
+            for name in DRONE_FIELDS
+        }
+        poses = flight.poses.at(flight.breaks[0] + t)
+        yield States(
+            t=t,
+            formed=np.zeros(count, np.bool_),
+            vertices=np.zeros((count, 0, 3)),
+            vertex_velocities=np.zeros((count, 0, 3)),
+            legs=np.zeros((count, 0, 2)),
+            tensions=np.zeros((count, 0)),
+            object_poses=poses,
+            load_share=np.zeros(poses.shape[:2]),
+            **of_drones,
+        )
+
+
+def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[States]:
+    """Yield the states of one team at times (samples,) [s] in blocks of at most ``block_size``."""
     pulls, taut = map(motion.drones.replaced, (leg_tensions(motion), tautness(motion)))
     parts = motion.drones, motion.pull_points, pulls, taut
     velocities = motion.vertices.differentiated()
@@ -273,10 +296,8 @@ def final_hitch(motion: Motion) -> Hitch:
     """Return the hitch with the vertices and drones of the motion's end.
 
     Raises InputError if there is no hitch at the end; UnsupportedError if cables end with other
-    tensions than the team's, or there are several groups.
+    tensions than the team's.
     """
-    if len(motion.groups) > 1:
-        raise UnsupportedError("several teams: continue with one of plan.motion.groups")
     if not (motion.team.has_cables and motion.formed[-1]):
         remedy = "form one, or continue with the drones at plan.at(plan.duration)"
         raise InputError("end", "free cables", "a hitch", remedy)

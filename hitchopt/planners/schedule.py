@@ -1,8 +1,8 @@
-"""Start times of several groups on given paths that keep all their bodies separated.
+"""Start times of several teams on given paths that keep all their bodies separated.
 
-Start times are on a grid of STEP seconds; a group that no delay helps may take another path. Groups
+Start times are on a grid of STEP seconds; a team that no delay helps may take another path. Teams
 are placed in an order of priority, each at the earliest start at which its drones, cables and
-objects keep their distances to those of groups placed before, which rest at both ends of their
+objects keep their distances to those of teams placed before, which rest at both ends of their
 paths. Feasible delays need not form an interval. A table of two paths holds the slack of every pair
 of samples, so that every delay is one of its diagonals.
 """
@@ -24,7 +24,8 @@ from hitchopt.geometry import differences, hull_distance, shortest_offset
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.motion import CableState, Group
+from hitchopt.motion.flight import TeamMotion
+from hitchopt.motion.motion import CableState
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
@@ -46,15 +47,15 @@ class SampledBodies(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SampledPath:
-    """A group's path, sampled every STEP [s] from start to end, and the objects that it moves."""
+    """A team's path, sampled every STEP [s] from start to end, and the objects that it moves."""
 
-    group: Group
+    flown: TeamMotion
     owned: frozenset[str] = frozenset()
 
     @cached_property
     def times(self) -> Array:
         """(samples,) [s], including the end."""
-        first, last = self.group.motion.drones.breaks[[0, -1]]
+        first, last = self.flown.motion.drones.breaks[[0, -1]]
         return np.append(np.arange(first, last - 1e-9, STEP), last)
 
     def __len__(self) -> int:
@@ -63,13 +64,13 @@ class SampledPath:
     @cached_property
     def _pieces(self) -> Indices:
         """Pieces of the motion at all times (samples,)."""
-        inner = self.group.motion.drones.breaks[1:-1]
+        inner = self.flown.motion.drones.breaks[1:-1]
         return np.searchsorted(inner, self.times, side="right")
 
     @cached_property
     def drones(self) -> SampledBodies:
         """All drones."""
-        motion, upright = self.group.motion, np.zeros(len(self), np.bool_)
+        motion, upright = self.flown.motion, np.zeros(len(self), np.bool_)
         points = PiecewisePolynomial(motion.drones.breaks, drones_of(motion).corners).at(self.times)
         ends = np.repeat(points, 2, axis=2)
         return SampledBodies(ends, ends[..., 2], np.zeros(points.shape[1]), upright)
@@ -77,7 +78,7 @@ class SampledPath:
     @cached_property
     def cables(self) -> SampledBodies:
         """Parts of taut cables, and the upright regions that contain other cables."""
-        motion, n, m = self.group.motion, self.group.motion.team.robots, len(self)
+        motion, n, m = self.flown.motion, self.flown.motion.team.robots, len(self)
         if n == 0:
             empty = np.zeros((m, 0, 2, 3))
             return SampledBodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
@@ -99,7 +100,7 @@ class SampledPath:
     @cached_property
     def taut(self) -> SampledBodies:
         """Parts of taut cables, and regions of those that are laid; far away at other times."""
-        cables, motion = self.cables, self.group.motion
+        cables, motion = self.cables, self.flown.motion
         laid = motion.in_states(frozenset({CableState.LAYING}))[self._pieces]
         offset = np.where(cables.upright & ~laid, FAR, 0.0)[:, None, None]
         corners = cables.corners + offset[..., None]
@@ -107,8 +108,8 @@ class SampledPath:
 
     @cached_property
     def objects(self) -> SampledBodies:
-        """Cylinders around the objects that the group moves."""
-        motion = self.group.motion
+        """Cylinders around the objects that the team moves."""
+        motion = self.flown.motion
         objects = motion.requirements.objects
         own = [k for k, name in enumerate(objects) if name in self.owned]
         at = np.repeat(motion.poses.at(self.times)[:, own, None, :3], 2, axis=2)
@@ -255,25 +256,25 @@ class Placed:
 
 @dataclass(frozen=True)
 class Blocked:
-    """The conflict of two groups without a feasible start."""
+    """The conflict of two teams without a feasible start."""
 
-    names: tuple[str, str]  # of both groups
+    names: tuple[str, str]  # of both teams
     check: str  # of the violated distance
     value: float  # of the violated distance
     limit: float  # of the violated distance
     time: float  # approximate time of the violation since the item's start [s]
-    place: tuple[float, ...]  # (3,) [m], between both groups
-    at: str  # ``goals`` or ``starts`` if the groups are too close while they rest there, else empty
+    place: tuple[float, ...]  # (3,) [m], between both teams
+    at: str  # ``goals`` or ``starts`` if the teams are too close while they rest there, else empty
 
 
 @dataclass(eq=False)
 class Schedule:
-    """Search for the starts of groups in one item of a mission."""
+    """Search for the starts of teams in one item of a mission."""
 
-    # of the groups, in the order of the file; groups at rest have one sample
+    # of the teams, in the order of the file; teams at rest have one sample
     tracks: Sequence[SampledPath]
     separation: Separation  # limits of distances
-    # another path of a group by index and layer (1 up, 2 down), or None
+    # another path of a team by index and layer (1 up, 2 down), or None
     alternative: Callable[[int, int], SampledPath | None] = lambda *_: None
     tables: dict[tuple[SampledPath, SampledPath], Array] = field(
         default_factory=dict
@@ -284,7 +285,7 @@ class Schedule:
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:
         """Return the starts, in the order of the file, or the first conflict.
 
-        After a conflict the next order of priority promotes the later group before the other one;
+        After a conflict the next order of priority promotes the later team before the other one;
         if that order was evaluated before, the next permutation follows.
 
         Parameters
@@ -293,7 +294,7 @@ class Schedule:
         pad: increase of all distances [m].
         """
         conflicts = list[Blocked]()
-        names = [track.group.name for track in self.tracks]
+        names = [track.flown.name for track in self.tracks]
         for layers in (1, 3):
             orders, evaluated = permutations(range(len(names))), set[tuple[int, ...]]()
             promoted: tuple[int, ...] | None = None
@@ -318,7 +319,7 @@ class Schedule:
     def _placed(
         self, fixed: Sequence[Placed], order: Sequence[int], layers: int, pad: float
     ) -> dict[int, Placed] | Blocked:
-        """Return the placed tracks by group index for an order of priority, or a conflict."""
+        """Return the placed tracks by team index for an order of priority, or a conflict."""
         placed = dict[int, Placed]()
         for k in order:
             blocked = None
@@ -335,7 +336,7 @@ class Schedule:
         return {k: Placed(each.track, each.start - first) for k, each in placed.items()}
 
     def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[SampledPath, bool]]:
-        """Yield the paths of a group, and whether it starts before the groups placed already."""
+        """Yield the paths of a team, and whether it starts before the teams placed already."""
         for before in (False, True)[: 1 + earlier]:
             for track in filter(None, (self._path(k, layer) for layer in range(layers))):
                 yield track, before
@@ -399,5 +400,5 @@ class Schedule:
         _, check, value, limit = min(rows)
         centres = [np.mean(each.drones.corners[k], axis=(0, 1)) for each, k in ((a, i), (b, j))]
         place = tuple(np.round(0.5 * (centres[0] + centres[1]), 3).tolist())
-        names = a.group.name, b.group.name
+        names = a.flown.name, b.flown.name
         return Blocked(names, check, value, limit, STEP * sample, place, at)

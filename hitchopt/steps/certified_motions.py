@@ -20,6 +20,7 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import SETTLE, CableState, Motion, Phase, concatenated
 from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
@@ -36,9 +37,17 @@ than 1e-5 m."""
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
-    """Motion of a whole plan with its certificate."""
+    """Motion of one team's whole plan with its certificate."""
 
     motion: Motion
+    certificate: Certificate
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedFlight:
+    """Flight of a whole plan with its certificate."""
+
+    flight: Flight
     certificate: Certificate
 
 
@@ -91,11 +100,13 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     require_certified(rest_plan(hitch, requirements), when)
 
 
-def infeasible_error(certificate: Certificate, motion: Motion, when: str = "") -> InfeasibleError:
+def infeasible_error(
+    certificate: Certificate, flown: Motion | Flight, when: str = ""
+) -> InfeasibleError:
     """Return the error of a certificate's violations; ``when`` describes the time and step."""
-    violations = []
+    violations, flight = [], Flight.of(flown)
     for check in certificate.violated:
-        phases = [p for p in motion.phases if p.start <= check.time <= p.end]
+        phases = [p for p in flight.phases if p.start <= check.time <= p.end]
         time_and_step = when
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
@@ -103,29 +114,29 @@ def infeasible_error(certificate: Certificate, motion: Motion, when: str = "") -
         rule = RULE_OF.get(check.name, TRACKING_RADIUS)
         is_free = phases and not any(phase.formed for phase in phases)
         remedy = rule.free_remedy if is_free else ""
-        if not is_free and isinstance(rule, CheckRule):
-            remedy = rule.remedy_at(motion, check)
+        if not is_free and isinstance(rule, CheckRule) and len(flight.teams) == 1:
+            remedy = rule.remedy_at(flight.teams[0].motion, check)
         remedy = remedy or rule.remedy
-        remedy = _separation_shortfall(check, motion) + remedy
+        remedy = _separation_shortfall(check, flight) + remedy
         violations.append(check.violation(time_and_step, remedy))
     return InfeasibleError(violations)
 
 
-def _separation_shortfall(check: Check, motion: Motion) -> str:
+def _separation_shortfall(check: Check, flight: Flight) -> str:
     """Return in words the distance of two level drones and its shortfall, else nothing."""
     if check.name != "separation":
         return ""
     heights = []
-    for group in motion.all_groups:
-        drones = group.motion.drones
+    for flown in flight.all_teams:
+        drones = flown.motion.drones
         places = drones.at(float(np.clip(check.time, *drones.breaks[[0, -1]])))
-        names = map(group.label, group.motion.team.drone_names)
+        names = map(flown.label, flown.motion.team.drone_names)
         heights += [
             place[2] for name, place in zip(names, places, strict=True) if name in check.where
         ]
     if np.ptp(heights) > LEVEL_TOLERANCE:
         return ""
-    diameter = 2.0 * motion.requirements.separation.radius
+    diameter = 2.0 * flight.requirements.separation.radius
     required, distance = diameter * check.number, diameter * check.worst
     return f"{distance:.3g} m apart, {required - distance:.3g} m too close: "
 

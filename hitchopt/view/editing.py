@@ -28,7 +28,7 @@ from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.certified_motions import CertifiedMotion
+from hitchopt.steps.certified_motions import CertifiedFlight
 from hitchopt.steps.step import TRIANGLE, Edit
 from hitchopt.storage.yaml_file import (
     Plain,
@@ -206,7 +206,7 @@ class Editing:
     planned: plan of this text.
     """
 
-    def __init__(self, text: str, path: Path, planned: CertifiedMotion) -> None:
+    def __init__(self, text: str, path: Path, planned: CertifiedFlight) -> None:
         self.path, self.planned = path, planned
         self._worker: threading.Thread | None = None
         self.listener: Callable[[], None] = lambda: None
@@ -226,15 +226,19 @@ class Editing:
         """Whether the file on the disk holds this text."""
         return self.text == self._on_disk
 
-    def now(self) -> tuple[str, Status, CertifiedMotion]:
+    def now(self) -> tuple[str, Status, CertifiedFlight]:
         """Return a consistent text, status and plan."""
         with self._lock:
             return self.text, self.status, self.planned
 
     def handles(self, index: int) -> dict[str, Handle]:
         """Return the handles of a step, or of the start, by name."""
-        height, data = height_after(self.planned.motion, index), parse_yaml(self.text)
+        height, data = self._height_after(index), parse_yaml(self.text)
         return {handle.name: handle for handle in handles(self.problem, data, index, height)}
+
+    def _height_after(self, index: int) -> float:
+        """Return the height of the planned hitch at the end of a step [m]."""
+        return height_after(self.planned.flight.of_one_team("editing", others=True), index)
 
     def change(self, text: str) -> None:
         """Replace the text; raise InputError or FileError if it is not the problem of a hitch."""
@@ -271,7 +275,7 @@ class Editing:
 
     def add(self, index: int, kind: str) -> None:
         """Insert a new step after another one (START: first); errors as of ``change``."""
-        step = new_step(self.problem, index, kind, height_after(self.planned.motion, index))
+        step = new_step(self.problem, index, kind, self._height_after(index))
         self._rearrange(lambda steps: steps.insert(index + 1, step))
 
     def remove(self, index: int) -> None:
@@ -356,7 +360,7 @@ class Editing:
         if version != self._version:
             raise _StaleError
 
-    def _publish(self, version: int, status: Status, plan: CertifiedMotion | None = None) -> None:
+    def _publish(self, version: int, status: Status, plan: CertifiedFlight | None = None) -> None:
         with self._lock:
             self._check(version)
             self.status = status

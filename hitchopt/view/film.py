@@ -77,13 +77,13 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     height = 2.0 * max(reach[1], reach[0] * FRAME_SIZE[1] / FRAME_SIZE[0]) / (1.0 - HEADER_SHARE)
     width = height * FRAME_SIZE[0] / FRAME_SIZE[1]
     draw_lines(axes, camera.project(_ground(scene))[..., :2], "0.9", 0.7, 1)
-    size = max(1.0, MIN_DRONE_SIZE * height / scene.motion.requirements.separation.radius)
+    size = max(1.0, MIN_DRONE_SIZE * height / scene.flight.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, MIN_CABLE_WIDTH * height), size)
     shapes: Any = draw_painting(axes, painter.paint(scene.at(0.0)))
     words: dict[str, Any] = {"fontsize": 13, "parse_math": False, "zorder": 3}
-    figure.text(0.02, 0.945, f"{title}\n{facts(scene.motion)}".strip(), va="center", **words)
+    figure.text(0.02, 0.945, f"{title}\n{facts(scene.flight)}".strip(), va="center", **words)
     clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
-    phases = scene.motion.phases
+    phases = scene.flight.phases
     for time in times:
         x, y = (np.interp(time, even, values) for values in middles.T)
         bottom = y - 0.5 * height * (1.0 - HEADER_SHARE)
@@ -100,7 +100,7 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
 def _ground(scene: Scene) -> Array:
     """Return the lines (m, 2, 3) [m] of a grid on the ground that extends beyond all paths."""
     lower, upper = np.min(scene.drones, axis=(0, 1))[:2], np.max(scene.drones, axis=(0, 1))[:2]
-    reach, floor = float(np.max(np.ptp(scene.drones, axis=(0, 1)))), scene.motion.requirements.floor
+    reach, floor = float(np.max(np.ptp(scene.drones, axis=(0, 1)))), scene.flight.requirements.floor
     step = 10.0 ** np.round(np.log10(max(reach, 1.0) / 6.0))
     near, far = (lower - 3.0 * reach) // step * step, (upper + 3.0 * reach) // step * step + step
     across, up = (np.arange(near[i], far[i] + step / 2, step) for i in range(2))

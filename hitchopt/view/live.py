@@ -16,7 +16,8 @@ import numpy as np
 
 from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import optional_module
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
 from hitchopt.view.live_scene import SWITCHES, LiveScene
 from hitchopt.view.own_pages import own_pages_only
@@ -91,28 +92,28 @@ class LiveView:
     Parameters
     ----------
     server: server of ``open_server``; browsers may already show its page.
-    motion, certificate, title: plan; the certificate is None while it is being computed.
+    flight, certificate, title: plan; the certificate is None while it is being computed.
     ghost: scene that is shown pale in addition.
     """
 
     def __init__(
         self,
         server: Any,
-        motion: Motion,
+        flight: Flight,
         certificate: Certificate | None,
         title: str = "",
         ghost: Scene | None = None,
     ) -> None:
         self.server = server
         self.time, self.playing, self.speed, self.following = 0.0, False, 1.0, False
-        self.motion, self.certificate = motion, certificate
+        self.flight, self.certificate = flight, certificate
         self._note, self._title = "", title
         self._lock, self._open = threading.RLock(), True
         self._ghost = None
         self._plots, self._cursor = list[tuple[Any, dict[str, Any]]](), math.nan
         with self.server.atomic():  # open pages show everything at once
             self.server.gui.set_panel_label(title or "hitchopt")
-            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self.live = LiveScene(self.server, scene_of(flight), "/plan/")
             self._place_camera(self.server.initial_camera, ASPECT)
             self._add_panel()
             self._fill_panel()
@@ -133,13 +134,13 @@ class LiveView:
         self._player.join()
         self.server.stop()
 
-    def show_plan(self, motion: Motion, certificate: Certificate | None, title: str = "") -> None:
+    def show_plan(self, flight: Flight, certificate: Certificate | None, title: str = "") -> None:
         """Replace the plan."""
         with self._lock, self.server.atomic():
             visible = self.live.visible
             self.live.remove()
-            self.motion, self.certificate, self._title = motion, certificate, title
-            self.live = LiveScene(self.server, scene_of(motion), "/plan/")
+            self.flight, self.certificate, self._title = flight, certificate, title
+            self.live = LiveScene(self.server, scene_of(flight), "/plan/")
             self.live.visible = visible
             self._place_camera(self.server.initial_camera, ASPECT)
             self._fill_panel()
@@ -162,7 +163,7 @@ class LiveView:
     def seek(self, time: float) -> None:
         """Show the scene at a time [s]."""
         with self._lock:
-            self.time = float(np.clip(time, 0.0, self.motion.duration))
+            self.time = float(np.clip(time, 0.0, self.flight.duration))
             with self.server.atomic():
                 self.live.show(self.time)
                 if self._ghost is not None:
@@ -176,7 +177,7 @@ class LiveView:
     def play(self, *, on: bool) -> None:
         """Start or stop the playback."""
         with self._lock:
-            if on and self.time >= self.motion.duration:
+            if on and self.time >= self.flight.duration:
                 self.seek(0.0)
             self.playing = on
             self.player.label = "Pause" if on else "Play"
@@ -222,7 +223,7 @@ class LiveView:
             if self.playing:
                 with self._lock:
                     self.seek(self.time + self.speed * (now - before))
-                    if self.time >= self.motion.duration:
+                    if self.time >= self.flight.duration:
                         self.play(on=False)
             if frame % CURSOR_FRAMES == 0:
                 self._move_cursor()
@@ -292,12 +293,12 @@ class LiveView:
         """Fill the panel with the plan's phases, checks and plots."""
         self._show_head()
         self.shown_check.visible = False
-        spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.motion.phases]
+        spans = [f"{p.name}: {p.start:.2f} – {p.end:.2f} s" for p in self.flight.phases]
         self.phases.show(spans, [IDLE_COLOUR] * len(spans))
         self._show_checks()
         self._show_plots()
         self.seek(self.time)
-        longest = math.ceil(max(self.motion.duration, FRAME) / STEP) * STEP
+        longest = math.ceil(max(self.flight.duration, FRAME) / STEP) * STEP
         self.scrub.max = round(longest, DECIMALS)
 
     def _show_head(self) -> None:
@@ -305,10 +306,10 @@ class LiveView:
         state = f"**{state}**" if not self._note else f"what is shown: {state}"
         note = f"**{plain_words(self._note)}**  \n" if self._note else ""
         title = plain_words(self._title or "Plan")
-        self.head.content = f"### {title}\n{facts(self.motion)}  \n{note}{state}"
+        self.head.content = f"### {title}\n{facts(self.flight)}  \n{note}{state}"
 
     def _show_phase(self) -> None:
-        phases, duration = self.motion.phases, self.motion.duration
+        phases, duration = self.flight.phases, self.flight.duration
         current = next((i for i, p in enumerate(phases) if self.time < p.end), len(phases) - 1)
         phase = phases[current]
         for i, button in enumerate(self.phases.buttons[: len(phases)]):
@@ -334,7 +335,7 @@ class LiveView:
         for element, _ in self._plots:
             element.remove()
         self._plots.clear()
-        for plot in plots_of(self.motion, self.certificate):
+        for plot in plots_of(self.flight, self.certificate):
             t = np.array(plot["t"])
             columns, series = [t], list[dict[str, Any]]([{"label": "t [s]"}])
             for k, curve in enumerate(plot["curves"]):
@@ -371,7 +372,7 @@ class LiveView:
 
     def _show_phase_at(self, index: int) -> None:
         with self._lock:
-            for phase in self.motion.phases[index : index + 1]:  # empty if the plan has changed
+            for phase in self.flight.phases[index : index + 1]:  # empty if the plan has changed
                 self.seek(phase.start)
 
     def _show_check(self, index: int) -> None:
@@ -380,7 +381,7 @@ class LiveView:
             checks = self.certificate.checks if self.certificate else ()
             for check in checks[index : index + 1]:  # empty if the plan has changed
                 self.play(on=False)
-                self.live.highlight(highlight_of(self.motion, check.where))
+                self.live.highlight(highlight_of(self.flight, check.where))
                 where = f": {', '.join(check.where)}" if check.where else ""
                 self.shown_check.content = f"{check.name}{where} at {check.time:.2f} s"
                 self.shown_check.visible = True

@@ -164,7 +164,7 @@ class LiveScene:
 
     def _add_surroundings(self) -> None:
         """Add ground, arena and keep-outs."""
-        requirements, drones = self.scene.motion.requirements, self.scene.drones
+        requirements, drones = self.scene.flight.requirements, self.scene.drones
         lower, upper = np.min(drones, axis=(0, 1)), np.max(drones, axis=(0, 1))
         size, middle = 2.0 * float(np.max(upper - lower)) + 2.0, 0.5 * (lower + upper)
         cell = 10.0 ** np.round(np.log10(size / 10.0))

@@ -22,7 +22,8 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from scipy.spatial.transform import Rotation
 
 from hitchopt.geometry.vectors import left_of, unit
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.scene import SEGMENTS, GroupName, Moment, Scene, normals, scene_at, subdivide
@@ -90,7 +91,7 @@ class Painter:
     def __init__(
         self, scene: Scene, camera: Camera, width: float = 0.0, size: float = 1.0, step: int = 1
     ) -> None:
-        requirements, look = scene.motion.requirements, scene.appearance
+        requirements, look = scene.flight.requirements, scene.appearance
         self.camera, self.step, self._floor = camera, step, requirements.floor
         self._width = width or scene.radius
         self.cables = to_rgba_array(look.cable_colours)
@@ -98,10 +99,12 @@ class Painter:
         # Only the front faces of frames, which are solid, are painted.
         self._parts = [(x.faces, to_rgba_array(x.colours), x.name == "frame") for x in parts]
         # Offsets sort objects above their tables, and on top of cables, which are drawn thicker.
+        bodies = [*requirements.objects.values()]
+        for other in scene.flight.others:
+            bodies += other.motion.requirements.objects.values()
         offsets = (
             body.circumradius / 2**SUBDIVISIONS if body.fixed else -2.0 * self._width
-            for motion in (scene.motion, *(other.motion for other in scene.motion.others))
-            for body in motion.requirements.objects.values()
+            for body in bodies
         )
         self._objects = [
             (subdivide(solid.faces, SUBDIVISIONS), to_rgba_array(solid.colours), offset)
@@ -177,13 +180,13 @@ class Shot(NamedTuple):
     essential: bool = False  # whether it has priority if there are more than MAX_PANELS
 
 
-def choose_shots(motion: Motion) -> tuple[Shot, ...]:
+def choose_shots(flight: Flight) -> tuple[Shot, ...]:
     """Return start, swaps, the hitch, ends of its motions, passages, and the plan's end.
 
     Of more than MAX_PANELS, those with the longest paths before them are chosen.
     """
     shots = [Shot("start", 0.0, essential=True)]
-    for (_, state), phases in groupby(motion.phases, lambda phase: (phase.step, phase.state)):
+    for (_, state), phases in groupby(flight.phases, lambda phase: (phase.step, phase.state)):
         group = list(phases)
         if state is CableState.CLASPING:
             middle = 0.5 * (group[0].start + group[0].end)
@@ -194,10 +197,10 @@ def choose_shots(motion: Motion) -> tuple[Shot, ...]:
             shots.append(Shot(group[-1].name, group[-1].end))
         elif state in (CableState.HITCHED, CableState.NONE):
             shots += [Shot(phase.name, phase.end) for phase in group if phase.name != "relax"]
-    shots.append(Shot("end", motion.duration, essential=True))
-    shots = sorted([*shots, *_passages(motion, shots)], key=lambda shot: shot.time)
-    times = np.clip([shot.time for shot in shots], 0.0, motion.duration)
-    places = motion.drones.at(motion.drones.breaks[0] + times)
+    shots.append(Shot("end", flight.duration, essential=True))
+    shots = sorted([*shots, *_passages(flight, shots)], key=lambda shot: shot.time)
+    times = np.clip([shot.time for shot in shots], 0.0, flight.duration)
+    places = flight.drones.at(flight.drones.breaks[0] + times)
     travel = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
     travel = np.concatenate([[np.inf], travel])
     moved = np.flatnonzero(travel > MIN_TRAVEL)
@@ -206,13 +209,13 @@ def choose_shots(motion: Motion) -> tuple[Shot, ...]:
     return tuple(shots[i] for i in np.sort(moved[np.argsort(-rank, kind="stable")[:MAX_PANELS]]))
 
 
-def shots_in_motion(motion: Motion, count: int = MOTION_PANELS) -> tuple[Shot, ...]:
+def shots_in_motion(flight: Flight, count: int = MOTION_PANELS) -> tuple[Shot, ...]:
     """Return the shots of a plan and, if they are fewer than ``count``, moments of its motions.
 
     These divide the longest paths between two shots into equal parts.
     """
-    shots, times = choose_shots(motion), np.linspace(0.0, motion.duration, PATH_SAMPLES)
-    places = motion.drones.at(motion.drones.breaks[0] + times)
+    shots, times = choose_shots(flight), np.linspace(0.0, flight.duration, PATH_SAMPLES)
+    places = flight.drones.at(flight.drones.breaks[0] + times)
     steps = np.max(np.linalg.norm(np.diff(places, axis=0), axis=-1), axis=-1)
     travel = np.concatenate([[0.0], np.cumsum(steps + TINY_STEP)])  # [m] of the fastest drones
     reached = np.interp([shot.time for shot in shots], times, travel)
@@ -223,20 +226,20 @@ def shots_in_motion(motion: Motion, count: int = MOTION_PANELS) -> tuple[Shot, .
     paths = zip(reached, lengths, parts, strict=False)
     inner = [begin + size * np.arange(1, n) / n for begin, size, n in paths]
     moments = np.interp(np.concatenate([*inner, []]), travel, times)
-    ends = np.array([phase.end for phase in motion.phases])
-    names = [*(phase.name for phase in motion.phases), "end"]
+    ends = np.array([phase.end for phase in flight.phases])
+    names = [*(phase.name for phase in flight.phases), "end"]
     added = [Shot(names[np.searchsorted(ends, time)], time) for time in moments.tolist()]
     return tuple(sorted([*shots, *added], key=lambda shot: shot.time))
 
 
-def _passages(motion: Motion, shots: Sequence[Shot]) -> list[Shot]:
+def _passages(flight: Flight, shots: Sequence[Shot]) -> list[Shot]:
     """Return the times of closest approach to fixed objects that no other shot is near."""
-    times = np.linspace(0.0, motion.duration, PATH_SAMPLES)
+    times = np.linspace(0.0, flight.duration, PATH_SAMPLES)
     moments = np.concatenate([times, [shot.time for shot in shots]])
-    places = motion.drones.at(motion.drones.breaks[0] + np.minimum(moments, motion.duration))
+    places = flight.drones.at(flight.drones.breaks[0] + np.minimum(moments, flight.duration))
     middles, passages = np.mean(places[..., :2], axis=1), list[Shot]()
     radius = np.max(np.linalg.norm(places[0, :, :2] - middles[0], axis=1))
-    for name, body in motion.requirements.objects.items():
+    for name, body in flight.requirements.objects.items():
         distances = np.linalg.norm(middles - body.at[:2], axis=1)
         k = int(np.argmin(distances[:PATH_SAMPLES]))
         if body.fixed and distances[k] + radius < np.min(distances[PATH_SAMPLES:]):
@@ -244,12 +247,12 @@ def _passages(motion: Motion, shots: Sequence[Shot]) -> list[Shot]:
     return passages
 
 
-def draw_plan_storyboard(place: SubplotSpec, motion: Motion, shots: Sequence[Shot]) -> None:
+def draw_plan_storyboard(place: SubplotSpec, flight: Flight, shots: Sequence[Shot]) -> None:
     """Draw the storyboard of a plan in a part of a figure."""
-    times = np.unique([0.0, motion.duration, *(min(s.time, motion.duration) for s in shots)])
-    paths = np.unique(np.append(np.linspace(0.0, motion.duration, PATH_SAMPLES), times))
-    flown = motion.drones.at(motion.drones.breaks[0] + paths)
-    draw_storyboard(place, scene_at(motion, times, THICKNESS), shots, (paths, flown))
+    times = np.unique([0.0, flight.duration, *(min(s.time, flight.duration) for s in shots)])
+    paths = np.unique(np.append(np.linspace(0.0, flight.duration, PATH_SAMPLES), times))
+    flown = flight.drones.at(flight.drones.breaks[0] + paths)
+    draw_storyboard(place, scene_at(flight, times, THICKNESS), shots, (paths, flown))
 
 
 def draw_storyboard(
@@ -260,7 +263,7 @@ def draw_storyboard(
     ``flown`` are the paths: times (samples,) [s], including the shots', and places of the drones
     (samples, drones, 3) [m].
     """
-    radius = scene.motion.requirements.separation.radius
+    radius = scene.flight.requirements.separation.radius
     count, drones = len(shots), scene.drones.shape[1]
     camera = Camera.at_angles(AZIMUTH, ELEVATION)
     moments = [int(np.argmin(np.abs(scene.t - shot.time))) for shot in shots]
@@ -307,7 +310,7 @@ def _panel_box(moment: Moment, scene: Scene, camera: Camera) -> Array:
         projected = camera.project(points)[:, :2]
         return np.array([np.min(projected, axis=0), np.max(projected, axis=0)])
 
-    floor = scene.motion.requirements.floor
+    floor = scene.flight.requirements.floor
     low = moment.drones * [1.0, 1.0, 0.5] + [0.0, 0.0, 0.5 * floor]
     boxes = [box(np.concatenate([moment.drones, low]))]
     margin = 0.5 * np.ptp(boxes[0], axis=0)

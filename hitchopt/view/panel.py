@@ -55,7 +55,7 @@ class EditingPanel:
             if planned is not self._plan:
                 self._plan = planned
                 title = self.editing.problem.title
-                self.live.show_plan(planned.motion, planned.certificate, title)
+                self.live.show_plan(planned.flight, planned.certificate, title)
             if text != self._built_text:
                 self._build()
             self._show_status(status)
@@ -64,7 +64,7 @@ class EditingPanel:
         """Show the end of a step, or the start, and one of its handles."""
         with self._lock:
             if step != self.step:
-                ends = [p.end for p in self._plan.motion.phases if p.step == step]
+                ends = [p.end for p in self._plan.flight.phases if p.step == step]
                 self.live.seek(max(ends, default=0.0))
             self.step, self.handle = step, handle
             self._build()

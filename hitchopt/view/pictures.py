@@ -25,8 +25,9 @@ from hitchopt.checks.certificate import Certificate, html_table
 from hitchopt.checks.distances import Closeness
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.states import States, states_at
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import Phase
+from hitchopt.motion.states import States, flight_states_at
 from hitchopt.values import Array
 from hitchopt.view import painter, style
 from hitchopt.view.painter import PATH_OPACITY
@@ -92,25 +93,25 @@ class Panel:
         return None
 
 
-def sample_states(motion: Motion) -> States:
+def sample_states(flight: Flight) -> States:
     """Return the states of a plan at times that include the joints of its pieces."""
-    return states_at(motion, _sample_times(motion))
+    return flight_states_at(flight, _sample_times(flight))
 
 
-def _sample_times(motion: Motion) -> Array:
-    samples = int(np.clip(POINTS // len(motion.team.drone_names), *SAMPLES))
-    even = np.linspace(0.0, motion.duration, samples)
-    joints = motion.drones.breaks - motion.drones.breaks[0]
+def _sample_times(flight: Flight) -> Array:
+    samples = int(np.clip(POINTS // len(flight.team.drone_names), *SAMPLES))
+    even = np.linspace(0.0, flight.duration, samples)
+    joints = flight.drones.breaks - flight.drones.breaks[0]
     joints = joints if len(joints) < samples else joints[:0]
     return np.unique(np.minimum(np.concatenate([even, joints]), even[-1]))
 
 
-def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
+def panels(flight: Flight, states: States) -> tuple[Panel, ...]:
     """Return separation, speed and thrust; a single drone has no separation.
 
     Thrust is a share of its limit if limits differ.
     """
-    times, requirements, team = states.t + motion.drones.breaks[0], motion.requirements, motion.team
+    times, requirements, team = states.t + flight.drones.breaks[0], flight.requirements, flight.team
     kinds = np.unique(team.max_thrust)
     thrust = np.max(length(states.thrusts(team)) / team.max_thrust, axis=-1)
     forces = Panel("thrust", "largest thrust\n/ its limit", thrust, 1.0, share=True)
@@ -119,7 +120,7 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
         forces = Panel("thrust", "largest\nthrust [N]", limit * thrust, limit)
     speed = np.max(length(states.velocities), axis=-1)
     rates = Panel("speed", "largest\nspeed [m/s]", speed, requirements.limits.speed)
-    paths = [other.motion.drones for other in motion.others]
+    paths = [other.motion.drones for other in flight.others]
     others = [path.at(np.clip(times, *path.breaks[[0, -1]])) for path in paths]
     scaled = np.concatenate([states.positions, *others], axis=1) * requirements.separation.scale
     if scaled.shape[1] < 2:
@@ -129,31 +130,31 @@ def panels(motion: Motion, states: States) -> tuple[Panel, ...]:
 
 
 def draw_summary(
-    motion: Motion, certificate: Certificate, title: str = "", width: float | None = None
+    flight: Flight, certificate: Certificate, title: str = "", width: float | None = None
 ) -> Figure:
     """Return the summary: a storyboard or a view from above, and limited quantities over time.
 
     The certificate's worst values are marked. With a ``width`` [inch] it is a figure for a paper:
     all parts are below each other, and it has no headline.
     """
-    states = sample_states(motion)
-    quantities = panels(motion, states)
+    states = sample_states(flight)
+    quantities = panels(flight, states)
     rows = len(quantities)
     if width is None:
         figure = style.new_figure(SIZE, None)  # automatic layout takes as long as drawing
         grid: GridSpecBase = figure.add_gridspec(rows, 1, **PLOT_EDGES)
-        _draw_plan(figure, motion)
+        _draw_plan(figure, flight)
     else:
         heights = min(PAGE_SHARE * width, PAGE_PLAN), PAGE_PLOT * rows
         figure = style.page_figure(width, sum(heights) + PAGE_LEGEND)
         parts = figure.add_gridspec(2, 1, height_ratios=heights)
         grid = parts[1].subgridspec(rows, 1)
-        _draw_plan(figure, motion, parts[0])
+        _draw_plan(figure, flight, parts[0])
     axes = [figure.add_subplot(grid[row]) for row in range(rows)]
     for each, panel in zip(axes, quantities, strict=True):
         _draw_panel(each, states.t, panel, certificate)
         each.tick_params(labelbottom=each is axes[-1])
-    draw_phases(axes, motion.phases, motion.duration)
+    draw_phases(axes, flight.phases, flight.duration)
     axes[-1].set_xlabel("t [s]")
     handles = [
         Line2D([], [], color=INK, linewidth=CURVE_WIDTH, label="worst drone or pair"),
@@ -165,7 +166,7 @@ def draw_summary(
         for each in axes:
             each.yaxis.set_label_coords(LABEL_AT, 0.5)
         style.legend_below(axes[-1], handles, 0.32, 2)
-        style.headline(figure, title, f"{style.facts(motion)}; {style.verdict(certificate)}")
+        style.headline(figure, title, f"{style.facts(flight)}; {style.verdict(certificate)}")
         return figure
     figure.align_ylabels(axes)
     for legend in filter(None, [each.get_legend() for each in figure.axes]):
@@ -176,31 +177,31 @@ def draw_summary(
 
 
 def plan_card(
-    motion: Motion, certificate: Certificate, title: str, notes: Sequence[str] = ()
+    flight: Flight, certificate: Certificate, title: str, notes: Sequence[str] = ()
 ) -> str:
     """Return the HTML of a plan for notebooks: picture, phases, checks, notes, without links."""
     picture = BytesIO()
-    style.save_figure(draw_summary(motion, certificate, title), picture, CARD_RESOLUTION)
+    style.save_figure(draw_summary(flight, certificate, title), picture, CARD_RESOLUTION)
     image = b64encode(picture.getvalue()).decode()
     heads = ("phase", "step", "start", "end", "remark")
     phases = [
-        (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in motion.phases
+        (p.name, str(p.step), f"{p.start:.3f} s", f"{p.end:.3f} s", p.remark) for p in flight.phases
     ]
     return (
-        f"<p><b>{escape(title or 'Plan')}</b>: {style.facts(motion)}</p>"
+        f"<p><b>{escape(title or 'Plan')}</b>: {style.facts(flight)}</p>"
         f'<img alt="the plan at a glance" src="data:image/png;base64,{image}"/>'
         f"{html_table(heads, phases)}{certificate._repr_html_()}"
         + "".join(f"<p>{escape(note)}</p>" for note in notes)
     )
 
 
-def plot_from_above(motion: Motion, axes: Axes | None) -> Axes:
+def plot_from_above(flight: Flight, axes: Axes | None) -> Axes:
     """Draw the plan from above on axes, by default of a new pyplot figure."""
     if axes is None:
         from matplotlib import pyplot
 
         axes = pyplot.subplots(figsize=(6.5, 7.0), layout="constrained")[1]
-    draw_plan_view(axes, motion)
+    draw_plan_view(axes, flight)
     return axes
 
 
@@ -235,7 +236,7 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
             write(axes[0], "\n".join(lines), (middle, 1.0), (0, 4), **look)
 
 
-def draw_closeness(motion: Motion, closest: Closeness, width: float | None = None) -> Figure:
+def draw_closeness(flight: Flight, closest: Closeness, width: float | None = None) -> Figure:
     """Return the picture of the spans' bounds as steps and the closest pairs as curves.
 
     With a ``width`` [inch] it is a figure for a paper.
@@ -247,8 +248,8 @@ def draw_closeness(motion: Motion, closest: Closeness, width: float | None = Non
     edges = [span.start for span in closest.spans] + [closest.spans[-1].end]
     bounds = np.array([span.bound for span in closest.spans])
     t = np.linspace(edges[0], edges[-1], CLOSE_SAMPLES)
-    positions = motion.drones.at(t) * motion.requirements.separation.scale
-    index = {name: i for i, name in enumerate(motion.team.drone_names)}
+    positions = flight.drones.at(t) * flight.requirements.separation.scale
+    index = {name: i for i, name in enumerate(flight.team.drone_names)}
     for pair, (colour, dashes) in zip(closest.pairs, STYLES, strict=False):
         i, j = (index[name] for name in pair.pair)
         ratio = np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
@@ -269,28 +270,28 @@ def draw_closeness(motion: Motion, closest: Closeness, width: float | None = Non
     return figure
 
 
-def _draw_plan(figure: Figure, motion: Motion, place: SubplotSpec | None = None) -> None:
+def _draw_plan(figure: Figure, flight: Flight, place: SubplotSpec | None = None) -> None:
     """Draw the storyboard; with few moments also, and without cables only, the plan from above.
 
     The place is on the left by default.
     """
-    shots = painter.choose_shots(motion) if _has_cables(motion) else ()
+    shots = painter.choose_shots(flight) if _has_cables(flight) else ()
     if place is None:
         margins = STORYBOARD_EDGES if len(shots) > painter.FEW_PANELS else PLAN_EDGES
         place = figure.add_gridspec(1, 1, **margins)[0]
     if not shots:
-        draw_plan_view(figure.add_subplot(place), motion)
+        draw_plan_view(figure.add_subplot(place), flight)
     elif len(shots) > painter.FEW_PANELS:
-        painter.draw_plan_storyboard(place, motion, shots)
+        painter.draw_plan_storyboard(place, flight, shots)
     else:
         parts = place.subgridspec(2, 1, height_ratios=HEIGHTS, hspace=0.04)
-        draw_plan_view(figure.add_subplot(parts[1]), motion, LEGEND_GAP)
-        painter.draw_plan_storyboard(parts[0], motion, shots)
+        draw_plan_view(figure.add_subplot(parts[1]), flight, LEGEND_GAP)
+        painter.draw_plan_storyboard(parts[0], flight, shots)
 
 
-def _has_cables(motion: Motion) -> bool:
-    """Return whether any group has cables."""
-    return any(group.motion.team.has_cables for group in motion.all_groups)
+def _has_cables(flight: Flight) -> bool:
+    """Return whether any team has cables, also one of an external plan."""
+    return any(each.motion.team.has_cables for each in flight.all_teams)
 
 
 def _draw_panel(axes: Axes, t: Array, panel: Panel, certificate: Certificate) -> None:
@@ -336,16 +337,16 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
     write(axes, text, (1.0, value), (5.0, shift), xycoords=axes.get_yaxis_transform(), **look)
 
 
-def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
+def draw_plan_view(axes: Axes, flight: Flight, gap: float = 0.1) -> None:
     """Draw a plan from above: start, paths, end and surroundings.
 
     ``gap`` is the distance of the legend below, as a share of the axes' height.
     """
-    requirements, cables, look = motion.requirements, _has_cables(motion), Appearance.of(motion)
+    requirements, cables, look = flight.requirements, _has_cables(flight), Appearance.of(flight)
     radius, colours = requirements.separation.radius, list(look.drone_colours)
-    ends = scene_at(motion, np.array([0.0, motion.duration]))
-    times = motion.drones.breaks[0] + _sample_times(motion)
-    curves = [motion.drones, *(other.motion.drones for other in motion.others)]
+    ends = scene_at(flight, np.array([0.0, flight.duration]))
+    times = flight.drones.breaks[0] + _sample_times(flight)
+    curves = [flight.drones, *(other.motion.drones for other in flight.others)]
     paths = [curve.at(np.clip(times, *curve.breaks[[0, -1]])) for curve in curves]
     flown = np.concatenate(paths, axis=1)[..., :2]
     opacity = PATH_OPACITY if cables else 1.0
@@ -363,7 +364,7 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
             painter.corner_step(ends.cables.shape[1]),
         )
         above = painter.Painter(ends, camera, step=step)
-        painter.draw_painting(axes, above.paint(ends.at(motion.duration)))
+        painter.draw_painting(axes, above.paint(ends.at(flight.duration)))
         kinds = (INK, "drones q"), ("white", "drones r")
         handles += [style.marker("o", colour, INK, name) for colour, name in kinds]
     end = ("none", START_COLOUR) if cables else (colours, colours)
@@ -393,7 +394,7 @@ def draw_plan_view(axes: Axes, motion: Motion, gap: float = 0.1) -> None:
     axes.margins(0.0)
     axes.update_datalim([lower - margin, upper + margin])
     axes.autoscale_view()
-    _write_names(axes, motion, flown[-1])
+    _write_names(axes, flight, flown[-1])
     axes.set(xlabel="x [m]", ylabel="y [m]")
     style.legend_below(axes, handles, gap, 3)
 
@@ -405,16 +406,19 @@ def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: 
     axes.add_collection(EllipseCollection(size, size, [0.0], zorder=3, **placed, **look))
 
 
-def _write_names(axes: Axes, motion: Motion, ends: Array) -> None:
+def _write_names(axes: Axes, flight: Flight, ends: Array) -> None:
     """Write names of groups or single drones next to ``ends`` (N, 2), or of vertices."""
-    team, drawn = motion.team, Appearance.of(motion)
+    team, drawn = flight.team, Appearance.of(flight)
     groups = drawn.groups
     if not (groups or team.has_cables) and len(ends) <= MAX_NAMED:
         each = zip(drawn.drones, drawn.drone_colours, range(len(ends)), strict=True)
         groups = tuple(GroupName(name, colour, slice(i, i + 1)) for name, colour, i in each)
-    painter.write_groups(axes, groups, ends, motion.requirements.separation.radius)
+    painter.write_groups(axes, groups, ends, flight.requirements.separation.radius)
     names = team.point_names
-    if groups or len(names) > MAX_NAMED or not (team.has_cables and motion.formed[-1]):
+    motion = flight.alone
+    if groups or motion is None or len(names) > MAX_NAMED:
+        return
+    if not (team.has_cables and motion.formed[-1]):
         return
     look: Any = {"va": "center", "zorder": 6}
     look["path_effects"] = [withStroke(linewidth=2.0, foreground="white")]

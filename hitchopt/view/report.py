@@ -20,8 +20,9 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InputError, Progress
+from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.loads import stated_tensions
-from hitchopt.motion.motion import CableState, Group, Motion
+from hitchopt.motion.motion import CableState
 from hitchopt.storage.files import digest
 from hitchopt.values import Array
 from hitchopt.view import style
@@ -43,7 +44,7 @@ LEVELS = 65535  # Largest number of 16 bits
 
 def save_view(
     path: Path,
-    motion: Motion,
+    flight: Flight,
     certificate: Certificate,
     title: str = "",
     problem: str = "",
@@ -64,20 +65,20 @@ def save_view(
         from hitchopt.view.film import save_film
 
         tell = progress or (lambda _: None)
-        save_film(path, scene_of(motion), title, lambda done: tell(f"drawing, {done:.0%}"))
+        save_film(path, scene_of(flight), title, lambda done: tell(f"drawing, {done:.0%}"))
         return
     if kind not in (*PICTURES, PAGE):
         bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
         raise InputError("save", str(path), bound, "such as plan.html")
     with style.atomic_write(path) as draft:
         if kind == PAGE:
-            write_report(draft, motion, certificate, title, problem, path.parent)
+            write_report(draft, flight, certificate, title, problem, path.parent)
         else:
-            style.save_figure(draw_summary(motion, certificate, title, width), draft)
+            style.save_figure(draw_summary(flight, certificate, title, width), draft)
 
 
 def write_report(
-    path: Path, motion: Motion, certificate: Certificate, title: str = "", problem: str = "",
+    path: Path, flight: Flight, certificate: Certificate, title: str = "", problem: str = "",
     directory: Path | None = None, ghost: Scene | None = None,
 ) -> None:  # fmt: skip
     """Write the page of a plan: playback, plots, certificate, and the cables of a ghost.
@@ -85,7 +86,7 @@ def write_report(
     ``problem`` is the text of its file. The plan's files, whose digests the report states, are in
     ``directory``, by default that of ``path``. Raises OSError if the file cannot be written.
     """
-    scene, name, arrays = scene_of(motion), title or "Plan", dict[str, Array]()
+    scene, name, arrays = scene_of(flight), title or "Plan", dict[str, Array]()
     if ghost is not None:
         arrays["ghost"] = np.stack([ghost.at(time).cables for time in scene.t.tolist()])
     arrays |= {
@@ -100,18 +101,18 @@ def write_report(
     entries, samples = pack_samples(arrays)
     checks = certificate.to_dict()["checks"]
     for check in checks:
-        check["concerned"] = highlight_of(motion, check["where"])._asdict()
+        check["concerned"] = highlight_of(flight, check["where"])._asdict()
     groups = certificate.groups.items()
     data = {
         "title": name,
-        "facts": style.facts(motion),
+        "facts": style.facts(flight),
         "verdict": style.verdict(certificate),
         "certified": certificate.certified,
         "arrays": entries,
-        "plots": list(plots_of(motion, certificate)),
+        "plots": list(plots_of(flight, certificate)),
         "checks": checks,
         "groups": {title: [[x.name, x.title] for x in group] for title, group in groups},
-        "opens": _first_hitch(motion),
+        "opens": _first_hitch(flight),
         "problem": problem,
         "origin": _versions_and_digests(problem, directory or path.parent),
         **_scene_data(scene),
@@ -132,12 +133,10 @@ def write_report(
     path.write_text("".join(pieces), encoding="utf-8")
 
 
-def _first_hitch(motion: Motion) -> float:
+def _first_hitch(flight: Flight) -> float:
     """Return the time [s] at which a hitch first stands, 0 without one."""
-    begins = motion.drones.breaks[0]
-    parts = [
-        x.motion for x in motion.groups if x.motion.team.has_cables and np.any(x.motion.formed)
-    ]
+    begins = flight.drones.breaks[0]
+    parts = [x.motion for x in flight.teams if x.motion.team.has_cables and np.any(x.motion.formed)]
     starts = [part.drones.breaks[np.argmax(part.formed)] - begins for part in parts]
     return float(max(0.0, min(starts, default=0.0)))
 
@@ -166,17 +165,17 @@ def pack_samples(arrays: Mapping[str, Array]) -> tuple[list[dict[str, Any]], str
 
 def _scene_data(scene: Scene) -> dict[str, Any]:
     """Return the appearance, the phases, and other data that is constant over time."""
-    motion, look = scene.motion, scene.appearance
+    flight, look = scene.flight, scene.appearance
     return {
         "t": np.round(scene.t, 6).tolist(),
-        "duration": motion.duration,
+        "duration": flight.duration,
         "phases": [
             {
                 **{name: getattr(phase, name) for name in ("name", "start", "end", "remark")},
                 "state": "" if phase.state is CableState.NONE else str(phase.state),
                 "hooked": phase.state in HOOKED_STATES,
             }
-            for phase in motion.phases
+            for phase in flight.phases
         ],
         "names": list(look.drones),
         "colours": list(look.drone_colours),
@@ -192,7 +191,7 @@ def _scene_data(scene: Scene) -> dict[str, Any]:
         "objects": list(map(_solid, look.objects)),
         "keep_outs": list(map(_solid, look.keep_outs)),
         "arena": look.arena.ravel().tolist(),
-        "floor": motion.requirements.floor,
+        "floor": flight.requirements.floor,
         "ellipsoid": list(look.ellipsoid),
     }
 
@@ -204,23 +203,23 @@ def _solid(solid: RigidSurface) -> dict[str, Any]:
     return {"colours": list(solid.colours), "corners": corners}
 
 
-def plots_of(motion: Motion, certificate: Certificate) -> Iterator[dict[str, Any]]:
+def plots_of(flight: Flight, certificate: Certificate) -> Iterator[dict[str, Any]]:
     """Yield the plots of limited quantities, and of the extreme tensions of each hitch."""
-    states, duration = sample_states(motion), motion.duration
-    for panel in panels(motion, states):
+    states, duration = sample_states(flight), flight.duration
+    for panel in panels(flight, states):
         bound = (np.array([0.0, duration]), np.full(2, panel.limit), f"limit {panel.limit:.4g}")
         worst = panel.worst_of(certificate)
         sense = RULE_OF[panel.name].sense
         yield _plot(panel.label, sense, states.t, [panel.values], [bound], worst)
-    for group in motion.groups:
-        yield from _tensions(group)
+    for each in flight.teams:
+        yield from _tensions(each)
 
 
-def _tensions(group: Group) -> Iterator[dict[str, Any]]:
-    """Yield the plot of the extreme tensions of a group's hitch, if it has one."""
-    motion, limits = group.motion, list[tuple[Array, Array, str]]()
+def _tensions(flown: TeamMotion) -> Iterator[dict[str, Any]]:
+    """Yield the plot of the extreme tensions of a team's hitch, if it has one."""
+    motion, limits = flown.motion, list[tuple[Array, Array, str]]()
     if motion.team.has_cables and np.any(motion.formed):
-        states = sample_states(motion)
+        states = sample_states(Flight.of(motion))
         curves = np.full((2, len(states.t)), np.nan)
         tensions = states.tensions[states.formed]
         curves[:, states.formed] = np.min(tensions, axis=1), np.max(tensions, axis=1)
@@ -229,7 +228,7 @@ def _tensions(group: Group) -> Iterator[dict[str, Any]]:
         for bounds in (np.min(ranges[..., 0], axis=1), np.max(ranges[..., 1], axis=1)):
             limits.append((steps, np.repeat(np.where(motion.formed, bounds, np.nan), 2), ""))
         yield _plot(
-            f"{group.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
+            f"{flown.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
         )
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import FileError
 from hitchopt.geometry.vectors import unit
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import states_at
 from hitchopt.objects import Slab, SolidObject
@@ -59,14 +59,14 @@ class Moment:
 class Scene(Moment):
     """Samples of a plan over time: the arrays of ``Moment`` (times, …)."""
 
-    motion: Motion  # the plan, with limits, arena, keep-outs and objects
+    flight: Flight  # the plan, with limits, arena, keep-outs and objects
     t: Array  # (times,) [s] from its start, including the ends of all phases
     radius: float  # radius of drawn cables [m]
 
     @cached_property
     def appearance(self) -> Appearance:
         """Names, colours and shapes."""
-        return Appearance.of(self.motion)
+        return Appearance.of(self.flight)
 
     def at(self, time: float) -> Moment:
         """Return the scene at a time [s], interpolated between its samples."""
@@ -76,33 +76,33 @@ class Scene(Moment):
         return Moment(*((1.0 - share) * array[i - 1] + share * array[i] for array in arrays))
 
 
-def scene_of(motion: Motion, samples: int = MAX_SAMPLES) -> Scene:
+def scene_of(flight: Flight, samples: int = MAX_SAMPLES) -> Scene:
     """Return the scene of a plan at even times and at the ends of its phases.
 
     ``samples`` is the maximum number of coordinates, which determines the number of times.
     """
-    teams = [group.motion.team for group in motion.all_groups]
+    teams = [each.motion.team for each in flight.all_teams]
     size = sum(PER_DRONE * team.drones + 3 * POINTS * team.robots for team in teams)
-    count = int(np.clip(samples // size, MIN_TIMES, MAX_RATE * motion.duration + 2))
-    ends = [phase.end for phase in motion.phases]
-    times = np.concatenate([np.linspace(0.0, motion.duration, count), ends])
-    return scene_at(motion, np.unique(np.clip(np.round(times, 6), 0.0, motion.duration)))
+    count = int(np.clip(samples // size, MIN_TIMES, MAX_RATE * flight.duration + 2))
+    ends = [phase.end for phase in flight.phases]
+    times = np.concatenate([np.linspace(0.0, flight.duration, count), ends])
+    return scene_at(flight, np.unique(np.clip(np.round(times, 6), 0.0, flight.duration)))
 
 
-def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
+def scene_at(flight: Flight, t: Array, thickness: float = THICKNESS) -> Scene:
     """Return the scene of a plan, with other plans, at ascending times (times,) [s].
 
     ``thickness`` is the radius of a drawn cable as a share of the scene's extent.
     """
-    begin, rows, radii = motion.drones.breaks[0], list[Any](), list[float]()
-    poses = [motion.poses.at(begin + np.minimum(t, motion.duration))]
-    for group in motion.all_groups:
-        own, is_other = group.motion, group in motion.others
+    begin, rows, radii = flight.drones.breaks[0], list[Any](), list[float]()
+    poses = [flight.poses.at(begin + np.minimum(t, flight.duration))]
+    for each in flight.all_teams:
+        own, is_other = each.motion, each in flight.others
         states = states_at(own, np.clip(begin + t - own.drones.breaks[0], 0.0, own.duration))
         cables, radius = cable_curves(own, states, thickness)
         thrusts = np.linalg.norm(states.thrusts(own.team), axis=-1)
         rows.append((states.positions, states.quaternions, thrusts, states.cable_forces, cables))
-        radii += [radius] * (own.team.has_cables or len(motion.all_groups) == 1)
+        radii += [radius] * (own.team.has_cables or len(flight.all_teams) == 1)
         poses += [states.object_poses] * is_other
     pose = np.concatenate(poses, axis=1)
     half = 0.5 * np.unwrap(np.arctan2(pose[..., 4], pose[..., 3]), axis=0)[..., None]
@@ -114,11 +114,11 @@ def scene_at(motion: Motion, t: Array, thickness: float = THICKNESS) -> Scene:
         np.concatenate([pose[..., :3], *turns], axis=-1),
         min(radii, default=MIN_RADIUS),
     )
-    return Scene(drones, attitudes, thrusts, forces, curves, objects, motion, t, radius)
+    return Scene(drones, attitudes, thrusts, forces, curves, objects, flight, t, radius)
 
 
-def ghost_scene(path: Path, motion: Motion) -> Scene:
-    """Return the scene of another plan, or of a simulated or evaluated flight of ``motion``.
+def ghost_scene(path: Path, flight: Flight) -> Scene:
+    """Return the scene of another plan, or of a simulated or evaluated flight of a plan ``flight``.
 
     ``path`` is a recording or a plan, or the directory of either. Raises FileError if the file is
     missing or damaged, or if the flight is another team's.
@@ -136,15 +136,15 @@ def ghost_scene(path: Path, motion: Motion) -> Scene:
         raise FileError(f"{path}: not the recording of a flight: {error}") from error
     first, t = arrays["cables"], arrays["t"]
     if (
-        len(first) != sum(group.motion.team.robots for group in motion.groups) + 1
+        len(first) != sum(each.motion.team.robots for each in flight.teams) + 1
         or np.sum(t >= 0.0) < 2
     ):
         raise FileError(f"{path}: a flight of {len(first) - 1} cables; name one of this plan")
-    return recorded_scene(motion, t, arrays["nodes"], first, arrays["poses"])
+    return recorded_scene(flight, t, arrays["nodes"], first, arrays["poses"])
 
 
 def recorded_scene(
-    motion: Motion, t: Array, nodes: NDArray[Any], first: NDArray[Any], poses: NDArray[Any]
+    flight: Flight, t: Array, nodes: NDArray[Any], first: NDArray[Any], poses: NDArray[Any]
 ) -> Scene:
     """Return the scene of a simulated flight; attitudes of drones are not recorded.
 
@@ -152,7 +152,7 @@ def recorded_scene(
 
     Parameters
     ----------
-    motion: the plan of the flight.
+    flight: the plan that was flown.
     t: (frames,) [s], negative while cables settle.
     nodes: (frames, nodes, 3) [m], in the order of cables, with drones at their ends.
     first: (n + 1,), first node of each cable, and the number of nodes.
@@ -161,16 +161,17 @@ def recorded_scene(
     in_flight = t >= 0.0
     indices = [np.linspace(a, b - 1, POINTS).round().astype(int) for a, b in pairwise(first)]
     curves = np.stack([nodes[in_flight][:, x] for x in indices], axis=1).astype(np.float64)
-    plan = scene_at(motion, t[in_flight])
-    recorded = [x.motion.team.has_cables and x not in motion.others for x in motion.all_groups]
-    teams = [(group.motion.team, x) for group, x in zip(motion.all_groups, recorded, strict=True)]
+    plan = scene_at(flight, t[in_flight])
+    recorded = [x.motion.team.has_cables and x not in flight.others for x in flight.all_teams]
+    pairs = zip(flight.all_teams, recorded, strict=True)
+    teams = [(each.motion.team, is_recorded) for each, is_recorded in pairs]
     drones = np.concatenate([np.full(team.drones, x) for team, x in teams])
     cables = np.concatenate([np.full(team.robots, x) for team, x in teams])
     plan.drones[:, drones] = curves[:, :, [0, -1]].reshape(len(curves), -1, 3)
     plan.quaternions[:, drones] = [1.0, 0.0, 0.0, 0.0]
     plan.thrusts[:, drones], plan.cable_forces[:, drones] = 0.0, 0.0
     plan.cables[:, cables], plan.objects[:, : poses.shape[1]] = curves, poses[in_flight]
-    return replace(plan, radius=scene_of(motion, 0).radius)
+    return replace(plan, radius=scene_of(flight, 0).radius)
 
 
 class Highlight(NamedTuple):
@@ -181,17 +182,17 @@ class Highlight(NamedTuple):
     vertices: tuple[int, ...] = ()
 
 
-def highlight_of(motion: Motion, where: Sequence[str]) -> Highlight:
+def highlight_of(flight: Flight, where: Sequence[str]) -> Highlight:
     """Return the indices for the names in ``where`` of a check; unknown names are ignored."""
     drones, cables, vertices, names = [], [], [], set(where)
-    for group in motion.all_groups:
-        team = group.motion.team
+    for each in flight.all_teams:
+        team = each.motion.team
         pairs = zip(team.drone_names, team.leg_names, strict=True)
-        drones += [set(map(group.label, pair)) for pair in pairs]
+        drones += [set(map(each.label, pair)) for pair in pairs]
         for k, robot in enumerate(team.labels):
             own = (f"edge {k}", *(f"{prefix}{robot}" for prefix in CABLE_PREFIXES))
-            cables.append(set(map(group.label, own)))
-        vertices += [{group.label(x)} for x in team.point_names]
+            cables.append(set(map(each.label, own)))
+        vertices += [{each.label(x)} for x in team.point_names]
     aliases = drones, cables, vertices
     indices = ([k for k, x in enumerate(each) if x & names] for each in aliases)
     return Highlight(*map(tuple, indices))
@@ -243,7 +244,7 @@ class Clasp(NamedTuple):
 
 
 class GroupName(NamedTuple):
-    """Name, colour and drones of a group."""
+    """Name, colour and drones of a team."""
 
     name: str
     colour: str
@@ -269,24 +270,24 @@ class Appearance:
     arena: Array  # edges (12 or 0, 2, 3) [m]
 
     @classmethod
-    def of(cls, motion: Motion) -> Appearance:
-        """Return the appearance of a plan's groups, and of other plans."""
-        requirements, clasps, vertices, cables = motion.requirements, list[Clasp](), 0, 0
+    def of(cls, flight: Flight) -> Appearance:
+        """Return the appearance of a plan's teams, and of other plans."""
+        requirements, clasps, vertices, cables = flight.requirements, list[Clasp](), 0, 0
         names, hollow, groups = list[str](), list[bool](), list[GroupName]()
-        looks = group_colours(motion)
+        looks = group_colours(flight)
         bodies = list(requirements.objects.items())
-        for group in motion.all_groups:
-            team, layout = group.motion.team, group.motion.team.layout
+        for each in flight.all_teams:
+            team, layout = each.motion.team, each.motion.team.layout
             first = len(names)
-            names += map(group.label, team.drone_names)
+            names += map(each.label, team.drone_names)
             hollow += [name[0] == "r" for name in team.drone_names]
             pairs = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
-            groups.append(GroupName(group.name, looks[len(groups)][0][0], slice(first, len(names))))
+            groups.append(GroupName(each.name, looks[len(groups)][0][0], slice(first, len(names))))
             clasps += [
-                Clasp(group.label(team.point_names[p]), vertices + p, cables + k) for p, k in pairs
+                Clasp(each.label(team.point_names[p]), vertices + p, cables + k) for p, k in pairs
             ]
             vertices, cables = vertices + layout.points, cables + team.robots
-        for other in motion.others:
+        for other in flight.others:
             objects_of_other = other.motion.requirements.objects.items()
             bodies += [(other.label(name), body) for name, body in objects_of_other]
         drone_shades, cable_shades = (sum(each, ()) for each in zip(*looks, strict=True))

@@ -17,7 +17,7 @@ import numpy as np
 from hitchopt.checks.certificate import Certificate
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.values import Array
 
 if TYPE_CHECKING:
@@ -73,16 +73,16 @@ def drone_colours(team: Team) -> tuple[str, ...]:
     return tuple(COLOURS[i % len(COLOURS)] for i in range(len(team.drone_names)))
 
 
-def group_colours(motion: Motion) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
-    """Return the colours of the drones and cables of each group.
+def group_colours(flight: Flight) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Return the colours of the drones and cables of each team.
 
-    Several groups have one colour each; other plans are grey.
+    Several teams have one colour each; other plans are grey.
     """
-    own = [each.motion.team for each in motion.groups]
+    own = [each.motion.team for each in flight.teams]
     looks = [(drone_colours(team), cable_colours(team.robots)) for team in own]
     if len(own) > 1:
         looks = [_uniform_colours(x, COLOURS[i % len(COLOURS)]) for i, x in enumerate(own)]
-    return looks + [_uniform_colours(each.motion.team, OTHERS_COLOUR) for each in motion.others]
+    return looks + [_uniform_colours(each.motion.team, OTHERS_COLOUR) for each in flight.others]
 
 
 def _uniform_colours(team: Team, colour: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -101,16 +101,16 @@ def rgb(colours: Iterable[str], *, linear: bool = False) -> Array:
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def facts(motion: Motion) -> str:
-    """Return the groups and the duration of a plan as text."""
+def facts(flight: Flight) -> str:
+    """Return the teams and the duration of a plan as text."""
     parts = []
-    for group in motion.groups:
-        team, name = group.motion.team, f"{group.name}: " if group.name else ""
+    for each in flight.teams:
+        team, name = each.motion.team, f"{each.name}: " if each.name else ""
         robots = f"{team.robots} robots, " if team.has_cables else ""
         parts.append(f"{name}{robots}{team.drones} drones")
-    if motion.others:
-        parts.append(f"beside {', '.join(group.name for group in motion.others)}")
-    return f"{'; '.join(parts)}, {motion.duration:.4g} s"
+    if flight.others:
+        parts.append(f"beside {', '.join(each.name for each in flight.others)}")
+    return f"{'; '.join(parts)}, {flight.duration:.4g} s"
 
 
 def verdict(certificate: Certificate) -> str:

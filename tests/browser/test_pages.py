@@ -18,7 +18,7 @@ from matplotlib.image import imread
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.steps.certified_motions import CertifiedMotion
+from hitchopt.steps.certified_motions import CertifiedFlight
 from hitchopt.values import Array
 from hitchopt.view.editing import Editing, PlanState
 from hitchopt.view.live import LiveView, open_server
@@ -152,8 +152,8 @@ def panel(tmp_path_factory: pytest.TempPathFactory) -> Iterator[EditingPanel]:
     path: Path = tmp_path_factory.mktemp("edited") / "problem.yaml"
     path.write_text(TEXT)
     plan = ho.solve(path)
-    live = LiveView(open_server(), plan.motion, plan.certificate)
-    editing = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
+    live = LiveView(open_server(), plan.flight, plan.certificate)
+    editing = Editing(TEXT, path, CertifiedFlight(plan.flight, plan.certificate))
     yield EditingPanel(live, editing)
     editing.close()
     live.close()

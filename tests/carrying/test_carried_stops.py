@@ -59,8 +59,8 @@ def test_a_pause_starts_when_the_carried_object_stays_in_balance(kind: str) -> N
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_clock_restarts_from_every_stop_of_a_carry(kind: str) -> None:
     motion = plan(kind).motion
-    limits = ClockLimits(motion)
-    table = stop_table(motion, limits)
+    limits = ClockLimits(ho.Flight.of(motion))
+    table = stop_table(ho.Flight.of(motion), limits)
     rests = table.starts + 0.5 * table.durations
     there = np.flatnonzero(limits.carries(rests))
     assert len(there) > 5
@@ -103,10 +103,10 @@ def test_a_hold_starts_where_the_balance_permits(kind: str, tmp_path: Path) -> N
     """
     motion = plan(kind).motion
     end = during(motion, "lift", 1.0)
-    found = Aborts(motion).plan(end - 1.0, "hold")
+    found = Aborts(ho.Flight.of(motion)).plan(end - 1.0, "hold")
     assert found.certificate.certified
     assert found.rest < end + 0.2
-    write_plan(tmp_path / "plan.npz", found.motion)
+    write_plan(tmp_path / "plan.npz", found.flight)
     (told,), _ = second.read(tmp_path / "plan.npz")
     assert {row.verdict for row in driver.jumps(told)} == {"proven"}
 
@@ -116,12 +116,12 @@ def carried() -> Aborts:
     """Of a tray that is carried to a table and left, the hitch then led away from there."""
     problem = tray()
     problem["mission"].append({"transport": {"to": [-0.3, 2.6, 1.0]}})
-    return Aborts(ho.solve(ho.problem_from_dict(problem)).motion)
+    return Aborts(ho.solve(ho.problem_from_dict(problem)).flight)
 
 
 def landed(found: Abort) -> Array:
     """Check that it is certified and lands without a jump; return the tray's ends."""
-    whole = found.motion
+    whole = found.flight
     assert found.certificate.certified
     assert np.max(np.abs(whole.drones.at(whole.duration)[:, 2])) <= 0.2
     left, right = whole.poses.ends(0)
@@ -135,15 +135,15 @@ def landed(found: Abort) -> Array:
 def test_lifted_objects_are_set_down_first(how: str) -> None:
     """Where the plan takes them, or where they came from, whichever is sooner."""
     aborts = carried()
-    start, end = landed(aborts.plan(during(aborts.motion, "carry", 0.7), how))
+    start, end = landed(aborts.plan(during(aborts.flight.teams[0].motion, "carry", 0.7), how))
     assert min(np.max(np.abs(end - place)) for place in (start, TO)) <= 1e-9
 
 
 @pytest.mark.slow
 def test_before_it_is_lifted_the_hitch_goes_back() -> None:
     aborts = carried()
-    found = aborts.plan(during(aborts.motion, "grasp"), "release_and_land")
-    assert found.rest < during(aborts.motion, "grasp", 1.0)
+    found = aborts.plan(during(aborts.flight.teams[0].motion, "grasp"), "release_and_land")
+    assert found.rest < during(aborts.flight.teams[0].motion, "grasp", 1.0)
     np.testing.assert_allclose(np.ptp(landed(found), axis=0), 0.0, atol=1e-9)
 
 
@@ -152,7 +152,7 @@ def test_objects_left_in_the_air_are_set_down_at_their_start() -> None:
     names = {"enclose": {"object": "tray"}, "grasp": {"object": "tray"}, "lift": {"by": 0.2}}
     problem = {**tray(), "mission": [{name: keys} for name, keys in names.items()]}
     motion = ho.solve(ho.problem_from_dict(problem)).motion
-    found = Aborts(motion).plan(motion.duration, "release_and_land")
+    found = Aborts(ho.Flight.of(motion)).plan(motion.duration, "release_and_land")
     np.testing.assert_allclose(np.ptp(landed(found), axis=0), 0.0, atol=1e-9)
 
 

@@ -153,7 +153,7 @@ def test_turning_faster_loads_the_grip(motion: Motion, monkeypatch: pytest.Monke
 def test_files_with_false_objects_are_refused(
     motion: Motion, tmp_path: Path, part: str, change: dict[str, Any], words: str
 ) -> None:
-    write_plan(tmp_path / "plan.npz", motion)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion))
     arrays = dict(np.load(tmp_path / "plan.npz"))
     settings = json.loads(str(arrays["settings"]))
     records = settings["groups"][0]["records"]
@@ -166,7 +166,7 @@ def test_files_with_false_objects_are_refused(
 def test_a_plan_from_the_middle_of_a_flight_is_read(motion: Motion, tmp_path: Path) -> None:
     carry = next(phase for phase in motion.phases if phase.name == "carry")
     first = int(np.searchsorted(motion.drones.breaks, carry.start + 1e-9))
-    write_plan(tmp_path / "plan.npz", cut(motion, first, motion.drones.pieces))
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(cut(motion, first, motion.drones.pieces)))
     found = read_plan(tmp_path / "plan.npz")
     body = found.requirements.objects["drum"]
     np.testing.assert_allclose(body.pose, found.poses.at(0.0)[0], atol=1e-12)
@@ -254,7 +254,7 @@ def test_edges_that_bend_to_the_left_grip_nothing(motion: Motion, tmp_path: Path
     """Drawn to a drum that straight edges miss they would turn by more than half around it."""
     changed = around(motion, 0.03)
     assert not check(changed, "grip").holds
-    write_plan(tmp_path / "plan.npz", changed)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(changed))
     (told,), _ = second.read(tmp_path / "plan.npz")
     assert ("grip", "violated") in {(row.name, row.verdict) for row in gripped(told, 0)}
 

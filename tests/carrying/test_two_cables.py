@@ -23,8 +23,8 @@ from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import CableState, Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
@@ -93,7 +93,7 @@ def test_drum_is_tied_carried_and_untied() -> None:
 def test_drones_are_pulled_along_their_cables_in_every_state() -> None:
     motion = tied()
     times = np.linspace(0.0, motion.duration, 60)
-    plan = ho.Plan(motion, certify(motion, reports=()))
+    plan = ho.Plan(ho.Flight.of(motion), certify(motion, reports=()))
     states = plan.at(times)
     anchors = motion.anchors.at(motion.drones.breaks[0] + times).reshape(len(times), 4, 3)
     breaks = motion.drones.breaks
@@ -113,7 +113,7 @@ def test_cables_beside_the_object_are_catenaries_within_what_bent_cables_may_lac
     motion = tied()
     team, (lower,) = motion.team, [p for p in motion.phases if p.name == "lower"]
     times = np.linspace(lower.start, lower.end, 20) - motion.drones.breaks[0]
-    states = ho.Plan(motion, certify(motion, reports=())).at(times)
+    states = ho.Plan(ho.Flight.of(motion), certify(motion, reports=())).at(times)
     q, r = states.positions[:, 0::2], states.positions[:, 1::2]
     half = 0.5 * GRAVITY * team.cable_density / states.tensions[..., None]
     weights = half * (team.cable_length[:, None] - states.legs[..., ::-1])
@@ -189,7 +189,7 @@ def tied_harder() -> Motion:
 
 def of_both(motion: Motion, folder: Path, name: str) -> tuple[float, list[verify.Row]]:
     """Return the bound of a check, and verify's rows of it."""
-    write_plan(folder / "plan.npz", motion)
+    write_plan(folder / "plan.npz", ho.Flight.of(motion))
     rows = [each for each in verify.verify(folder) if each.name == name]
     return certify(motion, reports=())[name].worst, rows
 
@@ -260,7 +260,7 @@ def test_cables_that_hold_an_object_do_not_pass_through_its_rim(
     check = RULE_OF["object_clearance"].check(motion)
     assert check is not None
     assert check.holds is not expected
-    write_plan(tmp_path / "plan.npz", motion)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion))
     ((plan,), _) = verify.read(tmp_path / "plan.npz")
     rows = [each for each in objects.clear_held(plan, index) if each.samples]
     assert any(each.verdict != "proven" for each in rows) is expected
@@ -426,9 +426,9 @@ def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:
 
 
 def test_other_teams_are_refused_while_cables_are_tied() -> None:
-    alone = Group("", tied())
+    alone = TeamMotion("", tied())
     with pytest.raises(ho.UnsupportedError, match="no distances to other teams"):
-        combined([alone], [Group("other", cycle().motion)])
+        Flight((alone,), (TeamMotion("other", cycle().motion),))
 
 
 @pytest.mark.parametrize(

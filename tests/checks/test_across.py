@@ -17,8 +17,8 @@ from hitchopt.checks.across import ACROSS
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import shifted
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -115,7 +115,7 @@ def apart(a: Array, long: Array | None, b: Array, wide: Array | None) -> float:
 
 def across(first: Motion, second: Motion) -> Certificate:
     """Return the certificate of both, with checks between groups as the worst."""
-    return certify(combined([Group("a", first), Group("b", second)]), reports=())
+    return certify(Flight((TeamMotion("a", first), TeamMotion("b", second))), reports=())
 
 
 @pytest.mark.parametrize("kinds", ["tt", "th", "hh", "ts", "sh", "ss"])
@@ -130,9 +130,9 @@ def test_no_sample_exceeds_a_bound_between_groups(kinds: str, seed: int) -> None
             [np.linspace(0.0, float(end), 3001), first.drones.breaks, second.drones.breaks]
         )
     )
-    both = combined([Group("a", first), Group("b", second)])
+    both = Flight((TeamMotion("a", first), TeamMotion("b", second)))
     for name, value in sampled(first, second, times).items():
-        checks = [check_of(RULE_OF[name], motion) for motion in (both, first, second)]
+        checks = [check_of(RULE_OF[name], Flight.of(each)) for each in (both, first, second)]
         known, *own = (math.inf if check is None else check.worst for check in checks)
         least = min(value, *own)
         if math.isinf(least):  # no cables
@@ -161,9 +161,9 @@ def test_certificates_do_not_depend_on_place_order_or_names(kinds: str) -> None:
 
 def test_a_single_group_is_unchanged() -> None:
     motion = taut(3, np.zeros(3))
-    alone = combined([Group("a", motion)])
+    alone = Flight((TeamMotion("a", motion),))
     assert alone.drones is motion.drones
-    assert alone.groups[0].name == ""
+    assert alone.teams[0].name == ""
     assert worst(certify(alone)) == worst(certify(motion))
 
 
@@ -172,7 +172,7 @@ def test_external_plans_count_before_and_after_their_time() -> None:
     mine = lines([[0.0, 0, 1]], [[4.0, 0, 1]], seconds=4.0, separation=SEPARATION)
     there = lines([[2.0, 0, 1]], [[2.0, 5, 1]], seconds=1.0, separation=SEPARATION)
     hit = {
-        at: combined([Group("", mine)], [Group("show", shifted(there, at), "abc")])
+        at: Flight((TeamMotion("", mine),), (TeamMotion("show", shifted(there, at), "abc"),))
         for at in (0.0, 6.0)
     }
     assert certify(hit[0.0], reports=())["separation"].holds
@@ -181,10 +181,12 @@ def test_external_plans_count_before_and_after_their_time() -> None:
     assert check.time == pytest.approx(2.0, abs=1e-3)
     assert check.where == ("d0", "show.d0")
     back = lines([[2.0, 5, 1]], [[2.0, 0, 1]], seconds=1.0, separation=SEPARATION)
-    assert not certify(combined([Group("", mine)], [Group("show", back)]), reports=())[
+    assert not certify(Flight((TeamMotion("", mine),), (TeamMotion("show", back),)), reports=())[
         "separation"
     ].holds
-    after = combined([Group("", mine)], [Group("show", shifted(moved(back, 2.0, 0.0, 0.0), 9.0))])
+    after = Flight(
+        (TeamMotion("", mine),), (TeamMotion("show", shifted(moved(back, 2.0, 0.0, 0.0), 9.0)),)
+    )
     assert certify(after, reports=())["separation"].time == pytest.approx(
         10.0, abs=1e-3
     )  # mine rests at its end
@@ -218,7 +220,7 @@ def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool
     assert check.worst == pytest.approx(0.3 - 0.1, abs=1e-4)  # of radius 0.1, passed 0.3 m away
     # The drone is off toward the object, which is off as far as vertices that carry it.
     slack = check.worst - SEPARATION.radius
-    whole = combined([Group("a", both[0]), Group("b", both[1])])
+    whole = Flight((TeamMotion("a", both[0]), TeamMotion("b", both[1])))
     for gamma in (0.5, 1.0, 3.0):
         radius = certify(whole, gamma=gamma)["tracking_radius"]
         assert radius.worst == pytest.approx(slack / (1.0 + max(1.0, gamma)), rel=1e-6)
@@ -241,7 +243,9 @@ def test_tracking_radius_is_half_of_the_slack_between_groups(
             each.replaced(requirements=replace(each.requirements, limits=limits))
             for each in (one, other)
         ]
-        return certify(combined([Group("a", both[0]), Group("b", both[1])]))["tracking_radius"]
+        return certify(Flight((TeamMotion("a", both[0]), TeamMotion("b", both[1]))))[
+            "tracking_radius"
+        ]
 
     slack = 0.5 * (1.0 - limit) / (ratio if away[2] else 1.0)
     assert radius(0.01).worst == pytest.approx(slack, rel=1e-4)
@@ -256,8 +260,8 @@ def test_start_times_and_certificates_keep_the_same_distances() -> None:
 def test_what_flies_far_away_changes_no_check(*, several: bool) -> None:
     """Of one team beside an external plan, and of one of two teams."""
     one, far = taut(1, np.zeros(3)), taut(1, np.array([60.0, 0.0, 0.0]))
-    other = Group("b", far)
-    both = combined([Group("a", one), other]) if several else one.replaced(others=(other,))
+    other = TeamMotion("b", far)
+    both = Flight((TeamMotion("a", one), other)) if several else one.replaced(others=(other,))
     alone, found = certify(one), certify(both)
     for check in alone.checks:
         bound = pytest.approx(check.worst, rel=1e-6, abs=1e-5)  # b rounds at its coordinates

@@ -18,8 +18,8 @@ from hitchopt.checks.across import check_across
 from hitchopt.checks.bodies import cable_sheets
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import hull_offset
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import CLASPED_STATES, CableState, Group, Motion, Phase
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, shifted, slice_time
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
@@ -50,10 +50,10 @@ def route_ends(route: Array) -> tuple[list[Array], list[Array]]:
 
 @cache
 def hitch(name: str) -> Motion:
-    return planned(name).motion.replaced(others=())
+    return planned(name).motion
 
 
-def passing(whole: Motion, t: float, start: Array, end: Array, seconds: float = 1.0) -> Motion:
+def passing(whole: Motion, t: float, start: Array, end: Array, seconds: float = 1.0) -> Flight:
     """Return a hitch and a single drone that flies from start to end, in the middle at t."""
     begin, last = whole.drones.breaks[[0, -1]].tolist()
     inner = np.clip([t - 0.5 * seconds, t + 0.5 * seconds], begin + 1e-3, last - 1e-3)
@@ -61,7 +61,7 @@ def passing(whole: Motion, t: float, start: Array, end: Array, seconds: float = 
     drones = through([begin, *inner, last], places)
     phases = [Phase("fly", 0, begin, last)]
     single = Motion.single(ho.Swarm(1), whole.requirements, drones, phases)
-    return combined([Group("a", whole), Group("s", single)])
+    return Flight((TeamMotion("a", whole), TeamMotion("s", single)))
 
 
 @pytest.mark.parametrize("name", ["tie_carry_untie", "lay_triangle"])
@@ -108,9 +108,9 @@ def test_no_cable_of_a_hitch_that_is_tied_is_closer_than_bounds(seed: int) -> No
     t = float(rng.uniform(phase.start, phase.end))
     centre = np.mean(whole.drones.at(t), axis=0)
     ends = centre + rng.uniform(-1.0, 1.0, (2, 3)) * [1.6, 1.6, 0.9]
-    motion = passing(whole, t, ends[0], ends[1], seconds=4.0)
-    drone = motion.groups[1].motion
-    check = check_across(RULE_OF["cable_clearance"], motion)
+    flight = passing(whole, t, ends[0], ends[1], seconds=4.0)
+    drone = flight.teams[1].motion
+    check = check_across(RULE_OF["cable_clearance"], flight)
     assert check is not None
     for time in np.linspace(phase.start, phase.end, 150):
         points, x = cables(whole, float(time)), drone.drones.at(time)
@@ -181,11 +181,11 @@ def test_objects_of_other_teams_keep_off_a_cable_that_is_tied(
         drones = PiecewisePolynomial.constant(poses.breaks, np.array([[9.0, 9.0, 1.0]]))
         phases = [Phase("fly", 0, *poses.breaks[[0, -1]].tolist())]
         other = Motion.single(ho.Swarm(1), needs, drones, phases).replaced(poses=poses)
-        motion = combined([Group("a", whole), Group("s", other)])
-        check = check_across(RULE_OF["object_clearance"], motion)
+        flight = Flight((TeamMotion("a", whole), TeamMotion("s", other)))
+        check = check_across(RULE_OF["object_clearance"], flight)
         assert check is not None
         assert check.holds is kept
-        broken = violated(opinion_of(motion, tmp_path, teams.object_distances))
+        broken = violated(opinion_of(flight, tmp_path, teams.object_distances))
         assert ("object_clearance" not in broken) is kept
 
 
@@ -246,12 +246,12 @@ def test_stated_vertices_beside_the_edges_do_not_free_these(tmp_path: Path) -> N
     single = Motion.single(
         ho.Swarm(1), whole.requirements, through(times, places), [Phase("fly", 0, begin, last)]
     )
-    motion = combined([Group("a", lying), Group("s", single)])
-    check = check_across(RULE_OF["cable_clearance"], motion)
+    flight = Flight((TeamMotion("a", lying), TeamMotion("s", single)))
+    check = check_across(RULE_OF["cable_clearance"], flight)
     assert check is not None
     assert check.worst < 0.01
     assert abs(check.time - t) < 0.1
-    assert "cable_clearance" in violated(opinion_of(motion, tmp_path, teams.between_plans))
+    assert "cable_clearance" in violated(opinion_of(flight, tmp_path, teams.between_plans))
 
 
 @pytest.mark.parametrize("topology", ["closed", "open"])

@@ -30,14 +30,14 @@ from motions import (
 from refusals import assert_refused
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import below_ground
 from hitchopt.checks.distances import leg_remedy
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import RULE_OF, below_ground
 from hitchopt.errors import EXCHANGED
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.geometry.vectors import shortest_offset
 from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.hitch.requirements import Arena, Prism, Requirements
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.steps.certified_motions import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
@@ -362,7 +362,7 @@ def test_edges_sag_toward_the_floor_and_no_clasp_is_below_it(density: float) -> 
 
 def test_heights_below_ground_are_reported_without_an_arena() -> None:
     motion = still(Team(3, 3.0), np.array(WIDE), [0.4] * 3)
-    assert below_ground(motion) is None
+    assert below_ground(Flight.of(motion)) is None
     down = motion.drones.coefficients[0, 0, 2, 0] + 0.3
     parts = {
         name: getattr(motion, name).replaced(
@@ -370,12 +370,13 @@ def test_heights_below_ground_are_reported_without_an_arena() -> None:
         )
         for name in ("drones", "vertices")
     }
-    result = below_ground(motion.replaced(**parts))
+    result = below_ground(Flight.of(motion.replaced(**parts)))
     assert result is not None
     assert result.worst == pytest.approx(-0.3)
     arena = Arena([-9, -9, -1], [9, 9, 9])
     walled = replace(motion.requirements, arena=arena)
-    assert below_ground(motion.replaced(requirements=walled, **parts)) is None
+    within = Flight.of(motion.replaced(requirements=walled, **parts))
+    assert below_ground(within) is None
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,8 @@ from hitchopt.checks import Check, certify
 from hitchopt.checks.across import ACROSS, check_across, radius_across
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.combined import combined, moved_objects
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion, moved_objects
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.schedule import SampledPath, slacks
 from hitchopt.trajectory import PiecewisePolynomial
@@ -84,7 +84,7 @@ def test_the_strongest_drone_of_a_team_decides_what_it_would_move(
     motion = flown.replaced(team=ho.Swarm(3, quadrotor=kinds))
     names = {check.name for check in certify(motion, reports=()).checks}
     assert ("downwash" in names) is counts
-    write_plan(tmp_path / "plan.npz", motion)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion))
     rows = {each.name: each.verdict for each in verify.verify(tmp_path)}
     assert ("downwash" in rows) is counts
     assert not counts or rows["downwash"] == "violated"
@@ -99,7 +99,7 @@ def test_no_sample_of_a_cable_below_a_drone_exceeds_the_bound(seed: int, tmp_pat
     centre = np.mean(hitch.vertices.coefficients, axis=(0, 1, 3))
     places = centre + rng.uniform(-0.7, 0.7, (4, 2, 3)) + [0.0, 0.0, 0.35]
     swarm = lines(*places, seconds=4.0, separation=SEPARATION)
-    motion = combined([Group("a", hitch), Group("s", swarm)])
+    motion = Flight((TeamMotion("a", hitch), TeamMotion("s", swarm)))
     check = check_across(RULE_OF["downwash"], motion)
     assert check is not None
     times = np.linspace(0.0, 4.0, 801)
@@ -144,7 +144,7 @@ def test_cables_that_are_laid_are_below_drones_too(seed: int, tmp_path: Path) ->
     place = ends[0] + rng.uniform(0.2, 0.8) * (ends[1] - ends[0])
     places = place + rng.uniform(-0.1, 0.1, (2, 1, 3)) + [0.0, 0.0, rng.uniform(0.1, 0.5)]
     drone = lines(*places, seconds=end, separation=SEPARATION)
-    motion = combined([Group("a", laid), Group("s", drone)])
+    motion = Flight((TeamMotion("a", laid), TeamMotion("s", drone)))
     check = check_across(RULE_OF["downwash"], motion)
     assert check is not None
     times = np.linspace(0.0, end, 201)
@@ -195,15 +195,15 @@ def held(motion: Motion) -> Motion:
 def across_check(below: Motion, place: Array, name: str) -> Check | None:
     """Return the check between a group and a drone that hovers."""
     drone = lines(place[None], place[None], seconds=below.duration)
-    return check_across(RULE_OF[name], combined([Group("a", below), Group("s", drone)]))
+    return check_across(RULE_OF[name], Flight((TeamMotion("a", below), TeamMotion("s", drone))))
 
 
 def group_radius(below: Motion, place: Array) -> float:
     """Return the tracking radius of what is between a group and a drone that hovers."""
     drone = lines(place[None], place[None], seconds=below.duration)
-    motion = combined([Group("a", below), Group("s", drone)])
-    checks = [check_across(RULE_OF[name], motion) for name in ACROSS]
-    return radius_across(motion, checks, 1.0).worst
+    flight = Flight((TeamMotion("a", below), TeamMotion("s", drone)))
+    checks = [check_across(RULE_OF[name], flight) for name in ACROSS]
+    return radius_across(flight, flight.requirements, checks, 1.0).worst
 
 
 def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:
@@ -233,7 +233,7 @@ def test_what_another_team_carries_counts_also_while_it_rests() -> None:
     index, end = list(heavy).index(name), float(whole.drones.breaks[-1])
     top = whole.poses.at(end)[index, :3] + [0.0, 0.0, heavy[name].upper + 0.2]
     drone = lines(top[None], top[None], seconds=end, separation=SEPARATION)
-    motion = combined([Group("a", carrier), Group("s", drone)])
+    motion = Flight((TeamMotion("a", carrier), TeamMotion("s", drone)))
     check = check_across(RULE_OF["downwash"], motion)
     assert check is not None
     assert not check.holds
@@ -247,10 +247,10 @@ def test_schedules_keep_drones_off_what_is_below_them() -> None:
     carrier = box.replaced(poses=PiecewisePolynomial(box.drones.breaks, poses))
     top = carrier.requirements.objects["box"].at + [0.15, 0.0, TOP]
     for motion, owned, place in ((hitch, set[str](), edge), (carrier, {"box"}, top)):
-        group = SampledPath(Group("a", motion), frozenset(owned))
+        group = SampledPath(TeamMotion("a", motion), frozenset(owned))
         for height in (0.2, 0.4, -0.7):
             at = (place + [0.0, 0.0, height])[None]
-            drone = SampledPath(Group("s", lines(at, at, separation=SEPARATION)))
+            drone = SampledPath(TeamMotion("s", lines(at, at, separation=SEPARATION)))
             slack = slacks(group, drone, SEPARATION)
             np.testing.assert_allclose(slacks(drone, group, SEPARATION).T, slack)
             if height > 0.0:
@@ -264,6 +264,6 @@ def test_schedules_keep_drones_off_cables_that_are_laid_below_them(name: str) ->
     below = part(planned("lay_triangle").motion, name, name)
     below = held(turned(below, 0.7, np.array([3.0, -7.0, 0.4])))
     place = np.mean(below.drones.at(0.0)[2:4], axis=0) + [0.0, 0.0, 0.2]
-    hover = SampledPath(Group("s", lines(place[None], place[None], separation=SEPARATION)))
-    slack = slacks(SampledPath(Group("a", below)), hover, SEPARATION)
+    hover = SampledPath(TeamMotion("s", lines(place[None], place[None], separation=SEPARATION)))
+    slack = slacks(SampledPath(TeamMotion("a", below)), hover, SEPARATION)
     assert bool(slack[0, 0] < 0.0) is (name == "lay")

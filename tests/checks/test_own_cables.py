@@ -41,7 +41,7 @@ def pair(offsets: Array, length: float = 2.4, **requirements: object) -> Motion:
 
 def proven(motion: Motion, folder: Path) -> bool:
     """Whether verify proves the clearance of cables."""
-    write_plan(folder / "plan.npz", motion)
+    write_plan(folder / "plan.npz", ho.Flight.of(motion))
     rows = [each for each in verify.verify(folder) if each.name == "cable_clearance"]
     return all(each.verdict == "proven" for each in rows)
 

@@ -111,13 +111,13 @@ def test_a_limit_just_below_its_largest_sample_is_refused(name: str, sense: floa
     for clock, shares in clocks(sense):
         share = shares[name]
         for factor, requirements in ((share * (1.0 - 1e-8), False), (share * 1.05, True)):
-            result = ClockLimits(freed(motion, name, factor)).keep(clock, 1)
+            result = ClockLimits(ho.Flight.of(freed(motion, name, factor))).keep(clock, 1)
             assert bool(result[0]) == requirements
 
 
 def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait() -> None:
     motion = motion_of()
-    table = stop_table(motion)
+    table = stop_table(ho.Flight.of(motion))
     result = np.isfinite(table.durations)
     assert np.sum(result) > 10
     for start, duration in zip(table.starts[result], table.durations[result], strict=True):
@@ -138,7 +138,7 @@ def test_stops_of_the_table_keep_all_limits_and_the_report_is_the_longest_wait()
 @pytest.mark.parametrize(("reserve", "everywhere"), [(0.8, True), (1.0, False)])
 def test_with_a_reserve_a_stop_can_begin_at_every_time(reserve: float, everywhere: bool) -> None:
     motion, usual = motion_of(reserve), motion_of()
-    certificate, limits = certify(motion), ClockLimits(motion)
+    certificate, limits = certify(motion), ClockLimits(ho.Flight.of(motion))
     assert certificate.certified
     assert certificate["acceleration"].limit == pytest.approx(reserve * 2.0)
     assert certificate["jerk"].limit == pytest.approx(reserve * 20.0)
@@ -152,7 +152,7 @@ def test_with_a_reserve_a_stop_can_begin_at_every_time(reserve: float, everywher
 def test_largest_values_at_rest_hold_for_all_times(tmp_path: Path) -> None:
     """The command abort says what it takes at most."""
     motion = motion_of()
-    write_plan(tmp_path / "plan.npz", motion)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion))
     output = CliRunner().invoke(main, ["abort", str(tmp_path)]).output
     result = re.search(r"up to ([\d.]+)%\sof\sa\sdrone's\sthrust,\s([\d.]+)°", output)
     assert result

@@ -28,7 +28,7 @@ from refusals import assert_refused
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
 from hitchopt.checks.distances import closeness
-from hitchopt.checks.registry import MERGEABLE_REPORTS, RULES
+from hitchopt.checks.registry import RULES, TEAM_REPORTS
 from hitchopt.checks.tracking import PARTS, Part
 from hitchopt.hitch import Team
 from hitchopt.hitch.pairs import DISTANCES
@@ -39,7 +39,7 @@ from hitchopt.values import Array
 
 
 def radius_of(motion: Motion, gamma: float = 1.0) -> Check:
-    return certify(motion, gamma=gamma, reports=MERGEABLE_REPORTS)["tracking_radius"]
+    return certify(motion, gamma=gamma, reports=TEAM_REPORTS)["tracking_radius"]
 
 
 def crossing(seed: int) -> Motion:
@@ -117,7 +117,7 @@ LAW_MOTIONS: dict[str, Callable[[], Motion]] = {
 def test_tubes_of_equal_axes_are_numbers_and_higher_ones_never_help(name: str) -> None:
     motion = LAW_MOTIONS[name]()
     number, *balls = (
-        certify(with_tracking(motion, x), reports=MERGEABLE_REPORTS).to_dict()
+        certify(with_tracking(motion, x), reports=TEAM_REPORTS).to_dict()
         for x in (0.02, ho.Tube(0.02, 0.02), ho.Tube(0.02, 0.001))
     )
     assert balls == [number, number]
@@ -306,7 +306,7 @@ def apart(motion: Motion, t: Array) -> Array:
 @pytest.mark.parametrize(("n", "spans"), [(2, 7), (9, 20), (30, 5)])
 def test_closest_pairs_bound_samples_and_match_the_certificate(n: int, spans: int) -> None:
     motion = swarm(n, n)
-    result = closeness(motion, spans)
+    result = closeness(ho.Flight.of(motion), spans)
     assert (len(result.spans), result.spans[0].start, result.spans[-1].end) == (spans, 0.0, 2.4)
     assert all(a.end == b.start for a, b in pairwise(result.spans))
     for span in result.spans:  # curves may jump at the joints
@@ -329,5 +329,5 @@ def test_closest_pairs_bound_samples_and_match_the_certificate(n: int, spans: in
 
 
 def test_a_single_drone_is_refused() -> None:
-    assert_refused(lambda: closeness(swarm(1, 0)), "drones", "neighbour")
-    assert_refused(lambda: closeness(swarm(2, 0), 0), "spans", "at least 1")
+    assert_refused(lambda: closeness(ho.Flight.of(swarm(1, 0))), "drones", "neighbour")
+    assert_refused(lambda: closeness(ho.Flight.of(swarm(2, 0)), 0), "spans", "at least 1")

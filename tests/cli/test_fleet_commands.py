@@ -32,7 +32,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with a plan that goes at its limit of speed."""
     folder = tmp_path_factory.mktemp("plans") / "out"
     folder.mkdir()
-    write_plan(folder / "plan.npz", solve_problem(ho.problem_from_dict(PROBLEM)).motion, "Carried")
+    write_plan(folder / "plan.npz", solve_problem(ho.problem_from_dict(PROBLEM)).flight, "Carried")
     return folder
 
 
@@ -150,8 +150,8 @@ def test_lint_reports_errors_and_foreign_files_stay(plan: Path) -> None:
 
 
 def test_notes_of_several_parts_are_said_once(plan: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = exporting.export_motion
-    monkeypatch.setattr(exporting, "export_motion", lambda *args: 2 * whole(*args))
+    whole = exporting.export_flight
+    monkeypatch.setattr(exporting, "export_flight", lambda *args: 2 * whole(*args))
     said = run("export", plan, "--format", "csv", "-o", "files", code=0).stdout
     assert said.count("note: cables count as weightless") == 1
     assert said.count("certified as exported") == 2

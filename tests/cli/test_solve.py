@@ -269,7 +269,7 @@ def test_a_certificate_that_fails_ends_with_3_and_a_diagnosis(
 ) -> None:
     plan = ho.solve(TRIANGLE)
     broken = ho.Check.of("speed", 1.5, 1.0, "max", "m/s", 0.75, ("q1",))
-    failed = ho.Plan(plan.motion, ho.Certificate(plan.duration, (broken,)), "Too fast")
+    failed = ho.Plan(plan.flight, ho.Certificate(plan.duration, (broken,)), "Too fast")
     monkeypatch.setattr("hitchopt.solve", lambda *_, **__: failed)
     result = run("solve", TRIANGLE, "-o", "out", code=3)
     assert "error: speed: 1.5 m/s is above the limit of 1 m/s at q1, t = 0.75 s" in result.stderr

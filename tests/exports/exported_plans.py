@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from plans import planned_of
 
 from hitchopt.checks.certificate import Check
-from hitchopt.exports.exporting import Export, export_motion
+from hitchopt.exports.exporting import Export, export_flight
 from hitchopt.exports.format import ExportTask, format_of
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet
 from hitchopt.exports.verification import EXPORT_RULES
 from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.trajectory import PiecewisePolynomial
 
@@ -95,17 +96,18 @@ def restless_plan() -> Motion:
 
 
 def task_of(
-    motion: Motion, name: str = "csv", rate: float | None = None, **place: object
+    flown: Motion | Flight, name: str = "csv", rate: float | None = None, **place: object
 ) -> ExportTask:
     kind = format_of(name)
     options = ExportOptions(name, **place)  # type: ignore[arg-type]
     frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
-    fleet = placeholder_fleet(motion.team.drone_names)
-    return ExportTask(motion, "A plan", frame, fleet, rate or kind.rate, options)
+    flight = Flight.of(flown)
+    fleet = placeholder_fleet(flight.team.drone_names)
+    return ExportTask(flight, "A plan", frame, fleet, rate or kind.rate, options)
 
 
-def exported(motion: Motion, name: str, folder: Path, **options: Any) -> tuple[Export, ...]:
-    """Export a motion, with slack cables where nothing holds their tension."""
-    return export_motion(
-        motion, "A plan", ExportOptions(name, **{"allow_slack": True, **options}), folder
+def exported(flown: Motion | Flight, name: str, folder: Path, **options: Any) -> tuple[Export, ...]:
+    """Export a flight, with slack cables where nothing holds their tension."""
+    return export_flight(
+        Flight.of(flown), "A plan", ExportOptions(name, **{"allow_slack": True, **options}), folder
     )

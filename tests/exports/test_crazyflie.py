@@ -52,8 +52,7 @@ from hitchopt.exports.placing import (
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.motion import CableState, Motion
-from hitchopt.motion.retiming import between
-from hitchopt.motion.states import states_at
+from hitchopt.motion.states import flight_states_at
 from hitchopt.plan import Plan
 from problems.swarm import reversed_stack
 
@@ -75,7 +74,9 @@ def test_the_bytes_are_those_of_cflib(tmp_path: Path) -> None:
 def test_cflib_packs_the_same_bytes(tmp_path: Path) -> None:
     motion = hitch_plan()
     exported(motion, "compressed", tmp_path, yaw=0.25)
-    (files,) = Plan(motion, certificate_of(motion), "A plan").compressed(yaw=0.25, allow_slack=True)
+    (files,) = Plan(
+        ho.Flight.of(motion), certificate_of(ho.Flight.of(motion)), "A plan"
+    ).compressed(yaw=0.25, allow_slack=True)
     assert set(files) == set(motion.team.drone_names)
     for name, data in files.items():
         assert data == (tmp_path / f"{name}_enu.bin").read_bytes()
@@ -263,8 +264,8 @@ def test_long_plans_are_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) 
         last, path = np.array([part.verdict.duration]), part.folder / "q0.csv"
         assert 0.0 <= last[0] - (ends - begins + REST_TIME) < POLY.quantum
         t = np.array([0.0, 0.7, ends - begins])
-        held = held_tension(between(motion, begins, ends)).motion
-        places = states_at(held, t).listed(motion.team).positions[:, 0]
+        held = held_tension(ho.Flight.of(motion).between(begins, ends)).flight
+        places = flight_states_at(held, t).listed(motion.team).positions[:, 0]
         np.testing.assert_allclose(polynomials(path, t), places, atol=1e-3)
         for at in (np.zeros(1), last):
             assert all(np.max(np.abs(polynomials(path, at, order))) < 1e-4 for order in (1, 2))

@@ -22,8 +22,7 @@ from hitchopt.exports.format import format_of
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES
-from hitchopt.motion.retiming import cut, rest_breaks, stretched
-from hitchopt.motion.states import States, states_at
+from hitchopt.motion.states import States, flight_states_at, states_at
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 
@@ -66,7 +65,7 @@ def test_hitches_of_unstated_density_are_noted_with_their_sag(
     notes = [note for note in part.notes if "weightless" in note]
     assert plan.notes == saved.notes == tuple(notes)
     assert all(note in plan._repr_html_() for note in notes)
-    unknown = {each.name for each in plan.motion.groups if each.motion.team.cable_density == 0.0}
+    unknown = {each.name for each in plan.flight.teams if each.motion.team.cable_density == 0.0}
     assert len(replace(plan, problem="").notes) == len(unknown)  # of a script, that states nothing
     assert [note.partition("state ")[2] for note in notes] == [f"{x}.cable_density" for x in keys]
     assert all("at 10 g/m vertices would hang 9.7 cm lower" in note for note in notes)
@@ -95,18 +94,18 @@ def test_the_sag_is_that_of_the_cables_that_a_model_flies() -> None:
     ],
 )
 def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> None:
-    motion = MOTIONS[kind]()
-    roles = motion.team.drone_names
+    flight = MOTIONS[kind]()
+    roles = flight.team.drone_names
     options = {"rate": 20.0} if format_of(name).rate else {}
-    (part,) = exported(motion, name, tmp_path, **options)
+    (part,) = exported(flight, name, tmp_path, **options)
     assert part.goes_slack == (format_of(name).flown_by == "upload" and not is_held(name, kind))
     manifest = read_manifest(tmp_path)
     names = [role if format_of(name).dotted else role.replace(".", "_") for role in roles]
     assert manifest["drones"] == dict(zip(roles, names, strict=True))
     assert part.verdict.violated == ()
-    read = READERS[name](tmp_path, names, np.linspace(0.0, motion.duration, 60))
-    slower = manifest["plan_span"][1] / motion.duration  # as rounding would break a limit
-    states = states_at(motion, np.minimum(read.t / slower, motion.duration))
+    read = READERS[name](tmp_path, names, np.linspace(0.0, flight.duration, 60))
+    slower = manifest["plan_span"][1] / flight.duration  # as rounding would break a limit
+    states = flight_states_at(flight, np.minimum(read.t / slower, flight.duration))
     if not is_held(name, kind):
         east, north, up = np.moveaxis(states.positions, -1, 0)
         axes = {"enu": (east, north, up), "nwu": (north, -east, up), "ned": (north, east, -up)}
@@ -114,7 +113,7 @@ def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> No
         off = np.linalg.norm(read.places - there, axis=-1)
         assert np.max(off) <= part.verdict.position.worst + 1e-6
     if read.forward is not None and name != "mavsdk_drone_show":
-        mass, gain = motion.team.mass[:, None], motion.team.pull_gain
+        mass, gain = flight.team.mass[:, None], flight.team.pull_gain
         np.testing.assert_allclose(
             read.forward, states.accelerations - gain * states.cable_forces / mass, atol=1e-6
         )
@@ -125,10 +124,10 @@ def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> No
 
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_states_are_those_of_each_group(kind: str) -> None:
-    motion, first = MOTIONS[kind](), 0
-    t = np.linspace(0.0, motion.duration, 25)
-    whole = states_at(motion, t)
-    for group in motion.groups:
+    flight, first = MOTIONS[kind](), 0
+    t = np.linspace(0.0, flight.duration, 25)
+    whole = flight_states_at(flight, t)
+    for group in flight.teams:
         own, count = states_at(group.motion, t), group.motion.team.drones
         here = slice(first, first + count)
         for name in (
@@ -137,17 +136,17 @@ def test_states_are_those_of_each_group(kind: str) -> None:
         ):
             np.testing.assert_array_equal(getattr(whole, name)[:, here], getattr(own, name))
         names = [f"{group.name}.{drone}" for drone in group.motion.team.drone_names]
-        assert list(motion.team.drone_names[here]) == names
-        thrusts = States.thrusts(whole, motion.team)[:, here]
+        assert list(flight.team.drone_names[here]) == names
+        thrusts = States.thrusts(whole, flight.team)[:, here]
         np.testing.assert_array_equal(thrusts, own.thrusts(group.motion.team))
         first += count
 
 
 def test_a_group_is_exported_as_if_it_flew_alone(tmp_path: Path) -> None:
     """The rows of a drone are those of its own plan, and so are its setpoints and parameters."""
-    motion = two_hitches()
-    exported(motion, "csv", tmp_path / "all", rate=20.0)
-    exported(alone(motion, "b"), "csv", tmp_path / "b", rate=20.0)
+    flight = two_hitches()
+    exported(flight, "csv", tmp_path / "all", rate=20.0)
+    exported(alone(flight, "b"), "csv", tmp_path / "b", rate=20.0)
 
     def rows(folder: str) -> dict[tuple[str, str], list[str]]:
         with (tmp_path / folder / "setpoints_enu.csv").open() as file:
@@ -157,12 +156,12 @@ def test_a_group_is_exported_as_if_it_flew_alone(tmp_path: Path) -> None:
     assert {(t, name): whole[t, f"b.{name}"] for t, name in own if t != "t"} == {
         key: row for key, row in own.items() if key[0] != "t"
     }
-    held, by_itself = held_tension(motion), held_tension(alone(motion, "b"))
-    times = np.linspace(0.0, by_itself.motion.duration, 50)
-    places = alone(held.motion, "b").drones.at(times)
-    np.testing.assert_array_equal(places, by_itself.motion.drones.at(times))
-    parameters = team_parameters(motion.team)
-    for name, values in team_parameters(alone(motion, "b").team).items():
+    held, by_itself = held_tension(flight), held_tension(ho.Flight.of(alone(flight, "b")))
+    times = np.linspace(0.0, by_itself.flight.duration, 50)
+    places = alone(held.flight, "b").drones.at(times)
+    np.testing.assert_array_equal(places, by_itself.flight.drones.at(times))
+    parameters = team_parameters(flight.team)
+    for name, values in team_parameters(alone(flight, "b").team).items():
         assert parameters[f"b.{name}"] == values
     gains = [parameters[name]["ctrlMel"]["kp_xy"] for name in ("a.q0", "b.q0")]
     assert gains == [4.75, 4.0]
@@ -170,9 +169,9 @@ def test_a_group_is_exported_as_if_it_flew_alone(tmp_path: Path) -> None:
 
 def test_exports_of_groups_are_read_back_and_certified(tmp_path: Path) -> None:
     """Of exact samples each check is the plan's, with the names of its groups."""
-    motion = two_hitches()
-    (part,) = exported(motion, "csv", tmp_path)
-    planned = {check.name: check for check in certify(motion).checks}
+    flight = two_hitches()
+    (part,) = exported(flight, "csv", tmp_path)
+    planned = {check.name: check for check in certify(flight).checks}
     for check in part.verdict.checks:
         if check.name in ("separation", "speed", "thrust", "tilt", "crossing"):
             assert check.worst == pytest.approx(planned[check.name].worst, rel=1e-3)
@@ -192,11 +191,11 @@ def test_tables_have_all_groups(tmp_path: Path) -> None:
         own = [row for row in rows if row["vertex"] == f"{name}.p{k}"]
         t = np.array([float(row["t"]) for row in own])
         found = np.array([[float(row[c]) for c in ("x", "y", "z", "tension")] for row in own])
-        group = alone(plan.motion, name)
+        group = alone(plan.flight, name)
         np.testing.assert_allclose(found[:, :3], group.vertices.at(t)[:, k], atol=1e-11)
         np.testing.assert_allclose(found[:, 3], group.tensions.at(t)[:, k], atol=1e-11)
     frame = plan.to_dataframe(2.0)
-    assert set(frame["drone"]) == set(plan.motion.team.drone_names)
+    assert set(frame["drone"]) == set(plan.flight.team.drone_names)
     assert {phase.rpartition(" (")[0] for phase in frame["phase"].unique()} == {
         "a transport, b wait",
         "a transport, b transport",
@@ -206,53 +205,53 @@ def test_tables_have_all_groups(tmp_path: Path) -> None:
 
 def test_parts_are_cut_where_all_rest() -> None:
     """A rests while b flies on, so that only starts and ends are rests of both."""
-    motion = two_hitches()
-    times = motion.drones.breaks[rest_breaks(motion)]
-    np.testing.assert_allclose(times, [0.0, motion.duration], atol=1e-9)
-    own = alone(motion, "b")
-    assert len(rest_breaks(own)) == 3  # it waits, then flies
-    half = cut(motion, 0, motion.drones.pieces // 2)
-    assert [each.name for each in half.groups] == ["a", "b"]
+    flight = two_hitches()
+    times = flight.breaks[flight.rest_breaks]
+    np.testing.assert_allclose(times, [0.0, flight.duration], atol=1e-9)
+    own = alone(flight, "b")
+    assert len(ho.Flight.of(own).rest_breaks) == 3  # it waits, then flies
+    half = flight.between(0.0, flight.breaks[flight.drones.pieces // 2])
+    assert [each.name for each in half.teams] == ["a", "b"]
 
 
 def test_stretching_slows_all_groups_but_not_others(tmp_path: Path) -> None:
-    motion = hitch_and_swarm()
-    slow, t = stretched(motion, 1.5), np.linspace(0.0, motion.duration, 9)
-    np.testing.assert_allclose(slow.drones.at(1.5 * t), motion.drones.at(t), atol=1e-12)
-    with_others = beside(motion, moved(alone(motion, "triangle"), 0.0, 0.0, 50.0), 2.0)
-    later = stretched(with_others, 1.5)
+    flight = hitch_and_swarm()
+    slow, t = flight.stretched(1.5), np.linspace(0.0, flight.duration, 9)
+    np.testing.assert_allclose(slow.drones.at(1.5 * t), flight.drones.at(t), atol=1e-12)
+    with_others = beside(flight, moved(alone(flight, "triangle"), 0.0, 0.0, 50.0), 2.0)
+    later = with_others.stretched(1.5)
     assert later.others[0].motion is with_others.others[0].motion
     (part,) = exported(with_others, "csv", tmp_path, stretch=1.5)
     assert any("beside show, which begins at t = 2 s" in note for note in part.notes)
-    near = beside(motion, alone(motion, "ring"), 0.5)
+    near = beside(flight, alone(flight, "ring"), 0.5)
     with pytest.raises(ho.CertificateError, match="separation"):
         exported(near, "csv", tmp_path / "near")
 
 
 def test_addresses_are_by_names_of_groups(tmp_path: Path) -> None:
-    motion = hitch_and_swarm()
-    roles = motion.team.drone_names
+    flight = hitch_and_swarm()
+    roles = flight.team.drone_names
     members = {role: {"name": f"cf{i}", "uri": f"udp://10.0.0.{i}"} for i, role in enumerate(roles)}
     (tmp_path / "fleet.yaml").write_text(json.dumps({"drones": members}))
-    exported(motion, "csv", tmp_path / "out", fleet=tmp_path / "fleet.yaml")
+    exported(flight, "csv", tmp_path / "out", fleet=tmp_path / "fleet.yaml")
     assert read_manifest(tmp_path / "out")["drones"]["ring.d1"] == members["ring.d1"]["name"]
-    assert task_of(motion).names == tuple(role.replace(".", "_") for role in roles)
+    assert task_of(flight).names == tuple(role.replace(".", "_") for role in roles)
 
 
 def test_controllers_count_where_cables_pull(tmp_path: Path) -> None:
     """An integral, which overrides tensions, is refused for drones of a hitch alone."""
     kind = ho.Quadrotor(controller="mellinger")
-    motion = flown_by(hitch_and_swarm(), triangle=kind)
+    flight = flown_by(hitch_and_swarm(), triangle=kind)
     with pytest.raises(ho.InfeasibleError, match="Integral action"):
-        exported(motion, "compressed", tmp_path, allow_slack=False)
-    motion = flown_by(hitch_and_swarm(), ring=kind)
-    exported(motion, "compressed", tmp_path, allow_slack=False)
+        exported(flight, "compressed", tmp_path, allow_slack=False)
+    flight = flown_by(hitch_and_swarm(), ring=kind)
+    exported(flight, "compressed", tmp_path, allow_slack=False)
 
 
 def test_a_scene_names_the_cables_of_all_groups(tmp_path: Path) -> None:
-    motion = hitch_and_swarm()
-    motion = beside(motion, moved(alone(motion, "triangle"), 0.0, 0.0, 50.0), 0.0)
-    exported(motion, "gltf", tmp_path)
+    flight = hitch_and_swarm()
+    flight = beside(flight, moved(alone(flight, "triangle"), 0.0, 0.0, 50.0), 0.0)
+    exported(flight, "gltf", tmp_path)
     data = (tmp_path / "plan.glb").read_bytes()
     size = int.from_bytes(data[12:16], "little")
     nodes = [node["name"] for node in json.loads(data[20 : 20 + size])["nodes"]]

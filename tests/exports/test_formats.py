@@ -27,7 +27,7 @@ import hitchopt as ho
 from hitchopt.errors import FileError, InfeasibleError, InputError, UnsupportedError
 from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.directory import write_setpoints, write_vertices
-from hitchopt.exports.exporting import export_motion
+from hitchopt.exports.exporting import export_flight
 from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES, ExportOptions
@@ -215,7 +215,7 @@ def numbers(path: Path, columns: str, **wanted: str) -> Array:
 def test_the_tables_of_a_solve_and_of_an_export_are_the_plan(tmp_path: Path) -> None:
     motion, rate = hitch_plan(), 37.0
     t, done = sample_times(motion.duration, rate), list[float]()
-    write_setpoints(tmp_path / "s.csv", motion, rate, done.append)
+    write_setpoints(tmp_path / "s.csv", ho.Flight.of(motion), rate, done.append)
     assert done == sorted(done)
     assert done[-1] == 1.0
     exported(motion, "csv", tmp_path / "out", rate=rate)
@@ -235,7 +235,7 @@ def test_the_tables_of_a_solve_and_of_an_export_are_the_plan(tmp_path: Path) -> 
             np.testing.assert_allclose(numbers(file, columns), expected, atol=1e-8, rtol=1e-9)
         found = numbers(file, "cable_x cable_y cable_z", drone="r2")
         np.testing.assert_allclose(found, pull, atol=1e-9)
-    write_vertices(tmp_path / "v.csv", motion, rate)
+    write_vertices(tmp_path / "v.csv", ho.Flight.of(motion), rate)
     assert (tmp_path / "v.csv").read_text().split("\n")[0] == "t,vertex,x,y,z,tension"
     for k, tension in enumerate(motion.team.tension):
         found = numbers(tmp_path / "v.csv", "t x y z tension", vertex=str(k))
@@ -243,7 +243,7 @@ def test_the_tables_of_a_solve_and_of_an_export_are_the_plan(tmp_path: Path) -> 
         np.testing.assert_allclose(found, expected, atol=1e-9)
     first, *others = motion.phases  # vertices are written while the hitch exists
     later = replace(motion, phases=(replace(first, state=CableState.FREE), *others))
-    write_vertices(tmp_path / "later.csv", later, rate)
+    write_vertices(tmp_path / "later.csv", ho.Flight.of(later), rate)
     found = numbers(tmp_path / "later.csv", "t", vertex="0")[:, 0]
     np.testing.assert_allclose(found, t[t >= first.end], atol=1e-11)
 
@@ -284,7 +284,7 @@ def test_bags_are_readable_by_releases(distro: str | None, storage: str, tmp_pat
     written if nobody says which release is read by all of them."""
     asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}
     options = ExportOptions("ros2bag", rate=RATE, storage=storage, **asked)
-    (part,) = export_motion(swarm_plan(), "A plan", options, tmp_path)
+    (part,) = export_flight(ho.Flight.of(swarm_plan()), "A plan", options, tmp_path)
     assert part.verdict.position.worst < 1e-6
     bag = YAML(typ="safe").load(tmp_path / "metadata.yaml")["rosbag2_bagfile_information"]
     topics = [topic["topic_metadata"] for topic in bag["topics_with_message_count"]]

@@ -46,8 +46,8 @@ def flown(
 
     def change(now: float, y: np.ndarray) -> np.ndarray:
         x, v = y.reshape(2, count, 3)
-        at = min(now, held.motion.duration)
-        s, ds, dds = (held.motion.drones.at(at, order) for order in range(3))
+        at = min(now, held.flight.duration)
+        s, ds, dds = (held.flight.drones.at(at, order) for order in range(3))
         pull = motion.team.pull_gain * states_at(motion, at).cable_forces
         force = sent * (m * dds + c * ds) - c * v + k * (s - x) + pull
         return np.concatenate([v.ravel(), (force / m).ravel()])
@@ -66,31 +66,32 @@ def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
     gains = {"kp": [4.75, 3.5], "kd": [1.32, 1.0], "ki": 0}
     kinds = (ho.Quadrotor(controller="mellinger", gains=gains),) * 3
     plan = replace(
-        plan, motion=replace(plan.motion, team=replace(plan.motion.team, quadrotor=kinds))
+        plan,
+        flight=ho.Flight.of(replace(plan.motion, team=replace(plan.motion.team, quadrotor=kinds))),
     )
-    held = held_tension(plan.motion)
+    held = held_tension(plan.flight)
     t = np.linspace(0.0, plan.duration, 30)
     away = np.linalg.norm(flown(plan.motion, held, t) - plan.at(t).positions, axis=-1)
     assert np.max(away) < held.error + 1e-6
     assert held.error < 1e-4
     # Setpoints that are moved as at rest only miss the plan by far more.
     still = plan.motion.drones.at(t) - states_at(plan.motion, t).cable_forces / 4.75
-    assert np.max(np.linalg.norm(held.motion.drones.at(t) - still, axis=-1)) > 20 * held.error
+    assert np.max(np.linalg.norm(held.flight.drones.at(t) - still, axis=-1)) > 20 * held.error
 
 
 def test_at_rest_they_are_moved_outward_by_the_tension_over_the_stiffness(plan: ho.Plan) -> None:
     team = plan.motion.team
-    held = held_tension(plan.motion, 6.0, 1.5)
-    for t, end in ((0.0, 0.0), (held.motion.duration, plan.duration)):
+    held = held_tension(plan.flight, 6.0, 1.5)
+    for t, end in ((0.0, 0.0), (held.flight.duration, plan.duration)):
         states = plan.at(end)
         legs = states.positions - states.vertices[team.layout.anchors]
         outward = legs / np.linalg.norm(legs, axis=-1, keepdims=True)
         pull = np.repeat(team.tension, 2)[:, None]
-        moved = held.motion.drones.at(t) - states.positions
+        moved = held.flight.drones.at(t) - states.positions
         np.testing.assert_allclose(moved, pull * outward / 6.0, atol=1e-5)
     assert held.offset == pytest.approx(0.5 / 6.0, rel=0.05)
-    assert held.motion.duration == pytest.approx(plan.duration + 2.0)
-    offsets = held_tension(plan.motion).motion.drones.at(0.0) - plan.at(0.0).positions
+    assert held.flight.duration == pytest.approx(plan.duration + 2.0)
+    offsets = held_tension(plan.flight).flight.drones.at(0.0) - plan.at(0.0).positions
     found = ho.equilibrium(plan, 0.0, feed_forward=False, offsets=offsets)  # the statics agree
     np.testing.assert_allclose(found.tensions, team.tension, atol=1e-6)
     np.testing.assert_allclose(found.vertices, found.planned_vertices, atol=1e-6)
@@ -126,7 +127,7 @@ def test_tables_feed_nothing_forward_and_hold_the_setpoints(plan: ho.Plan, tmp_p
     turned = Rotation.from_quat(columns("qw qx qy qz"), scalar_first=True)
     thrust = upward / np.linalg.norm(upward, axis=-1, keepdims=True)
     np.testing.assert_allclose(turned.apply([0.0, 0.0, 1.0]), thrust, atol=1e-6)
-    held = held_tension(plan.motion).motion
+    held = held_tension(plan.flight).flight
     positions = held.drones.at(columns("t")[:: held.team.drones, 0])
     np.testing.assert_allclose(columns("x y z"), positions.reshape(-1, 3), atol=1e-9)
 
@@ -139,7 +140,7 @@ SLACK, INTEGRAL = "Cables will go slack: this receiver takes no cable forces.", 
 def of_kind(plan: ho.Plan, kind: ho.Quadrotor) -> ho.Plan:
     """Return a plan with other drones."""
     team = replace(plan.motion.team, quadrotor=(kind,) * 3)
-    return replace(plan, motion=replace(plan.motion, team=team))
+    return replace(plan, flight=ho.Flight.of(replace(plan.motion, team=team)))
 
 
 @pytest.mark.parametrize(
@@ -209,7 +210,10 @@ def test_integrals_are_refused_with_gains_that_hold_the_tension(
     """With the firmware's own gains setpoints would be a metre away, beyond the arena."""
     walls = ho.Arena([-2.2, -2.2, 0.0], [2.2, 2.2, 3.0])
     walled = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
-    other = of_kind(replace(plan, motion=walled), ho.Quadrotor(controller="mellinger", gains=gains))
+    other = of_kind(
+        replace(plan, flight=ho.Flight.of(walled)),
+        ho.Quadrotor(controller="mellinger", gains=gains),
+    )
     with pytest.raises(ho.InfeasibleError) as caught:
         other.export("compressed", tmp_path / "files")
     assert words in str(caught.value)
@@ -227,8 +231,10 @@ def test_allowed_slack_is_used_only_where_tensions_cannot_be_held(
     walls = ho.Arena(low - 0.02, high + 0.02)  # setpoints are 10 cm outward
     near = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
     with pytest.raises(ho.InfeasibleError, match="setpoints outward"):
-        replace(plan, motion=near).export("compressed", tmp_path / "near")
-    (lost,) = replace(plan, motion=near).export("compressed", tmp_path / "near", allow_slack=True)
+        replace(plan, flight=ho.Flight.of(near)).export("compressed", tmp_path / "near")
+    (lost,) = replace(plan, flight=ho.Flight.of(near)).export(
+        "compressed", tmp_path / "near", allow_slack=True
+    )
     assert lost.goes_slack
     assert any(note.startswith(SLACK) for note in lost.notes)
 
@@ -248,9 +254,9 @@ def test_positions_alone_are_certified_for_drones_that_trail_them(
 ) -> None:
     """Without velocities and forces drones are off by less than what is certified."""
     (done,) = plan.export("csv", tmp_path, positions_only=True, damping=1.0)
-    check, held = done.verdict.checks[-1], held_tension(plan.motion, None, 1.0)
+    check, held = done.verdict.checks[-1], held_tension(plan.flight, None, 1.0)
     t = np.linspace(0.0, plan.duration, 60)
-    speed = float(np.max(np.linalg.norm(held.motion.drones.at(t, 1), axis=-1)))
+    speed = float(np.max(np.linalg.norm(held.flight.drones.at(t, 1), axis=-1)))
     assert check.name == "tracking_radius"
     assert speed / 4.75 < check.number < 1.5 * speed / 4.75
     assert check.worst == plan.certificate["tracking_radius"].worst
@@ -271,7 +277,7 @@ def test_positions_alone_are_refused_where_distances_do_not_allow_for_the_lag(
     def export(tracking: float | ho.Tube, **options: Any) -> None:
         wider = replace(limits, tracking=tracking)
         need = replace(plan.motion.requirements, limits=wider)
-        tight = replace(plan, motion=replace(plan.motion, requirements=need))
+        tight = replace(plan, flight=ho.Flight.of(replace(plan.motion, requirements=need)))
         tight.export("skybrush", tmp_path, positions_only=True, **options)
 
     def refusal(tracking: float | ho.Tube, **options: Any) -> str:
@@ -306,7 +312,7 @@ def test_errors_to_plan_with_are_those_that_positions_alone_need(
         motion = plan.motion.replaced(
             requirements=need, team=replace(plan.motion.team, quadrotor=kinds)
         )
-        replace(plan, motion=motion).export("skybrush", tmp_path, positions_only=True)
+        replace(plan, flight=ho.Flight.of(motion)).export("skybrush", tmp_path, positions_only=True)
 
     with pytest.raises(ho.InfeasibleError) as caught:
         export(radius - 2e-3, None)

@@ -29,7 +29,7 @@ def mission_task(*, holds_tension: bool) -> ExportTask:
     task = task_of(planned(MISSION).motion, "crazyswarm2")
     if not holds_tension:
         return task
-    return replace(task, motion=held_tension(task.motion).motion, without_offsets=task.motion)
+    return replace(task, flight=held_tension(task.flight).flight, without_offsets=task.flight)
 
 
 def end_of(name: str) -> float:
@@ -68,15 +68,15 @@ def test_no_part_is_a_take_off_alone() -> None:
     for seconds in np.linspace(0.5 * take_off, 2.5 * take_off, 9).tolist():
 
         def fits(part: ExportTask, seconds: float = seconds) -> bool:
-            return part.motion.duration <= seconds
+            return part.flight.duration <= seconds
 
         parts = cut_into_parts(task, fits)
         counts.append(len(parts))
         joints = [part.begins for part in parts]
         assert not np.any(np.isclose(joints, take_off))
-        assert all(part.motion.duration <= seconds for part in parts)
-        ends = [part.begins + part.motion.duration for part in parts]
-        np.testing.assert_allclose(ends, [*joints[1:], task.motion.duration] if parts else [])
+        assert all(part.flight.duration <= seconds for part in parts)
+        ends = [part.begins + part.flight.duration for part in parts]
+        np.testing.assert_allclose(ends, [*joints[1:], task.flight.duration] if parts else [])
     assert counts[0] == 0
     assert counts[-1] > 1
 
@@ -91,13 +91,13 @@ def test_parts_end_where_the_longer_rest_is_certified(latest: str, cut: str) -> 
     longest = max(end, whole - end_of(cut)) + REST_TIME + 1e-6
 
     def fits(part: ExportTask) -> bool:
-        return part.motion.duration <= longest
+        return part.flight.duration <= longest
 
     parts = cut_into_parts(task, fits)
     assert len(parts) == 2
     assert parts[1].begins == pytest.approx(end_of(cut))
     for part in parts:
-        first, last = (part.motion.drones.ends(1)[side][index] for side, index in ((0, 0), (1, -1)))
+        first, last = (part.flight.drones.ends(1)[side][index] for side, index in ((0, 0), (1, -1)))
         assert np.max(np.abs(first)) < 1e-9
         assert np.max(np.abs(last)) < 1e-3
 

@@ -93,7 +93,7 @@ def formed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
-    write_plan(tmp_path / "plan.npz", hitch_plan(), TITLE)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(hitch_plan()), TITLE)
     return tmp_path / "plan.npz"
 
 
@@ -165,24 +165,24 @@ def walled() -> Motion:
     ],
 )
 def test_a_plan_is_restored_bit_by_bit_with_its_request(
-    kind: str | Callable[[], Motion], tmp_path: Path
+    kind: str | Callable[[], Motion | ho.Flight], tmp_path: Path
 ) -> None:
     if isinstance(kind, str):
         file = PROBLEMS / f"{kind}.yaml"
         text = file.read_text()
-        motion = planned(kind).motion
-        check_request(request_in(text, motion.requirements.objects), motion)
+        flight = planned(kind).flight
+        check_request(request_in(text, flight.requirements.objects), flight)
     else:
-        motion = kind()
-    write_plan(tmp_path / "plan.npz", motion, TITLE)
+        flight = ho.Flight.of(kind())
+    write_plan(tmp_path / "plan.npz", flight, TITLE)
     restored, title, _ = read_saved_plan(tmp_path / "plan.npz")
-    assert (bits(restored), title) == (bits(motion), TITLE)
+    assert (bits(restored), title) == (bits(flight), TITLE)
     assert {next(consistency(own)).verdict for own in read(tmp_path / "plan.npz")[0]} == {"proven"}
     write_plan(tmp_path / "again.npz", restored, TITLE)
     assert (tmp_path / "again.npz").read_bytes() == (tmp_path / "plan.npz").read_bytes()
     with np.load(tmp_path / "plan.npz") as arrays:
         np.savez_compressed(tmp_path / "packed.npz", **arrays)
-    assert bits(read_plan(tmp_path / "packed.npz")) == bits(motion)
+    assert bits(read_plan(tmp_path / "packed.npz")) == bits(flight)
 
 
 def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) ->
 
 
 def test_requests_are_in_the_order_of_the_problem(formed: Path) -> None:
-    motion = read_plan(formed)
+    motion = read_plan(formed).teams[0].motion
     assert motion.assignment is not None
     request, robots = request_of(motion), motion.assignment.robots
     masses = [kind.mass for kind in request["team"].quadrotor]
@@ -280,11 +280,11 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
     motion = ho.solve(ho.problem_from_dict(problem)).motion
     pulled = [dataclasses.replace(motion.phases[0], tension=(0.35, 0.45)), *motion.phases[1:]]
     for each in (motion, dataclasses.replace(motion, phases=tuple(pulled))):  # less is no fault
-        check_request(request_in(START + MISSION, {}), each)
+        check_request(request_in(START + MISSION, {}), ho.Flight.of(each))
     wild = dataclasses.replace(motion.phases[0], tension=(0.2, 0.5))
     wilder = dataclasses.replace(motion, phases=(wild, *motion.phases[1:]))
     with pytest.raises(ho.InputError, match=re.escape("request.mission[0].tension[0] = 0.2")):
-        check_request(request_in(START + MISSION, {}), wilder)
+        check_request(request_in(START + MISSION, {}), ho.Flight.of(wilder))
     moving = motion.phases[1]  # only swings that move no vertex are not counted
     split = float(motion.drones.breaks[np.searchsorted(motion.drones.breaks, moving.start + 1.0)])
     cut = dataclasses.replace(moving, end=split)
@@ -292,14 +292,14 @@ def test_a_plan_is_of_its_own_mission_alone() -> None:
     longer = dataclasses.replace(motion, phases=(motion.phases[0], cut, swings))
     shorter = START + MISSION.replace("duration: 4", f"duration: {split - moving.start}")
     with pytest.raises(ho.InputError, match=re.escape("request.mission[1].seconds = 4")):
-        check_request(request_in(shorter, {}), longer)
+        check_request(request_in(shorter, {}), ho.Flight.of(longer))
     for old, new, key in OTHER_MISSIONS:
         assert old in MISSION
         used = pulled if old == "min: 0.3" else motion.phases
         least = [dataclasses.replace(used[0], tension=(0.3, 0.5)), *used[1:]]
         flown = dataclasses.replace(motion, phases=tuple(least))
         with pytest.raises(ho.InputError, match=re.escape(key)):
-            check_request(request_in(START + MISSION.replace(old, new), {}), flown)
+            check_request(request_in(START + MISSION.replace(old, new), {}), ho.Flight.of(flown))
 
 
 @pytest.mark.slow
@@ -315,7 +315,9 @@ def test_objects_are_carried_as_requested(old: str, new: str, key: str) -> None:
     text, motion = (PROBLEMS / "carry_box.yaml").read_text(), planned("carry_box").motion
     assert old in text
     with pytest.raises(ho.InputError, match=re.escape(key)):
-        check_request(request_in(text.replace(old, new), motion.requirements.objects), motion)
+        check_request(
+            request_in(text.replace(old, new), motion.requirements.objects), ho.Flight.of(motion)
+        )
 
 
 def test_what_a_step_says_of_its_end_is_shown_by_the_motion() -> None:
@@ -325,15 +327,19 @@ def test_what_a_step_says_of_its_end_is_shown_by_the_motion() -> None:
         planned("two_robots_drum").motion,
     )
     objects = motion.requirements.objects
-    check_request(request_in(text, objects), motion)
+    check_request(request_in(text, objects), ho.Flight.of(motion))
     assert "at: 0.35" in text
     for height in ("0.31", "0.36"):
         with pytest.raises(ho.InputError, match=r"request\.mission\[0\]\.altitude"):
-            check_request(request_in(text.replace("at: 0.35", f"at: {height}"), objects), motion)
-    check_request(request_in(text.replace(", at: 0.35", ""), objects), motion)  # planners choose
+            check_request(
+                request_in(text.replace("at: 0.35", f"at: {height}"), objects), ho.Flight.of(motion)
+            )
+    check_request(
+        request_in(text.replace(", at: 0.35", ""), objects), ho.Flight.of(motion)
+    )  # planners choose
     hovering = truncated(motion, motion.duration - 0.3)
     with pytest.raises(ho.InputError, match=r"request\.mission\[5\]\.heights\[0\]"):
-        check_request(request_in(text, objects), hovering)
+        check_request(request_in(text, objects), ho.Flight.of(hovering))
 
 
 ASKED = (
@@ -449,7 +455,7 @@ def codes(path: Path) -> tuple[int, int]:
     """Exit codes of both readers of a plan file; nothing else is raised."""
     words = ""
     try:
-        first = 0 if certify(read_requested_plan(path).motion).certified else 3
+        first = 0 if certify(read_requested_plan(path).flight).certified else 3
     except FileError as error:
         first, words = 2, str(error)
     try:
@@ -471,7 +477,7 @@ UNREAD = {"problem", "controller", "model"}
     ids=["gone", "null", "true", "negative", "infinite", "huge", "text", "list", "mapping"],
 )
 def test_both_readers_agree_on_every_edit(value: object, tmp_path: Path) -> None:
-    write_plan(tmp_path / "plan.npz", walled(), TITLE)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(walled()), TITLE)
     with np.load(tmp_path / "plan.npz") as file:
         arrays = dict(file)
     settings, tried = json.loads(str(arrays["settings"])), 0
@@ -589,8 +595,8 @@ def edits(whole: bytes, chance: random.Random) -> Iterator[bytes]:
 
 
 def test_every_byte_edit_is_the_same_plan_or_a_file_error(tmp_path: Path) -> None:
-    motion, path, refused = swarm_plan(), tmp_path / "plan.npz", 0
-    write_plan(path, motion, TITLE)
+    flight, path, refused = ho.Flight.of(swarm_plan()), tmp_path / "plan.npz", 0
+    write_plan(path, flight, TITLE)
     for damaged in edits(path.read_bytes(), random.Random(13)):
         path.write_bytes(damaged)
         try:
@@ -598,7 +604,7 @@ def test_every_byte_edit_is_the_same_plan_or_a_file_error(tmp_path: Path) -> Non
         except FileError:
             refused += 1
         else:
-            assert (bits(read), title) == (bits(motion), TITLE)
+            assert (bits(read), title) == (bits(flight), TITLE)
     assert refused > 400
 
 

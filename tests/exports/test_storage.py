@@ -30,6 +30,7 @@ from hitchopt.exports.directory import (
 )
 from hitchopt.exports.lint import lint
 from hitchopt.lab.simulation.task import read_task
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
 from hitchopt.storage.files import Writer, replace_files
@@ -160,7 +161,14 @@ def names(directory: Path) -> set[str]:
 
 
 def save(directory: Path, title: str = "", **more: Any) -> Path:
-    return save_plan(directory, hitch_plan(), certificate_of(hitch_plan()), title, 5.0, **more)
+    return save_plan(
+        directory,
+        Flight.of(hitch_plan()),
+        certificate_of(Flight.of(hitch_plan())),
+        title,
+        5.0,
+        **more,
+    )
 
 
 def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path) -> None:
@@ -173,9 +181,9 @@ def test_a_certified_plan_leaves_its_files_and_others_are_refused(tmp_path: Path
     for name, rows in (("setpoints.csv", 6), ("vertices.csv", 3)):
         assert (out / name).read_text().count("\n") == 1 + rows * samples
     low = Check.of("legs", 0.1, 0.15, "min", "m", 1.25, ("q2",))
-    failing = with_changes(certificate_of(motion), limited=(low,))
+    failing = with_changes(certificate_of(Flight.of(motion)), limited=(low,))
     with pytest.raises(CertificateError, match="legs"):
-        save_plan(tmp_path / "other", motion, failing)
+        save_plan(tmp_path / "other", Flight.of(motion), failing)
     assert names(tmp_path) == {"out"}
 
 

@@ -40,13 +40,13 @@ def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> FileContent
 
 def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:
     names = motion.team.drone_names
-    return verify(motion, recorded(curves, names), PLAIN, names)
+    return verify(ho.Flight.of(motion), recorded(curves, names), PLAIN, names)
 
 
 @pytest.mark.parametrize("make", [hitch_plan, swarm_plan])
 def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], Motion]) -> None:
     motion = make()
-    verdict, certificate = verified(motion, motion.drones), certificate_of(motion)
+    verdict, certificate = verified(motion, motion.drones), certificate_of(ho.Flight.of(motion))
     assert verdict.violated == ()
     assert max(verdict.position.worst, 1e-3 * verdict.velocity.worst) < 1e-9
     assert {check.name for check in verdict.checks} == set(flown_checks(motion))
@@ -68,19 +68,19 @@ def test_a_motion_is_certified_once_and_another_one_again(
     late[-1, 0] += 0.01  # which no exported file shows
     moved = solved.motion.replaced(vertices=solved.motion.vertices.replaced(late))
     with pytest.raises(CertificateError, match=r"continuity|cable_length|equilibrium"):
-        replace(solved, motion=moved).export("csv", tmp_path / "moved")
-    read, certified = read_plan(tmp_path / "plan" / "plan.npz"), list[Motion]()
+        replace(solved, flight=ho.Flight.of(moved)).export("csv", tmp_path / "moved")
+    read, certified = read_plan(tmp_path / "plan" / "plan.npz"), list[ho.Flight]()
 
-    def counting(motion: Motion, *_: object, **__: object) -> Certificate:
-        certified.append(motion)
-        return certify(motion)
+    def counting(flight: ho.Flight, *_: object, **__: object) -> Certificate:
+        certified.append(flight)
+        return certify(flight)
 
     monkeypatch.setattr(registry, "certify", counting)
-    for motion in (solved.motion, read, read):
-        exported(motion, "csv", tmp_path / "files")
+    for flight in (solved.flight, read, read):
+        exported(flight, "csv", tmp_path / "files")
     assert certified == [read]
     solved.export("csv", tmp_path / "files", stretch=1.1)
-    assert [motion.duration for motion in certified] == [read.duration, 1.1 * read.duration]
+    assert [flight.duration for flight in certified] == [read.duration, 1.1 * read.duration]
 
 
 @pytest.mark.slow
@@ -116,7 +116,9 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
 )
 def test_other_drones_are_refused(names: tuple[str, ...], words: str) -> None:
     with pytest.raises(FileError, match=words):
-        verify(swarm_plan(), recorded(swarm_plan().drones, ("a", "b", "c")), PLAIN, names)
+        verify(
+            ho.Flight.of(swarm_plan()), recorded(swarm_plan().drones, ("a", "b", "c")), PLAIN, names
+        )
 
 
 def test_cables_are_verified_while_the_hitch_exists() -> None:

@@ -52,7 +52,7 @@ def plan(name: str) -> ho.Plan:
 
 @cache
 def task(name: str) -> Task:
-    return Task.of(plan(name).motion)
+    return Task.of(plan(name).flight)
 
 
 def drones_of(target: Task, t: Array) -> Array:
@@ -403,7 +403,7 @@ def test_remarks_name_bare_edges() -> None:
 
 
 def test_recorded_vertices_are_used_while_hitched() -> None:
-    target = Task.of(planned_problem("tie_carry_untie").motion)
+    target = Task.of(planned_problem("tie_carry_untie").flight)
     t = np.arange(0.0, target.duration, 0.02)
     flight = drones_recording(Camera(lost=0.0), t, drones_of(target, t))
     places = plan_at(target, t, target.states.vertices) + [0.01, 0.0, 0.0]
@@ -486,8 +486,8 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     cells = f"{1e3 * row['mean']:.1f} & {1e3 * row['std']:.1f}"
     assert cells in (out / "evaluation.tex").read_text()
     ghost, clean = (
-        ghost_scene(out, plan("triangle").motion),
-        scene_at(plan("triangle").motion, result.t),
+        ghost_scene(out, plan("triangle").flight),
+        scene_at(plan("triangle").flight, result.t),
     )
     np.testing.assert_allclose(ghost.drones[5], result.drones[5], atol=1e-5)
     bend = ghost.cables[5, 0, CLASPS[0]] - clean.cables[5, 0, CLASPS[0]]

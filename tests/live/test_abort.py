@@ -33,7 +33,7 @@ def aborts_of(name: str) -> Aborts:
     """Aborts of a problem's plan, of a release, or of legs that are rolled, or lean."""
     if name == "untied":
         start = ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]])
-        return Aborts(ho.release(start).motion)
+        return Aborts(ho.release(start).flight)
     if name == "rolled":  # what cables weigh on a clasp depends on its roll
         team, roll = (
             ho.Team(5, 2.2, tension=0.8, cable_density=0.01, load=0.01),
@@ -41,13 +41,13 @@ def aborts_of(name: str) -> Aborts:
         )
         corners = ho.regular_polygon(5, 1.0)
         start = ho.Hitch(team, corners, 1.5, np.full(5, 0.6), np.radians(roll))
-        return Aborts(ho.transport(start, to=[0.5, 0.0, 1.5]).motion)
+        return Aborts(ho.transport(start, to=[0.5, 0.0, 1.5]).flight)
     if name == "leaning":
         team = ho.Team(4, 2.2, cable_friction=0.1)
         start = ho.Hitch.balanced(team, ho.regular_polygon(4, 1.0), 1.5)
         slow = ho.Limits(speed=0.06)
-        return Aborts(ho.move_vertex(start, 0, by=[0.1, 0.1], settle=False, limits=slow).motion)
-    return Aborts(planned(name).motion)
+        return Aborts(ho.move_vertex(start, 0, by=[0.1, 0.1], settle=False, limits=slow).flight)
+    return Aborts(planned(name).flight)
 
 
 @pytest.mark.parametrize(
@@ -65,12 +65,12 @@ def aborts_of(name: str) -> Aborts:
     ],
 )
 def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, how: str) -> None:
-    plan = aborts_of(name).motion
+    plan = aborts_of(name).flight
     if isinstance(share, CableState):
         phase = next(p for p in plan.phases if p.state is share)
         share = (phase.start + 0.3 * (phase.end - phase.start)) / plan.duration
     found = aborts_of(name).plan(share * plan.duration, how)
-    whole = found.motion
+    whole = found.flight
     assert found.certificate.certified
     assert found.start >= share * plan.duration
     until = np.linspace(0.0, min(found.start, plan.duration), 9)
@@ -92,7 +92,8 @@ def test_commands_end_in_rest_as_they_say(name: str, share: float | CableState, 
 
 
 def test_no_rest_while_tensions_rise() -> None:
-    motion, last = aborts_of("form_triangle").motion, aborts_of("form_triangle").motion.phases[-1]
+    motion = planned("form_triangle").motion
+    last = motion.phases[-1]
     assert np.ptp(motion.tensions.at(np.array([last.start, last.end]))) > 0.1
     found = aborts_of("form_triangle").plan(last.start + 0.3, "hold")
     assert (found.rest, found.seconds) == (motion.duration, 0.0)
@@ -102,10 +103,10 @@ def test_impossible_aborts_are_refused() -> None:
     """Drones that start and end above each other cannot land."""
     stacks = np.array([[[0, 0, 1], [0, 0, 2.2]], [[1, 0.2, 1], [1, 0.2, 2.2]]])
     motion = ho.separate(ho.Problem(ho.Swarm(2), stacks[0], [ho.Fly(stacks[1])])).motion
-    table = abort_table(motion, "land", 0.5)
+    table = abort_table(ho.Flight.of(motion), "land", 0.5)
     assert (table.entries, table.missing) == ((), ((0.0, motion.duration),))
     with pytest.raises(ho.InfeasibleError, match="separation"):
-        Aborts(motion).plan(1.0, "land")
+        Aborts(ho.Flight.of(motion)).plan(1.0, "land")
     with pytest.raises(ho.InfeasibleError, match="have not hung free before"):
         aborts_of("triangle").plan(1.0, "back")
     for time, how, key in ((-1.0, "hold", "t"), (1e3, "hold", "t"), (0.1, "stay", "how")):
@@ -115,9 +116,9 @@ def test_impossible_aborts_are_refused() -> None:
 
 def moves_of_standing(motion: Motion, found: Abort, time: float) -> float:
     """Return how far objects move that stand at the time of the command [m]."""
-    times = np.linspace(time, found.motion.duration, 500)
+    times = np.linspace(time, found.flight.duration, 500)
     standing = motion.load_share.at(time) < 0.999
-    moves = np.ptp(found.motion.poses.at(times)[:, standing], axis=0)
+    moves = np.ptp(found.flight.poses.at(times)[:, standing], axis=0)
     return float(np.max(moves, initial=0.0))
 
 
@@ -167,17 +168,17 @@ def test_landings_begin_nothing_around_objects(name: str, phase: str, share: flo
     motion = around_objects(name).motion
     span = next(p for p in motion.phases if p.name == phase)
     time = span.start + share * (span.end - span.start)
-    aborts = Aborts(motion)
+    aborts = Aborts(ho.Flight.of(motion))
     try:
-        back = aborts.plan(time, "back").motion.duration
+        back = aborts.plan(time, "back").flight.duration
     except ho.InfeasibleError:  # what has been set down stays; held objects may slip
         back = motion.duration
     for how in ("land", "release_and_land"):
         found = aborts.plan(time, how)
         assert found.certificate.certified
         assert moves_of_standing(motion, found, time) <= 1e-9
-        assert found.motion.duration <= back + DOWN
-        assert not found.motion.phases[-1].formed
+        assert found.flight.duration <= back + DOWN
+        assert not found.flight.phases[-1].formed
 
 
 def test_tensions_that_vanish_stay_zero_on_another_clock() -> None:
@@ -281,7 +282,7 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
 @pytest.mark.slow
 def test_a_reaction_follows_the_plan_and_then_releases_tension() -> None:
     plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).plan("r2", TIME)
-    task = Task.of(plan.motion)
+    task = Task.of(plan.flight)
     flown = task.released(found.motion, found.start, RELEASE_TIME)
     assert 0.0 < np.min(np.diff(flown.states.t)) <= np.max(np.diff(flown.states.t)) <= 0.011
     assert flown.duration == pytest.approx(found.motion.duration)

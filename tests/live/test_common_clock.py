@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from groups import (
@@ -17,7 +19,7 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.live.abort import Aborts, AbortTable
 from hitchopt.live.fly import CommandedPlan
-from hitchopt.motion.states import states_at
+from hitchopt.motion.states import flight_states_at
 
 MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 
@@ -25,13 +27,13 @@ MOTIONS = {"two hitches": two_hitches, "hitch and swarm": hitch_and_swarm}
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_the_clock_is_that_of_all(kind: str) -> None:
     """Setpoints of each group are those of its own plan at the common plan time and rate."""
-    motion = MOTIONS[kind]()
-    player = ho.Player(motion)
-    player.step(0.5 * motion.duration)
+    flight = MOTIONS[kind]()
+    player = ho.Player(flight)
+    player.step(0.5 * flight.duration)
     for seconds in (0.5 * player.pause(), 20.0):
         target = player.step(seconds)
         first = 0
-        for group in motion.groups:
+        for group in flight.teams:
             own, count = ho.Player(group.motion, target.time), group.motion.team.drones
             there = own.step(0.0)
             here = slice(first, first + count)
@@ -44,22 +46,22 @@ def test_the_clock_is_that_of_all(kind: str) -> None:
     player.seek(0.1)
     assert player.step(60.0).time == pytest.approx(0.1)
     player.resume()
-    assert player.step(60.0).time == motion.duration
+    assert player.step(60.0).time == flight.duration
 
 
 @pytest.mark.parametrize("kind", MOTIONS)
 @pytest.mark.parametrize("how", ["hold", "land"])
 def test_aborts_hold_for_all(kind: str, how: str) -> None:
-    motion = MOTIONS[kind]()
-    plan = ho.Plan(motion, certify(motion), kind).abort(0.5 * motion.duration, how)
-    whole = plan.motion
+    flight = MOTIONS[kind]()
+    plan = ho.Plan(flight, certify(flight), kind).abort(0.5 * flight.duration, how)
+    whole = plan.flight
     assert plan.certificate.certified
-    assert [each.name for each in whole.groups] == [each.name for each in motion.groups]
-    t = np.linspace(0.0, 0.5 * motion.duration, 9)
-    np.testing.assert_allclose(whole.drones.at(t), motion.drones.at(t), atol=1e-12)
-    assert np.max(np.abs(states_at(whole, [whole.duration]).velocities)) < 1e-9
+    assert [each.name for each in whole.teams] == [each.name for each in flight.teams]
+    t = np.linspace(0.0, 0.5 * flight.duration, 9)
+    np.testing.assert_allclose(whole.drones.at(t), flight.drones.at(t), atol=1e-12)
+    assert np.max(np.abs(flight_states_at(whole, [whole.duration]).velocities)) < 1e-9
     if how == "land":
-        for each in whole.groups:
+        for each in whole.teams:
             assert np.min(each.motion.drones.at(whole.duration)[:, 2]) == pytest.approx(
                 0.0, abs=1e-9
             )
@@ -68,8 +70,8 @@ def test_aborts_hold_for_all(kind: str, how: str) -> None:
 
 
 def test_an_abort_unties_each_hitch() -> None:
-    whole = Aborts(hitch_and_swarm()).plan(1.0, "release_and_land").motion
-    names = {each.name: [phase.name for phase in each.motion.phases] for each in whole.groups}
+    whole = Aborts(hitch_and_swarm()).plan(1.0, "release_and_land").flight
+    names = {each.name: [phase.name for phase in each.motion.phases] for each in whole.teams}
     assert names["triangle"][-1] == "land"
     assert "unswap 1" in names["triangle"]
     assert "unswap 1" not in names["ring"]
@@ -86,25 +88,25 @@ def test_aborts_keep_off_others() -> None:
     asked = 0.5 * 10.0
     held = Aborts(beside(motion, moved(passing, 0.0, 0.0, 50.0), 0.0)).plan(asked, "hold")
     assert held.start == asked
-    assert [each.name for each in held.motion.others] == ["show"]
+    assert [each.name for each in held.flight.others] == ["show"]
     crossed = beside(motion, passing, 0.0)
     assert certify(crossed, reports=()).certified
     found = Aborts(crossed).plan(asked, "hold")
     assert found.certificate.certified
     assert found.start > asked + 0.5
-    stays = held.motion.replaced(others=crossed.others)
+    stays = replace(held.flight, others=crossed.others)
     assert not certify(stays, reports=()).certified
 
 
 def test_a_fleet_flies_by_commands() -> None:
-    motion = hitch_and_swarm()
-    land = AbortTable("land", (Aborts(motion).plan(1.0, "land"),), motion.duration)
-    plan = CommandedPlan(motion, {"land": land, "abort": land})
+    flight = hitch_and_swarm()
+    land = AbortTable("land", (Aborts(flight).plan(1.0, "land"),), flight.duration)
+    plan = CommandedPlan(flight, {"land": land, "abort": land})
     plan.obey("resume")
     sent = plan.step(1.5)
-    state = states_at(motion, [sent.setpoints.time])
+    state = flight_states_at(flight, [sent.setpoints.time])
     assert sent.setpoints.rate == pytest.approx(1.0)
-    np.testing.assert_allclose(sent.thrusts, state.thrusts(motion.team)[0], atol=1e-9)
+    np.testing.assert_allclose(sent.thrusts, state.thrusts(flight.team)[0], atol=1e-9)
     plan.obey("land")
     for _ in range(400):
         plan.step(0.1)
@@ -115,8 +117,8 @@ def test_a_fleet_flies_by_commands() -> None:
 
 def test_a_laid_hitch_flies_back_to_where_its_cables_hang() -> None:
     motion = planned("lay_triangle").motion
-    abort = Aborts(motion).plan(motion.duration - 1.0, "back")
+    abort = Aborts(ho.Flight.of(motion)).plan(motion.duration - 1.0, "back")
     assert abort.certificate.certified
     free = next(p for p in motion.phases if p.name == "draw taut")
-    back = abort.motion.drones.coefficients[-1, ..., -1]
+    back = abort.flight.drones.coefficients[-1, ..., -1]
     np.testing.assert_allclose(motion.drones.at(free.end), back, atol=1e-6)

@@ -41,8 +41,11 @@ def plan_of(what: str = "moved") -> ho.Plan:
 def tables(*, swarm: bool) -> dict[str, AbortTable]:
     motion = plan_of("swarm" if swarm else "moved").motion
     if swarm:
-        return dict.fromkeys(("land", "abort"), abort_table(motion, "land", 0.5))
-    return {"land": abort_table(motion, "land"), "abort": abort_table(motion, "release_and_land")}
+        return dict.fromkeys(("land", "abort"), abort_table(ho.Flight.of(motion), "land", 0.5))
+    return {
+        "land": abort_table(ho.Flight.of(motion), "land"),
+        "abort": abort_table(ho.Flight.of(motion), "release_and_land"),
+    }
 
 
 def check_setpoints(series: list[ho.Setpoints], limits: ho.Limits, step: float) -> None:
@@ -58,7 +61,7 @@ def check_setpoints(series: list[ho.Setpoints], limits: ho.Limits, step: float) 
 def ran(player: Player, seconds: float) -> ho.Setpoints:
     """Return the last setpoints over some time; all keep the limits, without a jump."""
     found = [player.step(0.0), *(player.step(STEP) for _ in range(int(seconds / STEP) + 1))]
-    check_setpoints(found, player.motion.requirements.limits, STEP)
+    check_setpoints(found, player.flight.requirements.limits, STEP)
     return found[-1]
 
 
@@ -151,7 +154,7 @@ def test_wrong_arguments_are_named() -> None:
         ("time", lambda: Player(plan_of(), -0.1)),
         ("rate", lambda: player.rate(1.2)),
         ("time", lambda: player.seek(1e3)),
-        ("command = 'dance'", lambda: CommandedPlan(plan_of().motion, {}).obey("dance")),
+        ("command = 'dance'", lambda: CommandedPlan(plan_of().flight, {}).obey("dance")),
     )
     for key, call in cases:
         with pytest.raises(ho.InputError, match=f"^{key}"):
@@ -177,7 +180,7 @@ class Rig:
     def __init__(self, later: Later = at_once, rate: float = 25.0, *, swarm: bool = False) -> None:
         self.plan = plan_of("swarm" if swarm else "moved")
         self.names = self.plan.motion.team.drone_names
-        self.course = CommandedPlan(self.plan.motion, tables(swarm=swarm))
+        self.course = CommandedPlan(self.plan.flight, tables(swarm=swarm))
         self.pressed, self.said, self.sent = list[str](), list[str](), list[FleetSetpoints]()
         self.operator, self.silent, self.off = True, set[str](), np.zeros(3)
         self.now, self.going, self.rate = 100.0, True, rate
@@ -381,7 +384,9 @@ def test_a_landing_begins_ahead_even_where_a_rest_behind_is_nearer() -> None:
 def test_the_clock_is_led_back_to_where_a_landing_begins() -> None:
     """The last times of a stack have none: drones stand above each other."""
     motion = planned("swarms/stack").motion
-    course = CommandedPlan(motion, {"land": abort_table(motion, "land", 0.5)})
+    course = CommandedPlan(
+        ho.Flight.of(motion), {"land": abort_table(ho.Flight.of(motion), "land", 0.5)}
+    )
     course.obey("resume")
     course.step(3.0)
     assert course.obey("land").startswith("land: begins in ")

@@ -46,7 +46,7 @@ def receivers(count: int) -> Iterator[tuple[list[socket.socket], list[tuple[str,
 
 @cache
 def moving() -> FleetSetpoints:
-    course = CommandedPlan(planned("triangle").motion, {})
+    course = CommandedPlan(planned("triangle").flight, {})
     course.obey("resume")
     return course.step(0.7)
 

@@ -160,7 +160,7 @@ def test_objects_stay_where_they_were_carried() -> None:
     rest = rest_motion(start, need, 1.0, Phase("hold", 0, 0.0, 1.0))
     carried = np.array([[5.0, 2.0, 0.0, 1.0, 0.0]])
     motion = replace(rest, poses=PiecewisePolynomial.constant(rest.drones.breaks, carried))
-    replanner = ho.Replanner(start.team, ho.Plan(motion, certify(motion)))
+    replanner = ho.Replanner(start.team, ho.Plan(ho.Flight.of(motion), certify(motion)))
     answer = replanner.retarget(to=[1.5, 2.0, 1.0], at=1.0)
     assert answer.accepted, answer.reason
     np.testing.assert_array_equal(answer.motion.poses.at(answer.motion.duration), carried)

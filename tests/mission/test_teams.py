@@ -142,15 +142,15 @@ def test_teams_with_one_goal_are_refused_with_both_named() -> None:
 
 def test_a_team_waits_for_a_plan_that_flies_besides() -> None:
     plan = planned("beside_a_show")
-    (show,) = plan.motion.others
+    (show,) = plan.flight.others
     assert show.digest == digest(PROBLEMS / "show" / "plan.npz")
     assert show.motion.drones.breaks[0] == 8.0
     assert is_of(show, PROBLEMS / "show" / "plan.npz")
     text = (PROBLEMS / "beside_a_show.yaml").read_text()
-    check_request(request_in(text, {}), plan.motion)
+    check_request(request_in(text, {}), plan.flight)
     for changed_text in (text.replace("at: 8", "at: 9"), text.replace("show: {", "other: {")):
         with pytest.raises(ho.InputError, match=r"request\.others"):
-            check_request(request_in(changed_text, {}), plan.motion)
+            check_request(request_in(changed_text, {}), plan.flight)
     assert [phase.name for phase in plan.phases] == ["transport", WAIT, "transport"]
     times = np.linspace(0.0, plan.duration, 1001)
     theirs = show.motion.drones.at(np.clip(times, *show.motion.drones.breaks[[0, -1]]))
@@ -172,16 +172,16 @@ def test_other_plans_are_read_beside_the_file_and_must_be_certified(tmp_path: Pa
         problem_from_dict(data, tmp_path)
     motion = planned("swarms/show").motion
     (tmp_path / "show").mkdir()
-    write_plan(tmp_path / "show" / "plan.npz", motion)
+    write_plan(tmp_path / "show" / "plan.npz", ho.Flight.of(motion))
     show = problem_from_dict(data, tmp_path).others["show"]
-    assert [each.motion.drones.breaks[0] for each in show.groups("show")] == [2.0]
-    write_plan(tmp_path / "show" / "plan.npz", planned("two_teams").motion)
-    hall = problem_from_dict(data, tmp_path).others["show"].groups("hall")
+    assert [each.motion.drones.breaks[0] for each in show.teams("show")] == [2.0]
+    write_plan(tmp_path / "show" / "plan.npz", planned("two_teams").flight)
+    hall = problem_from_dict(data, tmp_path).others["show"].teams("hall")
     assert [(each.name, each.motion.drones.breaks[0]) for each in hall] == [
         ("hall.a", 2.0),
         ("hall.b", 2.0),
     ]
-    write_plan(tmp_path / "show" / "plan.npz", motion.slowed(0.5))
+    write_plan(tmp_path / "show" / "plan.npz", ho.Flight.of(motion.slowed(0.5)))
     with pytest.raises(ho.InputError, match="whose own certificate holds, not without") as caught:
         problem_from_dict(data, tmp_path)
     assert caught.value.key == "others.show.plan"
@@ -214,7 +214,7 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
         item = {name: ho.Transport(end, duration=duration) for name, end in ends.items()}
         return ho.solve(ho.Problem(teams, start, [item]))
 
-    names = {phase.name for each in exchanged(None).motion.groups for phase in each.motion.phases}
+    names = {phase.name for each in exchanged(None).flight.teams for phase in each.motion.phases}
     assert names >= {"climb", "descend", WAIT}
     with pytest.raises(ho.InfeasibleError, match="whatever the delay"):
         exchanged(9.0)

@@ -353,7 +353,7 @@ def test_no_suggestion_understates_the_errors_of_gains() -> None:
 def test_aborts_keep_what_the_plan_keeps() -> None:
     motion = planned("retuned_triangle").motion
     for time in (1.0, motion.duration):
-        found = Aborts(motion).plan(time, "land")
+        found = Aborts(ho.Flight.of(motion)).plan(time, "land")
         assert found.certificate["tracking_radius"].limit == 0.05
         assert found.certificate.certified
 

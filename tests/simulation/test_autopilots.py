@@ -395,7 +395,7 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
     kind = ho.Quadrotor(controller="mellinger", gains={"kp": [2.0, 4.0], "kd": 1.0, "ki": 0.0})
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, quadrotor=kind)
     plan = ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4), seconds=1.0)
-    task = Task.of(plan.motion)
+    task = Task.of(plan.flight)
     settings = Settings(controller="mellinger", upload=True)
     held = received(task, flown_team(team, settings), settings)
     offset = held.positions[0] - task.states.positions[0]
@@ -410,13 +410,13 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
         free = received(task, flown_team(team, wound), wound)
         np.testing.assert_allclose(free.positions[0], task.states.positions[0], atol=1e-3)
     with pytest.raises(InputError, match="with a plan"):
-        received(replace(task, motion=None), team, settings)
+        received(replace(task, flight=None), team, settings)
 
 
 def test_lees_law_feeds_forward_angular_velocity_of_uploads_only() -> None:
     """Only uploads contain jerks; without cable forces accelerations determine the attitude."""
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.4)
-    task = Task.of(ho.transport(hitch, [0.6, 0.0, 1.4]).motion)
+    task = Task.of(ho.transport(hitch, [0.6, 0.0, 1.4]).flight)
     settings = Settings(controller="lee", gains={"ki": 1e-9})
     team = flown_team(task.team, settings)
     assert not received(task, team, settings).rates.any()
@@ -469,7 +469,7 @@ STIFF = stiffest_gains(MASS)
 def still_task(kind: ho.Quadrotor, seconds: float = 0.1) -> Task:
     """Return the task of a triangle at rest that is planned without tracking errors."""
     motion = ho.hold(regular_hitch(3), seconds).motion
-    return Task.of(motion.replaced(team=replace(motion.team, quadrotor=(kind,) * 3)))
+    return Task.of(ho.Flight.of(motion.replaced(team=replace(motion.team, quadrotor=(kind,) * 3))))
 
 
 @pytest.mark.parametrize(
@@ -503,7 +503,7 @@ def test_settings_follow_from_the_controller_that_the_plan_names(
     settings = resolved(task, settings_of("fast", perturbed=False, **given))
     assert (settings.controller, settings.estimator, settings.upload) == expected
     assert resolved(task, settings) == settings
-    without_plan = resolved(replace(task, motion=None), Settings())
+    without_plan = resolved(replace(task, flight=None), Settings())
     assert (without_plan.controller, without_plan.upload) == (settings.controller, False) or given
 
 

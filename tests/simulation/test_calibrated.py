@@ -25,7 +25,7 @@ OFF: dict[str, Any] = {
 
 
 def task() -> Task:
-    return Task.of(planned("form_triangle").motion)
+    return Task.of(planned("form_triangle").flight)
 
 
 def known_task() -> Task:

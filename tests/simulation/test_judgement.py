@@ -170,7 +170,7 @@ def test_errors_are_distances_while_hitched_and_at_rest() -> None:
 
 def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     motion = ho.hold(HITCH, 2.0).motion
-    figure = drawn_flight(flight_with(), motion, "Four ropes")
+    figure = drawn_flight(flight_with(), ho.Flight.of(motion), "Four ropes")
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:2] == ["start, 0.0 s", "pull test, 5.0 s"]
     words = "Four ropes\n4 robots, 8 drones, 2 s, simulated: every vertex holds"
@@ -185,8 +185,8 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
         (flight_with(formed=False), "not untied"),
         (replace(flight_with(), outcome=Outcome((), (failure,))), f"but {failure.words}"),
     ):
-        assert drawn_flight(simulation, motion).get_suptitle().endswith(words)
-    page = drawn_flight(flight_with(), motion, "Four ropes", 3.5)
+        assert drawn_flight(simulation, ho.Flight.of(motion)).get_suptitle().endswith(words)
+    page = drawn_flight(flight_with(), ho.Flight.of(motion), "Four ropes", 3.5)
     assert (page.get_size_inches()[0], page.get_suptitle()) == (3.5, "")
     page.draw_without_rendering()
     for text in page.findobj(Text):
@@ -195,15 +195,15 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
             assert text.get_fontsize() == 8.0
             assert -1.0 <= box.x0 < box.x1 <= page.bbox.x1 + 1.0, text
     brief = flight_with(None, end=0.0)  # no frames
-    assert flight_scene(brief, motion) is None
-    assert len(drawn_flight(brief, motion).axes) == 3
+    assert flight_scene(brief, ho.Flight.of(motion)) is None
+    assert len(drawn_flight(brief, ho.Flight.of(motion)).axes) == 3
 
 
 def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path) -> None:
     with pytest.raises(ho.InputError, match="motion"):
         flight_with().save(tmp_path / "flight")
     assert not (tmp_path / "flight").exists()
-    flight_with().save(tmp_path / "flight", motion=ho.hold(HITCH, 2.0).motion)
+    flight_with().save(tmp_path / "flight", flight=ho.hold(HITCH, 2.0).flight)
     assert (tmp_path / "flight" / "simulation.json").is_file()
 
 
@@ -228,7 +228,7 @@ def test_separation_and_tension_are_measured_before_the_pull_test() -> None:
     motion = ho.hold(HITCH, 2.0).motion
     separation = ho.Separation(radius=0.1, height=0.4)
     motion = motion.replaced(requirements=replace(motion.requirements, separation=separation))
-    task = replace(Task.of(motion), taut=None)
+    task = replace(Task.of(ho.Flight.of(motion)), taut=None)
     t = np.arange(0.0, 5.005, 0.01)
     drones = np.repeat(HITCH.drones[None], len(t), axis=0)
     drones[120, 3] = drones[120, 0] + [0.3, -0.4, 1.0]
@@ -265,7 +265,7 @@ def test_a_reaction_lowers_the_tension() -> None:
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
     reaction = Reactions(plan.motion).plan("r1", 0.3)
-    task = Task.of(plan.motion).released(reaction.motion, reaction.start, RELEASE_TIME)
+    task = Task.of(plan.flight).released(reaction.motion, reaction.start, RELEASE_TIME)
     flight = fly(task, Settings(lost=Loss("r1", 0.3)))
     outcome, record = judgement.loss_outcome(flight), flight.record
     assert outcome is not None
@@ -362,7 +362,7 @@ def placed_with(tracking: float | ho.Tube | None, off: list[float], *, held: boo
     record = replace(
         simulation.flight.record, poses=poses, touched=np.full((count, 1), held, dtype=np.bool_)
     )
-    task = replace(task, cargo=cargo, motion=motion)
+    task = replace(task, cargo=cargo, flight=ho.Flight.of(motion))
     return judge(replace(simulation.flight, task=task, record=record))
 
 
@@ -423,7 +423,7 @@ def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() ->
 @pytest.mark.parametrize("name", ["two_robots_drum", "grip_drum"])
 def test_clasps_of_bent_edges_need_a_share_of_what_a_cable_bends_with(name: str) -> None:
     motion = planned(name).motion
-    task = Task.of(motion)
+    task = Task.of(ho.Flight.of(motion))
     held = task.cargo.held[:, 0] & np.all(task.states.tensions > 0.2, axis=1)
     for phase in motion.phases:  # pairs that roll press less
         if phase.state is CableState.ROLLING:

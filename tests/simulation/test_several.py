@@ -24,10 +24,9 @@ from hitchopt.lab.simulation.report import Simulation, ending, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import CALM, Loss, Settings
 from hitchopt.lab.simulation.task import Task
-from hitchopt.live.lost import Reactions
 from hitchopt.mission.problem import HitchStart, Problem
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import Motion
 from hitchopt.view.scene import ghost_scene
 
 BRIEF = Settings(pull_test=False, friction=0.1)
@@ -45,11 +44,11 @@ def test_groups_do_not_influence_each_other() -> None:
     """The other group is 30 m away, with other cables."""
     ring, square = hovering_motion(3, 1.3), hovering_motion(4, 1.1, cable_density=0.02, tension=0.6)
     far = moved(square, 30.0, 0.0, 0.0)
-    both = Simulation.of(Task.of(combined([Group("a", ring), Group("b", far)])), BRIEF)
+    both = Simulation.of(Task.of(Flight((TeamMotion("a", ring), TeamMotion("b", far)))), BRIEF)
     record, drones = both.flight.record, slice(0, 0)
     clasps = cables = slice(0, 0)
     for name, motion in (("a", ring), ("b", far)):
-        alone = Simulation.of(Task.of(motion), BRIEF)
+        alone = Simulation.of(Task.of(ho.Flight.of(motion)), BRIEF)
         n, own = motion.team.robots, alone.flight.record
         drones = slice(drones.stop, drones.stop + 2 * n)
         clasps = cables = slice(cables.stop, cables.stop + n)
@@ -94,10 +93,10 @@ def test_cables_and_drones_of_two_groups_touch() -> None:
 
 def test_groups_without_cables_follow_their_plans(tmp_path: Path) -> None:
     swarm, tied = with_swarm(), beside_saved(tmp_path)
-    for motion, first in ((swarm, "swarm.d0"), (tied, "show.d0")):
-        task = Task.of(motion)
-        own = [group for group in motion.groups if group.motion.team.has_cables]
-        names = [g.label(x) for g in motion.all_groups for x in g.motion.team.drone_names]
+    for flight, first in ((swarm, "swarm.d0"), (tied, "show.d0")):
+        task = Task.of(flight)
+        own = [group for group in flight.teams if group.motion.team.has_cables]
+        names = [g.label(x) for g in flight.all_teams for x in g.motion.team.drone_names]
         assert (*task.team.drone_names, *task.passing.names) == tuple(names)
         assert task.passing.names[0] == first
         assert len(task.team.drone_names) == sum(g.motion.team.drones for g in own)
@@ -112,14 +111,14 @@ def test_groups_without_cables_follow_their_plans(tmp_path: Path) -> None:
     task = Task.of(tied)
     np.testing.assert_allclose(task.passing.positions[0, :6], show.at(show.breaks[0]), atol=1e-9)
     with pytest.raises(UnsupportedError, match="single drones"):
-        Task.of(planned("swarms/circle_6").motion)
+        Task.of(planned("swarms/circle_6").flight)
 
 
 @pytest.mark.slow
 def test_objects_are_held_by_their_own_group() -> None:
     carry, far = planned("carry_box").motion, moved(planned("triangle").motion, 0.0, 9.0, 0.0)
-    both = Task.of(combined([Group("far", far), Group("a", carry)])).cargo
-    alone = Task.of(carry).cargo
+    both = Task.of(Flight((TeamMotion("far", far), TeamMotion("a", carry)))).cargo
+    alone = Task.of(ho.Flight.of(carry)).cargo
     assert both.names == alone.names
     assert set(both.holders.values()) == {"a"}
     count = len(alone.held)
@@ -129,16 +128,17 @@ def test_objects_are_held_by_their_own_group() -> None:
 
 
 def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
-    motion = planned("two_teams").motion
     plan = planned("two_teams")
+    flight = plan.flight
     folder = plan.save(tmp_path / "plan", rate=10.0, picture=False)
     recording = tmp_path / "flight.csv"
     rows = "".join(f"{0.01 * i:.2f},q0,0,0,1\n" for i in range(100))
     recording.write_text(f"t,name,x,y,z\n{rows}", encoding="utf-8")
-    task = Task.of(motion)
+    task = Task.of(flight)
     show = beside(planned("triangle").motion, moved(planned("triangle").motion, 0, 0, 50.0), 0.0)
     for call in (
-        lambda: Reactions(motion),
+        lambda: plan.motion,
+        lambda: plan.end,
         lambda: ho.Feedback(plan),
         lambda: ho.Replanner(planned("triangle").motion.team, plan),
         lambda: ho.equilibrium(plan, 0.5),
@@ -150,15 +150,13 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
     ):
         with pytest.raises(UnsupportedError, match="supports a single team, not a, b"):
             call()
-    with pytest.raises(UnsupportedError, match="several teams"):
-        _ = plan.end
     with pytest.raises(UnsupportedError, match="show flies on a clock"):
         ho.Player(show)
     result = CliRunner().invoke(
         main, ["statics", str(folder), "--at", "8", "--perturb", "stiffness=40"]
     )
     assert result.exit_code == 0, result.output
-    for group in motion.groups:
+    for group in flight.teams:
         rest = ho.equilibrium(group.motion, 8.0, stiffness=40.0)
         content = json.loads((folder / group.name / "statics.json").read_text())
         tensions = [cable["tension"][0] for cable in content["cables"]]
@@ -187,6 +185,6 @@ def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) ->
     assert result.save(tmp_path) == tmp_path
     lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
     assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)
-    scene = ghost_scene(tmp_path, motion)
+    scene = ghost_scene(tmp_path, ho.Flight.of(motion))
     positions = scene.at(motion.duration).drones
     np.testing.assert_allclose(positions, motion.drones.at(motion.duration), atol=0.1)

@@ -271,7 +271,7 @@ def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
 def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None:
     """Cables of a drum's grip follow the path that their thickness makes of the plan's lines."""
     motion = planned("grip_drum").motion
-    task, layout = Task.of(motion), motion.team.layout
+    task, layout = Task.of(ho.Flight.of(motion)), motion.team.layout
     assert motion.has_wraps
     (carried,) = np.nonzero(task.cargo.carried.any(axis=1))
     t = float(task.states.t[carried[len(carried) // 2]])
@@ -286,5 +286,5 @@ def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None
     allowance = shapes.thickness_allowance(task, FAST.diameter, 0.0)
     expected = 2.0 * FAST.diameter * (turn - np.sin(0.5 * turn)) + 0.5 * FAST.diameter * wrapped
     np.testing.assert_allclose(allowance, expected, atol=1e-3)
-    straight = shapes.thickness_allowance(replace(task, motion=None), FAST.diameter, 0.0)
+    straight = shapes.thickness_allowance(replace(task, flight=None), FAST.diameter, 0.0)
     assert np.all(allowance > straight + 0.015)

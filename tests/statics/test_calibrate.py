@@ -355,7 +355,7 @@ def test_order_other_columns_and_unknown_names_do_not_matter(
 
 def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
     team = ho.Team(3, [2.2, 2.6, 2.3], topology="open", tension=0.5)
-    task = Task.of(ho.hold(ho.Hitch.balanced(team, ARC, altitude=1.4), seconds=2.0).motion)
+    task = Task.of(ho.hold(ho.Hitch.balanced(team, ARC, altitude=1.4), seconds=2.0).flight)
     rows = [row for row in rows_of(task) if ",p0," not in row and ",p3," not in row]
     result = ho.calibrate(write(tmp_path / "flight.csv", rows), task)
     np.testing.assert_array_equal(result.recording.vertices, task.states.vertices[::5])
@@ -482,7 +482,7 @@ def test_vertices_are_estimated_from_markers_first() -> None:
     """The recording is a cloud of markers on the edges, on another clock."""
     hitch = ho.Hitch.balanced(ho.Team(3, [2.4, 2.5, 2.45], tension=0.5), TRIANGLE, altitude=1.4)
     plan = ho.move_vertex(hitch, 0, by=[0.0, -0.3], duration=5.0)
-    task = Task.of(plan.motion)
+    task = Task.of(plan.flight)
     t, shares = task.states.t[::2], np.array([0.3, 0.5, 0.7])
     ends = task.states.vertices[::2], np.roll(task.states.vertices[::2], -1, axis=1)
     points = ends[0][:, :, None] + shares[:, None] * (ends[1] - ends[0])[:, :, None]

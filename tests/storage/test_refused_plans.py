@@ -61,7 +61,7 @@ def test_a_plan_with_an_array_twice_is_refused_by_both_commands(tmp_path: Path) 
 @pytest.mark.parametrize("other", OTHER_FORMATS)
 def test_a_file_of_another_format_is_refused_in_one_line(other: str, tmp_path: Path) -> None:
     path = tmp_path / "plan.npz"
-    write_plan(path, planned("triangle").motion)
+    write_plan(path, planned("triangle").flight)
     with np.load(path) as stored:
         arrays = dict(stored)
     np.savez(path, **{**arrays, "format": np.array(other)})

@@ -27,8 +27,8 @@ from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.checks.spans import magnitude
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.motion.request import check_request, request_of
 from hitchopt.trajectory import PiecewisePolynomial
@@ -55,30 +55,30 @@ OBJECTS = {"pillars near each other": 2.4, "pillars near cables": -2.0}
 """Where the second one stands [m]."""
 
 
-def plan(name: str, folder: Path) -> Motion:
-    """Return a motion by its name."""
+def plan(name: str, folder: Path) -> Flight:
+    """Return a flight by its name."""
     if name == "beside":
         return beside_saved(folder)
     if name in OBJECTS:
-        groups = [Group("a", pillar(1.9)), Group("b", pillar(OBJECTS[name], slides=0.4))]
-        return combined([*groups, Group("tied", planned("form_square").motion)])
-    return with_swarm() if name == "swarm" else planned(f"two_{name}").motion
+        groups = [TeamMotion("a", pillar(1.9)), TeamMotion("b", pillar(OBJECTS[name], slides=0.4))]
+        return Flight((*groups, TeamMotion("tied", planned("form_square").motion)))
+    return with_swarm() if name == "swarm" else planned(f"two_{name}").flight
 
 
 @pytest.mark.parametrize("name", ["teams", "layers", "beside", "swarm", *OBJECTS])
 def test_distances_across_agree(name: str, tmp_path: Path) -> None:
-    motion = plan(name, tmp_path)
-    write_plan(tmp_path / "plan.npz", motion)
+    flight = plan(name, tmp_path)
+    write_plan(tmp_path / "plan.npz", flight)
     own, others = second.read(tmp_path / "plan.npz")
     found: dict[str, float] = {}
-    separation = vars(motion.requirements.separation)
+    separation = vars(flight.requirements.separation)
     for p, q in combinations([*own, *others], 2):
         for one, two in ((p, q), (q, p)) if p in own else ():
             pair = teams.Pair(one, two, separation, (0.0, 0.0))
             for row in (*teams.between_plans(pair), *teams.object_distances(pair)):
                 if row.samples:
                     found[row.name] = min(found.get(row.name, np.inf), row.worst)
-    checks = {rule: check_across(RULE_OF[rule], motion) for rule in ACROSS}
+    checks = {rule: check_across(RULE_OF[rule], flight) for rule in ACROSS}
     worst = {rule: check.worst for rule, check in checks.items() if check is not None}
     assert found.keys() == worst.keys()
     assert len(worst) == (3 if name == "swarm" else 5 if name in OBJECTS else 4)
@@ -168,7 +168,7 @@ BROKEN = {
 def second_size(motion: Motion) -> float:
     """Return the largest coordinate by which the second opinion rounds [m]."""
     with TemporaryDirectory() as folder:
-        write_plan(path := Path(folder) / "plan.npz", motion)
+        write_plan(path := Path(folder) / "plan.npz", ho.Flight.of(motion))
         return float(second.read(path)[0][0].size)
 
 
@@ -278,7 +278,7 @@ def test_names_that_differ_by_their_case_alone_are_refused() -> None:
     one, other = pillar(1.9), pillar(5.0)
     for names in (("a", "A"), ("a", "\uff41"), ("Others", "a")):
         with pytest.raises(InputError, match="without regard to case"):
-            combined([Group(names[0], one), Group(names[1], other)])
+            Flight((TeamMotion(names[0], one), TeamMotion(names[1], other)))
 
 
 def test_vertices_without_a_hitch_widen_no_tolerance() -> None:
@@ -310,7 +310,11 @@ def test_others_are_continuous_and_at_rest_at_their_ends(
     c = change(group.motion.drones.coefficients.copy())
     turned = group.motion.replaced(drones=group.motion.drones.replaced(c))
     path = tmp_path / "plan.npz"
-    write_plan(path, whole.replaced(others=(replace(group, motion=turned), *rest)), problem="text")
+    write_plan(
+        path,
+        replace(whole, others=(replace(group, motion=turned), *rest)),
+        problem="text",
+    )
     assert [check.name for check in certify(read_plan(path)).violated] == ["continuity"]
     wrong = {row.name for row in second.verify(path) if row.verdict == "violated"}
     assert "continuity" in wrong
@@ -328,42 +332,42 @@ def test_broken_limits_of_one_team_are_found(limit: str, tmp_path: Path) -> None
 
 def test_paths_that_collide_are_found(tmp_path: Path) -> None:
     """Both fly at once at one height."""
-    a, b = planned("two_layers").motion.groups
-    motion = combined([a, Group("b", moved(b.motion, 0.0, 0.0, -0.8))])
-    write_plan(tmp_path / "plan.npz", motion)
+    a, b = planned("two_layers").flight.teams
+    flight = Flight((a, TeamMotion("b", moved(b.motion, 0.0, 0.0, -0.8))))
+    write_plan(tmp_path / "plan.npz", flight)
     broken = {row.name for row in second.verify(tmp_path) if row.verdict == "violated"}
-    assert broken == {check.name for check in certify(motion, reports=()).violated}
+    assert broken == {check.name for check in certify(flight, reports=()).violated}
     assert broken == {"separation", "cable_clearance", "crossing", "downwash"}
 
 
 def asked_of(motion: Motion) -> dict[str, Any]:
     """Return the request of a motion as a problem's text gives it."""
     request = request_of(motion)
-    flight = next(phase for phase in motion.phases if phase.name != "wait")
-    request["mission"][0]["seconds"] = flight.end - flight.start
+    flown = next(phase for phase in motion.phases if phase.name != "wait")
+    request["mission"][0]["seconds"] = flown.end - flown.start
     return request
 
 
 def test_every_team_is_compared_with_its_own_request(tmp_path: Path) -> None:
-    motion, besides = planned("two_teams").motion, beside_saved(tmp_path)
-    a, b = motion.groups
-    exchanged = combined([replace(b, name="a"), replace(a, name="b")])
+    flight, besides = planned("two_teams").flight, beside_saved(tmp_path)
+    a, b = flight.teams
+    exchanged = Flight((replace(b, name="a"), replace(a, name="b")))
     needs = b.motion.requirements
     needs = replace(needs, limits=replace(needs.limits, speed=9.0))
     faster = b.motion.replaced(requirements=needs)
-    wider = combined([a, replace(b, motion=faster)])
-    teams = {each.name: asked_of(each.motion) for each in motion.groups}
+    wider = Flight((a, replace(b, motion=faster)))
+    teams = {each.name: asked_of(each.motion) for each in flight.teams}
     show, pair = {"plan": "show", "at": 1.7}, {"plan": "pair", "at": -2.1}
-    alone = {**asked_of(besides), "others": {"show": show, "pair": pair}}
-    check_request(teams, motion)
+    alone = {**asked_of(besides.teams[0].motion), "others": {"show": show, "pair": pair}}
+    check_request(teams, flight)
     check_request(alone, besides)
-    wrong: list[tuple[dict[str, Any], Motion]] = [
+    wrong: list[tuple[dict[str, Any], Flight]] = [
         (teams, exchanged),
         (teams, wider),
-        ({"a": teams["a"]}, motion),
-        ({**teams, "c": teams["b"]}, motion),
-        ({**teams, "others": {"show": show}}, motion),
-        (alone, besides.replaced(others=besides.others[1:])),
+        ({"a": teams["a"]}, flight),
+        ({**teams, "c": teams["b"]}, flight),
+        ({**teams, "others": {"show": show}}, flight),
+        (alone, replace(besides, others=besides.others[1:])),
         ({**alone, "others": {"show": show}}, besides),
         ({**alone, "others": {"show": {**show, "at": 2.0}, "pair": pair}}, besides),
     ]
@@ -373,24 +377,24 @@ def test_every_team_is_compared_with_its_own_request(tmp_path: Path) -> None:
 
 
 def test_check_looks_up_what_flies_besides(tmp_path: Path) -> None:
-    motion, folder = beside_saved(tmp_path), tmp_path / "plan"
+    flight, folder = beside_saved(tmp_path), tmp_path / "plan"
 
-    def checked(motion: Motion) -> tuple[int, str]:
+    def checked(flight: Flight) -> tuple[int, str]:
         folder.mkdir(exist_ok=True)
-        write_plan(folder / "plan.npz", motion)
+        write_plan(folder / "plan.npz", flight)
         run = CliRunner().invoke(main, ["check", str(folder)])
         return run.exit_code, run.output
 
-    assert checked(motion)[0] == 0
-    show, *pair = motion.others
+    assert checked(flight)[0] == 0
+    show, *pair = flight.others
     higher = replace(show, motion=moved(show.motion, 0.0, 0.0, 0.5))
     for other in (replace(show, digest="0" * 64), higher):
-        code, words = checked(motion.replaced(others=(other, *pair)))
+        code, words = checked(replace(flight, others=(other, *pair)))
         assert code == 3
         assert "show (show): " in words
         assert "is another plan" in words
     shutil.rmtree(tmp_path / "pair")
-    code, words = checked(motion)
+    code, words = checked(flight)
     assert code == 3
     assert words.count("its plan is missing") == 2  # groups of it
     assert "pair.b (pair): " in words
@@ -400,7 +404,7 @@ def test_check_looks_up_what_flies_besides(tmp_path: Path) -> None:
     "names", [("a", "a"), ("a", ""), ("a", "b c"), ("others", "b"), ("a", "b.c")]
 )
 def test_groups_have_names_of_their_own(names: tuple[str, str]) -> None:
-    pair = zip(planned("two_teams").motion.groups, names, strict=True)
+    pair = zip(planned("two_teams").flight.teams, names, strict=True)
     groups = [replace(each, name=name) for each, name in pair]
     with pytest.raises(InputError, match="teams"):
-        combined(groups)
+        Flight(tuple(groups))

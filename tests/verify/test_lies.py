@@ -450,7 +450,7 @@ def told(lie: Lie, path: Path) -> None:
     It is told of one mapping with all settings, and of arrays, among them the team's numbers.
     """
     motion, text = plan(lie.plan)[0].motion, plan(lie.plan)[1]
-    write_plan(path, motion, "", text)
+    write_plan(path, ho.Flight.of(motion), "", text)
     with np.load(path) as file:
         arrays = {name.removeprefix(GROUP): file[name] for name in file}
     whole = json.loads(str(arrays.pop("settings")))

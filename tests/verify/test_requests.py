@@ -77,7 +77,7 @@ def motion_of(name: str) -> ho.Motion:
 def found(name: str, path: Path_, value: Any, folder: Path) -> list[str]:
     """Return the keys that verify finds where the problem asks for another value."""
     file = folder / "plan.npz"
-    write_plan(file, motion_of(name), "", text_of(name))
+    write_plan(file, ho.Flight.of(motion_of(name)), "", text_of(name))
     with np.load(file) as read:
         arrays = dict(read)
     settings = json.loads(str(arrays["settings"]))
@@ -203,10 +203,10 @@ def test_only_the_order_of_laying_that_was_flown_is_believed(
 ) -> None:
     data: Any = parse_yaml(text_of("lay_triangle"))
     data["mission"][0]["form"]["order"] = order
-    motion, believed = planned_of(data).motion, list[list[int]]()
+    flight, believed = planned_of(data).flight, list[list[int]]()
     for asked in map(list, permutations(range(3))):
         data["mission"][0]["form"]["order"] = asked
-        write_plan(tmp_path / "plan.npz", motion, "", json.dumps(data))
+        write_plan(tmp_path / "plan.npz", flight, "", json.dumps(data))
         (plan,), _ = second.read(tmp_path / "plan.npz")
         believed += [asked] * all(row.verdict == "proven" for row in second.requested(plan))
     assert believed == [order]
@@ -216,15 +216,15 @@ def test_legs_of_cables_that_sag_are_those_asked_for(tmp_path: Path) -> None:
     """Lengths of legs exceed their chords, which plans store, by a tenth of a millimetre here."""
     data: Any = parse_yaml(SAGGING)
     plan = planned_of(data)
-    check_request(problem_from_dict(data).request, plan.motion)
-    write_plan(tmp_path / "plan.npz", plan.motion, "", SAGGING)
+    check_request(problem_from_dict(data).request, plan.flight)
+    write_plan(tmp_path / "plan.npz", plan.flight, "", SAGGING)
     (own,), _ = second.read(tmp_path / "plan.npz")
     assert [row.verdict for row in second.requested(own)] == ["proven"]
     chord = plan.motion.legs.coefficients[0, 0, 0, 0]
     assert 5e-5 < 0.7 - chord < 5e-4
     data["start"]["hitch"]["legs"][0] = 0.701
     with pytest.raises(ho.InputError, match=r"request\.start\.hitch\.legs\[0\]"):
-        check_request(problem_from_dict(data).request, plan.motion)
+        check_request(problem_from_dict(data).request, plan.flight)
 
 
 def test_every_key_of_the_table_has_a_lie() -> None:
@@ -250,13 +250,13 @@ def test_places_in_order_are_found_only_where_they_are(tmp_path: Path) -> None:
 )
 def test_plans_are_read_only_with_the_legs_asked_for(path: Path_, value: Any, key: str) -> None:
     data: Any = parse_yaml(MOVED)
-    check_request(problem_from_dict(copy.deepcopy(data)).request, motion_of("moved"))
+    check_request(problem_from_dict(copy.deepcopy(data)).request, ho.Flight.of(motion_of("moved")))
     entry = data
     for part in path[:-1]:
         entry = entry[part]
     entry[path[-1]] = value
     with pytest.raises(ho.InputError) as caught:
-        check_request(problem_from_dict(data).request, motion_of("moved"))
+        check_request(problem_from_dict(data).request, ho.Flight.of(motion_of("moved")))
     assert caught.value.key == key
 
 
@@ -272,13 +272,13 @@ def test_plans_are_read_only_with_the_route_asked_for(extra: str, key: str) -> N
     text = text_of(BOX).replace("{object: box,", f"{{object: box, {extra},")
     data: Any = parse_yaml(text)
     with pytest.raises(ho.InputError) as caught:
-        check_request(problem_from_dict(data).request, motion_of(BOX))
+        check_request(problem_from_dict(data).request, ho.Flight.of(motion_of(BOX)))
     assert caught.value.key == key
 
 
 def test_check_names_keys_that_only_the_curves_between_show(tmp_path: Path) -> None:
     text = MOVED.replace("[2, 0, -0.85]", "[2, 0, -0.86]")
-    write_plan(tmp_path / "plan.npz", motion_of("moved"), "", text)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion_of("moved")), "", text)
     run = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert run.exit_code == 2
     assert "mission[4].follow_vertex.path is not as requested" in run.output
@@ -287,7 +287,7 @@ def test_check_names_keys_that_only_the_curves_between_show(tmp_path: Path) -> N
 def test_a_text_and_its_data_are_the_same(tmp_path: Path) -> None:
     """Readers without YAML believe the data, so all others compare them with the text."""
     file = tmp_path / "plan.npz"
-    write_plan(file, motion_of("moved"), "", MOVED)
+    write_plan(file, ho.Flight.of(motion_of("moved")), "", MOVED)
     with np.load(file) as read:
         arrays = dict(read)
     settings = json.loads(str(arrays["settings"]))

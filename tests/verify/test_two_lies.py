@@ -17,6 +17,7 @@ from second_opinions import ROWS, opinion_of
 from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.values import Array, Indices
 from hitchopt.verify import spans
@@ -285,7 +286,7 @@ def test_lies_are_refused(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(spans, "BUDGET", 300_000)
     motion = lie.change(parts(lie.part))
     if lie.check in RULE_OF:
-        check = check_of(RULE_OF[lie.check], motion)
+        check = check_of(RULE_OF[lie.check], Flight.of(motion))
     else:
         check = certify(motion, reports=())[lie.check]
     assert check is not None

@@ -18,9 +18,9 @@ from hitchopt.errors import Progress
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import STEP
 from hitchopt.mission.solving import solve_problem
-from hitchopt.motion.states import states_at
+from hitchopt.motion.states import flight_states_at
 from hitchopt.steps import STEPS
-from hitchopt.steps.certified_motions import CertifiedMotion
+from hitchopt.steps.certified_motions import CertifiedFlight
 from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.view.editing import (
@@ -52,14 +52,14 @@ def editing(tmp_path: Path) -> Iterator[Editing]:
     path.write_text(TEXT)
     problem: Any = parse_yaml(TEXT, "problem")
     plan = planned_of(problem)
-    editing = Editing(TEXT, path, CertifiedMotion(plan.motion, plan.certificate))
+    editing = Editing(TEXT, path, CertifiedFlight(plan.flight, plan.certificate))
     yield editing
     editing.close()
 
 
 def test_steps_that_open_vertices_have_no_handles() -> None:
     path, plan = PROBLEMS / "lay_hexagon.yaml", planned("lay_hexagon")
-    editing = Editing(path.read_text(), path, CertifiedMotion(plan.motion, plan.certificate))
+    editing = Editing(path.read_text(), path, CertifiedFlight(plan.flight, plan.certificate))
     steps = range(len(editing.problem.mission))
     assert [bool(editing.handles(index)) for index in steps] == [True, *[False] * (len(steps) - 1)]
     corners = [outline and len(outline.vertices) for outline in outlines(editing.problem.teams[""])]
@@ -79,7 +79,7 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
     assert editing.wait()
     assert editing.status.stage is PlanState.CURRENT
     assert editing.planned.certificate.certified
-    end = states_at(editing.planned.motion, editing.planned.motion.duration)
+    end = flight_states_at(editing.planned.flight, editing.planned.flight.duration)
     np.testing.assert_allclose(end.vertices[0], [1.05, -0.25, 1.2], atol=1e-9)
     assert editing.text == TEXT.replace("by: [0.0, 0.2]", "by: [0.05, 0.25]")
     assert not editing.saved
@@ -100,7 +100,7 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     first, stages, problems = editing.planned, list[PlanState](), list[ho.Problem]()
     free, entered = threading.Event(), threading.Semaphore(0)
 
-    def waiting(problem: ho.Problem, progress: Progress) -> CertifiedMotion:
+    def waiting(problem: ho.Problem, progress: Progress) -> CertifiedFlight:
         problems.append(problem)
         entered.release()
         assert free.wait(30.0)
@@ -109,7 +109,9 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
 
     monkeypatch.setattr("hitchopt.view.editing.solve_problem", waiting)
     editing.listener = lambda: stages.append(editing.status.stage)
-    assert [height_after(first.motion, i) for i in (START, 1)] == pytest.approx([1.2, 1.2])
+    assert [height_after(first.flight.teams[0].motion, i) for i in (START, 1)] == pytest.approx(
+        [1.2, 1.2]
+    )
     editing.put(Edit(SECONDS, 5.0))
     assert entered.acquire(timeout=30.0)
     editing.put(Edit(SECONDS, 2.0))
@@ -118,8 +120,8 @@ def test_while_a_plan_is_made_the_old_one_is_called_old_and_stale_ones_go(
     free.set()
     assert editing.wait()
     assert len(problems) == 2
-    duration = first.motion.duration + 1.0
-    assert editing.planned.motion.duration == pytest.approx(duration, abs=1e-6)
+    duration = first.flight.duration + 1.0
+    assert editing.planned.flight.duration == pytest.approx(duration, abs=1e-6)
     assert stages.count(PlanState.CURRENT) == 1
 
 
@@ -134,7 +136,7 @@ def test_changes_are_undone_and_made_again(editing: Editing) -> None:
         assert editing.undo()
         assert editing.text == text
     assert editing.wait()
-    assert editing.planned.motion.duration == first.motion.duration
+    assert editing.planned.flight.duration == first.flight.duration
     assert editing.undo(-1)
     assert editing.text == removed
     editing.put(Edit("mission[0].move_vertex.by", [0.0, 0.1]))

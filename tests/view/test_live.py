@@ -33,7 +33,7 @@ from hitchopt.view.scene import scene_of
 
 @pytest.fixture(scope="module")
 def live() -> Iterator[LiveView]:
-    view = LiveView(open_server(), make_motion(4), made_certificate(), "A picture")
+    view = LiveView(open_server(), ho.Flight.of(make_motion(4)), made_certificate(), "A picture")
     yield view
     view.close()
 
@@ -42,18 +42,18 @@ def live() -> Iterator[LiveView]:
 def test_drones_and_cables_are_sent_where_the_plan_has_them(live: LiveView, time: float) -> None:
     assert live.url.startswith("http://127.0.0.1:")  # this machine alone
     live.seek(time)
-    drones, sent = live.motion.drones.at(time), live.server.scene._handle_from_node_name
+    drones, sent = live.flight.drones.at(time), live.server.scene._handle_from_node_name
     for part in ("frame", "rotors", "rims"):
         positions = sent[f"/plan/drones/{part}"].batched_positions
         np.testing.assert_allclose(positions, drones, atol=2e-3)
     trails = sent["/plan/trails"].points.reshape(8, -1, 2, 3)
-    begin = live.motion.drones.at(max(0.0, time - TRAIL_DURATION))
+    begin = live.flight.drones.at(max(0.0, time - TRAIL_DURATION))
     np.testing.assert_allclose(trails[:, 0, 0], begin, atol=0.05)
     np.testing.assert_allclose(trails[:, -1, 1], drones, atol=2e-3)
     np.testing.assert_array_equal(trails[:, 1:, 0], trails[:, :-1, 1])
     now = [button.color == "blue" for button in live.phases.buttons]
     assert now == [
-        phase.start <= time < phase.end or phase.end == time for phase in live.motion.phases
+        phase.start <= time < phase.end or phase.end == time for phase in live.flight.phases
     ]
     ends = sent["/plan/cables"].points.reshape(4, -1, 2, 3)
     np.testing.assert_allclose(ends[:, 0, 0], drones[0::2], atol=2e-3)
@@ -106,7 +106,7 @@ def test_names_of_others_that_lead_here_are_not_the_view(host: str, *, is_own: b
 
 
 def test_the_camera_sees_all_paths_from_near() -> None:
-    live = LiveView(open_server(), make_motion(5), None)
+    live = LiveView(open_server(), ho.Flight.of(make_motion(5)), None)
     camera, drones = live.server.initial_camera, live.live.scene.drones.reshape(-1, 3)
     live.close()
     away, forward = drones - camera.position, np.subtract(camera.look_at, camera.position)
@@ -121,16 +121,16 @@ def test_the_camera_sees_all_paths_from_near() -> None:
 
 
 def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -> None:
-    view = LiveView(open_server(), make_motion(3), None)
+    view = LiveView(open_server(), ho.Flight.of(make_motion(3)), None)
     assert "being certified" in view.head.content
     view.show_certificate(made_certificate())
     assert "certified for all t" in view.head.content
     assert len(labels(view.checks)) == len(made_certificate().checks)
-    plots = list(plots_of(view.motion, made_certificate()))
+    plots = list(plots_of(view.flight, made_certificate()))
     elements = [each for each, _ in view._plots]
     assert [each.title for each in elements] == [p["label"].replace("\n", " ") for p in plots]
     np.testing.assert_allclose(elements[1].data[1], plots[1]["curves"][0])
-    time = 0.4 * view.motion.duration
+    time = 0.4 * view.flight.duration
     view.seek(time)
     view._move_cursor()
     speed = np.interp(time, elements[1].data[0], elements[1].data[1])
@@ -142,14 +142,14 @@ def test_a_certificate_that_is_late_and_another_plan_keep_panel_and_switches() -
     view.live.switch("thrusts", on=True)
     view.play(on=True)
     head = view.head
-    view.show_plan(make_motion(4), None, "another")
+    view.show_plan(ho.Flight.of(make_motion(4)), None, "another")
     assert view.head is head
     assert "another" in head.content
     assert not view.values.content
     assert view.live.visible["thrusts"]
     assert (view.player.label, labels(view.checks)) == ("Pause", [])
     assert [label.split(":")[0] for label in labels(view.phases)] == ["morph", "hold"]
-    assert view.scrub.max >= view.motion.duration
+    assert view.scrub.max >= view.flight.duration
     view.close()
 
 
@@ -183,9 +183,9 @@ def parts(path: Path) -> tuple[dict[str, Any], str]:
 @pytest.mark.parametrize("n", [3, 12])
 def test_samples_are_the_plan_s_and_numbers_the_certificate_s(tmp_path: Path, n: int) -> None:
     motion, certificate = make_motion(n), made_certificate()
-    write_report(tmp_path / "r.html", motion, certificate, "Three")
+    write_report(tmp_path / "r.html", ho.Flight.of(motion), certificate, "Three")
     data, text = parts(tmp_path / "r.html")
-    scene = scene_of(motion)
+    scene = scene_of(ho.Flight.of(motion))
     np.testing.assert_allclose(data["t"], scene.t, atol=1e-6)
     arrays = unpacked(data["arrays"], text, len(scene.t))
     drones = motion.drones.at(scene.t).reshape(len(scene.t), -1)
@@ -209,7 +209,7 @@ def test_samples_are_the_plan_s_and_numbers_the_certificate_s(tmp_path: Path, n:
 
 def test_no_text_ends_its_script_and_nothing_is_fetched(tmp_path: Path) -> None:
     evil = '</script><script>alert("x")</script><!-- %DATA% & "'
-    write_report(tmp_path / "r.html", make_motion(3), made_certificate(), evil, evil)
+    write_report(tmp_path / "r.html", ho.Flight.of(make_motion(3)), made_certificate(), evil, evil)
     data, _ = parts(tmp_path / "r.html")
     assert data["title"] == data["problem"] == evil
     page = (tmp_path / "r.html").read_text("utf-8")

@@ -85,7 +85,7 @@ def test_both_ends_are_drawn_from_above_and_vertices_named(
     motion = made(n)
     figure = new_figure((5.0, 5.0))
     axes = figure.add_subplot()
-    draw_plan_view(axes, motion)
+    draw_plan_view(axes, ho.Flight.of(motion))
     ends = motion.drones.at([0.0, motion.duration])
     dashed = [c for c in axes.collections if isinstance(c, LineCollection)][-1].get_segments()
     for k, line in enumerate(dashed):  # at the start, from q to r
@@ -114,10 +114,10 @@ def test_curves_are_the_plan_s_worst_values_at_the_joints_too(
     made: Callable[[int], ho.Motion], n: int
 ) -> None:
     motion = made(n)
-    states = sample_states(motion)
+    states = sample_states(ho.Flight.of(motion))
     assert (states.t[0], states.t[-1]) == (0.0, motion.duration)
     assert set(motion.drones.breaks) <= set(states.t)
-    ratio, speed, thrust = panels(motion, states)
+    ratio, speed, thrust = panels(ho.Flight.of(motion), states)
     speeds = np.linalg.norm(motion.drones.at(states.t, 1), axis=-1)
     np.testing.assert_allclose(speed.values, np.max(speeds, axis=1), atol=1e-9)
     shares = np.linalg.norm(states.thrusts(motion.team), axis=-1) / motion.team.max_thrust
@@ -132,7 +132,7 @@ def test_curves_are_the_plan_s_worst_values_at_the_joints_too(
 @pytest.mark.parametrize("share", [False, True])
 def test_limits_and_the_certificate_s_worst_are_marked(share: bool) -> None:
     motion, certificate = make_motion(4, thrusts=(2.6, 2.0 if share else 2.6)), made_certificate()
-    figure = draw_summary(motion, certificate, "Four of them")
+    figure = draw_summary(ho.Flight.of(motion), certificate, "Four of them")
     limits = [(1.0, 2.345, 0.4), (0.8, 0.6789, 1.1), (2.6, 1.456, 1.7)]
     if share:  # of each drone's own limit
         limits[2] = (1.0, 0.56, 1.7)
@@ -148,14 +148,14 @@ def test_limits_and_the_certificate_s_worst_are_marked(share: bool) -> None:
     assert head in words(figure)
     assert {"morph", "hold"} <= {text.get_text() for text in figure.axes[-3].texts}
     low = ho.Check.of("legs", 0.1, 0.15, "min", "m", 0.0, ("q0",))
-    figure = draw_summary(motion, ho.Certificate(3.1, (*certificate.checks, low)))
+    figure = draw_summary(ho.Flight.of(motion), ho.Certificate(3.1, (*certificate.checks, low)))
     assert any("NOT CERTIFIED: legs" in text for text in words(figure))
 
 
 @pytest.mark.parametrize("worst", [math.inf, sys.float_info.max, math.nan])
 def test_a_worst_without_bound_is_not_drawn(worst: float) -> None:
     check = ho.Check("separation", True, worst, 1.0, "min", "ratio", 0.0, ())
-    axes = draw_summary(make_motion(3), ho.Certificate(3.1, (check,))).axes[-3]
+    axes = draw_summary(ho.Flight.of(make_motion(3)), ho.Certificate(3.1, (check,))).axes[-3]
     assert not any("worst" in text.get_text() for text in axes.texts)
     assert axes.get_ylim()[1] < 100.0
 
@@ -169,7 +169,9 @@ def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
     )
     phases = tuple(ho.Phase("follow_vertex", i, 0.31 * i, 0.31 * (i + 1)) for i in range(10))
     motion = replace(make_motion(n), phases=(*phases[:2], ho.Phase("m", 2, 0.62, 3.1)))
-    figure = draw_summary(motion, ho.Certificate(3.1, checks), "A title of some length " * 8)
+    figure = draw_summary(
+        ho.Flight.of(motion), ho.Certificate(3.1, checks), "A title of some length " * 8
+    )
     texts = visible_texts(figure)
     assert len(texts) > 30
     slanted = [text for text in figure.axes[-3].texts if text.get_rotation() > 0.0]
@@ -191,9 +193,9 @@ def test_figures_for_papers_have_8_point_text_within_their_width(
 ) -> None:
     motion, others = make_motion(4), swarm(9)
     figures = [
-        draw_summary(motion, made_certificate(), "A title", width),
-        draw_summary(others, made_certificate(), width=width),
-        draw_closeness(others, closeness(others, 6), width),
+        draw_summary(ho.Flight.of(motion), made_certificate(), "A title", width),
+        draw_summary(ho.Flight.of(others), made_certificate(), width=width),
+        draw_closeness(ho.Flight.of(others), closeness(ho.Flight.of(others), 6), width),
     ]
     for figure in figures:
         assert figure.get_size_inches()[0] == width
@@ -207,17 +209,18 @@ def test_figures_for_papers_have_8_point_text_within_their_width(
     save_figure(figures[-1], tmp_path / "figure.png")
     assert imread(tmp_path / "figure.png").shape[1] == round(300 * width)
     assert "A title" not in words(figures[0])
-    save_view(tmp_path / "plan.svg", motion, made_certificate(), width=width)
+    save_view(tmp_path / "plan.svg", ho.Flight.of(motion), made_certificate(), width=width)
     assert f'width="{72.0 * width:g}pt"' in (tmp_path / "plan.svg").read_text("utf-8")
     with pytest.raises(ho.InputError, match=r"width = .* must be of a picture; save \.png"):
-        save_view(tmp_path / "plan.html", motion, made_certificate(), width=width)
+        save_view(tmp_path / "plan.html", ho.Flight.of(motion), made_certificate(), width=width)
     for wrong in (0.5, float("nan"), 40.0):
         with pytest.raises(ho.InputError, match=r"width = .* from 2\.5 to 20 inches; .* 3\.5 wide"):
-            draw_closeness(others, closeness(others, 6), wrong)
+            draw_closeness(ho.Flight.of(others), closeness(ho.Flight.of(others), 6), wrong)
 
 
 def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
-    path, arguments = tmp_path / "summary.png", (make_motion(3), made_certificate())
+    path = tmp_path / "summary.png"
+    arguments = ho.Flight.of(make_motion(3)), made_certificate()
     title = "三角 $x_ \\frac{ %s \n second line"
     save_figure(draw_summary(*arguments, title), path)
     picture, first = imread(path), path.read_bytes()
@@ -228,19 +231,22 @@ def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
 
 
 def test_a_storyboard_has_the_moments_that_matter() -> None:
-    assert [shot.words for shot in choose_shots(make_motion(3))] == ["start", "morph"]
+    assert [shot.words for shot in choose_shots(ho.Flight.of(make_motion(3)))] == ["start", "morph"]
     ends = np.linspace(0.0, 2.2, 16)
     phases = [ho.Phase("morph", i, a, b) for i, (a, b) in enumerate(pairwise(ends.tolist()))]
     many = replace(make_motion(3), phases=(*phases, ho.Phase("hold", 15, 2.2, 3.1)))
-    times = [shot.time for shot in choose_shots(many)]
+    times = [shot.time for shot in choose_shots(ho.Flight.of(many))]
     assert times == sorted(times)
     assert (len(times), times[0], times[-1] >= 2.2 - 1e-9) == (MAX_PANELS, 0.0, True)
-    assert shots_in_motion(many) == choose_shots(many)
+    assert shots_in_motion(ho.Flight.of(many)) == choose_shots(ho.Flight.of(many))
 
 
 def test_a_storyboard_of_few_moments_divides_the_paths_between_them() -> None:
     motion = make_motion(3)
-    (start, end), shots = choose_shots(motion), shots_in_motion(motion, 5)
+    (start, end), shots = (
+        choose_shots(ho.Flight.of(motion)),
+        shots_in_motion(ho.Flight.of(motion), 5),
+    )
     assert (shots[0], shots[-1]) == (start, end)
     assert {shot.words for shot in shots[1:-1]} == {"morph"}
     times = [shot.time for shot in shots]
@@ -251,13 +257,13 @@ def test_a_storyboard_of_few_moments_divides_the_paths_between_them() -> None:
     np.testing.assert_allclose(paths, np.sum(steps) / 4, rtol=0.03)
     assert paths[0] > MIN_TRAVEL
     still = resting(motion, 3.0)
-    assert shots_in_motion(still) == choose_shots(still) == (start,)
+    assert shots_in_motion(ho.Flight.of(still)) == choose_shots(ho.Flight.of(still)) == (start,)
 
 
 @pytest.mark.parametrize("n", [1, 5, 40])
 def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> None:
     motion = swarm(n)
-    figure = draw_summary(motion, ho.certify(motion), "Side by side")
+    figure = draw_summary(ho.Flight.of(motion), ho.certify(motion), "Side by side")
     above = figure.axes[0]
     (paths,) = (c.get_segments() for c in above.collections if isinstance(c, LineCollection))
     assert len(paths) == n
@@ -275,8 +281,8 @@ def test_single_drones_are_shown_with_paths_ends_prisms_and_arena(n: int) -> Non
 
 def test_the_closest_pairs_are_drawn_above_their_bounds() -> None:
     motion = swarm(4)
-    closest = closeness(motion, 6)
-    (axes,) = draw_closeness(motion, closest).axes
+    closest = closeness(ho.Flight.of(motion), 6)
+    (axes,) = draw_closeness(ho.Flight.of(motion), closest).axes
     pair = closest.pairs[0]
     label = f"{pair.pair[0]}, {pair.pair[1]} (≥ {pair.bound:.3f})"
     (curve,) = (line for line in axes.get_lines() if line.get_label() == label)

@@ -24,8 +24,8 @@ from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.hitch.holding import wraps_around
 from hitchopt.lab.simulation.ropes import linking_matrix
-from hitchopt.motion.combined import combined
-from hitchopt.motion.motion import CableState, Group, Motion
+from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.motion import CableState
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.states import states_at
@@ -63,11 +63,11 @@ def tied() -> ho.Motion:
 
 
 def linking(motion: ho.Motion, time: float) -> np.ndarray:
-    return np.abs(linking_matrix(list(scene_at(motion, np.array([time])).cables[0])))
+    return np.abs(linking_matrix(list(scene_at(ho.Flight.of(motion), np.array([time])).cables[0])))
 
 
 def test_a_scene_is_the_plan_at_its_times_and_between(tied: ho.Motion) -> None:
-    scene = scene_of(tied)
+    scene = scene_of(ho.Flight.of(tied))
     states = states_at(tied, scene.t)
     np.testing.assert_array_equal(scene.drones, states.positions)
     np.testing.assert_array_equal(scene.cable_forces, states.cable_forces)
@@ -81,7 +81,7 @@ def test_a_scene_is_the_plan_at_its_times_and_between(tied: ho.Motion) -> None:
 
 def test_free_cables_are_as_long_as_they_are_and_hang(tied: ho.Motion) -> None:
     free = next(phase for phase in tied.phases if phase.state is CableState.FREE)
-    points = scene_at(tied, np.linspace(free.start, free.end, 9)[1:-1]).cables
+    points = scene_at(ho.Flight.of(tied), np.linspace(free.start, free.end, 9)[1:-1]).cables
     length = np.sum(np.linalg.norm(np.diff(points, axis=2), axis=-1), axis=-1)
     np.testing.assert_allclose(length, np.tile(tied.team.cable_length, (7, 1)), rtol=5e-3)
     middles, ends = points[:, :, points.shape[2] // 2, 2], points[:, :, [0, -1], 2]
@@ -113,7 +113,7 @@ def test_turning_the_other_way_links_the_other_way(tied: ho.Motion) -> None:
 
 def test_bends_are_at_the_vertices() -> None:
     motion = make_motion(5)
-    scene = scene_at(motion, np.array([0.7]))
+    scene = scene_at(ho.Flight.of(motion), np.array([0.7]))
     vertices = motion.vertices.at(0.7)
     for which, points in zip(CLASPS, (vertices, np.roll(vertices, -1, axis=0)), strict=True):
         distances = np.linalg.norm(scene.cables[0, :, which] - points, axis=-1)
@@ -125,7 +125,7 @@ def test_cables_of_an_open_clasp_run_straight_the_one_that_was_laid_on_top_above
     ends = {phase.name: phase.end for phase in motion.phases}
     before = motion.drones.at(next(p.start for p in motion.phases if p.name == "lay"))
     heights = before[:, 2].reshape(6, 2).mean(axis=1)
-    scene = scene_at(motion, np.array([ends["tension"], ends["roll"], ends["hold"]]))
+    scene = scene_at(ho.Flight.of(motion), np.array([ends["tension"], ends["roll"], ends["hold"]]))
     laid, tied, opened = scene.cables
     ahead, behind = laid[:, CLASPS[0]], np.roll(laid[:, CLASPS[1]], 1, axis=0)
     rise = np.sign(heights - np.roll(heights, 1))
@@ -162,7 +162,7 @@ def test_edges_around_a_circle_are_its_tangents_and_arc() -> None:
 
 @pytest.mark.parametrize("yaw", [-8.0, 0.7, 3.2])
 def test_objects_are_where_they_stand(yaw: float) -> None:
-    place = scene_of(with_box(yaw), 0).at(1.0).objects[0]
+    place = scene_of(ho.Flight.of(with_box(yaw)), 0).at(1.0).objects[0]
     np.testing.assert_allclose(place[:3], [1.5, 2.0, 0.4], atol=1e-12)
     assert np.linalg.norm(place[3:]) == pytest.approx(1.0)
     assert np.cos(2.0 * np.arctan2(place[6], place[3]) - yaw) == pytest.approx(1.0)
@@ -170,7 +170,7 @@ def test_objects_are_where_they_stand(yaw: float) -> None:
 
 def test_what_a_check_names_is_found(tied: ho.Motion) -> None:
     parts = highlight_of(
-        tied, ("q1", "r2", "cable 0", "p2", "q-leg 1", "phase 3 (swap 1)", "floor")
+        ho.Flight.of(tied), ("q1", "r2", "cable 0", "p2", "q-leg 1", "phase 3 (swap 1)", "floor")
     )
     names, robots = tied.team.drone_names, tied.team.labels
     assert parts.drones == tuple(sorted((names.index("q1"), names.index("r2"))))
@@ -190,17 +190,17 @@ def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
     nodes = np.zeros((6, 30, 3), dtype=np.float32)
     nodes[..., 0] = np.arange(30)
     recorded(tmp_path, nodes)
-    ghost = ghost_scene(tmp_path, motion)
+    ghost = ghost_scene(tmp_path, ho.Flight.of(motion))
     np.testing.assert_allclose(ghost.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
     np.testing.assert_allclose(ghost.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
     with pytest.raises(ho.FileError, match="a flight of 3 cables"):
-        ghost_scene(tmp_path, make_motion(4))
+        ghost_scene(tmp_path, ho.Flight.of(make_motion(4)))
     with pytest.raises(ho.FileError, match="holds neither"):
-        ghost_scene(tmp_path.parent, motion)
+        ghost_scene(tmp_path.parent, ho.Flight.of(motion))
 
 
 def short_scene() -> Scene:
-    return scene_of(make_motion(3).slowed(0.1))
+    return scene_of(ho.Flight.of(make_motion(3).slowed(0.1)))
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_faces_enclose_the_body(section: ho.Section, times: int) -> None:
 
 
 def test_what_is_nearer_is_painted_later() -> None:
-    scene, camera = scene_of(make_motion(4)), Camera.at_angles(-115.0, 32.0)
+    scene, camera = scene_of(ho.Flight.of(make_motion(4))), Camera.at_angles(-115.0, 32.0)
     moment = scene.at(1.0)
     middles = np.mean(Painter(scene, camera).paint(moment).polygons, axis=1)
     projected = camera.project(moment.drones)
@@ -241,8 +241,8 @@ def test_what_is_nearer_is_painted_later() -> None:
 
 def test_objects_are_painted_where_they_stand() -> None:
     """All else is far from the box, whose corners bound what is painted there."""
-    scene, camera = scene_of(with_box(), 0), Camera.at_angles(-115.0, 32.0)
-    box = scene.motion.requirements.objects["box"]
+    scene, camera = scene_of(ho.Flight.of(with_box()), 0), Camera.at_angles(-115.0, 32.0)
+    box = scene.flight.requirements.objects["box"]
     corners = np.array([[*corner, z] for corner in CORNERS for z in (box.lower, box.upper)])
     expected = camera.project(in_world(box.pose, corners))
     middle = np.mean(expected[:, :2], axis=0)
@@ -271,14 +271,14 @@ def test_a_simulated_flight_is_filmed_from_its_directory(tmp_path: Path) -> None
     recorded(flight, np.random.default_rng(1).normal(size=(6, 30, 3)))
     command = ["view", str(flight), "--save"]
     assert "keep the two together" in CliRunner().invoke(main, [*command, str(film)]).output
-    write_plan(tmp_path / "plan.npz", motion, title="Three")
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion), title="Three")
     assert CliRunner().invoke(main, [*command, str(film)]).exit_code == 0
-    save_film(tmp_path / "own.gif", ghost_scene(flight, motion), "Three (flown)")
+    save_film(tmp_path / "own.gif", ghost_scene(flight, ho.Flight.of(motion)), "Three (flown)")
     assert film.read_bytes() == (tmp_path / "own.gif").read_bytes()
     assert CliRunner().invoke(main, [*command, str(film.with_suffix(".png"))]).exit_code == 2
 
 
-def pair(*, others: bool = False) -> Motion:
+def pair(*, others: bool = False) -> Flight:
     """Return a triangle below a square that begins a second later; others have a pillar."""
     first = planned("triangle").motion
     second = shifted(moved(planned("square_quarter_turn").motion, 0.0, 0.0, 4.0), 1.0)
@@ -286,15 +286,15 @@ def pair(*, others: bool = False) -> Motion:
         pillar = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.5, at=[6.0, 0.0, 0.0], fixed=True)
         requirements = dataclasses.replace(second.requirements, objects={"pillar": pillar})
         second = second.replaced(requirements=requirements)
-        return combined([Group("", first)], [Group("show", second, "digest")])
-    return combined([Group("a", first), Group("b", second)])
+        return Flight((TeamMotion("", first),), (TeamMotion("show", second, "digest"),))
+    return Flight((TeamMotion("a", first), TeamMotion("b", second)))
 
 
 def test_a_scene_has_what_each_group_has_alone() -> None:
     """Drones and cables of each are those of its own scene; one that waits is at its start."""
-    for motion in (pair(), pair(others=True)):
+    for flight in (pair(), pair(others=True)):
         t = np.array([0.0, 0.4, 2.0])
-        scene, groups = scene_at(motion, t), motion.all_groups
+        scene, groups = scene_at(flight, t), flight.all_teams
         for group, drones, cables in zip(
             groups,
             np.split(scene.drones, [6], axis=1),
@@ -302,7 +302,7 @@ def test_a_scene_has_what_each_group_has_alone() -> None:
             strict=True,
         ):
             since = np.clip(t - group.motion.drones.breaks[0], 0.0, group.motion.duration)
-            alone = scene_at(group.motion.replaced(others=()), since)
+            alone = scene_at(Flight.of(group.motion), since)
             assert np.allclose(drones, alone.drones, atol=1e-9)
             assert cables.shape == alone.cables.shape
             assert np.max(np.abs(cables - alone.cables)) < 0.05  # bends are as wide as cables
@@ -348,19 +348,18 @@ def test_eight_colours_stay_apart(seen: object, apart: float) -> None:
 
 
 def test_names_of_checks_are_found_in_their_group() -> None:
-    motion = pair()
-    parts = highlight_of(motion, ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
+    parts = highlight_of(pair(), ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
     assert (parts.drones, parts.cables, parts.vertices) == ((8,), (2, 4), (3,))
 
 
 @pytest.mark.parametrize("before", ["", "northern_"])
 def test_names_of_groups_are_apart_and_on_no_drone(before: str) -> None:
     plan = planned("hitch_and_swarm")
-    renamed = [dataclasses.replace(x, name=f"{before}{x.name}") for x in plan.motion.groups]
-    motion, camera = combined(renamed), Camera.at_angles(AZIMUTH, ELEVATION)
-    figure, shots = draw_summary(motion, plan.certificate), choose_shots(plan.motion)
+    renamed = [dataclasses.replace(x, name=f"{before}{x.name}") for x in plan.flight.teams]
+    flight, camera = Flight(tuple(renamed)), Camera.at_angles(AZIMUTH, ELEVATION)
+    figure, shots = draw_summary(flight, plan.certificate), choose_shots(plan.flight)
     figure.draw_without_rendering()
-    scene = scene_at(motion, np.array([shot.time for shot in shots]))
+    scene = scene_at(flight, np.array([shot.time for shot in shots]))
     for axes, drones in zip(figure.axes, scene.drones, strict=False):
         texts = [t for t in axes.texts if t.get_fontweight() == "bold"]
         first, second = (text.get_window_extent() for text in texts)
@@ -382,10 +381,10 @@ def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
     wall = ho.SolidObject(ho.Section(CORNERS), 0.0, 0.8, at=(3.0, 0.2, 0.0), fixed=True)
     requirements = dataclasses.replace(motion.requirements, objects={"wall": wall})
     motion = motion.replaced(requirements=requirements)
-    shots = choose_shots(motion)
+    shots = choose_shots(ho.Flight.of(motion))
     assert [shot.words for shot in shots] == ["start", "near wall", "transport"]
     figure, camera = new_figure((9.0, 3.0), None), Camera.at_angles(AZIMUTH, ELEVATION)
-    draw_plan_storyboard(figure.add_gridspec(1, 1)[0], motion, shots)
+    draw_plan_storyboard(figure.add_gridspec(1, 1)[0], ho.Flight.of(motion), shots)
     figure.draw_without_rendering()
     projected = camera.project(
         in_world(wall.pose, np.array([[*c, z] for c in CORNERS for z in (0, 0.8)]))
@@ -395,8 +394,8 @@ def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
 
 
 def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:
-    motion = pair(others=True)
-    plan = ho.Plan(motion, certify(motion), "Beside a show")
+    flight = pair(others=True)
+    plan = ho.Plan(flight, certify(flight), "Beside a show")
     plan.view(save=tmp_path / "plan.html")
     text = (tmp_path / "plan.html").read_text(encoding="utf-8")
     data = json.loads(next(iter(re.findall(r"<script[^>]*json[^>]*>(\{.*?)</script>", text, re.S))))

@@ -54,7 +54,7 @@ from hitchopt.exports.refit import (
 )
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import UNSTATED_LATENCY
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import file_bytes
 from hitchopt.storage.tables import COMMA_REMEDY, numeric_table, text_lines
@@ -109,16 +109,16 @@ class CrazyflieFormat(Format):
         """Return the fewest parts of a task that fit in memory, cut at rests; empty if none do."""
 
         def fits(part: ExportTask) -> bool:
-            limit = self.max_pieces(part.motion.drones)
-            return len(fit_breaks(part.motion.drones, self.kind, share, limit)) - 1 <= limit
+            limit = self.max_pieces(part.flight.drones)
+            return len(fit_breaks(part.flight.drones, self.kind, share, limit)) - 1 <= limit
 
         return cut_into_parts(task, fits)
 
     def refusal(self, task: ExportTask) -> InfeasibleError:
         """Return the error that a task does not fit in memory."""
-        motion = task.motion
-        pieces = len(fit_breaks(motion.drones, self.kind, 1.0)) - 1.0
-        when, limit = f"in {motion.duration:.4g} s", float(self.max_pieces(motion.drones))
+        flight = task.flight
+        pieces = len(fit_breaks(flight.drones, self.kind, 1.0)) - 1.0
+        when, limit = f"in {flight.duration:.4g} s", float(self.max_pieces(flight.drones))
         remedy = "add steps such as hold: {seconds: 3}, at which the plan can be cut"
         if task.rests_longer:
             remedy = "divide its longest step, as it is cut between phases already"
@@ -163,7 +163,7 @@ class Crazyswarm2(CrazyflieFormat):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the best fit of at most 31 pieces, within a millimetre."""
-        breaks = best_breaks(task.motion.drones, POLY, MAX_PIECES)
+        breaks = best_breaks(task.flight.drones, POLY, MAX_PIECES)
         if len(breaks) - 1 > MAX_PIECES:
             raise self.refusal(task)
         if len(breaks) <= MIN_ROWS:
@@ -274,11 +274,11 @@ def settings_text(task: ExportTask) -> str:
     )
 
 
-def pilot_checklist(motion: Motion) -> str:
+def pilot_checklist(flight: Flight) -> str:
     """Return the pilot's checklist before arming."""
     texts = json.loads(_template("crazyswarm2.json"))
-    look = texts["look"] + (texts["look_at_cables"] if motion.has_cables else [])
-    latency = max(kind.latency or UNSTATED_LATENCY for kind in motion.team.quadrotor)
+    look = texts["look"] + (texts["look_at_cables"] if flight.has_cables else [])
+    latency = max(kind.latency or UNSTATED_LATENCY for kind in flight.team.quadrotor)
     return "\n".join(look).format(latency=1e3 * max(latency, UNSTATED_LATENCY))
 
 
@@ -288,11 +288,11 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
     Drones start on the floor below ``first`` (D, 3) [m]; the trajectories end at ``last``.
     """
     texts = json.loads(_template("crazyswarm2.json"))
-    low = task.heights(0.0) < LANDED, task.heights(task.motion.duration) < LANDED
+    low = task.heights(0.0) < LANDED, task.heights(task.flight.duration) < LANDED
     places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
     hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
-    look, slack = pilot_checklist(task.motion), _slack_points(task)
+    look, slack = pilot_checklist(task.flight), _slack_points(task)
     pull = "held_pull" if task.holds_tension else "pull"
     common = {"frame": task.frame.name, "duration": duration, "look": look}
     return {
@@ -314,7 +314,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
             drones=_places_text(task),
             placeholders=hint if task.fleet.is_placeholder else "",
             slack=texts["slack"] if slack else "",
-            pull=f"\n{texts[pull]}\n{texts['mind']}" if task.motion.has_cables else "",
+            pull=f"\n{texts[pull]}\n{texts['mind']}" if task.flight.has_cables else "",
             **common,
         ),
     }
@@ -323,7 +323,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
 def _places_text(task: ExportTask) -> str:
     """Return the table of drones on cables: names in the files and the problem, and places."""
     robots = {member.role: member.name for member in task.fleet.members}
-    rows = [{"name": robots[row["drone"]], **row} for row in drone_places(task.motion)]
+    rows = [{"name": robots[row["drone"]], **row} for row in drone_places(task.flight)]
     if not rows:
         return ""
     lines = [[*rows[0]], *([*row.values()] for row in rows)]
@@ -341,9 +341,9 @@ def _slack_points(task: ExportTask) -> dict[str, list[float]]:
         return {}
     ends = [
         np.full(len(each.motion.team.drone_names), each.motion.phases[-1].formed)
-        for each in task.motion.groups
+        for each in task.flight.teams
     ]
-    setpoints = task.planned(task.motion.duration) + task.trims
+    setpoints = task.planned(task.flight.duration) + task.trims
     places = task.frame.points(setpoints).round(6) + 0.0
     tied = zip(task.names, places.tolist(), np.concatenate(ends), strict=True)
     return {name: place for name, place, is_tied in tied if is_tied}
@@ -393,7 +393,7 @@ def _template(name: str) -> str:
 
 def _stacked(task: ExportTask, points: Array, action: str) -> Iterator[str]:
     """Yield a warning if drones take off or land above one another, as fly.py moves vertically."""
-    width = 1.9999 * task.motion.requirements.separation.radius
+    width = 1.9999 * task.flight.requirements.separation.radius
     for i, point in enumerate(points[:-1, :2]):
         near = np.linalg.norm(points[i + 1 :, :2] - point, axis=1) < width
         if np.any(near):
@@ -438,7 +438,7 @@ class CompressedBytes(CrazyflieFormat):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the bytes of every drone, refitted within the task's bound and rounded."""
-        breaks = fit_breaks(task.motion.drones, SEGMENT, task.bound)
+        breaks = fit_breaks(task.flight.drones, SEGMENT, task.bound)
         fit = task.placed(fit_pieces(task.curves, breaks, SEGMENT))
         curves = round_points(fit, MILLI, EQUAL_ERRORS)
         durations = np.rint(np.diff(breaks) / MILLI).astype(np.int64)

@@ -52,9 +52,9 @@ class Gltf(Format):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the plan's drones, cables and objects at the task's rate."""
-        motion, frame, document = task.motion, task.frame, _Document()
-        t = sample_times(motion.duration, task.rate)
-        scene = scene_at(motion.replaced(others=()), t)
+        flight, frame, document = task.flight, task.frame, _Document()
+        t = sample_times(flight.duration, task.rate)
+        scene = scene_at(flight.without_others, t)
         single = t.astype(np.float32)
         if single[-1] < t[-1]:  # rounded up, so that the whole plan is included
             single[-1] = np.nextafter(single[-1], np.float32(np.inf))
@@ -77,9 +77,9 @@ class Gltf(Format):
         cables = RigidSurface("cables", span, appearance.cable_colours)
         shapes = document.meshes("cables", [cables] if scene.cables.size else [])
         labels = [
-            group.label(cable).replace(".", "_")
-            for group in motion.groups
-            for cable in group.motion.team.cable_names
+            each.label(cable).replace(".", "_")
+            for each in flight.teams
+            for cable in each.motion.team.cable_names
         ]
         for k, (name, shape) in enumerate(zip(labels, shapes, strict=True)):
             points = y_up(frame.points(scene.cables[:, k, SPANS]))

@@ -92,7 +92,7 @@ class MavsdkDroneShow(Format):
         settings, files = receiver_settings(task), self.files(task)
         for name, table in zip(files, np.moveaxis(rows_of(task, rise), 1, 0), strict=True):
             np.savetxt(folder / name, table, ROW, header=COLUMNS, comments="", encoding="ascii")
-        unseen = ", where cables are not checked" if task.motion.has_cables else ""
+        unseen = ", where cables are not checked" if task.flight.has_cables else ""
         order = ", ".join(f"{i + 1} {name}" for i, name in enumerate(task.names[:6]))
         notes = (
             f"the plan starts {rise.duration:g} s into the show: until then drones wait and "
@@ -102,7 +102,7 @@ class MavsdkDroneShow(Format):
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone at px, py of its first row, the origin of its rows",
             "set PX4's parameters as in export.json, and MPC_THR_HOVER as measured without cables",
-            *px4_notes(task.motion.team, task.options.stiffness, task.options.damping),
+            *px4_notes(task.flight.team, task.options.stiffness, task.options.damping),
         )
         return FormatOutput(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 
@@ -120,17 +120,17 @@ class MavsdkDroneShow(Format):
         if len(tables) <= rows + 1:
             raise FileError(f"{folder}: its drones have not as many rows as the plan")
         # Altitudes are relative to the first row, which is on the ground.
-        ground = task.frame.points(np.array([0.0, 0.0, task.motion.requirements.floor]))[2]
+        ground = task.frame.points(np.array([0.0, 0.0, task.flight.requirements.floor]))[2]
         tables[..., 3] += ground - tables[0, :, 3]
         t, values = tables[rows:, 0, 0] - rise.duration, tables[rows:, :, 1:]
         values[..., 6:] += task.samples(t)["cable_forces"] / task.masses[:, None]
-        values[t > task.motion.duration, :, 6:] = 0.0
+        values[t > task.flight.duration, :, 6:] = 0.0
         return FileContents.of_samples(task.names, t, values, "ned", SMOOTH)
 
 
 def rise_of(task: ExportTask) -> PiecewisePolynomial:
     """Return the completed share of the rise, 0 to 1, over an integer number of rows."""
-    limits = [each.motion.requirements.limits for each in task.motion.groups]
+    limits = [each.motion.requirements.limits for each in task.flight.teams]
     height = float(np.max(np.abs(_ascent(task))))
     speed = min(SPEED, *(each.speed for each in limits))
     acceleration = min(ACCELERATION, *(each.acceleration for each in limits))
@@ -151,11 +151,11 @@ def rise_of(task: ExportTask) -> PiecewisePolynomial:
 
 def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
     """Raise InfeasibleError if drones start above one another, and cannot rise vertically."""
-    motion, up = task.motion, _ascent(task)[..., None]
+    flight, up = task.flight, _ascent(task)[..., None]
     points = task.curves.coefficients[0, ..., :1] + up * (rise.coefficients[:, None, None] - 1.0)
     curves, phase = PiecewisePolynomial(rise.breaks, points), Phase("rise", 0, 0.0, rise.duration)
     curves = curves.replaced(curves.coefficients[:, np.argsort(task.order)])
-    ascent = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
+    ascent = Motion.single(flight.team, flight.requirements.untimed, curves, [phase])
     check = RULE_OF["separation"].check(ascent)
     if check is not None and not check.holds:
         when = "while the drones rise straight up from the ground to their first places"
@@ -165,13 +165,13 @@ def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
 
 def _ascent(task: ExportTask) -> Array:
     """Return the displacement from the ground to the plan's first positions (D, 3) [m]."""
-    heights = task.curves.coefficients[0, :, 2, :1] - task.motion.requirements.floor
+    heights = task.curves.coefficients[0, :, 2, :1] - task.flight.requirements.floor
     return heights * [0.0, 0.0, 1.0]
 
 
 def receiver_settings(task: ExportTask) -> dict[str, float | bool]:
     """Return the settings with which all rows are flown, with velocity and acceleration."""
-    altitudes = task.motion.drones.coefficients[:, :, 2] - task.motion.requirements.floor
+    altitudes = task.flight.drones.coefficients[:, :, 2] - task.flight.requirements.floor
     below = floor(min(0.0, float(np.min(altitudes)))) - THRESHOLD_MARGIN
     return {
         "INITIAL_CLIMB_ALTITUDE_THRESHOLD": below,
@@ -187,7 +187,7 @@ def receiver_settings(task: ExportTask) -> dict[str, float | bool]:
 def rows_of(task: ExportTask, rise: PiecewisePolynomial) -> Array:
     """Return rows (S, D, 12) of all drones: index, time, nine setpoints and yaw in degrees."""
     count = round(rise.duration * task.rate)
-    index = np.arange(count + ceil(task.motion.duration * task.rate - 1e-6) + 1)
+    index = np.arange(count + ceil(task.flight.duration * task.rate - 1e-6) + 1)
     t, up = index / task.rate, task.frame.vectors(_ascent(task))
     plan = task.samples(t[count:] - rise.duration)
     share, speed, acceleration = (rise.at(t[:count], k)[:, None, None] for k in range(3))

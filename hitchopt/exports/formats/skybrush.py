@@ -52,6 +52,7 @@ from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.exports.refit import PieceKind, Scale, fit_breaks, fit_pieces, round_points
 from hitchopt.exports.verification import EXPORT_RULES
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.storage.archive import read_members, reading
 from hitchopt.storage.files import opened, parsed_json
@@ -120,15 +121,15 @@ class SkybrushShow(Format):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the show, refitted within the task's bound and rounded."""
-        motion, plans, notes = task.motion, list[Any]([None] * len(task.names)), []
-        if _has_returns(motion):
-            returns = plan_returns(motion, task.frame)
-            head = {"version": 1, "landingSpeed": _landing_speed(motion)}
+        flight, plans, notes = task.flight, list[Any]([None] * len(task.names)), []
+        if _has_returns(flight):
+            returns = plan_returns(flight, task.frame)
+            head = {"version": 1, "landingSpeed": _landing_speed(flight)}
             plans = [{**head, "entries": [e[i] for e in returns]} for i in range(len(plans))]
             notes = [
                 f"rthPlan: {len(returns)} coordinated returns that begin where drones can stop"
             ]
-        breaks = fit_breaks(motion.drones, CUBIC, task.bound)
+        breaks = fit_breaks(flight.drones, CUBIC, task.bound)
         fit = task.frame.placed(fit_pieces(task.curves, breaks, CUBIC))
         quantum = MILLI * storage_scale(fit, 2.0 * MILLI)
         # Independent rounding is better for drones at rest.
@@ -160,7 +161,7 @@ class SkybrushShow(Format):
         """Return the curves of the show as Skybrush's server stores them; certify its returns."""
         show = read_show(folder / self.file)
         drones = [Trajectory(name, stored_curve(curve)) for name, curve in show.curves.items()]
-        if _has_returns(task.motion):
+        if _has_returns(task.flight):
             curves = {drone.name: drone.curve for drone in drones}
             certify_returns(folder / self.file, show, curves, task)
         return FileContents.of_curves(drones, "nwu", SMOOTH)
@@ -189,8 +190,8 @@ def write_show(
 
     ``plans`` has the ``rthPlan`` of every drone, or None. The plan's limits are declared.
     """
-    speed = max(each.motion.requirements.limits.speed for each in task.motion.groups)
-    validation = {"minDistance": 2.0 * task.motion.requirements.separation.radius}
+    speed = max(each.motion.requirements.limits.speed for each in task.flight.teams)
+    validation = {"minDistance": 2.0 * task.flight.requirements.separation.radius}
     validation |= {"maxVelocityXY": speed, "maxVelocityZ": speed}
     times = [round(t, 3) for t in curves.breaks.tolist()]
     points = curves.coefficients
@@ -313,28 +314,28 @@ def stored_curve(curve: PiecewisePolynomial) -> PiecewisePolynomial:
     return PiecewisePolynomial(start + np.concatenate([[0.0], np.cumsum(durations)]), points)
 
 
-def _has_returns(motion: Motion) -> bool:
+def _has_returns(flight: Flight) -> bool:
     """Return whether drones have coordinated returns: without cables and other plans."""
-    return not (motion.has_cables or motion.others)
+    return not (flight.has_cables or flight.others)
 
 
-def _return_speed(motion: Motion) -> float:
+def _return_speed(flight: Flight) -> float:
     """Return the speed of returns within the limits of all groups [m/s]."""
-    return SPEED_SHARE * min(each.motion.requirements.limits.speed for each in motion.groups)
+    return SPEED_SHARE * min(each.motion.requirements.limits.speed for each in flight.teams)
 
 
-def _landing_speed(motion: Motion) -> float:
-    return min(LANDING_SPEED, _return_speed(motion))  # [m/s]
+def _landing_speed(flight: Flight) -> float:
+    return min(LANDING_SPEED, _return_speed(flight))  # [m/s]
 
 
 @lru_cache(maxsize=1)
-def plan_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
+def plan_returns(flight: Flight, frame: ReferenceFrame) -> list[Entries]:
     """Return the entries of all feasible returns, at integer seconds, the last after the end."""
-    returns, interval = [], max(1, ceil(motion.duration / MAX_RETURNS))
-    for time in range(0, ceil(motion.duration) + interval, interval):
-        start = motion.drones.at(min(float(time), motion.duration))
-        for entries in _return_candidates(motion, time, start, frame):
-            checks = return_checks(motion, entries, start, _landing_speed(motion), frame)
+    returns, interval = [], max(1, ceil(flight.duration / MAX_RETURNS))
+    for time in range(0, ceil(flight.duration) + interval, interval):
+        start = flight.drones.at(min(float(time), flight.duration))
+        for entries in _return_candidates(flight, time, start, frame):
+            checks = return_checks(flight, entries, start, _landing_speed(flight), frame)
             separations = (check.worst for check in checks if check.name == "separation")
             has_margin = all(bound >= MIN_SEPARATION for bound in separations)
             if has_margin and all(check.holds for check in checks):
@@ -344,7 +345,7 @@ def plan_returns(motion: Motion, frame: ReferenceFrame) -> list[Entries]:
 
 
 def _return_candidates(
-    motion: Motion, time: int, start: Array, frame: ReferenceFrame
+    flight: Flight, time: int, start: Array, frame: ReferenceFrame
 ) -> Iterator[Entries]:
     """Yield returns: down, or to positions of the plan, jointly or in order of height."""
     from scipy.optimize import linear_sum_assignment  # heavy
@@ -360,23 +361,23 @@ def _return_candidates(
 
     level, zero = start[:, :2], np.zeros(len(start))
     yield entries(level, 0, zero, zero)
-    height = float(np.max(start[:, 2])) - motion.requirements.floor
-    descent = ceil(height / _landing_speed(motion)) + 1
+    height = float(np.max(start[:, 2])) - flight.requirements.floor
+    descent = ceil(height / _landing_speed(flight)) + 1
     # Drones of equal height descend together, the lowest first.
     rank = np.unique(np.round(start[:, 2], 2), return_inverse=True)[1].reshape(-1)
-    for targets in (motion.drones.at(motion.duration)[:, :2], motion.drones.at(0.0)[:, :2], level):
+    for targets in (flight.drones.at(flight.duration)[:, :2], flight.drones.at(0.0)[:, :2], level):
         # Synchronous motions along lines with the least sum of squares do not collide.
         squares = np.sum((level[:, None] - targets) ** 2, axis=-1)
         goal = targets[linear_sum_assignment(squares)[1]]
         distance = float(np.max(np.linalg.norm(goal - level, axis=-1)))
-        duration = max(1, ceil(distance / _return_speed(motion)))
+        duration = max(1, ceil(distance / _return_speed(flight)))
         yield entries(goal, duration, zero, zero)
         yield entries(goal, duration, zero, descent * rank)
         yield entries(goal, duration, (descent + duration) * rank, zero)
 
 
 def return_checks(
-    motion: Motion, entries: Entries, start: Array, landing_speed: float, frame: ReferenceFrame
+    flight: Flight, entries: Entries, start: Array, landing_speed: float, frame: ReferenceFrame
 ) -> list[Check]:
     """Return the checks of a return from ``start`` (D, 3) [m] with a landing speed [m/s].
 
@@ -385,7 +386,7 @@ def return_checks(
     ((time, action, duration),) = {(e["time"], e["action"], e["duration"]) for e in entries}
     if action not in (LAND, LEVEL) or float(time) % 1.0:
         raise ValueError("an action is not known, or its time is no whole second")
-    floor, level = motion.requirements.floor, start[:, :2]
+    floor, level = flight.requirements.floor, start[:, :2]
     starts, after = (
         np.array([entry[key] for entry in entries], dtype=np.float64)
         for key in ("preDelay", "postDelay")
@@ -408,7 +409,7 @@ def return_checks(
     positions[..., 2:] += share(descents, landings) * (floor - start[:, 2:])
     curves = PiecewisePolynomial(breaks, np.stack([positions[:-1], positions[1:]], axis=-1))
     phase = Phase("return", 0, 0.0, curves.duration)
-    whole = Motion.single(motion.team, motion.requirements.untimed, curves, [phase])
+    whole = Motion.single(flight.team, flight.requirements.untimed, curves, [phase])
     rules = (rule for rule in EXPORT_RULES if rule.derivative <= 1)  # velocity jumps at corners
     return list(filter(None, (rule.check(whole, exported=True) for rule in rules)))
 
@@ -427,7 +428,7 @@ def certify_returns(
             last = time
             start = np.array([curve.at(min(time, curve.breaks[-1])) for curve in each])
             positions = task.frame.planned(start)
-            checks = return_checks(task.motion, entries, positions, landing_speed, task.frame)
+            checks = return_checks(task.flight, entries, positions, landing_speed, task.frame)
             context = f"in the return from t = {time:g} s", "plan with a wider margin"
             violations += [check.violation(*context) for check in checks if not check.holds]
     if violations:

@@ -94,10 +94,10 @@ def statics(
     lengths = conditions.get("cable_length")
     if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
         raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
-    motion, contents, loose = read_plan(path), dict[str, Any](), list[str]()
-    hitches = [group for group in motion.groups if group.motion.team.has_cables]
-    for group in hitches or motion.groups:
-        part, folder = group.motion, path.parent / group.name
+    flight, contents, loose = read_plan(path), dict[str, Any](), list[str]()
+    hitches = [each for each in flight.teams if each.motion.team.has_cables]
+    for flown in hitches or flight.teams:
+        part, folder = flown.motion, path.parent / flown.name
         if isinstance(lengths, list) and len(lengths) == part.team.robots:
             conditions["cable_length"] = [lengths[robot] for robot in part.team.labels]
         t = list(times) if times else taut_times(part, samples)
@@ -108,9 +108,9 @@ def statics(
             else:
                 ranges, rest = None, equilibrium(part, t, **conditions)
             save_statics(folder, rest, ranges, format, width)
-        content = contents[group.name] = statics_content(rest, ranges)
+        content = contents[flown.name] = statics_content(rest, ranges)
         tables = _statics_tables(content)
-        say(f"Team {group.name}\n{tables}" if group.name else tables)
+        say(f"Team {flown.name}\n{tables}" if flown.name else tables)
         values = conditions_of(part.team, **conditions)
         for note in undetermined_tension(
             integral=bool(np.isinf(values["integral"][..., :2]).any()),  # level
@@ -118,7 +118,7 @@ def statics(
         ):
             say(f"note: {note}")
         say(f"statics.json and statics.{format} are in {folder}")
-        loose += map(group.label, (*content["slack_cables"], *content["loose_clasps"]))
+        loose += map(flown.label, (*content["slack_cables"], *content["loose_clasps"]))
     record(directory=str(path.parent), statics=contents.get("", contents))
     if loose:
         say(f"slack, or without hold: {', '.join(loose)}", err=True)

@@ -173,7 +173,7 @@ def _with_loss(
 ) -> tuple[Settings, Task]:
     """Return settings and task of a flight with the loss of a drone, and report the reaction."""
     from hitchopt.lab.simulation.settings import Loss
-    from hitchopt.live.lost import RELEASE_TIME, Reactions
+    from hitchopt.live.lost import FEATURE, RELEASE_TIME, Reactions
     from hitchopt.motion.plan_file import read_plan
 
     loss = Loss.parsed(text)
@@ -181,7 +181,8 @@ def _with_loss(
     if not react:
         return settings, task
     with ProgressBar("planning the reaction"):
-        reaction = Reactions(read_plan(plan_path(directory))).plan(loss.drone, loss.time)
+        motion = read_plan(plan_path(directory)).of_one_team(FEATURE)
+        reaction = Reactions(motion).plan(loss.drone, loss.time)
     say(
         f"reaction: tension is let go from t = {reaction.start:.3f} s on, all are on the ground "
         f"at {reaction.motion.duration:.3f} s; hovering with its weight takes up to "
@@ -212,12 +213,12 @@ def _simulate_one(
         simulation = Simulation.judged(flight.flown(progress))
     saved = read_saved_plan(plan_path(directory))
     with ProgressBar("writing the results"):
-        simulation.save(folder, saved.title, saved.motion, format, width)
+        simulation.save(folder, saved.title, saved.flight, format, width)
     message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
     say(message, directory=str(folder), simulation=summary(simulation))
     if words := tracking_verdict(simulation.flight):
         say(words, tracking=words)
-    if simulation.errors.t.size and not task.groups:
+    if simulation.errors.t.size and len(task.parts) == 1:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(directory)])
         say(f"LaTeX table: {command}")
     for failure in simulation.outcome.failures:

@@ -31,7 +31,7 @@ from hitchopt.lab.flights.vertices import (
     through_gaps,
 )
 from hitchopt.lab.simulation.task import Task, read_task
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
@@ -141,11 +141,11 @@ class Evaluation(OneLine):
         return length(self.drones - self.planned_drones)
 
     @property
-    def motion(self) -> Motion:
+    def planned_flight(self) -> Flight:
         """The plan; InputError for a task without one."""
-        if self.task.motion is None:
+        if self.task.flight is None:
             raise InputError("plan", "setpoints", "a plan", "read it with read_task")
-        return self.task.motion
+        return self.task.flight
 
     @property
     def table(self) -> tuple[ErrorRow, ...]:
@@ -157,7 +157,7 @@ class Evaluation(OneLine):
         columns.append(("vertices", hitched, off[:, points], stated[:, points]))
         drones = zip(team.listed_names, self.drone_errors.T[team.listed], strict=True)
         columns += [(name, t >= 0.0, each, missing) for name, each in drones]
-        spans = [(phase.name, phase.start, phase.end) for phase in self.motion.phases]
+        spans = [(phase.name, phase.start, phase.end) for phase in self.planned_flight.phases]
         for span in [*spans, ("all", float(t[0]), float(t[-1]))]:
             during = (t >= span[1]) & ((t < span[2]) | (span[0] == "all"))
             for name, mask, each, error in columns:
@@ -266,7 +266,7 @@ def evaluate(
     elif unit is not None or topic is not None:
         raise InputError("unit, topic", (unit, topic), "left out", "the recording is read already")
     if isinstance(plan, Plan):
-        task = Task.of(plan.motion)
+        task = Task.of(plan.flight)
     else:
         task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
     task.require_one_team("evaluate")
@@ -403,7 +403,7 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
     Shapes are the plan's, displaced with the measured drones and vertices.
     """
     t, task, layout = evaluation.t, evaluation.task, evaluation.task.team.layout
-    scene = scene_at(evaluation.motion, np.clip(t, 0.0, task.duration))
+    scene = scene_at(evaluation.planned_flight, np.clip(t, 0.0, task.duration))
     displacements, ends = (
         np.nan_to_num(through_gaps(t, off, t))
         for off in (
@@ -487,7 +487,7 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     start, end = float(t[0]), float(t[-1])
     phases = [
         each.retimed(max(each.start, start), min(each.end, end))
-        for each in evaluation.motion.overlapping(start, end)
+        for each in evaluation.planned_flight.teams[0].motion.overlapping(start, end)
     ]
     draw_phases([top, bottom], phases, end - start)
     last = figure.add_subplot(above)

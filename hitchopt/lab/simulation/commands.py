@@ -10,14 +10,14 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.exports.exporting import Export, export_motion
+from hitchopt.exports.exporting import Export, export_flight
 from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import HELD, STOCK, Gains, latency_scale
 from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Task
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -73,7 +73,7 @@ def resolved(task: Task, settings: Settings) -> Settings:
             if upload is None:
                 # Exported files would hold the tension by offsets
                 teams = (flown_team(part.team, settings) for part in task.parts)
-                upload = task.motion is not None and not settings.feedback
+                upload = task.flight is not None and not settings.feedback
                 upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
     estimator = None if estimator == IDEAL else estimator
     if settings.latency is not None and estimator is None:
@@ -114,9 +114,9 @@ def received(task: Task, team: Team, settings: Settings) -> Commands:
     """
     if not settings.upload:
         return streamed(task, team, follows=settings.controller in PACKET_RATES)
-    if task.motion is None:
+    if task.flight is None:
         raise InputError("upload", True, "with a plan", "give the plan's directory")
-    return uploaded(task.motion, team, follows=settings.controller in CURVE_RATES)
+    return uploaded(task.flight, team, follows=settings.controller in CURVE_RATES)
 
 
 def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
@@ -129,7 +129,7 @@ def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
     return Commands(*(QUANTUM * np.clip(x, -MAX_COUNT, MAX_COUNT) for x in counts))
 
 
-def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
+def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
     """Return setpoints as drones evaluate uploaded files.
 
     Offsets hold the cables' tension, as controllers add no cable force to uploads. Controllers with
@@ -138,13 +138,14 @@ def uploaded(motion: Motion, team: Team, *, follows: bool) -> Commands:
     hold_tension = not np.any(team.integral_gain > 0.0)
     unnamed = tuple(Quadrotor(kind.mass, kind.max_thrust) for kind in team.quadrotor)
     kinds = tuple(kind.uncalibrated for kind in team.quadrotor) if hold_tension else unnamed
-    motion = motion.replaced(team=with_fields(team, quadrotor=kinds))
+    flown = with_fields(team, quadrotor=kinds)
+    flight = flight.each_team(lambda motion: motion.replaced(team=flown))
     refusals = []
     for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity
         options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)
         try:
             with tempfile.TemporaryDirectory() as folder:
-                parts = export_motion(motion, "", options, folder)
+                parts = export_flight(flight, "", options, folder)
                 curves = [_read(kind, part, team.drone_names) for part in parts]
             break
         except InfeasibleError as error:

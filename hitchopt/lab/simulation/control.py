@@ -391,10 +391,10 @@ class VertexFeedback:
     def __init__(
         self, task: Task, delay: float, disturbances: Disturbances, stiffness: Array
     ) -> None:
-        if task.motion is None:
+        if task.flight is None:
             raise InputError("feedback", True, "with a plan", "give the plan's directory")
         self._listed, self._numbers = task.team.listed, np.argsort(task.team.listed)
-        self._feedback = Feedback(task.motion, delay=delay, stiffness=stiffness[self._listed])
+        self._feedback = Feedback(task.flight, delay=delay, stiffness=stiffness[self._listed])
         self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
         self._waiting: deque[tuple[float, Array]] = deque()
         self.offsets = self._feedback.offsets[self._numbers]

@@ -154,8 +154,8 @@ class FlightInProgress:
     def __init__(self, task: Task, settings: Settings) -> None:
         team, preset = task.team, settings.preset
         self._may_stream, settings = settings.upload is None, resolved(task, settings)
-        if task.motion is not None and settings.lost is not None:
-            task.motion.require_one_team("the simulated loss of a drone")
+        if task.flight is not None and settings.lost is not None:
+            task.flight.of_one_team("the simulated loss of a drone")
         self._task, self._settings = task, settings
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
         self._disturbances, parts = disturbances, task.parts

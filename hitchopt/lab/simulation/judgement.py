@@ -147,7 +147,7 @@ def tracking_verdict(flight: SimulatedFlight) -> str:
     record, tube, task = flight.record, _tube_of(flight), flight.task
     during = record.t <= task.duration + ROUNDING
     errors = record.drones[during] - task.states.positions[record.index[during]]
-    if task.motion is None or errors.size == 0:
+    if task.flight is None or errors.size == 0:
         return ""
     level, upright = np.hypot(errors[..., 0], errors[..., 1]), np.abs(errors[..., 2])
     largest = f"{np.max(level):.3g} m horizontally, {np.max(upright):.3g} m vertically"
@@ -375,9 +375,9 @@ def _tube_of(flight: SimulatedFlight) -> Tube:
     drones (see ``hitchopt.checks.tracking``): a ring of displaced drones stands beside its plan,
     and so does what it sets down.
     """
-    motion = flight.task.motion
-    groups = () if motion is None else motion.groups
-    tubes = [each.motion.requirements.limits.tube for each in groups]
+    planned = flight.task.flight
+    teams = () if planned is None else planned.teams
+    tubes = [each.motion.requirements.limits.tube for each in teams]
     return Tube.enclosing(tubes) or Tube.of(None)
 
 
@@ -508,8 +508,8 @@ class Closest(NamedTuple):
 
 def separation_of(flight: SimulatedFlight) -> Separation:
     """Return the separation that a plan keeps; the default for other setpoints."""
-    motion = flight.task.motion
-    return Separation() if motion is None else motion.requirements.separation
+    planned = flight.task.flight
+    return Separation() if planned is None else planned.requirements.separation
 
 
 def closest(flight: SimulatedFlight, scale: ArrayLike = 1.0) -> Closest:

@@ -35,7 +35,7 @@ from hitchopt.lab.simulation.judgement import (
 )
 from hitchopt.lab.simulation.settings import CALM, PRESETS, Settings, settings_of
 from hitchopt.lab.simulation.task import Task, read_task
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
@@ -147,30 +147,31 @@ class Simulation(OneLine):
         self,
         directory: Path | str,
         title: str = "",
-        motion: Motion | None = None,
+        flight: Flight | None = None,
         format: str = "png",
         width: float | None = None,
     ) -> Path:
         """Write summary, tables, recording and picture, all or none; return the directory.
 
-        The picture shows the plan that was flown, or another ``motion``, under a title, as
+        The picture shows the plan that was flown, or another ``flight``, under a title, as
         ``simulation.png``, ``svg`` or ``pdf``; with a ``width`` [inch] it is a figure for a paper.
 
         Raises
         ------
         FileError: writing fails.
-        InputError: setpoints without a plan were flown, and no motion is given.
+        InputError: setpoints without a plan were flown, and no plan is given.
         """
-        shown = self.flight.task.motion if motion is None else motion
+        shown = self.flight.task.flight if flight is None else flight
         if shown is None:
-            raise InputError("motion", None, "the plan of the setpoints", "pass its motion")
+            raise InputError("flight", None, "the plan of the setpoints", "pass its flight")
         picture = drawn_flight(self, shown, title, width)
-        flight, errors = self.flight, self.errors
-        record, team, cargo = flight.record, flight.task.team, flight.task.cargo
+        simulated, errors = self.flight, self.errors
+        task, record = simulated.task, simulated.record
+        team, cargo = task.team, task.cargo
         rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
         drones, cables = team.listed, team.edges
         vertices: Iterable[object] = team.layout.clasps
-        if flight.task.groups:
+        if len(task.parts) > 1:
             vertices = [team.point_names[point] for point in team.layout.clasps]
         # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
         tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
@@ -182,7 +183,7 @@ class Simulation(OneLine):
                 "error_without_sag": errors.without_sag,
                 "bearing": record.bearing[rows],
             }),
-            CABLES: ("cable", _cables(flight), t, {
+            CABLES: ("cable", _cables(simulated), t, {
                 "tension": record.tensions[:, cables], "peak": record.peak_tensions[:, cables],
             }),
             DRONES: ("drone", team.listed_names, t, {
@@ -196,7 +197,7 @@ class Simulation(OneLine):
         if not cargo.objects:
             del tables[OBJECTS]
         writers: dict[str, Writer] = {name: partial(write_table, *v) for name, v in tables.items()}
-        writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(flight.film))
+        writers[RECORDING] = lambda path: np.savez_compressed(path, **vars(simulated.film))
         writers[f"simulation.{format}"] = lambda path: style.save_figure(picture, path)
         writers[SUMMARY] = lambda path: write_strict_json(path, summary(self))
         return replace_files(directory, writers, OWNED, seal=SUMMARY)
@@ -247,7 +248,7 @@ def simulate(
         return Simulation.of(read_task(Path(plan)), options, progress)
     check_instance("plan", plan, Plan)
     plan.certificate.raise_if_violated()
-    return Simulation.of(Task.of(plan.motion), options, progress)
+    return Simulation.of(Task.of(plan.flight), options, progress)
 
 
 def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> None:
@@ -260,8 +261,8 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
 
 
 def _cables(flight: SimulatedFlight) -> Sequence[object]:
-    """Return the cables' names in files, in order: indices, or names for several groups."""
-    return flight.cable_names if flight.task.groups else range(flight.task.team.robots)
+    """Return the cables' names in files, in order: indices, or names for several teams."""
+    return flight.cable_names if len(flight.task.parts) > 1 else range(flight.task.team.robots)
 
 
 def write_table(
@@ -306,7 +307,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "compensation": {"cables_longer": flight.extra_length, "legs_aside": flight.end_offset},
         "density": {
             "simulated": np.asarray(flight.density).tolist(),
-            "planned": planned if flight.task.groups else planned[0],
+            "planned": planned if len(flight.task.parts) > 1 else planned[0],
         },
         "nearest": closest(flight)._asdict(),
         "separation": closest(flight, separation_of(flight).scale)._asdict(),
@@ -337,7 +338,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
 
 
 def drawn_flight(
-    simulation: Simulation, motion: Motion, title: str = "", width: float | None = None
+    simulation: Simulation, plan: Flight, title: str = "", width: float | None = None
 ) -> Figure:
     """Return the picture of a flight of a plan: a storyboard, and errors and tensions over time.
 
@@ -350,10 +351,10 @@ def drawn_flight(
         heights = min(PAGE_SHARE * width, PAGE_PLAN), 3.0 * PAGE_PLOT
         figure = style.page_figure(width, sum(heights) + PAGE_LEGEND)
         parts = figure.add_gridspec(2, 1, height_ratios=heights)
-    scene = flight_scene(simulation, motion)
+    scene = flight_scene(simulation, plan)
     if scene is not None:  # shots of the plan up to the end, and the end
         end = float(scene.t[-1])
-        shots = [shot for shot in shots_in_motion(motion) if shot.time <= end + SHOT_TOLERANCE]
+        shots = [shot for shot in shots_in_motion(plan) if shot.time <= end + SHOT_TOLERANCE]
         if np.isfinite(simulation.flight.pulled):
             words = "pull test" if simulation.flight.task.states.formed[-1] else "at rest"
             shots = [*shots[: MAX_PANELS - 1], Shot(words, end, essential=True)]
@@ -362,9 +363,9 @@ def drawn_flight(
         draw_storyboard(parts[0], thick, shots, (scene.t, scene.drones))
     rows = parts[1].subgridspec(3, 1)
     plots = [figure.add_subplot(rows[row]) for row in range(3)]
-    _draw_over_time(plots, simulation, motion)
+    _draw_over_time(plots, simulation, plan)
     if width is None:
-        style.headline(figure, title, f"{style.facts(motion)}, simulated: {ending(simulation)}")
+        style.headline(figure, title, f"{style.facts(plan)}, simulated: {ending(simulation)}")
         return figure
     figure.align_ylabels(plots)
     if legend := plots[0].get_legend():
@@ -375,21 +376,21 @@ def drawn_flight(
     return figure
 
 
-def flight_scene(simulation: Simulation, motion: Motion) -> Scene | None:
+def flight_scene(simulation: Simulation, plan: Flight) -> Scene | None:
     """Return the scene of a flight of a plan; None if it ended too early."""
     film = simulation.flight.film
     if np.sum(film.t >= 0.0) < 2:
         return None
-    return recorded_scene(motion, film.t, film.nodes, film.cables, film.poses)
+    return recorded_scene(plan, film.t, film.nodes, film.cables, film.poses)
 
 
-def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motion) -> None:
+def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight) -> None:
     """Draw errors of vertices, tensions and errors of drones."""
     flight, errors = simulation.flight, simulation.errors
     record, task = flight.record, flight.task
     team, end = task.team, float(record.t[-1]) or 1.0
-    groups = style.group_colours(motion)[: len(motion.groups)]
-    colours = [colour for _, cables in groups for colour in cables]
+    looks = style.group_colours(plan)[: len(plan.teams)]
+    colours = [colour for _, cables in looks for colour in cables]
     top, middle, bottom = plots
     for c, (point, k) in enumerate(zip(team.layout.clasps, team.layout.ahead, strict=True)):
         values = 100.0 * errors.errors[:, c]
@@ -418,7 +419,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, motion: Motio
         axes.tick_params(labelbottom=axes is bottom)
         if end > task.duration:
             axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)
-    draw_phases(plots, motion.phases, end)
+    draw_phases(plots, plan.phases, end)
     bottom.set_xlabel("t [s]; hatched: rest and pull test")
     # A fixed number of ticks: with more of them after the layout, the last label would be clipped.
     bottom.locator_params("x", nbins=7, steps=[1, 2, 5, 10])

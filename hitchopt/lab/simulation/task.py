@@ -14,9 +14,9 @@ from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.combined import CombinedSwarm
+from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion
 from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import Group, Motion
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
@@ -47,7 +47,7 @@ class Cargo:
     # share of its weight that the hitch carries (samples, objects)
     load_share: Array = field(default_factory=lambda: np.zeros((1, 0)))
     floor: float = 0.0  # height of the ground on which they stand [m]
-    # for several groups, the group whose hitch may hold each object
+    # for several teams, the team whose hitch may hold each object
     holders: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
@@ -63,19 +63,23 @@ class Cargo:
         return cls(objects, poses, held, load_share, motion.requirements.floor)
 
     @classmethod
-    def joined(cls, motion: Motion, groups: Sequence[Group], t: Array) -> Cargo:
-        """Return the objects of a combined motion, and the groups that hold them."""
-        whole, holders = cls.of(motion, t), dict[str, str]()
-        for group in groups:
-            part = cls.of(group.motion, t)
+    def joined(cls, flight: Flight, teams: Sequence[TeamMotion], t: Array) -> Cargo:
+        """Return the objects of several teams, and the teams that hold them."""
+        requirements, holders = flight.requirements, dict[str, str]()
+        shape = len(t), len(requirements.objects)
+        held, load_share = np.zeros(shape, dtype=np.bool_), np.zeros(shape)
+        poses = flight.poses.at(t)
+        whole = cls(requirements.objects, poses, held, load_share, requirements.floor)
+        for flown in teams:
+            part = cls.of(flown.motion, t)
             for j, name in enumerate(part.names):
-                key = group.label(name) if group.label(name) in whole.objects else name
+                key = flown.label(name) if flown.label(name) in whole.objects else name
                 i, held = whole.names.index(key), part.held[:, j]
                 whole.held[:, i] |= held
                 share = whole.load_share[:, i]
                 np.maximum(share, part.load_share[:, j], out=share)
                 if held.any() or key not in holders:
-                    holders[key] = group.name
+                    holders[key] = flown.name
         return replace(whole, holders=holders)
 
     @property
@@ -107,7 +111,7 @@ class Cargo:
 
 
 def group_of(name: str) -> str:
-    """Return the group in the name of a drone, point or cable; empty for a single team."""
+    """Return the team in the name of a drone, point or cable; empty for a single team."""
     return name.rpartition(".")[0]
 
 
@@ -122,12 +126,12 @@ class Passing(NamedTuple):
     masses: Array = np.zeros(0)
 
     @classmethod
-    def of(cls, groups: Sequence[Group], start: float, t: Array) -> Passing:
-        """Return the drones of groups at times (samples,) [s] after a ``start`` of their clock."""
+    def of(cls, teams: Sequence[TeamMotion], start: float, t: Array) -> Passing:
+        """Return the drones of teams at times (samples,) [s] after a ``start`` of their clock."""
         names, positions, masses = list[str](), [np.zeros((len(t), 0, 3))], [np.zeros(0)]
-        for group in groups:
-            drones, team = group.motion.drones, group.motion.team
-            names += map(group.label, team.drone_names)
+        for flown in teams:
+            drones, team = flown.motion.drones, flown.motion.team
+            names += map(flown.label, team.drone_names)
             positions.append(drones.at(np.clip(start + t, *drones.breaks[[0, -1]])))
             masses.append(team.mass)
         return cls(tuple(names), np.concatenate(positions, axis=1), np.concatenate(masses))
@@ -141,8 +145,8 @@ class Passing(NamedTuple):
 class Crew(CombinedSwarm):
     """Several teams with cables as one, with concatenated arrays and prefixed names."""
 
-    def __init__(self, groups: Sequence[Group]) -> None:
-        teams = [(group.name, group.motion.team) for group in groups]
+    def __init__(self, flown: Sequence[TeamMotion]) -> None:
+        teams = [(each.name, each.motion.team) for each in flown]
         super().__init__(teams)
         layouts = [team.layout for _, team in teams]
         cables = np.cumsum([0, *(each.robots for each in layouts)]).tolist()
@@ -163,7 +167,7 @@ class Crew(CombinedSwarm):
         }
         arrays |= {"robots": cables[-1], "_layout": Layout(cables[-1], points[-1], **tables)}
         arrays["_points"] = tuple(
-            group.label(name) for group in groups for name in group.motion.team.point_names
+            each.label(name) for each in flown for name in each.motion.team.point_names
         )
         vars(self).update(arrays)
 
@@ -184,7 +188,7 @@ class Crew(CombinedSwarm):
 class Task:
     """Setpoints of a flight, and the plan's hitch at their times.
 
-    For several groups it holds drones, vertices and cables of all groups with cables.
+    For several teams it holds drones, vertices and cables of all teams with cables.
     """
 
     team: Team  # the team that flies
@@ -194,8 +198,8 @@ class Task:
     taut: Array | None = None
     cargo: Cargo = field(default_factory=Cargo)  # objects
     # the plan, which feedback and gripped cables need; None for other setpoints
-    motion: Motion | None = None
-    groups: tuple[Task, ...] = ()  # the tasks of several groups
+    flight: Flight | None = None
+    teams: tuple[Task, ...] = ()  # the tasks of several teams
     passing: Passing = field(default_factory=Passing)  # drones that are not simulated
 
     def __post_init__(self) -> None:
@@ -205,17 +209,17 @@ class Task:
         object.__setattr__(self, "states", replace(states, vertices=vertices, tensions=tensions))
 
     @classmethod
-    def of(cls, motion: Motion) -> Task:
+    def of(cls, flight: Flight) -> Task:
         """Return the task of a plan; UnsupportedError for drones without cables."""
-        if not motion.has_cables:
+        if not flight.has_cables:
             raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
-        t = sample_times(motion.duration, RATE)
-        tied = [group for group in motion.groups if group.motion.team.has_cables]
-        single = [group for group in motion.groups if not group.motion.team.has_cables]
-        passing = Passing.of([*single, *motion.others], float(motion.drones.breaks[0]), t)
-        if len(motion.groups) == 1:
-            return replace(cls._alone(motion, t), passing=passing)
-        parts = tuple(cls._alone(group.motion, t) for group in tied)
+        t = sample_times(flight.duration, RATE)
+        tied = [each for each in flight.teams if each.motion.team.has_cables]
+        single = [each for each in flight.teams if not each.motion.team.has_cables]
+        passing = Passing.of([*single, *flight.others], float(flight.breaks[0]), t)
+        parts = tuple(cls._of_team(each.motion, t) for each in tied)
+        if len(flight.teams) == 1:
+            return replace(parts[0], flight=flight, passing=passing)
 
         def joined(records: list[Any], names: Iterable[str]) -> dict[str, Any]:
             rows = {name: [getattr(record, name) for record in records] for name in names}
@@ -224,28 +228,39 @@ class Task:
         each = [part.states for part in parts]
         formed = np.any([states.formed for states in each], axis=0)
         states = replace(each[0], formed=formed, **joined(each, JOINED_FIELDS))
-        task = cls(Crew(tied), states, motion=motion, groups=parts, passing=passing)
-        cargo = Cargo.joined(motion, tied, t)
+        task = cls(Crew(tied), states, flight=flight, teams=parts, passing=passing)
+        cargo = Cargo.joined(flight, tied, t)
         return replace(task, cargo=cargo, **joined(list(parts), ["taut"]))
 
     @classmethod
-    def _alone(cls, motion: Motion, t: Array) -> Task:
+    def _of_team(cls, motion: Motion, t: Array) -> Task:
         """Return the task of one team at times (samples,) [s]."""
-        taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion))
-        return cls(motion.team, states_at(motion, t), taut.at(t), Cargo.of(motion, t), motion)
+        taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion)).at(t)
+        states, cargo = states_at(motion, t), Cargo.of(motion, t)
+        return cls(motion.team, states, taut, cargo, Flight.of(motion))
 
     @property
     def parts(self) -> tuple[Task, ...]:
-        """Tasks of all groups; the task itself for one group."""
-        return self.groups or (self,)
+        """Tasks of all teams; the task itself for one team."""
+        return self.teams or (self,)
+
+    @property
+    def motion(self) -> Motion | None:
+        """The motion of the plan's only team; None for other setpoints.
+
+        Raises UnsupportedError for several teams: each part has its motion.
+        """
+        if self.flight is None:
+            return None
+        return self.flight.of_one_team("the motion of a task", others=True)
 
     def require_one_team(self, what: str) -> None:
-        """Raise UnsupportedError for several groups, which ``what`` does not support."""
-        if self.motion is not None:
-            self.motion.require_one_team(what, others=False)
+        """Raise UnsupportedError for several teams, which ``what`` does not support."""
+        if self.flight is not None:
+            self.flight.of_one_team(what, others=True)
 
     def clasped(self, flags: Sequence[Array]) -> Flags:
-        """Return flags (…) of every group, repeated for its clasps (…, clasps)."""
+        """Return flags (…) of every team, repeated for its clasps (…, clasps)."""
         counts = [len(part.team.layout.clasps) for part in self.parts]
         each = zip(flags, counts, strict=True)
         return np.concatenate([np.repeat(x[..., None], count, axis=-1) for x, count in each], -1)
@@ -257,7 +272,7 @@ class Task:
 
     def released(self, motion: Motion, start: float, duration: float) -> Task:
         """Return the task of a motion whose cable forces vanish smoothly in a ``duration`` [s]."""
-        new = Task.of(motion).states
+        new = Task.of(Flight.of(motion)).states
         share = np.clip((new.t - start) / duration, 0.0, 1.0)[:, None, None]
         forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
         return Task(self.team, replace(new, t=self.states.t[0] + new.t, cable_forces=forces))
@@ -276,6 +291,6 @@ class Task:
 
 def read_task(directory: Path) -> Task:
     """Return the task of the plan in a directory; FileError if it is missing or damaged."""
-    motion = read_plan(directory / PLAN)
+    flight = read_plan(directory / PLAN)
     refuse_mixture(directory)
-    return Task.of(motion)
+    return Task.of(flight)

@@ -198,11 +198,9 @@ class Equilibrium(OneLine):
 
 
 def motion_of(plan: Plan | Motion, feature: str) -> Motion:
-    """Return the motion of a plan; UnsupportedError for several teams or rings that change."""
+    """Return the motion of a plan; UnsupportedError for several teams."""
     check_instance("plan", plan, Plan, Motion)
-    motion = plan.motion if isinstance(plan, Plan) else plan
-    motion.require_one_team(feature, others=False)
-    return motion
+    return plan.flight.of_one_team(feature, others=True) if isinstance(plan, Plan) else plan
 
 
 def equilibrium(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Equilibrium:

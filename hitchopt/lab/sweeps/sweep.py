@@ -373,7 +373,7 @@ def _simulate(plan: Plan, case: Case) -> Row:
     from hitchopt.lab.simulation.task import Task
 
     keys: dict[str, Any] = {**(case.simulate or {}), "seed": case.seed}
-    run = Simulation.of(Task.of(plan.motion), settings_of(**keys)).run
+    run = Simulation.of(Task.of(plan.flight), settings_of(**keys)).run
     row: Row = {"verdict": run.verdict, "succeeded": run.succeeded, **run.figures}
     if run.failures:
         row |= {"failure": run.failures[0].kind, "failure_time": run.failures[0].time}

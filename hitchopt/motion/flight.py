@@ -1,0 +1,380 @@
+"""Flights: what flies in one airspace, teams with a motion each, and external plans.
+
+The motions of a flight's teams are on one clock and begin and end together, at rest before and
+after their own time. Every team keeps its own breaks: derivatives on the short pieces between the
+breaks of several motions would suffer from rounding.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise, product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.hitch import Swarm, Team
+from hitchopt.hitch.flight_controller import Tube
+from hitchopt.hitch.requirements import Arena, Requirements, Separation
+from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
+from hitchopt.motion.retiming import (
+    append_motion,
+    on_breaks_of,
+    padded,
+    prolonged,
+    shifted,
+    slice_time,
+    stretched,
+)
+from hitchopt.objects import SolidObject
+from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.storage.archive import folded
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.values import Array, Indices, check_instance, lazy, sequence
+
+NAME = re.compile(r"[^\W\d][\w-]*")
+"""Valid names of teams; teams of external plans are named plan.team."""
+
+REST_RATE = 1e-6  # Largest speed [m/s] and acceleration [m/s²] at rest
+
+
+@dataclass(frozen=True, eq=False)
+class TeamMotion(OneLine):
+    """The motion of one team in a flight, with the team's name, which is empty for a single team.
+
+    For a team of an external plan, ``digest`` is the digest of its file and ``plan`` the path as
+    written.
+    """
+
+    name: str
+    motion: Motion
+    digest: str = ""
+    plan: str = ""
+
+    def _parts(self) -> Iterator[str]:
+        yield from [self.name] if self.name else []
+        yield f"{len(self.motion.team.drone_names)} drones"
+        yield f"{self.motion.duration:.4g} s"
+
+    def label(self, name: str) -> str:
+        """Return the full name of one of its drones, cables or vertices, such as ``a.q0``."""
+        return f"{self.name}.{name}" if self.name else name
+
+
+@dataclass(frozen=True, eq=False)
+class CombinedSwarm(Swarm):
+    """The drones of several teams as one swarm, with names such as ``a.q0``."""
+
+    def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
+        kinds = [kind for _, team in teams for kind in team.kinds]
+        names = tuple(
+            f"{name}.{drone}" if name else drone
+            for name, team in teams
+            for drone in team.drone_names
+        )
+        super().__init__(len(kinds), quadrotor=kinds)
+        object.__setattr__(self, "_names", names)
+        firsts = np.cumsum([0, *(len(team.drone_names) for _, team in teams)]).tolist()
+        places = [first + team.listed for first, (_, team) in zip(firsts, teams, strict=False)]
+        object.__setattr__(self, "_listed", np.concatenate(places))
+
+    @property
+    def drone_names(self) -> tuple[str, ...]:
+        """(N,): a.q0, a.r0, …, b.d0, …."""
+        names: tuple[str, ...] = vars(self)["_names"]
+        return names
+
+    @property
+    def listed(self) -> Indices:
+        """(N,): places of the drones a.q0, a.r0, … in the order of the problem."""
+        places: Indices = vars(self)["_listed"]
+        return places
+
+
+@dataclass(frozen=True, eq=False)
+class Flight(OneLine):
+    """What flies in one airspace: teams, each with its motion, and external plans.
+
+    Parameters
+    ----------
+    teams: the teams with their motions, on one clock. They are extended by rests to a common start
+        and end. The name of a single team is dropped.
+    others: the teams of external plans on this clock, at rest before and after their own time. All
+        distances to them are kept.
+
+    Raises
+    ------
+    InputError: no team, or an invalid or duplicate name.
+    UnsupportedError: several teams, one with cables that are tied around an object.
+    """
+
+    teams: tuple[TeamMotion, ...]
+    others: tuple[TeamMotion, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("teams", "others"):
+            entries = sequence(name, getattr(self, name))
+            for i, each in enumerate(entries):
+                check_instance(f"{name}[{i}]", each, TeamMotion)
+            object.__setattr__(self, name, entries)
+        if not self.teams:
+            raise InputError("teams", [], "at least one", "name the teams that fly")
+        self._check_names()
+        if len(self.all_teams) > 1 and any(x.motion.has_bent_cables for x in self.all_teams):
+            message = "cables that bend around an object on their own keep no distances to other"
+            remedy = "plan the team that ties them in a file without others"
+            raise UnsupportedError(f"{message} teams; {remedy}")
+        if len(self.teams) == 1:
+            object.__setattr__(self, "teams", (replace(self.teams[0], name=""),))
+            return
+        ends = np.array([each.motion.drones.breaks[[0, -1]] for each in self.teams])
+        begin, end = float(np.min(ends[:, 0])), float(np.max(ends[:, 1]))
+        padded_teams = [replace(x, motion=padded(x.motion, begin, end)) for x in self.teams]
+        object.__setattr__(self, "teams", tuple(padded_teams))
+
+    def _check_names(self) -> None:
+        """Raise InputError for an invalid name of a team, or one that is taken."""
+        names = [each.name for each in self.all_teams]
+        count = len(self.teams)
+        for index, name in enumerate(names):
+            words = name.split(".", 1) if index >= count else [name]
+            unnamed = name == "" and count == 1 and index == 0
+            taken = map(folded, ("others", *names[:index]))
+            if not (unnamed or all(map(NAME.fullmatch, words))) or folded(name) in taken:
+                bound = (
+                    "a name of its own, also without regard to case, of letters, digits, - and _"
+                )
+                raise InputError("teams", name, bound, "rename it")
+
+    @classmethod
+    def of(cls, flown: Motion | Flight) -> Flight:
+        """Return the flight of one team alone, or a flight itself."""
+        return cls((TeamMotion("", flown),)) if isinstance(flown, Motion) else flown
+
+    def _parts(self) -> Iterator[str]:
+        names = [each.name for each in self.teams if each.name]
+        yield f"{len(self.team.drone_names)} drones"
+        yield from [f"teams: {', '.join(names)}"] if names else []
+        yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
+
+    @property
+    def all_teams(self) -> tuple[TeamMotion, ...]:
+        """Its teams, and those of external plans."""
+        return self.teams + self.others
+
+    @property
+    def alone(self) -> Motion | None:
+        """The motion of a team that flies alone; None with other teams or external plans."""
+        return self.teams[0].motion if len(self.all_teams) == 1 else None
+
+    def of_one_team(self, feature: str, *, others: bool = False) -> Motion:
+        """Return the motion of the only team, for a feature that supports a single one.
+
+        Raises UnsupportedError for several teams, and for external plans unless ``others``.
+        """
+        flying = self.teams if others else self.all_teams
+        if len(flying) > 1:
+            names = ", ".join(each.name or "the team" for each in flying)
+            message = f"{feature} supports a single team, not {names}"
+            raise UnsupportedError(f"{message}; plan that team in a separate file")
+        return self.teams[0].motion
+
+    @property
+    def has_cables(self) -> bool:
+        """Whether any of its teams has cables."""
+        return any(each.motion.team.has_cables for each in self.teams)
+
+    @property
+    def breaks(self) -> Array:
+        """(pieces + 1,) [s]: breaks of all teams."""
+        return self.drones.breaks
+
+    @property
+    def duration(self) -> float:
+        """Duration of all phases [s]."""
+        return self.drones.duration
+
+    @lazy
+    def team(self) -> Team:
+        """The only team, or the drones of all teams as one swarm."""
+        if len(self.teams) == 1:
+            return self.teams[0].motion.team
+        return CombinedSwarm([(each.name, each.motion.team) for each in self.teams])
+
+    @lazy
+    def drones(self) -> PiecewisePolynomial:
+        """Drones of all teams, of shape (N, 3) [m], in the order of ``team.drone_names``."""
+        if len(self.teams) == 1:
+            return self.teams[0].motion.drones
+        motions = self._on_common_breaks
+        degree = max(each.drones.degree for each in motions)
+        parts = [each.drones.elevated(degree).coefficients for each in motions]
+        return PiecewisePolynomial(motions[0].drones.breaks, np.concatenate(parts, axis=1))
+
+    @lazy
+    def phases(self) -> tuple[Phase, ...]:
+        """Phases of the only team; of several, split where one ends, with the names of all."""
+        return self.teams[0].motion.phases if len(self.teams) == 1 else _joint_phases(self.teams)
+
+    @property
+    def requirements(self) -> Requirements:
+        """Requirements of the only team; of several, those between them, with all objects.
+
+        Distances between teams are the larger ones of both teams' requirements.
+        """
+        if len(self.teams) == 1:
+            return self.teams[0].motion.requirements
+        return self._joint[0]
+
+    @property
+    def poses(self) -> PiecewisePolynomial:
+        """Poses of the objects in the requirements, as in ``Motion``."""
+        return self.teams[0].motion.poses if len(self.teams) == 1 else self._joint[1]
+
+    @lazy
+    def _on_common_breaks(self) -> list[Motion]:
+        """Motions of the teams, on the breaks of all of them."""
+        breaks = merged_breaks([each.motion.drones.breaks for each in self.teams])
+        return [on_breaks_of(each.motion, breaks) for each in self.teams]
+
+    @lazy
+    def _joint(self) -> tuple[Requirements, PiecewisePolynomial]:
+        """Requirements between several teams, and poses of all their objects."""
+        objects, poses = _joint_objects(self.teams, self._on_common_breaks)
+        return _joint_requirements(self.teams, objects), poses
+
+    def each_team(self, change: Callable[[Motion], Motion]) -> Flight:
+        """Return the flight with ``change`` applied to the motion of every team."""
+        return Flight(
+            tuple(replace(each, motion=change(each.motion)) for each in self.teams), self.others
+        )
+
+    @property
+    def without_others(self) -> Flight:
+        """The flight without external plans."""
+        return replace(self, others=()) if self.others else self
+
+    @property
+    def untimed(self) -> Flight:
+        """The flight without limits on its duration."""
+        return self.each_team(lambda motion: motion.untimed)
+
+    def stretched(self, factor: float) -> Flight:
+        """Return the same curves, slowed down by ``factor``, without a limit on their duration."""
+        return self if factor == 1.0 else self.each_team(lambda motion: stretched(motion, factor))
+
+    def between(self, start: float, end: float) -> Flight:
+        """Return the flight between two times [s], starting at t = 0."""
+
+        def part(motion: Motion) -> Motion:
+            return shifted(slice_time(motion, start, end), -start)
+
+        others = tuple(replace(x, motion=shifted(x.motion, -start)) for x in self.others)
+        return replace(self.each_team(part), others=others)
+
+    def prolonged(self, seconds: float) -> Flight:
+        """Return a flight that goes on at rest at its end, for some time in its last phases."""
+        return self.each_team(lambda motion: prolonged(motion, seconds))
+
+    def followed_by(self, flight: Flight) -> Flight:
+        """Return two flights of the same teams in sequence; a continued phase stays one phase."""
+        pairs = zip(self.teams, flight.teams, strict=True)
+        teams = tuple(replace(a, motion=append_motion(a.motion, b.motion)) for a, b in pairs)
+        return replace(self, teams=teams)
+
+    @property
+    def rest_breaks(self) -> NDArray[np.intp]:
+        """Indices of breaks, first and last included, at which all drones are at rest."""
+        breaks = self.breaks
+        at_rest = np.ones(len(breaks) - 2, dtype=np.bool_)
+        for each, order in product(self.teams, (1, 2)):  # on the breaks of each team
+            rates = each.motion.drones.differentiated(order)
+            left, right = on_breaks(rates, breaks).ends()
+            for values in (right[:-1], left[1:]):
+                at_rest &= np.max(np.linalg.norm(values, axis=-1), axis=-1) <= REST_RATE
+        return np.concatenate([[0], 1 + np.flatnonzero(at_rest), [len(breaks) - 1]])
+
+
+def _joint_requirements(
+    teams: Sequence[TeamMotion], objects: dict[str, SolidObject]
+) -> Requirements:
+    """Return the requirements between teams: the larger of all distances and tracking errors."""
+    requirements = [each.motion.requirements for each in teams]
+    distances = [vars(each.separation) for each in requirements]
+    separation = Separation(**{key: max(each[key] for each in distances) for key in distances[0]})
+    tube = Tube.enclosing(each.limits.tube for each in requirements)
+    tracking = tube.tracking if tube and tube.level else None
+    limits = replace(requirements[0].limits, tracking=tracking)
+    prisms = {prism.corners.tobytes(): prism for x in requirements for prism in x.keep_out}
+    arenas = [each.arena for each in requirements if each.arena is not None]
+    arena = None
+    if len(arenas) == len(requirements):  # each team stays in its own arena
+        lower, upper = (np.array([getattr(x, end) for x in arenas]) for end in ("lower", "upper"))
+        arena = Arena(np.min(lower, axis=0), np.max(upper, axis=0))
+    return Requirements(limits, separation, arena, tuple(prisms.values()), objects)
+
+
+def _joint_objects(
+    teams: Sequence[TeamMotion], motions: Sequence[Motion]
+) -> tuple[dict[str, SolidObject], PiecewisePolynomial]:
+    """Return the objects of several teams by name, and their poses on common breaks.
+
+    Teams may share obstacles at rest. Other objects with the same name are labelled by team.
+    """
+    objects, poses = dict[str, SolidObject](), list[Array]()
+    breaks = motions[0].drones.breaks
+    degree = max(each.poses.degree for each in motions)
+    for each, motion in zip(teams, motions, strict=True):
+        for index, (name, body) in enumerate(each.motion.requirements.objects.items()):
+            pose = motion.poses.elevated(degree).coefficients[:, index]
+            key = each.label(name) if name in objects else name
+            at_rest = np.max(np.abs(pose - body.pose[:, None])) <= REST_DRIFT
+            if not (at_rest and name in objects and same_object(objects[name], body)):
+                objects[key] = body
+                poses.append(pose)
+    if not poses:
+        return objects, PiecewisePolynomial.constant(breaks, np.zeros((0, 5)))
+    return objects, PiecewisePolynomial(breaks, np.stack(poses, axis=1))
+
+
+def _joint_phases(teams: Sequence[TeamMotion]) -> tuple[Phase, ...]:
+    """Return common phases, split where a phase of any team ends, with the names of all."""
+    begin, end = teams[0].motion.drones.breaks[[0, -1]].tolist()
+    ends = [
+        np.array([begin, *(phase.end for phase in each.motion.phases[:-1]), end]) for each in teams
+    ]
+    times = np.unique(np.concatenate(ends))
+    times = times[np.append(True, np.diff(times) > JOINT)]
+    times[-1] = end
+    phases = list[Phase]()
+    for start, stop in pairwise(times.tolist()):
+        middle = 0.5 * (start + stop)
+        active = [next(p for p in each.motion.phases if p.end >= middle) for each in teams]
+        name = ", ".join(
+            f"{team.name} {phase.name}" for team, phase in zip(teams, active, strict=True)
+        )
+        step = max(phase.step for phase in active)
+        phases.append(Phase(name, step, start, stop, state=CableState.NONE))
+    return tuple(phases)
+
+
+def moved_objects(motion: Motion) -> frozenset[str]:
+    """Return the names of objects that a motion moves."""
+    moves = np.ptp(motion.poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
+    names = motion.requirements.objects
+    return frozenset(name for name, by in zip(names, moves, strict=True) if by > REST_DRIFT)
+
+
+def same_object(one: SolidObject, other: SolidObject) -> bool:
+    """Return whether two objects are equal bodies at the same place."""
+    if len(one.slabs) != len(other.slabs) or not np.array_equal(one.pose, other.pose):
+        return False
+    return all(
+        (a.lower, a.upper, a.section.rounding) == (b.lower, b.upper, b.section.rounding)
+        and np.array_equal(a.section.core, b.section.core)
+        for a, b in zip(one.slabs, other.slabs, strict=True)
+    )
