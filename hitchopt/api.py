@@ -221,15 +221,15 @@ class Mission(Problem):
         ----------
         polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot;
             one more of the convex arc of an open chain.
-        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
-            as sharing, with a roll_deg, at the step's end.
-        duration: exactly that long [s]; without it as fast as the limits allow.
-        blend: go on into the next step without a stop.
-        optimize: look for a faster route even where the straight one satisfies all limits; by
-            default only where it takes more than 1.3 times as long as every drone and vertex alone.
-        tension: range of tensions meanwhile [N].
-        settle: where cables have friction and slid, duration of the swings that end the step, as by
-            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+            with this as sharing, and a roll_deg, at the step's end.
+        duration: exact duration [s]; default: as fast as the limits allow.
+        blend: continue into the next step without a stop.
+        optimize: search for a faster route even if the straight one is feasible; by default only if
+            that takes more than 1.3 times as long as every drone and vertex alone.
+        tension: range of tensions during the step [N].
+        settle: duration of the swings that end the step where cables slid against friction, added
+            to its duration [s]; auto: as far as limits allow; or false.
         """
         return self.then(
             new_step(
@@ -250,7 +250,7 @@ class Mission(Problem):
 
         Parameters
         ----------
-        seconds: how long [s].
+        seconds: duration [s].
         """
         return self.then(new_step(Hold, seconds=seconds))
 
@@ -272,15 +272,15 @@ class Mission(Problem):
 
         Parameters
         ----------
-        vertex: which, from 0.
-        to: where to, [x, y] [m].
-        by: by how much, [dx, dy] [m], in place of to.
-        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
-            as sharing, with a roll_deg, at the step's end.
-        duration: exactly that long [s]; without it as fast as the limits allow.
-        blend: go on into the next step without a stop.
-        settle: where cables have friction and slid, duration of the swings that end the step, as by
-            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        vertex: index, from 0.
+        to: goal [x, y] [m].
+        by: displacement [dx, dy] [m], instead of to.
+        legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+            with this as sharing, and a roll_deg, at the step's end.
+        duration: exact duration [s]; default: as fast as the limits allow.
+        blend: continue into the next step without a stop.
+        settle: duration of the swings that end the step where cables slid against friction, added
+            to its duration [s]; auto: as far as limits allow; or false.
         """
         return self.then(
             new_step(
@@ -312,15 +312,15 @@ class Mission(Problem):
 
         Parameters
         ----------
-        edge: which, from 0.
-        to: where its ends go, [[x, y], [x, y]] [m], its first vertex first.
-        by: by how much, [dx, dy] [m], in place of to.
-        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
-            as sharing, with a roll_deg, at the step's end.
-        duration: exactly that long [s]; without it as fast as the limits allow.
-        blend: go on into the next step without a stop.
-        settle: where cables have friction and slid, duration of the swings that end the step, as by
-            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        edge: index, from 0.
+        to: goals of its ends, [[x, y], [x, y]] [m], its first vertex first.
+        by: displacement [dx, dy] [m], instead of to.
+        legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+            with this as sharing, and a roll_deg, at the step's end.
+        duration: exact duration [s]; default: as fast as the limits allow.
+        blend: continue into the next step without a stop.
+        settle: duration of the swings that end the step where cables slid against friction, added
+            to its duration [s]; auto: as far as limits allow; or false.
         """
         return self.then(
             new_step(
@@ -347,12 +347,12 @@ class Mission(Problem):
 
         Parameters
         ----------
-        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
-            as sharing, with a roll_deg.
-        duration: exactly that long [s]; without it as fast as the limits allow.
-        blend: go on into the next step without a stop.
-        settle: where cables have friction and slid, duration of the swings that end the step, as by
-            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+            with this as sharing, and a roll_deg.
+        duration: exact duration [s]; default: as fast as the limits allow.
+        blend: continue into the next step without a stop.
+        settle: duration of the swings that end the step where cables slid against friction, added
+            to its duration [s]; auto: as far as limits allow; or false.
         """
         return self.then(new_step(Adjust, legs=legs, duration=duration, blend=blend, settle=settle))
 
@@ -373,15 +373,15 @@ class Mission(Problem):
 
         Parameters
         ----------
-        vertex: which, from 0.
+        vertex: index, from 0.
         path: points [t, x, y] [s, m, m], t from the step's start, increasing; between equal points
             that follow each other the vertex stands still; with a speed also points [x, y].
-        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
-            as sharing, with a roll_deg, at the step's end.
+        legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+            with this as sharing, and a roll_deg, at the step's end.
         speed: largest speed of the vertex, which it keeps on its path through points [x, y] [m/s];
             None: limits.vertex_speed.
-        settle: where cables have friction and slid, duration of the swings that end the step, as by
-            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        settle: duration of the swings that end the step where cables slid against friction, added
+            to its duration [s]; auto: as far as limits allow; or false.
         """
         return self.then(
             new_step(FollowVertex, vertex=vertex, path=path, legs=legs, speed=speed, settle=settle)
@@ -393,9 +393,9 @@ class Mission(Problem):
 
         Parameters
         ----------
-        to: where its centroid goes, [x, y, z] [m].
-        yaw: by how much it turns, counter-clockwise [rad].
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        to: goal [x, y, z] of its centroid [m].
+        yaw: rotation, counter-clockwise [rad].
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Transport, to=to, yaw=yaw, duration=duration))
 
@@ -403,11 +403,11 @@ class Mission(Problem):
     def settle(self, seconds: float | Literal["auto"] = "auto") -> Self:
         """Swing the drones to remove friction hysteresis at the clasps.
 
-        Drones swing about their places, by less and less; vertices stay within the plan.
+        Drones swing about their places with decreasing amplitude; vertices stay as planned.
 
         Parameters
         ----------
-        seconds: how long [s]; auto: four swings, slower where limits need that.
+        seconds: duration [s]; auto: four swings, slower where limits require it.
         """
         return self.then(new_step(Settle, seconds=seconds))
 
@@ -434,17 +434,16 @@ class Mission(Problem):
         polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot;
             one more of the convex arc of an open chain.
         altitude: height of the hitch's plane [m].
-        legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that
-            as sharing, with a roll_deg, at the step's end; spread without it.
-        assign: auto: which robot takes which edge, and which end is its q, is chosen; fixed: in
-            order.
+        legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+            with this as sharing, and a roll_deg, at the step's end; spread without it.
+        assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
         swap: how drones turn in pairs.
-        settle: where cables have friction and slid, duration of the swings that end the step, as by
-            settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+        settle: duration of the swings that end the step where cables slid against friction, added
+            to its duration [s]; auto: as far as limits allow; or false.
         by: swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and
             every pair rolls by half a turn.
         order: order of laying, robots from bottom to top; auto: alternating levels.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(
             new_step(
@@ -469,8 +468,8 @@ class Mission(Problem):
 
         Parameters
         ----------
-        vertex: which, from 0.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        vertex: index, from 0.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(OpenVertex, vertex=vertex, duration=duration))
 
@@ -480,8 +479,8 @@ class Mission(Problem):
 
         Parameters
         ----------
-        vertex: which, from 0.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        vertex: index, from 0.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(CloseVertex, vertex=vertex, duration=duration))
 
@@ -491,7 +490,7 @@ class Mission(Problem):
 
         Parameters
         ----------
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Release, duration=duration))
 
@@ -501,7 +500,7 @@ class Mission(Problem):
 
         Parameters
         ----------
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Land, duration=duration))
 
@@ -514,7 +513,7 @@ class Mission(Problem):
         Parameters
         ----------
         object: name of the object.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Enclose, object=object, duration=duration))
 
@@ -532,8 +531,8 @@ class Mission(Problem):
         ----------
         object: name of the object.
         by: rest: its rim lies on the clasps; grip: cables are wrapped around it.
-        tension: of all cables while it is held [N]; without it the team's.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        tension: tension of all cables while it is held [N]; default: the team's.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Grasp, object=object, by=by, tension=tension, duration=duration))
 
@@ -543,8 +542,8 @@ class Mission(Problem):
 
         Parameters
         ----------
-        by: how far up [m].
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        by: height to lift [m].
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Lift, by=by, duration=duration))
 
@@ -557,9 +556,9 @@ class Mission(Problem):
         Parameters
         ----------
         object: name of the object.
-        to: where its base goes, [x, y, z] [m].
-        yaw: by how much it turns, counter-clockwise [rad].
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        to: goal [x, y, z] of its base [m].
+        yaw: rotation, counter-clockwise [rad].
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Carry, object=object, to=to, yaw=yaw, duration=duration))
 
@@ -570,7 +569,7 @@ class Mission(Problem):
         Parameters
         ----------
         object: name of the object.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(SetDown, object=object, duration=duration))
 
@@ -581,7 +580,7 @@ class Mission(Problem):
         Parameters
         ----------
         object: name of the object.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Loosen, object=object, duration=duration))
 
@@ -592,7 +591,7 @@ class Mission(Problem):
         Parameters
         ----------
         object: name of the object.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Leave, object=object, duration=duration))
 
@@ -607,20 +606,20 @@ class Mission(Problem):
         lift: float = 0.3,
         via: Points | None = None,
     ) -> Self:
-        """Take an object and set it down elsewhere, in seven steps, or more by ``via``.
+        """Carry an object to another place, in seven steps, or more with ``via``.
 
         Two robots tie their cables around it, and untie them.
 
         Parameters
         ----------
         object: name of the object.
-        to: where its base goes, [x, y, z] [m].
+        to: goal [x, y, z] of its base [m].
         by: rest: its rim lies on the clasps; grip: cables are wrapped around it; without it rest if
             it has a rim.
-        tension: of all cables while it is held [N]; without it the team's.
-        yaw: by how much it turns, counter-clockwise [rad].
-        lift: how far above the higher of the two places [m].
-        via: where its base goes between, at rest there.
+        tension: tension of all cables while it is held [N]; default: the team's.
+        yaw: rotation, counter-clockwise [rad].
+        lift: height above the higher of the two places [m].
+        via: intermediate places of its base, at rest there.
         """
         return self.then(
             new_step(
@@ -645,15 +644,15 @@ class Mission(Problem):
     ) -> Self:
         """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
-        They come down beside it, bend around it, and each pair of drones at an end turns fully.
-        Cables grip the object with the team's tension then.
+        The cables come down beside the object and bend around it, and each pair of drones turns
+        fully. They then grip the object with the team's tension.
 
         Parameters
         ----------
         around: name of the object.
         at: height of the clasps above its base [m]; None: high, but below its rim.
-        tension: of all cables while they are tied [N]; None: low, as their weight permits.
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        tension: tension of all cables while they are tied [N]; None: low, as their weight permits.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Tie, around=around, at=at, tension=tension, duration=duration))
 
@@ -663,7 +662,7 @@ class Mission(Problem):
 
         Parameters
         ----------
-        duration: exactly that long [s]; without it as fast as the limits allow.
+        duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Untie, duration=duration))
 

@@ -289,9 +289,9 @@ class Plan(OneLine):
     ) -> tuple[Export, ...]:
         """Write the plan in a fleet's format; return one entry per part of the plan.
 
-        The files are read back and certified; an export that violates a limit is refused. Set
-        points of uploads hold the cables' tension; where the stiffness of the position loops is not
-        known, uploads are refused unless ``allow_slack`` is set.
+        The files are read back and certified; an export that violates a limit is refused.
+        Setpoints of uploads hold the cables' tension; uploads are refused if the stiffness of the
+        position loops is unknown, unless ``allow_slack`` is set.
 
         Parameters
         ----------

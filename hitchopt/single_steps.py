@@ -57,14 +57,14 @@ def morph(
     start: the hitch at t = 0.
     polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
         more of the convex arc of an open chain.
-    legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that as
-        sharing, with a roll_deg, at the step's end.
-    duration: exactly that long [s]; without it as fast as the limits allow.
-    optimize: look for a faster route even where the straight one satisfies all limits; by default
-        only where it takes more than 1.3 times as long as every drone and vertex alone.
-    tension: range of tensions meanwhile [N].
-    settle: where cables have friction and slid, duration of the swings that end the step, as by
-        settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg, at the step's end.
+    duration: exact duration [s]; default: as fast as the limits allow.
+    optimize: search for a faster route even if the straight one is feasible; by default only if
+        that takes more than 1.3 times as long as every drone and vertex alone.
+    tension: range of tensions during the step [N].
+    settle: duration of the swings that end the step where cables slid against friction, added to
+        its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -102,7 +102,7 @@ def hold(
     Parameters
     ----------
     start: the hitch at t = 0.
-    seconds: how long [s].
+    seconds: duration [s].
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -140,14 +140,14 @@ def move_vertex(
     Parameters
     ----------
     start: the hitch at t = 0.
-    vertex: which, from 0.
-    to: where to, [x, y] [m].
-    by: by how much, [dx, dy] [m], in place of to.
-    legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that as
-        sharing, with a roll_deg, at the step's end.
-    duration: exactly that long [s]; without it as fast as the limits allow.
-    settle: where cables have friction and slid, duration of the swings that end the step, as by
-        settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+    vertex: index, from 0.
+    to: goal [x, y] [m].
+    by: displacement [dx, dy] [m], instead of to.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg, at the step's end.
+    duration: exact duration [s]; default: as fast as the limits allow.
+    settle: duration of the swings that end the step where cables slid against friction, added to
+        its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -186,14 +186,14 @@ def move_edge(
     Parameters
     ----------
     start: the hitch at t = 0.
-    edge: which, from 0.
-    to: where its ends go, [[x, y], [x, y]] [m], its first vertex first.
-    by: by how much, [dx, dy] [m], in place of to.
-    legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that as
-        sharing, with a roll_deg, at the step's end.
-    duration: exactly that long [s]; without it as fast as the limits allow.
-    settle: where cables have friction and slid, duration of the swings that end the step, as by
-        settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+    edge: index, from 0.
+    to: goals of its ends, [[x, y], [x, y]] [m], its first vertex first.
+    by: displacement [dx, dy] [m], instead of to.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg, at the step's end.
+    duration: exact duration [s]; default: as fast as the limits allow.
+    settle: duration of the swings that end the step where cables slid against friction, added to
+        its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -225,11 +225,11 @@ def adjust(
     Parameters
     ----------
     start: the hitch at t = 0.
-    legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that as
-        sharing, with a roll_deg.
-    duration: exactly that long [s]; without it as fast as the limits allow.
-    settle: where cables have friction and slid, duration of the swings that end the step, as by
-        settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg.
+    duration: exact duration [s]; default: as fast as the limits allow.
+    settle: duration of the swings that end the step where cables slid against friction, added to
+        its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -267,15 +267,15 @@ def follow_vertex(
     Parameters
     ----------
     start: the hitch at t = 0.
-    vertex: which, from 0.
+    vertex: index, from 0.
     path: points [t, x, y] [s, m, m], t from the step's start, increasing; between equal points that
         follow each other the vertex stands still; with a speed also points [x, y].
-    legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that as
-        sharing, with a roll_deg, at the step's end.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg, at the step's end.
     speed: largest speed of the vertex, which it keeps on its path through points [x, y] [m/s];
         None: limits.vertex_speed.
-    settle: where cables have friction and slid, duration of the swings that end the step, as by
-        settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+    settle: duration of the swings that end the step where cables slid against friction, added to
+        its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -307,9 +307,9 @@ def transport(
     Parameters
     ----------
     start: the hitch at t = 0.
-    to: where its centroid goes, [x, y, z] [m].
-    yaw: by how much it turns, counter-clockwise [rad].
-    duration: exactly that long [s]; without it as fast as the limits allow.
+    to: goal [x, y, z] of its centroid [m].
+    yaw: rotation, counter-clockwise [rad].
+    duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -355,16 +355,16 @@ def form(
     polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
         more of the convex arc of an open chain.
     altitude: height of the hitch's plane [m].
-    legs: how cables share their slack: balanced, spread, or a list of q-legs d_k [m]; or that as
-        sharing, with a roll_deg, at the step's end; spread without it.
-    assign: auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg, at the step's end; spread without it.
+    assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
     swap: how drones turn in pairs.
-    settle: where cables have friction and slid, duration of the swings that end the step, as by
-        settle, in addition to its duration [s]; auto: as far as limits allow; or false.
+    settle: duration of the swings that end the step where cables slid against friction, added to
+        its duration [s]; auto: as far as limits allow; or false.
     by: swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and
         every pair rolls by half a turn.
     order: order of laying, robots from bottom to top; auto: alternating levels.
-    duration: exactly that long [s]; without it as fast as the limits allow.
+    duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -402,12 +402,12 @@ def settle(
 ) -> Plan:
     """Return the certified plan of swings that remove friction hysteresis at the clasps.
 
-    Drones swing about their places, by less and less; vertices stay within the plan.
+    Drones swing about their places with decreasing amplitude; vertices stay as planned.
 
     Parameters
     ----------
     start: the hitch at t = 0.
-    seconds: how long [s]; auto: four swings, slower where limits need that.
+    seconds: duration [s]; auto: four swings, slower where limits require it.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -440,8 +440,8 @@ def open_vertex(
     Parameters
     ----------
     start: the hitch at t = 0.
-    vertex: which, from 0.
-    duration: exactly that long [s]; without it as fast as the limits allow.
+    vertex: index, from 0.
+    duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -471,7 +471,7 @@ def release(
     Parameters
     ----------
     start: the hitch at t = 0.
-    duration: exactly that long [s]; without it as fast as the limits allow.
+    duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 
@@ -504,7 +504,7 @@ def land(
     ----------
     team: the robots; the drones of robot k start at ``q[k]`` and ``r[k]``.
     q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.
-    duration: exactly that long [s]; without it as fast as the limits allow.
+    duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None for none.
 

@@ -34,7 +34,7 @@ def named_teams(name: str, teams: Sequence[TeamMotion]) -> list[TeamMotion]:
 class Other(ByValue):
     """An external plan in the same airspace, at rest before and after.
 
-    It is read and certified when the record is made.
+    It is read and certified when the record is created.
 
     Raises
     ------
@@ -47,7 +47,7 @@ class Other(ByValue):
     plan: Annotated[
         Path | str, Key(strings(1000, 1), "Directory of the plan, relative to this file", "../show")
     ]
-    at: Annotated[float, Key(START_TIME, "When it begins on the clock of this plan")] = 0.0
+    at: Annotated[float, Key(START_TIME, "Start time on the clock of this plan")] = 0.0
 
     def __post_init__(self) -> None:
         store(self, plan=str(path("plan", self.plan)), at=self.at)

@@ -384,7 +384,7 @@ class Lift(Step):
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.LIFTED)
-    by: Annotated[float, Key(LENGTH, "How far up", 0.5)]
+    by: Annotated[float, Key(LENGTH, "Height to lift", 0.5)]
     duration: Seconds = None
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
@@ -504,7 +504,7 @@ class Leave(Step):
 @documented
 @dataclass(frozen=True, eq=False)
 class TransportObject(TensionStep):
-    """Take an object and set it down elsewhere, in seven steps, or more by ``via``.
+    """Carry an object to another place, in seven steps, or more with ``via``.
 
     Two robots tie their cables around it, and untie them.
     """
@@ -517,10 +517,13 @@ class TransportObject(TensionStep):
     by: Annotated[HoldMethod | None, Key(BY, f"{BY_TEXT}; without it rest if it has a rim")] = None
     tension: HoldTension = None
     yaw: Yaw = 0.0
-    lift: Annotated[float, Key(LENGTH, "How far above the higher of the two places")] = 0.3
+    lift: Annotated[float, Key(LENGTH, "Height above the higher of the two places")] = 0.3
     via: Annotated[
         Array | None,
-        Key(points((None, 3), "x, y, z", 1, MAX_VIA), "Where its base goes between, at rest there"),
+        Key(
+            points((None, 3), "x, y, z", 1, MAX_VIA),
+            "Intermediate places of its base, at rest there",
+        ),
     ] = None
 
     def knobs(self) -> Iterator[Knob]:

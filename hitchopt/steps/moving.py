@@ -220,7 +220,7 @@ class Hold(HitchStep):
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = None
     time_key: ClassVar[str] = "seconds"
-    seconds: Annotated[float, Key(DURATION, "How long", 1.0)]
+    seconds: Annotated[float, Key(DURATION, "Duration", 1.0)]
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch, or of drones on free cables, at rest."""
@@ -245,7 +245,7 @@ class Hold(HitchStep):
 class Settle(Step):
     """Swing the drones to remove friction hysteresis at the clasps.
 
-    Drones swing about their places, by less and less; vertices stay within the plan.
+    Drones swing about their places with decreasing amplitude; vertices stay as planned.
     """
 
     time_key: ClassVar[str] = "seconds"

@@ -64,8 +64,8 @@ OUTLINE_TEXT = (
     "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
     "of the convex arc of an open chain"
 )
-SPLIT_TEXT = "How cables share their slack: balanced, spread, or a list of q-legs d_k"
-LEGS_TEXT = f"{SPLIT_TEXT}; or that as sharing, with a roll_deg"
+SPLIT_TEXT = "Slack split of the cables: balanced, spread, or a list of q-legs d_k"
+LEGS_TEXT = f"{SPLIT_TEXT}; or a mapping with this as sharing, and a roll_deg"
 
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]  # Example of an outline [m]
 
@@ -151,8 +151,8 @@ _LIMIT = MAX_TURNS * 2.0 * math.pi
 TURN = replace(quantity("rad", (-_LIMIT, _LIMIT), (-_LIMIT, _LIMIT)), check=_turn_angle)
 AUTO_SECONDS = either(words(AUTO), DURATION)
 SETTLE_TEXT = (
-    "Where cables have friction and slid, duration of the swings that end the step, as by settle, "
-    "in addition to its duration; auto: as far as limits allow; or false"
+    "Duration of the swings that end the step where cables slid against friction, added to its "
+    "duration; auto: as far as limits allow; or false"
 )
 
 Seconds = Annotated[
@@ -163,7 +163,7 @@ SettleAtEnd = Annotated[
     float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
 ]
 LegsAtEnd = Annotated[SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end")]
-WhichPoint = Annotated[int, Key(INDEX, "Which, from 0", 0)]
+WhichPoint = Annotated[int, Key(INDEX, "Index, from 0", 0)]
 ObjectOf = Annotated[str, Key(OBJECT_NAME, "Name of the object", "box")]
 Place = Annotated[Array, Key(POINT3, "Goal [x, y, z] of its base [m]", [1, 0, 0])]
 Yaw = Annotated[float, Key(TURN, "Rotation, counter-clockwise")]

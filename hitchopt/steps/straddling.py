@@ -104,8 +104,8 @@ def hold_by_tying(team: Team, tension: Array) -> RequestedHold:
 class Tie(Step):
     """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
-    They come down beside it, bend around it, and each pair of drones at an end turns fully. Cables
-    grip the object with the team's tension then.
+    The cables come down beside the object and bend around it, and each pair of drones turns fully.
+    They then grip the object with the team's tension.
     """
 
     needs_hitch: ClassVar[bool | None] = False

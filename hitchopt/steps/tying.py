@@ -68,9 +68,7 @@ CABLE_MARGINS = (1.5, 1.25)
 """Preferred clearances of drones from cables during tightening, in ``separation.cable``."""
 
 
-ASSIGN_TEXT = (
-    "auto: which robot takes which edge, and which end is its q, is chosen; fixed: in order"
-)
+ASSIGN_TEXT = "auto: choose which robot takes which edge, and which end is its q; fixed: in order"
 BY_TEXT = (
     "swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and "
     "every pair rolls by half a turn"

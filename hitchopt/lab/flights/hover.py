@@ -82,7 +82,7 @@ class DroneHover(OneLine):
     tilt_deg: angle of the body's z axis from vertical [deg].
     expected_trim: by the tilt and ``lever``, m g/kp of the gains or of all drones' tilts [m].
     lever: trim per tangent of the tilt that is expected [m].
-    fixed_to: ``body``, ``world``, or empty if nothing tells.
+    fixed_to: ``body``, ``world``, or empty if undetermined.
     spread: standard deviation of the level position at rest [m].
     thrust_factor: commanded thrust over weight, and its standard error.
     lag, expected_lag: of moving commands, measured, and kd/kp if known and positions only [s].
