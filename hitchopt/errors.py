@@ -339,7 +339,7 @@ def _truncated(value: object) -> str:
 Progress = Callable[[str], None]
 """Status callback: called with a message about the current work."""
 
-REMEDY = "allow more seconds (limit=), or make the problem easier or smaller"
+REMEDY = "raise the time limit (limit=), or simplify the problem"
 
 
 class TimeIsUp(BaseException):

@@ -179,7 +179,7 @@ def check_times(t: Array, source: str = "") -> None:
         steps = f" in steps of {step:.3g}" if len(t) > 1 else ""
         reason = f"its times go from {np.min(t):.6g} to {np.max(t):.6g}{steps}"
         remedy = "convert milliseconds, microseconds, nanoseconds, minutes or hours"
-        raise FileError(f"{place}{reason}: those are no seconds of a flight; {remedy}")
+        raise FileError(f"{place}{reason}: these are not seconds of a flight; {remedy}")
     for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
         back = t[i + 1] < t[i] - SAME_TIME
         reason = "its times go back from" if back else "repeats the time"
@@ -229,7 +229,9 @@ def separator_findings(table: Table, where: str) -> list[Finding]:
     """Return an error if a table is not separated by commas, which its receivers expect."""
     if table.separator == ",":
         return []
-    reason = f"{SEPARATORS[table.separator]} between cells; readers take commas, and decimal points"
+    reason = (
+        f"{SEPARATORS[table.separator]} between cells; readers expect commas and decimal points"
+    )
     return [error("separator", where, reason)]
 
 

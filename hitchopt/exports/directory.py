@@ -133,7 +133,7 @@ def refuse_mixture(directory: Path) -> None:
         reason = f"{path}: cannot be read: {error}; was a save killed? solve again"
         raise FileError(reason) from error
     if expected != actual:
-        raise FileError(f"{path}: is of another {PLAN} than the one next to it; solve again")
+        raise FileError(f"{path}: is of another {PLAN} than the one in this directory; solve again")
 
 
 def save_diagnosis(directory: Path | str, content: dict[str, Any]) -> Path:

@@ -402,8 +402,8 @@ def _sequence_findings(names: Sequence[str], starts: Array, ends: Array) -> Iter
     if len(names) > 1 and np.max(gaps) < JOINT_TOLERANCE:
         files = f"{', '.join(names[i] for i in order[:3])}{', …' if len(names) > 3 else ''}"
         reason = (
-            f"{files} each begin where the one before ends: if they are one drone's parts, flown "
-            "one after another, drones are not near one another; lint them one by one"
+            f"{files} each begin where the previous one ends: if they are successive parts of one "
+            "drone, lint them one by one"
         )
         yield note("sequence", "", reason)
 

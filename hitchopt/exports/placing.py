@@ -168,7 +168,9 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
             raise InputError(f"{where}.role", member.role, bound, "disable one of them")
         if not NAME.match(member.name) or member.name.lower() in RESERVED:
             bound = "letters, digits and underscores, a letter first, and no word of YAML"
-            raise InputError(f"{where}.name", member.name, bound, "files and topics are called so")
+            raise InputError(
+                f"{where}.name", member.name, bound, "it is used in file names and topics"
+            )
         if not URI.match(member.uri):
             remedy = "such as radio://0/80/2M/E7E7E7E707"
             raise InputError(f"{where}.uri", member.uri, "an address", remedy)
@@ -181,7 +183,7 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
         if role not in drones or role not in roles:
             names = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
             bound = "a drone of the plan" if role in drones else "named once, in the fleet"
-            remedy = f"{names}; a robot's role tells which it flies"
+            remedy = f"{names}; a robot's role states which one it flies"
             raise InputError(root, role, bound, remedy)
     members, types = tuple(drones[role] for role in roles), keys.types or keys.robot_types
     return Fleet(members, types, keys.settings or keys.all, is_placeholder=False)

@@ -272,7 +272,7 @@ def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
         raise InputError("outline", name, "finite", "check its coordinates")
     strings = [shapely.LineString(line) for line in lines if len(line) > 1]
     if not strings:
-        remedy = "it has no lines: pictures and texts are no outlines; trace it"
+        remedy = "it has no lines: trace pictures and texts first"
         raise InputError("outline", name, "a drawing with lines", "; ".join([remedy, *notes]))
     points = np.concatenate(lines)
     size = float(np.max(np.ptp(points, axis=0)))

@@ -395,7 +395,7 @@ def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline
     except InputError as error:
         reason = f"{error.key} = {error.value} would have to be {error.bound}"
         bound = f"such that the outline stays convex and clockwise ({reason})"
-        raise InputError(key, np.asarray(value).tolist(), bound, "go less far") from None
+        raise InputError(key, np.asarray(value).tolist(), bound, "move less far") from None
 
 
 def _checked_index(key: str, index: int, count: int) -> int:

@@ -235,7 +235,7 @@ def finite(key: str, value: object) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(key, value, "finite", "nan and inf are no quantities")
+        raise InputError(key, value, "finite", "nan and inf are not quantities")
     return number
 
 

@@ -233,5 +233,5 @@ def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     t = numbers(times, 1)[:, 0]
     positions = np.stack([numbers(samplers[name]["output"], 3) for name in names], axis=1)
     if len(positions) != len(t) or not np.all(np.isfinite(positions)):
-        raise FileError("its drones have not one place for each time")
+        raise FileError("its drones do not have one place per time")
     return names, t, positions[..., [0, 2, 1]] * [1.0, -1.0, 1.0]

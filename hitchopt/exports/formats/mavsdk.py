@@ -118,7 +118,7 @@ class MavsdkDroneShow(Format):
         tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)
         rows = round(rise.duration * task.rate)
         if len(tables) <= rows + 1:
-            raise FileError(f"{folder}: its drones have not as many rows as the plan")
+            raise FileError(f"{folder}: its drones do not have as many rows as the plan")
         # Altitudes are relative to the first row, which is on the ground.
         ground = task.frame.points(np.array([0.0, 0.0, task.flight.requirements.floor]))[2]
         tables[..., 3] += ground - tables[0, :, 3]

@@ -178,7 +178,7 @@ def _limits(show: Show) -> tuple[dict[str, float], list[Finding]]:
         if isinstance(value, float) and (value > 0.0 or key == LOWEST) and abs(value) < math.inf:
             limits[key] = value
         elif value is not None:
-            reason = f"validation.{written} is no positive number: not checked; correct it"
+            reason = f"validation.{written} is not a positive number and is not checked; correct it"
             findings.append(warning("settings", "", reason))
     return limits, findings
 
@@ -276,7 +276,7 @@ def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
     points = trajectory["points"]
     count = len(points) if isinstance(points, list) else 0
     if count < 2:
-        raise FileError(f"{source}: its trajectory has {count} points; two are the least")
+        raise FileError(f"{source}: its trajectory has {count} points; at least two are needed")
     start = float(trajectory.get("takeoffTime", 0.0))
     times = start + np.array([point[0] for point in points], dtype=np.float64)
     check_times(times, source)
@@ -287,7 +287,7 @@ def _curve(source: str, trajectory: Any) -> PiecewisePolynomial:
             raise FileError(f"{source}: its points are not [t, [x, y, z], [[x, y, z], …]]")
         if len(controls) > DEGREE + 1:
             inner = len(controls) - 2
-            raise FileError(f"{source}: {inner} control points; cubic is the most there is")
+            raise FileError(f"{source}: {inner} control points; at most cubic is supported")
         pieces.append(bernstein.elevate(controls.T, DEGREE))
     if times[0] > 0.0:
         times = np.concatenate([[0.0], times])
@@ -385,7 +385,7 @@ def return_checks(
     """
     ((time, action, duration),) = {(e["time"], e["action"], e["duration"]) for e in entries}
     if action not in (LAND, LEVEL) or float(time) % 1.0:
-        raise ValueError("an action is not known, or its time is no whole second")
+        raise ValueError("an unknown action, or a time that is not a whole second")
     floor, level = flight.requirements.floor, start[:, :2]
     starts, after = (
         np.array([entry[key] for entry in entries], dtype=np.float64)
