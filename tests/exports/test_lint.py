@@ -136,7 +136,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (lambda f: points_of(f).reverse(), "go back from t = "),
         (lambda f: f[FIRST].update(points={"0": 1}), "has 0 points"),
         (point(1, [0.0, 1.0]), "damaged|not"),
-        (point(2, [[0, 0, 0]] * 3), "cubic is the most"),
+        (point(2, [[0, 0, 0]] * 3), "at most cubic"),
         (point(1, [0.0, 1.0, float("nan")]), "finite"),
         (point(1, [0, 0, 1e300]), r"goes 1e\+300 m from"),
     ],
