@@ -12,7 +12,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
-from problems.random_morph import wild_morph
+from problems.random_morph import random_morph, wild_morph
 
 PAIRS: list[dict[str, Any]] = json.loads(
     Path(__file__).with_name("irregular_pairs.json").read_text(encoding="utf-8")
@@ -84,10 +84,17 @@ def test_a_chain_turns_by_half_a_turn() -> None:
     assert plan.certificate.certified
 
 
-def test_a_straight_route_far_from_its_bound_is_replaced() -> None:
-    """Linear fractions move the drones of a triangle 2.5 times as long as its vertices."""
-    plan = planned(PAIRS[48])
+@pytest.mark.parametrize("index", [48, 55])
+def test_a_straight_route_far_from_its_bound_is_replaced(index: int) -> None:
+    """Its drones move 2.5 times as long as its vertices, or edges that turn are shorter midway."""
+    plan = planned(PAIRS[index])
     assert "faster than the step's own route" in plan.phases[0].remark
+
+
+def test_straight_routes_between_nearly_regular_polygons_are_kept() -> None:
+    for n in (3, 4, 7):
+        plan = ho.solve(ho.problem_from_dict(random_morph(n, 0)))
+        assert not plan.phases[0].remark
 
 
 def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
