@@ -23,6 +23,7 @@ from hitchopt.planners.optimise.guesses import polygon_guesses
 from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph
+from hitchopt.planners.optimise.times import acceleration_rows, speed_rows, step_times
 from hitchopt.planners.timing.flight import fly
 from hitchopt.values import Array
 
@@ -124,42 +125,39 @@ def test_drones_and_legs_follow_the_programs_tangent(kind: str) -> None:
     assert tangent_errors(path, search) < 1e-6
 
 
-def test_rows_of_corners_and_times_are_derivatives() -> None:
-    """Without near pairs they are the last rows; corners are convex and no time is exceeded."""
+def test_rows_of_corners_are_derivatives() -> None:
+    """Without near pairs they precede those of speeds and accelerations; corners are convex."""
     start, end = (Hitch.spread(Team(5, 2.6), p) for p in (PENTAGON, PENTAGON.rotated(0.2)))
-    polygons = np.linspace(PENTAGON.vertices, PENTAGON.rotated(0.2).vertices, 5)
+    polygons = np.linspace(PENTAGON.vertices, PENTAGON.rotated(0.2).vertices, 7)
     path = KnotPath.through("", start, end, polygons)
     near = ho.Separation(radius=0.01, cable=0.01, crossing=0.01)
     bounds = SearchLimits(replace(FREE, separation=near), lambda _: None, None, (1.0, 1.0))
     task = program.build_program(path, bounds, SolverStep(0.01, fastest=True))
-    speeds = np.repeat([FREE.limits.vertex_speed, FREE.limits.speed], [5, 10])
+    times = step_times(path, FREE.limits)
+    timed = [rows(path, FREE.limits, times) for rows in (speed_rows, acceleration_rows)]
+    count = sum(len(rows.spare) for rows in timed)
 
-    def rows(table: Array) -> tuple[Array, Array]:
-        """Return sines of exterior angles, and times of all segments (steps, 15) [s]."""
+    def sines_of(table: Array) -> Array:
+        """Return sines of exterior angles."""
         vertices = table[1:-1, path.columns.vertices]
         edges = np.roll(vertices, -1, axis=1) - vertices
         edges /= np.linalg.norm(edges, axis=-1, keepdims=True)
         before = np.roll(edges, 1, axis=1)
         sines = before[..., 1] * edges[..., 0] - before[..., 0] * edges[..., 1]
-        moves = np.diff(table[:, path.columns.nodes], axis=0)
-        return sines.ravel(), np.linalg.norm(moves, axis=-1) / speeds
+        return np.asarray(sines.ravel())
 
     changes = task.tangent.shape[1]
     direction = np.random.default_rng(4).uniform(-1.0, 1.0, changes)
     given = np.append(direction, np.zeros(task.program.A.shape[1] - changes))
     change = np.zeros_like(path.table)
     change[1:-1] = np.asarray(task.tangent @ direction).reshape(path.steps - 1, -1)
-    here, after, before = (rows(path.table + h * change) for h in (0.0, 1e-6, -1e-6))
-    sines, times = ((x - y) / 2e-6 for x, y in zip(after, before, strict=True))
-    longest = np.max(here[1], axis=1, keepdims=True)
-    bounding = here[1] > program.MIN_SEGMENT_SHARE * longest
-    found, count = np.asarray(task.program.A @ given), np.count_nonzero(bounding)
-    assert found[-count:] == pytest.approx(times[bounding], abs=1e-7)
-    spare = task.stride * task.program.upper[-count:]
-    assert spare == pytest.approx((longest - here[1])[bounding])
-    corners = slice(-count - len(sines), -count)
-    assert found[corners] == pytest.approx(sines, abs=1e-7)
-    lowest = task.stride * task.program.lower[corners] + here[0]
+    here, after, before = (sines_of(path.table + h * change) for h in (0.0, 1e-6, -1e-6))
+    found = np.asarray(task.program.A @ given)
+    corners = slice(-count - len(here), -count)
+    assert found[corners] == pytest.approx((after - before) / 2e-6, abs=1e-7)
+    spare = np.concatenate([rows.spare for rows in timed])
+    assert task.stride * task.program.upper[-count:] == pytest.approx(spare)
+    lowest = task.stride * task.program.lower[corners] + here
     assert np.ptp(lowest) < 1e-12
     assert lowest[0] > 0.0
 

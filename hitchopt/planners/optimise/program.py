@@ -3,7 +3,8 @@
 Variables are the changes of vertices, q-legs and tensions at the inner knots. Drones and r-legs
 follow by casadi's exact derivatives of the model, evaluated at all robots and knots at once. The
 objective is either the energy of the motion of all vertices and drones, which is quadratic, or the
-duration within the speed limits. Rows are sparse: the cost is linear in knots · n.
+duration within the limits of speed, acceleration, thrust and tilt. Rows are sparse: the cost is
+linear in knots · n.
 """
 
 from __future__ import annotations
@@ -34,6 +35,12 @@ from hitchopt.planners.optimise.knots import (
     SolverStep,
     variable_bounds,
 )
+from hitchopt.planners.optimise.times import (
+    acceleration_rows,
+    segment_times,
+    speed_rows,
+    step_times,
+)
 from hitchopt.values import Array, Indices
 
 if TYPE_CHECKING:
@@ -55,8 +62,8 @@ TENSION_WEIGHT = 0.02
 TENSION_CHANGE_WEIGHT = 0.01
 """Weight of the tensions' differences relative to their squares."""
 
-MIN_SEGMENT_SHARE = 0.5
-"""Length of a segment over the longest one of its step, below which it does not bound the time."""
+MAX_TIME_SAVED = 0.3
+"""Largest decrease of a step's time in one program, over that time."""
 
 MIN_ANGLE = math.radians(3.0)
 """[rad] Smallest exterior angle on the path, or half of that at its ends if that is less."""
@@ -111,8 +118,8 @@ class MorphProgram:
     """A quadratic program around a path.
 
     Its variables are, in strides, the changes of the free columns of the table at the inner knots,
-    a slack per row that the path violates, and for the fastest path the changes of all steps'
-    times.
+    for the fastest path the changes of all steps' times, and a slack per row that the path
+    violates.
     """
 
     path: KnotPath  # the current path
@@ -164,12 +171,17 @@ def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> Mor
     hessian, gradient = _energy(path, search, step.fastest)
     costs = [np.asarray(tangent.T @ gradient)]
     extra: list[tuple[Indices, Indices, Array]] = []  # entries of other variables than changes
+    limits, changes = search.requirements.limits, tangent.shape[1]
+    smallest_changes = np.full(changes, -np.inf)
     if step.fastest:
-        segments, steps, spare = _segments(path, search)
-        blocks.append(segments @ tangent)
-        extra.append((len(lower) + np.arange(len(steps)), steps, np.full(len(steps), -1.0)))
-        lower = np.append(lower, np.full(len(steps), -np.inf))
-        upper = np.append(upper, spare)
+        times = step_times(path, limits)
+        for timed in (speed_rows(path, limits, times), acceleration_rows(path, limits, times)):
+            blocks.append(timed.by_table(path) @ tangent)
+            row, by_step, entry = timed.by_times(path.steps)
+            extra.append((len(lower) + row, by_step, entry))
+            lower = np.append(lower, np.full(len(timed.spare), -np.inf))
+            upper = np.append(upper, timed.spare)
+        smallest_changes = np.append(smallest_changes, -MAX_TIME_SAVED / step.stride * times)
         costs.append(np.ones(path.steps))
     # Violated rows have slacks, so that the program is always feasible.
     violated = np.flatnonzero((lower > 0.0) | (upper < 0.0))
@@ -177,9 +189,8 @@ def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> Mor
     slacks = np.where(lower[violated] > 0.0, SLACK_SCALE, -SLACK_SCALE)
     extra.append((violated, others + np.arange(len(violated)), slacks))
     costs.append(np.full(len(violated), PENALTY_WEIGHT * SLACK_SCALE))
-    q, changes = step.stride * np.concatenate(costs), tangent.shape[1]
-    x_min = np.full(len(q), -np.inf)
-    x_min[changes + others :] = 0.0
+    q = step.stride * np.concatenate(costs)
+    x_min = np.append(smallest_changes, np.zeros(len(violated)))
     rows, by, entries = (np.concatenate(part) for part in zip(*extra, strict=True))
     own = sp.coo_array(sp.vstack(blocks))
     rows, by = np.append(own.row, rows), np.append(own.col, changes + by)
@@ -289,7 +300,7 @@ def _energy(
     squares, bends = steps * (change.T @ change), steps**3 * (bend.T @ bend)
     own, bend_weight = 1.0, BEND_WEIGHT
     if fastest:
-        time = float(np.sum(np.max(_segment_times(path, search)[1], axis=1)))
+        time = float(np.sum(np.max(segment_times(path, limits), axis=1)))
         own, bend_weight = TIME_ENERGY_WEIGHT, TIME_BEND_WEIGHT / time
     scale = np.zeros(columns.size)  # units of time and, for tensions, shares of the team's
     scale[columns.vertices], scale[columns.drones] = 1.0 / limits.vertex_speed, 1.0 / limits.speed
@@ -313,40 +324,6 @@ def _blockwise(matrix: Array, weights: Array) -> sp.csr_array[np.float64]:
     places = ((size * index[:, None] + used).ravel() for index in (row, by))
     shape = size * matrix.shape[0], size * matrix.shape[1]
     return sp.csr_array((entries.ravel(), tuple(places)), shape)
-
-
-def _segment_times(path: KnotPath, search: SearchLimits) -> tuple[Array, Array]:
-    """Return times (J, 3n) [s] of nodes' segments at their limits of speed, second.
-
-    First are their derivatives (J, 3n, 2) [s/m] by the segments' ends.
-    """
-    limits = search.requirements.limits
-    speeds = np.repeat([limits.vertex_speed, limits.speed], np.array([1, 2]) * path.team.robots)
-    moves = np.diff(path.table[:, path.columns.nodes], axis=0)
-    return unit(moves) / speeds[:, None], length(moves) / speeds
-
-
-def _segments(
-    path: KnotPath, search: SearchLimits
-) -> tuple[sp.csr_array[np.float64], Indices, Array]:
-    """Return the segments (m,) that may bound the time of their step, that of its longest one.
-
-    These are the derivatives of their times by the table's inner rows, their steps, and by how much
-    [s] their times are less than their steps'.
-    """
-    columns, steps = path.columns, path.steps
-    slopes, times = _segment_times(path, search)
-    longest = np.max(times, axis=1, keepdims=True)
-    step, node = np.nonzero(times > MIN_SEGMENT_SHARE * longest)
-    count = len(step)
-    slopes = slopes[step, node]
-    own = (columns.size * (step - 1))[:, None] + columns.nodes[node]
-    entries, by = np.stack([-slopes, slopes]), np.stack([own, own + columns.size])
-    row = np.broadcast_to(np.arange(count)[:, None], by.shape)
-    used = (by >= 0) & (by < columns.size * (steps - 1))
-    shape = count, columns.size * (steps - 1)
-    segments = sp.csr_array((entries[used], (row[used], by[used])), shape)
-    return segments, step, (longest - times)[step, node]
 
 
 class NearPairs(NamedTuple):

@@ -72,7 +72,7 @@ MAX_INITIAL_STEPS = 12
 MAX_REFINED_STEPS = 5
 """Maximum number of steps to a feasible path in a round of refinement."""
 
-MAX_FASTEST_STEPS = 6
+MAX_FASTEST_STEPS = 12
 """Maximum number of steps from a feasible path to faster ones."""
 
 LEG_PERTURBATION = 0.05
