@@ -115,7 +115,7 @@ def suggestions(
 
     Each change has been verified by planning the changed problem. It affects one quantity, or two
     or three if no single one suffices. The result is empty if the problem is feasible. An empty
-    result for an infeasible problem is no proof that no change exists.
+    result for an infeasible problem does not prove that no change exists.
 
     Parameters
     ----------

@@ -125,7 +125,7 @@ DOWNWASH = CheckRule(
     "min",
     _limit,
     (Evaluator(nearest(_scaled_cases, scaled=True), exported=True, formulas=(below,)),),
-    "fly higher over what the downwash would move, or beside it, or lower separation.height",
+    "fly higher above what the downwash would move, or next to it, or lower separation.height",
 )
 """Lower halves of drones' ellipsoids meet no object that they would move, and no taut cable of
 another team."""

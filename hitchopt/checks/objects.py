@@ -534,8 +534,8 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
     """Return the smallest distance of a force line from the edge of its supports [m].
 
     It is minus infinity if an object moves or is carried without a hold, if it floats, if its
-    heading is no unit vector, if holding clasps do not surround it or have left their positions, or
-    if it would slide. Two cables must not push over an object as they are tied around it.
+    heading is not a unit vector, if holding clasps do not surround it or have left their positions,
+    or if it would slide. Two cables must not push over an object as they are tied around it.
     """
     size, begins = magnitude(motion), motion.drones.breaks
     each = [WorstCase(math.inf, 0.0, size=size)]

@@ -144,7 +144,7 @@ def _output(option: Path | None, file: Path) -> Path:
     """Return the output directory; raises an error if it is the root or not writable."""
     folder = Path("stdin" if str(file) == "-" else file.stem) if option is None else option
     if option is not None and not option.name and option.resolve().parent == option.resolve():
-        raise InputError("output", str(option), "a directory of its own", "name one, such as out")
+        raise InputError("output", str(option), "a separate directory", "name one, such as out")
     home = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     if not (home.is_dir() and os.access(home, os.W_OK)):
         reason = "is not a directory that may be written to; choose another one with -o"
@@ -516,7 +516,7 @@ def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES
     """Write text, if any, to a new file with one of the suffixes; raises FileError if it exists."""
     path = Path(name)
     if not path.name.strip("."):
-        raise FileError(f"{name!r}: is no name for a file; give one, such as problem.yaml")
+        raise FileError(f"{name!r}: is not a file name; give one, such as problem.yaml")
     if path.suffix not in suffixes:
         path = path.with_name(path.name + suffixes[0])
     if os.path.lexists(path):

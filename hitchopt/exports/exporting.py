@@ -166,7 +166,8 @@ def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str
         )
     for each in flight.others:
         yield (
-            f"certified beside {each.name}, which begins at t = {each.motion.drones.breaks[0]:.4g} "
+            f"certified next to {each.name}, which begins at t = "
+            f"{each.motion.drones.breaks[0]:.4g} "
             "s of this plan: fly both on one clock"
         )
 

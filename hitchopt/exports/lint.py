@@ -421,7 +421,7 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
         manifest = own or folder
         files = {name: path for name in listed_names(manifest, "files") if own or name == path.name}
         if path.name in changed_tables(path.parent):
-            yield error("changed", path.name, "is not what was written with the plan beside it")
+            yield error("changed", path.name, "differs from the table written with the plan")
     if not files:
         return
     digests = mapping_at(manifest, "digests")

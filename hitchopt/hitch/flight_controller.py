@@ -99,8 +99,8 @@ class Tube(Record):
     def ratio(self) -> float:
         """Height over level, at least 1.
 
-        Where heights are divided by it, the tube is a ball, and no distance is longer: if distances
-        are kept there despite errors within the ball, they are kept despite errors in the tube.
+        Dividing heights by it turns the tube into a ball and lengthens no distance, so distances
+        that are kept with errors in the ball are kept with errors in the tube.
         """
         return max(1.0, self.height / self.level) if self.level else 1.0
 

@@ -240,7 +240,7 @@ class Team(ByValue):
     """n catenary robots: two quadrotors each, on the ends of one cable.
 
     Robots and drones are in the order of their places along the hitch. Their names are those of the
-    problem, of which ``assignment`` tells the places; None if robot k holds edge k. ``listed`` are
+    problem, whose places are in ``assignment``; None if robot k holds edge k. ``listed`` are
     the drones in the order of the problem.
 
     Raises

@@ -71,7 +71,7 @@ class Player(OneLine):
     Raises
     ------
     InputError: the time is outside the plan, or the rate out of range.
-    UnsupportedError: other plans fly at the same time, on clocks of their own.
+    UnsupportedError: other plans fly at the same time, on separate clocks.
     """
 
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:

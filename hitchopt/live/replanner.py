@@ -103,7 +103,7 @@ class Retarget(OneLine):
 
     @cached_property
     def plan(self) -> Plan:
-        """The whole plan, with a full certificate of its own; the old plan until ``start``."""
+        """The whole plan, with its own full certificate; the old plan until ``start``."""
         return Plan(Flight.of(self.motion), certify(self.motion), "Steered")
 
 

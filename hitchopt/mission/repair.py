@@ -130,7 +130,7 @@ def find_suggestions(
     """Return up to three changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. If no single change is enough, up to MAX_CHANGES are
-    combined. The search is a heuristic: smaller changes may exist, and no result is no proof.
+    combined. The search is a heuristic: smaller changes may exist, and finding none proves nothing.
     ``error`` is that of the problem; after ``budget`` [s] no further plan is started. Unusual
     values that are tried are not warned of. A fault of the search ends it with a warning; what it
     has found until then is returned.

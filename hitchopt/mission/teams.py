@@ -212,7 +212,7 @@ def _blocked_error(blocked: Blocked, item: int) -> InfeasibleError:
         remedy = f"move the {blocked.at[:-1]} of {one} or {other}; no delay helps"
     else:
         when = f"{where}, {blocked.time:.1f} s after it begins, whatever the delay"
-        remedy = f"move the goal of {one} or {other}, or let one of them fly in an item of its own"
+        remedy = f"move the goal of {one} or {other}, or let one of them fly in a separate item"
     unit = "ratio" if blocked.check == "separation" else "m"
     values = blocked.check, blocked.value, blocked.limit, "min", unit, (one, other), when, remedy
     return InfeasibleError([Violation(*values)])

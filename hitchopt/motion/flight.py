@@ -145,9 +145,7 @@ class Flight(OneLine):
             unnamed = name == "" and count == 1 and index == 0
             taken = map(folded, ("others", *names[:index]))
             if not (unnamed or all(map(NAME.fullmatch, words))) or folded(name) in taken:
-                bound = (
-                    "a name of its own, also without regard to case, of letters, digits, - and _"
-                )
+                bound = "a unique name, regardless of case, of letters, digits, - and _"
                 raise InputError("teams", name, bound, "rename it")
 
     @classmethod

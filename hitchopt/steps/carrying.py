@@ -147,7 +147,7 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
         rim = "rest it on a rim with three robots" if hold.team.robots == 2 else "give it a rim"
         hardware = robots if hold.by is HoldBy.REST else f"use rougher cables, or {rim}"
         capacities, max_mass = hold_capacity(planner, task.requirements)
-        remedy = f"lower {name}.mass, or ask for another tension, or {hardware}{capacities}"
+        remedy = f"lower {name}.mass, or request another tension, or {hardware}{capacities}"
         mass, violations = planner.body.mass, list[Violation]()
         if mass > max_mass:
             values = mass, max_mass, "max", "kg", (planner.state.object,), when, remedy

@@ -43,7 +43,7 @@ def check_count(key: str, places: Array, team: Team) -> None:
 @documented
 @dataclass(frozen=True, eq=False)
 class Fly(Step):
-    """A flight of single drones beside teams with cables."""
+    """A flight of single drones next to teams with cables."""
 
     of_single_drones: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False

@@ -380,7 +380,7 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
          "separation.radius for the drones' errors"),
     ):  # fmt: skip
         if unsupported:
-            raise UnsupportedError(f"{step}: laying and rolling do not know {reason}")
+            raise UnsupportedError(f"{step}: laying and rolling do not support {reason}")
 
 
 CIRCLE_REMARK = "tied as a polygon on a circle, since the goal cannot be tied directly"

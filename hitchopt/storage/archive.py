@@ -62,7 +62,7 @@ def read_arrays(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
         listed, seen = archive.namelist(), dict[str, str]()
         for name in (info.orig_filename for info in archive.infolist()):
             if not ARRAY_NAME.fullmatch(name):
-                reason = "is no array's name, such as 'a/drones.npy'"
+                reason = "is not the name of an array, such as 'a/drones.npy'"
                 raise FileError(f"its member {name!r:.99} {reason}")
             if (other := seen.setdefault(folded(name), name)) is not name:
                 raise FileError(f"readers may confuse its members {other!r:.99} and {name!r:.99}")

@@ -62,7 +62,7 @@ def replace_files(
     """
     folder, missing = Path(directory), list[Path]()
     if "\0" in str(folder):
-        raise FileError(f"{folder!r}: is no path; name another directory")
+        raise FileError(f"{folder!r}: is not a path; name another directory")
     try:
         target = Path(os.path.realpath(folder))
         if target.exists() and not target.is_dir():

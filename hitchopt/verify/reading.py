@@ -280,7 +280,7 @@ class Plan:
         """
         n, roles = self.n, assignment or {"robots": [*range(self.n)], "flipped": [False] * self.n}
         if (sorted(roles["robots"]), len(roles["flipped"])) != ([*range(n)], n):
-            raise ValueError(f"{self.label}assignment is no permutation")
+            raise ValueError(f"{self.label}assignment is not a permutation")
         self.robot = np.array(roles["robots"], dtype=int)
         self.edge = np.argsort(self.robot)
         first = 2 * self.robot + np.array(roles["flipped"], dtype=int)  # at the edges' starts
@@ -479,7 +479,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     """Return the plans of a file: those of its teams, and others on the same clock."""
     try:
         if path.exists() and not path.is_file():  # A pipe or a device may never end
-            raise ValueError("it is no file on a disk")
+            raise ValueError("it is not a file on a disk")
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             check_members([x.orig_filename for x in file.zip.infolist()])

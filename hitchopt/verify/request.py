@@ -356,7 +356,7 @@ def requested(p: Plan) -> Iterator[Row]:
     try:
         faults = [*setting_faults(p), *start_faults(p), *step_faults(p)]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
-        faults = [(0.0, True, f"the request is no problem: {type(error).__name__}: {error}")]
+        faults = [(0.0, True, f"the request is not a problem: {type(error).__name__}: {error}")]
     yield fault_row("request", faults)
 
 

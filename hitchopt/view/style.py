@@ -109,7 +109,7 @@ def facts(flight: Flight) -> str:
         robots = f"{team.robots} robots, " if team.has_cables else ""
         parts.append(f"{name}{robots}{team.drones} drones")
     if flight.others:
-        parts.append(f"beside {', '.join(each.name for each in flight.others)}")
+        parts.append(f"next to {', '.join(each.name for each in flight.others)}")
     return f"{'; '.join(parts)}, {flight.duration:.4g} s"
 
 

@@ -122,7 +122,7 @@ def test_modes_links_and_the_current_directory_stay(
         ("out", "out", "out: is a file, not a directory"),
         ("out", "out/a/b", "out/a/b: cannot be written: Not a directory"),
         ("out/table/x", "out", "table: is a directory where a file is to go"),
-        ("out/x", "a\0b", "no path"),
+        ("out/x", "a\0b", "not a path"),
         ("out/x", "x" * 300, "name"),
     ],
 )

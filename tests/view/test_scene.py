@@ -400,7 +400,7 @@ def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:
     text = (tmp_path / "plan.html").read_text(encoding="utf-8")
     data = json.loads(next(iter(re.findall(r"<script[^>]*json[^>]*>(\{.*?)</script>", text, re.S))))
     assert data["names"][-1] == "show.r3"
-    assert "beside show" in data["facts"]
+    assert "next to show" in data["facts"]
     assert len(data["objects"]) == 1
     plan.view(save=tmp_path / "plan.png")
     assert (tmp_path / "plan.png").stat().st_size > 20_000

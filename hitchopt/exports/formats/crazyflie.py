@@ -74,8 +74,8 @@ class CrazyflieFormat(Format):
     needs_stiffness = True
     has_gains = True
     feed_forward = (
-        "not in these files: the on-board controller knows no cable; setpoints that hold the "
-        "tension need its stiffness, without an integral, or stream full states (hitchopt fly)"
+        "not in these files: the on-board controller has no model of the cable; setpoints that "
+        "hold the tension need its stiffness and no integral; or stream full states (hitchopt fly)"
     )
     kind: PieceKind  # of the pieces
     smooth: int  # order of the highest continuous derivative

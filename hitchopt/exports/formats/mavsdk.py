@@ -72,7 +72,7 @@ class MavsdkDroneShow(Format):
     accuracy = 2e-3
     feed_forward = (
         "ax, ay, az = a - F/m, the cable's force F and the drone's mass m: PX4 adds gravity itself "
-        "and knows no cable; fly it with acceleration feed-forward on"
+        "and has no model of the cable; fly it with acceleration feed-forward on"
     )
     flown_by = "stream"
     needs_stiffness = True  # by its own settings the show sends positions only

@@ -215,7 +215,7 @@ def calibrate(
     )
     if output is not None:
         calibration.save(output)
-        say(f"the team is in {output}")
+        say(f"wrote the team to {output}")
 
 
 def _calibrate_hover(

@@ -154,10 +154,10 @@ def _say_contents(flight: ho.RecordedFlight) -> None:
         for body, quantities in contents.items()
         for quantity, each in quantities.items()
     ]
-    clock = "one clock" if flight.one_clock else "a clock of its own for each body"
+    clock = "one clock" if flight.one_clock else "a separate clock for each body"
     if flight.clock_shifts:
         words = ", ".join(f"{name} {shift:+.3f} s" for name, shift in flight.clock_shifts.items())
-        clock += f", to which clocks of their own are shifted: {words}"
+        clock += f", to which separate clocks are shifted: {words}"
     points = f"{len(flight.markers.t)} points without a name"
     say(
         "\n\n".join([table(flight.source, rows), f"{clock}; {points}"]),

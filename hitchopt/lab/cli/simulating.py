@@ -184,7 +184,7 @@ def _with_loss(
         motion = read_plan(plan_path(directory)).of_one_team(FEATURE)
         reaction = Reactions(motion).plan(loss.drone, loss.time)
     say(
-        f"reaction: tension is let go from t = {reaction.start:.3f} s on, all are on the ground "
+        f"reaction: tension is released from t = {reaction.start:.3f} s on, all are on the ground "
         f"at {reaction.motion.duration:.3f} s; hovering with its weight takes up to "
         f"{reaction.thrust:.0%} of a thrust"
     )
@@ -295,7 +295,7 @@ def _flown_by(settings: Settings) -> str:
         return IDEAL
     known = [name for name, each in ESTIMATORS.items() if each == (settings.estimator or IDEAL)]
     sent = "exported files" if settings.upload else "streamed setpoints"
-    return f"{settings.controller}, estimator {known[0] if known else 'of its own'}, {sent}"
+    return f"{settings.controller}, estimator {known[0] if known else 'custom'}, {sent}"
 
 
 def _of_pair(closest: Mapping[str, Any], digits: str) -> str:

@@ -205,7 +205,7 @@ class Evaluation(OneLine):
         check_choice("format", kind, PICTURES)
         for name in FOREIGN:
             if (directory / name).exists():
-                problem = f"holds {name}; name a directory of its own for results"
+                problem = f"holds {name}; name a separate directory for results"
                 raise FileError(f"{directory}: {problem}")
         picture = drawn_evaluation(self, width)
         writers: dict[str, Writer] = {

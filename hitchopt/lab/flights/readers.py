@@ -107,7 +107,7 @@ def read_flight(
         positions = np.concatenate([track.positions for track in flight.tracks.values()])
         distance = float(np.median(np.linalg.norm(positions, axis=1)))
         if distance > MAX_DISTANCE and unit is None:
-            problem = f"positions are {distance:.4g} m from the origin at the median"
+            problem = f"the median distance of positions from the origin is {distance:.4g} m"
             raise FileError(f"{problem}, over {MAX_DISTANCE:g} m: millimetres? unit='mm'")
         return _without_jumping_bodies(flight)
 
@@ -260,7 +260,7 @@ def rows_of(
                 for label, name in own_names.items()
             }
             far = f"up to {radius:.2g} m from their middle"
-            notes.append(f"markers of {subject} are bodies of their own: they are {far}")
+            notes.append(f"markers of {subject} are separate bodies: they are {far}")
     return rows | {MARKER: np.concatenate(markers)}, notes
 
 

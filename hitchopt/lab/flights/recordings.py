@@ -145,10 +145,10 @@ class RecordedFlight(OneLine):
     markers: unlabeled points, on the clock of ``tracks``.
     setpoints: commanded positions by name, on the clock of the track of that name.
     signals: other quantities by body or load, then by name, see QUANTITIES, on the same clock.
-    loads: bodies that are no drones, on the clock of ``tracks``.
+    loads: bodies that are not drones, on the clock of ``tracks``.
     sources: topics by body, then by quantity, ``position`` being that of tracks and loads.
     clock_shifts: time of this flight minus that of the body's own clock [s], of bodies whose
-        samples were recorded on clocks of their own, and are on one here.
+        samples were recorded on separate clocks, and are on one here.
     as_sent: whether setpoints were recorded where they were sent, not logged by the drones.
     epoch: time of the recording's clock at which ``t`` is 0 [s]; 0 if times are as recorded.
     one_clock: whether all tracks share one clock; otherwise each track has its own origin.

@@ -318,7 +318,7 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
     off = length(recording.drones - plan_at(task, t, task.states.positions))
     distance = float(np.median(off[np.isfinite(off)])) if np.any(np.isfinite(off)) else 0.0
     if distance > MAX_DISTANCE:
-        value = f"drones {distance:.4g} m from the plan at the median"
+        value = f"drones with a median distance of {distance:.4g} m from the plan"
         bound = f"within {MAX_DISTANCE:g} m of the plan that was flown"
         remedy = "give metres, z upward, times from the plan's start, and names as in the plan"
         raise InputError("recording", value, bound, remedy)

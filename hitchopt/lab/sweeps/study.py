@@ -278,7 +278,7 @@ def _problems(value: Any, directory: Path) -> Iterator[tuple[str, Path, dict[str
     for path in (directory / file for file in files):
         data = read_yaml(path)
         if not isinstance(data, dict):
-            raise FileError(f"{path}: is no problem file")
+            raise FileError(f"{path}: is not a problem file")
         yield path.stem, path.parent, data
 
 

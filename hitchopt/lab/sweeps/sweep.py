@@ -207,7 +207,7 @@ def _read_rows(directory: Path) -> dict[str, Row]:
             if row.pop(SEAL, None) != digest_of(row):
                 raise FileError(
                     f"{path}: line {number} was edited, or is of an earlier release; delete it, "
-                    "and run the study again: it is computed anew"
+                    "and run the study again, which computes it"
                 )
     return rows
 
