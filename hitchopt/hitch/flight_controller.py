@@ -21,7 +21,16 @@ import numpy as np
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.values import Array, check_choice, form_of, positive, units
-from hitchopt.values.fields import Key, Kind, Record, documented, either, mapping_of, one_or_each
+from hitchopt.values.fields import (
+    Key,
+    Kind,
+    Record,
+    documented,
+    either,
+    mapping_of,
+    one_or_each,
+    with_fields,
+)
 
 Pair = tuple[float, float]  # One horizontal value (x and y) and one vertical value (z)
 
@@ -87,13 +96,16 @@ class Tube(Record):
         """Return the tube of a tracking error: a ball for a number, nothing for None."""
         if isinstance(tracking, Tube):
             return tracking
-        return cls(tracking or 0.0, tracking or 0.0)
+        return with_fields(cls(0.0, 0.0), level=tracking or 0.0, height=tracking or 0.0)
 
     @classmethod
     def enclosing(cls, tubes: Iterable[Tube]) -> Tube | None:
         """Return the smallest tube that contains all of some tubes; None without any."""
         sizes = [(tube.level, tube.height) for tube in tubes]
-        return cls(*map(max, zip(*sizes, strict=True))) if sizes else None
+        if not sizes:
+            return None
+        level, height = map(max, zip(*sizes, strict=True))
+        return with_fields(cls(0.0, 0.0), level=level, height=height)
 
     @property
     def ratio(self) -> float:

@@ -522,7 +522,7 @@ def mapping_of(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UnitWarning)  # already issued for the keys
                 instance = record(**arguments)
-            return instance if build is None else build(instance)
+                return instance if build is None else build(instance)
         except InputError as error:
             raise error.within(key) from None
         except FileError as error:

@@ -234,7 +234,7 @@ def test_false_claims_are_refused(
 
 def around(motion: Motion, radius: float) -> Motion:
     """Return the motion with a rough drum of another radius, and tangents to it on its left."""
-    made = with_body(motion, "drum", section=ho.Section(radius=radius), friction=9.0)
+    made = with_body(motion, "drum", section=ho.Section(radius=radius), friction=3.0)
     x, breaks = bernstein.nodes(9), motion.drones.breaks
     t = (breaks[:-1, None] + np.diff(breaks)[:, None] * x).ravel()
     centre, contacts = motion.poses.at(t)[:, 0], motion.contacts.at(t)

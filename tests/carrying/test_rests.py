@@ -207,3 +207,33 @@ def test_flat_trays_are_carried_from_below_and_obstacles_are_named() -> None:
     words = r"^object_clearance: 0 m is below the limit of 0\.085 m at .*pillar"
     with pytest.raises(ho.InfeasibleError, match=words):
         ho.solve(problem_from_dict(given))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["carry_box", "carry_tray"])
+def test_chords_of_legs_cut_rims_by_a_few_millimetres(name: str) -> None:
+    """As the limitations say: cables bend at the edge of a rim, and chords do not."""
+    motion, deepest = planned(name).motion, 0.0
+    (held, item) = next(
+        (motion.requirements.objects[phase.hold.object], phase.hold.object)
+        for phase in motion.phases
+        if phase.hold is not None
+    )
+    index, rim = [*motion.requirements.objects].index(item), held.rim
+    assert rim is not None
+    shares = np.linspace(0.0, 1.0, 200)[:, None]
+    for t in np.linspace(0.0, motion.duration, 400).tolist():
+        if motion.load_share.at(t)[index] < 1.0:
+            continue
+        x, y, z, cosine, sine = motion.poses.at(t)[index]
+        to_object = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+        clasps, drones = (
+            (points - [x, y, z]) @ to_object.T
+            for points in (motion.vertices.at(t), motion.drones.at(t))
+        )
+        for k, clasp in enumerate(clasps):
+            for drone in (drones[2 * k], drones[2 * k - 1]):
+                chord = clasp + shares * (drone - clasp)
+                inside = rim.section.clearance(chord[:, :2])[0] <= 0.0
+                deepest = max(deepest, float(np.max(chord[inside, 2] - rim.height)))
+    assert 1e-3 < deepest < 3e-3

@@ -202,7 +202,7 @@ def test_distances_are_the_larger_ones_of_both() -> None:
 @pytest.mark.parametrize("moved_first", [False, True])
 def test_an_object_counts_where_it_rests_after_it_was_moved(*, moved_first: bool) -> None:
     """The other group has it as an obstacle at its former position."""
-    body = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.0, at=[3.0, 1.0, 0.0], mass=50.0)
+    body = ho.SolidObject(ho.Section(radius=0.1), 0.0, 1.0, at=[3.0, 1.0, 0.0], mass=15.0)
     mine = lines([[0.0, 0, 0.5]], [[4.0, 0, 0.5]], seconds=4.0, separation=SEPARATION)
     theirs = lines([[3.0, 9, 0.5]], [[3.0, 8, 0.5]], seconds=4.0, separation=SEPARATION)
     both = [

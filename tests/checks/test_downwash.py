@@ -224,7 +224,7 @@ def test_what_another_team_carries_counts_also_while_it_rests() -> None:
     whole = planned("carry_tray").motion
     heavy = {
         name: ho.SolidObject(
-            **{key: getattr(body, key) for key in vars(body) if key != "mass"}, mass=50.0
+            **{key: getattr(body, key) for key in vars(body) if key != "mass"}, mass=15.0
         )
         for name, body in whole.requirements.objects.items()
     }
