@@ -133,6 +133,7 @@ def test_bends_of_edges_below_the_ground_count() -> None:
     assert (found.worst, found.where) == (0.0, ("cable 1", "ground"))
 
 
+@pytest.mark.filterwarnings("ignore::hitchopt.UnitWarning")
 @pytest.mark.parametrize("away", [0.0, -300.0])
 def test_footings_do_not_depend_on_origins(away: float) -> None:
     square = 0.1 * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) + away
