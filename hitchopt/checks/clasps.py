@@ -214,9 +214,9 @@ class Clasps(MotionSpans):
         With V the sum of the legs' pulls, D their difference and ū = u_k + u_{k-1}, cosine and sine
         are proportional to ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
         """
-        pulls = (_kinds(self.along)[0] * self.pulls[0]).reduced(ROUGH_ORDER)
+        legs, edges = _kinds(self.along)
+        pulls = (legs * self.pulls[0]).reduced(ROUGH_ORDER)
         q, r = select(pulls, 0), select(pulls, 1)
-        edges = _kinds(self.along)[1]
         ahead = (select(edges, 0) - select(edges, 1)).reduced(ROUGH_ORDER)
         total, difference = q + r, q - r
         cosine = difference.dot(ahead) * total.dot(total) - difference.dot(total) * ahead.dot(total)
@@ -224,12 +224,13 @@ class Clasps(MotionSpans):
 
     def rolls(self) -> Array:
         """Return the rolls (spans,) [deg] at mid span: 0 if ``q̂_k`` leans toward ``u_k``."""
-        (q, r), (u, back) = np.moveaxis(self.along.middle, 0, 2)
-        pull, other = np.moveaxis(self.pulls[0].middle, 1, 0)
-        axis = unit(pull * q + other * r)
-        upward = np.cross(u - back, axis)
+        (q, r), (edge_ahead, edge_behind) = np.moveaxis(self.along.middle, 0, 2)
+        pull_of_q, pull_of_r = np.moveaxis(self.pulls[0].middle, 1, 0)
+        axis = unit(pull_of_q * q + pull_of_r * r)
+        upward = np.cross(edge_ahead - edge_behind, axis)
         level = np.cross(axis, upward)
-        rise, run = np.sum(q * upward, axis=-1), np.sum(q * level, axis=-1)
+        rise = np.sum(q * upward, axis=-1)
+        run = np.sum(q * level, axis=-1)
         return np.asarray(np.degrees(np.arctan2(rise, run)))
 
 
@@ -433,11 +434,15 @@ def _kink(spans: LegEnds) -> Bound:
     weight over its tension, are not counted, nor is PASSED_SHARE of the weight on the point, which
     the other cable of a clasp may bear.
     """
-    motion, team, (cable, end) = spans.source, spans.source.team, np.divmod(spans.item, 2)
-    legs, edges = leg_vectors(motion), bent_edges(motion)
-    parts = [spans.read(x, cable) * sign for x, sign in zip(edges, (1.0, -1.0), strict=True)]
+    motion, team = spans.source, spans.source.team
+    cable, end = np.divmod(spans.item, 2)
+    legs = leg_vectors(motion)
+    leaving, arriving = bent_edges(motion)
+    away = np.where(  # from the point along its edge
+        end[:, None, None] == 0, spans.read(leaving, cable), spans.read(arriving, cable) * -1.0
+    )
     leg = Enclosed(spans.read(legs), spans.noise)
-    edge = Enclosed(np.where(end[:, None, None] == 0, *parts), spans.noise)
+    edge = Enclosed(away, spans.noise)
     other = Enclosed(spans.read(legs, spans.item ^ 1), spans.noise).norm
     tension, half = spans.scalars(_bent_sizes(motion))
     length = Enclosed(team.cable_length[cable][:, None, None])
@@ -514,9 +519,10 @@ def _exterior(spans: Corners) -> Bound:
     edges = spans.read(_corners(spans.source))
     behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
     dot, cross = behind.dot(ahead), ahead.cross(behind)
-    middle = np.arctan2(cross.middle, dot.middle)
-    c, s, middle = np.cos(middle), np.sin(middle), middle[:, 0]
-    along, across = (dot * c + cross * s).range, (cross * c - dot * s).range
+    mid_angle = np.arctan2(cross.middle, dot.middle)
+    cosine, sine = np.cos(mid_angle), np.sin(mid_angle)
+    along, across = (dot * cosine + cross * sine).range, (cross * cosine - dot * sine).range
+    middle = mid_angle[:, 0]
     lowest = np.arctan2(across.low, np.where(across.low < 0.0, along.low, along.high))
     highest = np.arctan2(across.high, np.where(across.high < 0.0, along.high, along.low))
     valid = (along.low > 0.0) & (middle + highest <= np.pi)

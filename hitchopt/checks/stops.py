@@ -123,16 +123,23 @@ class OnClock(MotionSpans):
 
         In h seconds, plan time deviates from its chord by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
         """
-        start, end, h = self.cells.jets, self.cells.ends, self.cells.duration
-        along, error = np.abs(end[:, 0] - start[:, 0]), h**2 / 8.0
+        start, end = self.cells.jets, self.cells.ends
+        travel = np.abs(end[:, 0] - start[:, 0])
+        error = self.cells.duration**2 / 8.0
         deviation = error * np.maximum(np.abs(start[:, 2]), np.abs(end[:, 2]))
-        fraction = np.divide(deviation, along, out=np.ones_like(deviation), where=deviation < along)
-        backward, lines = end[:, :1] < start[:, :1], []
-        for k, own in ((1, error * np.abs(start[:, 3])), (2, 0.0)):
-            line = np.stack([start[:, k], end[:, k]], axis=-1)
-            radius = own + fraction * np.abs(end[:, k] - start[:, k])
-            lines.append(Enclosed(np.where(backward, line[:, ::-1], line)[:, None], radius))
-        return lines[0], lines[1], Enclosed(start[:, 3:, None])
+        # Of the chord of plan time, by which values on a line over it are off
+        fraction = np.divide(
+            deviation, travel, out=np.ones_like(deviation), where=deviation < travel
+        )
+        is_backward = end[:, :1] < start[:, :1]
+
+        def line(order: int, curvature: Array | float) -> Enclosed:
+            """Return a derivative of plan time as a line over it, from its lower end on."""
+            ends = np.stack([start[:, order], end[:, order]], axis=-1)
+            radius = curvature + fraction * np.abs(end[:, order] - start[:, order])
+            return Enclosed(np.where(is_backward, ends[:, ::-1], ends)[:, None], radius)
+
+        return line(1, error * np.abs(start[:, 3])), line(2, 0.0), Enclosed(start[:, 3:, None])
 
     def accelerated(self, v: Enclosed, a: Enclosed) -> Enclosed:
         """Return the acceleration from derivatives by plan time."""
@@ -336,8 +343,9 @@ def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
     rate = max(np.max(np.abs(flight.drones.ends(order)[1][-1])) for order in (1, 2))
     rest = end if rate <= REST_RATE else np.inf
     ladder = np.geomspace(MIN_STOP, MAX_STOP, STOP_COUNT)
-    durations, low = np.full(len(starts), np.inf), np.full(len(starts), -1)
-    high = np.full(len(starts), len(ladder))
+    durations = np.full(len(starts), np.inf)
+    # Rungs of the ladder: the longest that is known to be infeasible, the shortest that is not
+    low, high = np.full(len(starts), -1), np.full(len(starts), len(ladder))
     while True:
         rest_times = np.append(starts + durations, rest)
         soonest = np.minimum.accumulate(rest_times[::-1])[-2::-1]  # of all later ones
@@ -348,7 +356,8 @@ def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
         rung = low[undecided] + 1 if limits.carried else (low[undecided] + high[undecided]) // 2
         feasible = _feasible_stops(limits, starts[undecided], ladder[rung])
         durations[undecided[feasible]] = ladder[rung[feasible]]
-        high[undecided[feasible]], low[undecided[~feasible]] = rung[feasible], rung[~feasible]
+        high[undecided[feasible]] = rung[feasible]
+        low[undecided[~feasible]] = rung[~feasible]
 
 
 def _feasible_stops(limits: ClockLimits, starts: Array, durations: Array) -> Flags:

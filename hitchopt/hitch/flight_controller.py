@@ -321,36 +321,39 @@ class FlightController(OneLine):
         that are too stiff to fly at a delay ``latency`` [s]; None is below UNSTATED_LATENCY.
         """
         check_choice("controller", name, CONTROLLERS)
-        stock, own = STOCK[name], Gains.of(gains)
-        size = mass if stock.per_mass else 1.0
+        stock, stated = STOCK[name], Gains.of(gains)
+        scale_of_stock = mass if stock.per_mass else 1.0
 
         def gain(key: str) -> Pair:
-            override = getattr(own, key)
+            """Return the stated gain, level and upright; else the default one."""
             level, upright = getattr(stock, key)
-            return (size * level, size * upright) if override is None else override
+            given: Pair | None = getattr(stated, key)
+            return (scale_of_stock * level, scale_of_stock * upright) if given is None else given
 
         kp, kd, ki = gain("kp"), gain("kd"), gain("ki")
         if name == "px4":
             kp, kd, ki = _px4_loop(px4_gains(kp, kd, ki, mass), mass)
         scale = latency_scale(latency)
-        checks = [("kp", kp[0], scale**2 * stock.stiffest[0])] if own.kp or latency else []
-        checks += [("kd", kd[0], scale * stock.stiffest[1])] if scale < 1.0 else []
-        for key, value, most in checks:
-            if value > 1.01 * most * mass:
-                unit = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}[key]
-                when = f" at a latency of {1e3 * latency:g} ms" if latency else ""
-                bound = f"at most {most:.4g}{unit[0]} times the mass, {most * mass:.3g} {unit[1]}"
-                stiffest = f"{stiffest_gains(mass, latency, name)}".replace("'", "")
-                remedy = f"stiffer loops of {name} oscillate; gains: {stiffest} fly"
-                raise InputError(f"gains.{key}", value, f"{bound}, level{when}", remedy)
+        if stated.kp or latency:
+            _check_stiffness(name, mass, latency, "kp", kp[0], scale**2 * stock.stiffest[0])
+        if scale < 1.0:
+            _check_stiffness(name, mass, latency, "kd", kd[0], scale * stock.stiffest[1])
+        # An infinite range of the integral times a gain of zero is no force
         level, upright = ((k * r if k else 0.0) for k, r in zip(ki, stock.ki_range, strict=True))
         ratio = stock.measured_stiffness * mass / kp[0]
         tracking = stock.measured_error * ratio**TRACKING_EXPONENT
+        pull_gain = 1.0 + PULL_TIME * kd[0] / mass if stock.filtered else 1.0
         return cls(
-            name, kp, kd, ki, (level, upright), stock.feed_forward, stock.max_tilt,
+            name,
+            kp,
+            kd,
+            ki,
+            ki_limit=(level, upright),
+            feed_forward=stock.feed_forward,
+            max_tilt=stock.max_tilt,
             tracking=max(tracking, MIN_TRACKING),
-            pull_gain=(1.0 + PULL_TIME * kd[0] / mass if stock.filtered else 1.0, 1.0),
-        )  # fmt: skip
+            pull_gain=(pull_gain, 1.0),
+        )
 
     @classmethod
     def plain(
@@ -412,3 +415,21 @@ FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)  # Defaults of the firmwa
 
 ONE_MARKER = EstimatorParameters(0.5, 1.0, 1e-2, None)
 """Defaults of the firmware for drones with one marker; hitches do not hold with them."""
+
+
+GAIN_UNITS = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}
+"""Units of gains, per mass and as such."""
+
+
+def _check_stiffness(
+    name: str, mass: float, latency: float | None, key: str, value: float, most: float
+) -> None:
+    """Raise InputError if a level gain is larger than ``most`` times the mass, but for rounding."""
+    if value <= 1.01 * most * mass:
+        return
+    per_mass, unit = GAIN_UNITS[key]
+    when = f" at a latency of {1e3 * latency:g} ms" if latency else ""
+    bound = f"at most {most:.4g}{per_mass} times the mass, {most * mass:.3g} {unit}, level{when}"
+    stiffest = f"{stiffest_gains(mass, latency, name)}".replace("'", "")
+    remedy = f"stiffer loops of {name} oscillate; gains: {stiffest} fly"
+    raise InputError(f"gains.{key}", value, bound, remedy)

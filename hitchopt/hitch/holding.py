@@ -77,29 +77,33 @@ def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) 
     """
     onward = np.roll(vertices, -1, axis=-2)
     prescribed = (None, None) if bends is None else np.moveaxis(bends.corners, -1, 0)
-    a, first, corner = _tangents(section, vertices, 1.0, prescribed[0])
-    b, last, corner_after = _tangents(section, onward, -1.0, prescribed[1])
-    b, chord = -b, onward - vertices
-    straight, right = unit(chord), -turn(a, b)
+    leaving, first, corner = _tangents(section, vertices, 1.0, prescribed[0])
+    backward, last, corner_after = _tangents(section, onward, -1.0, prescribed[1])
+    arriving = -backward
+    chord = onward - vertices
+    straight = unit(chord)
+    right_turn = -turn(leaving, arriving)
     if bends is None:
         nearest = np.argmax(left_of(straight) @ section.core.T, axis=-1)[..., None]
         corners = np.stack([corner, corner_after], axis=-1)
-        bends = Bends(right > 0.0, np.where((right > 0.0)[..., None], corners, nearest))
-    touching = np.broadcast_to(bends.touching, right.shape)
+        is_right = right_turn > 0.0
+        bends = Bends(is_right, np.where(is_right[..., None], corners, nearest))
+    touching = np.broadcast_to(bends.touching, right_turn.shape)
     touches = touching[..., None]
+    # Distances of corners along the outline, of which an edge covers the sides between two of them
     ring = np.append(0.0, np.cumsum(length(np.roll(section.core, -1, 0) - section.core)))
     sides = (ring[corner_after] - ring[corner]) % ring[-1] if ring[-1] > 0.0 else 0.0
-    arcs = np.where(touching, sides + section.rounding * right, 0.0)
-    bent = np.stack([vertices + first[..., None] * a, onward - last[..., None] * b], axis=-2)
+    arcs = np.where(touching, sides + section.rounding * right_turn, 0.0)
+    contacts = vertices + first[..., None] * leaving, onward - last[..., None] * arriving
     ahead = dot(section.core[bends.corners[..., 0]] - vertices, straight)
     closest = vertices + np.clip(ahead, 0.0, length(chord))[..., None] * straight
     return Wraps(
-        np.where(touches, a, straight),
-        np.where(touches, b, straight),
+        np.where(touches, leaving, straight),
+        np.where(touches, arriving, straight),
         np.where(touching, first + last + arcs, length(chord)),
         arcs,
-        np.where(touching, right, 0.0),
-        np.where(touches[..., None], bent, closest[..., None, :]),
+        np.where(touching, right_turn, 0.0),
+        np.where(touches[..., None], np.stack(contacts, axis=-2), closest[..., None, :]),
         bends,
     )
 
@@ -124,9 +128,10 @@ def _tangents(
     angle = np.take_along_axis(angles, corner[..., None], axis=-1)[..., 0]
     distance = np.take_along_axis(distances, corner[..., None], axis=-1)[..., 0]
     lengths = np.sqrt(np.maximum(distance**2 - section.rounding**2, 0.0))
-    c, s = np.cos(side * angle), np.sin(side * angle)
+    cosine, sine = np.cos(side * angle), np.sin(side * angle)
     x, y = np.moveaxis(unit(to_middle), -1, 0)
-    return np.stack([c * x - s * y, s * x + c * y], axis=-1), lengths, corner
+    directions = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
+    return directions, lengths, corner
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ class Rows:
 
     def __init__(self, variables: int) -> None:
         self.count = 0
-        self._variables = variables
+        self.variables = variables
         self._entries: list[tuple[Indices, Indices, Array]] = []
         self._bounds: list[tuple[Array, Array]] = []
 
@@ -73,7 +73,7 @@ class Rows:
 
         rows, columns, values = (np.concatenate(part) for part in zip(*self._entries, strict=True))
         lower, upper = (np.concatenate(part) for part in zip(*self._bounds, strict=True))
-        shape = (self.count, self._variables)
+        shape = (self.count, self.variables)
         return sp.csc_array((values, (rows, columns)), shape=shape), lower, upper
 
 

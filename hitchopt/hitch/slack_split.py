@@ -35,7 +35,7 @@ from hitchopt.hitch.pairs import (
     scales_of,
 )
 from hitchopt.hitch.quadratic_program import QuadraticProgram, Rows, solve_qp
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Arena, Requirements
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 
@@ -368,17 +368,17 @@ class LegBodies:
     def _lines(self, d: Array) -> tuple[Array, Array]:
         task, team, layout = self.task, self.task.team, self.task.team.layout
         slack, shape = task.slack, d.shape[:-2]
-        p, edges = (np.broadcast_to(x, (*shape, *x.shape)) for x in (self.points, self.edges))
+        points = np.broadcast_to(self.points, (*shape, *self.points.shape))
+        edges = np.broadcast_to(self.edges, (*shape, *self.edges.shape))
         loads = None if task.level else clasp_loads(team, d, slack, task.roll)
-        q, r = leg_directions(edges, team.tension, team.topology, loads)
-        if task.team.cable_density > 0.0:
+        to_q, to_r = leg_directions(edges, team.tension, team.topology, loads)
+        if team.cable_density > 0.0:  # chords of sagging legs, per length of cable
             sag = sag_factors(team, team.tension)
-            q, r = (
-                leg_vectors(np.ones_like(legs), direction, sag * legs**2)
-                for legs, direction in ((d, q), (slack - d, r))
-            )
-        ends = p[..., layout.starts, :], p[..., layout.ends, :] + slack[..., None] * r
-        return self._flat(p, ends), self._flat(np.zeros_like(p), (q, -r))
+            to_q = leg_vectors(np.ones_like(d), to_q, sag * d**2)
+            r_legs = slack - d
+            to_r = leg_vectors(np.ones_like(r_legs), to_r, sag * r_legs**2)
+        ends = points[..., layout.starts, :], points[..., layout.ends, :] + slack[..., None] * to_r
+        return self._flat(points, ends), self._flat(np.zeros_like(points), (to_q, -to_r))
 
     @staticmethod
     def _flat(points: Array, drones: Sequence[Array]) -> Array:
@@ -434,8 +434,25 @@ class LegBodies:
         d: (J, n) [m], leg lengths.
         nodes, offsets: (J·count, 2 or 3) and (pairs, 2 or 3) [m], at these lengths.
         """
-        task, size, variable = self.task, d.size + 2, self.variable.reshape(-1)
-        (base, slope), dimensions = self.lines(d), self.points.shape[-1]
+        task, size = self.task, d.size + 2
+        lines = self.lines(d)
+        rows = Rows(size)
+        self._add_pairs(rows, lines, nodes, offsets)
+        if task.requirements.arena is not None:
+            self._add_walls(rows, lines, task.requirements.arena)
+        lowest, highest = task.bounds
+        lower = np.append(lowest.reshape(-1), [0.0, 0.0])
+        upper = np.append(highest.reshape(-1), [np.inf, np.inf])
+        penalty = np.full(2, PENALTY * task.team.robots)
+        gradient = np.append(-task.reference.reshape(-1), penalty)
+        return QuadraticProgram(task.hessian(size), gradient, *rows.compressed(), lower, upper)
+
+    def _add_pairs(
+        self, rows: Rows, lines: tuple[Array, Array], nodes: Array, offsets: Array
+    ) -> None:
+        """Add the rows of pairs of bodies, with a slack for drones and one for crossings."""
+        task, variable, (base, slope) = self.task, self.variable.reshape(-1), lines
+        size, dimensions = rows.variables, self.points.shape[-1]
         frame, first, second, kind = self.pairs
         middles = nodes[first].mean(axis=1) - nodes[second].mean(axis=1)
         normal = unit(offsets, unit(middles, EAST[:dimensions]), 1e-9)
@@ -454,27 +471,20 @@ class LegBodies:
         used = np.sum(np.minimum(*extremes), axis=0) < lower
         columns = np.concatenate([columns[:, used].ravel(), slacks[used]])
         entries = np.concatenate([slopes[:, used].ravel(), limit[used]])
-        rows = Rows(size)
         rows.add(np.tile(np.arange(len(lower[used])), 3), columns, entries, lower[used])
-        arena = task.requirements.arena
-        if arena is not None:  # every drone between its upright walls
-            base, slope = base[self.drones, :2], slope[self.drones, :2]
-            entries = np.concatenate([slope, -slope], axis=1).T.ravel()
-            beyond = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1)
-            lower = beyond.T.ravel()
-            # Drones that slide parallel to a wall are omitted: their distance to it is constant.
-            oblique = np.abs(entries) > 1e-9
-            columns = np.tile(variable[self.drones], 4)[oblique]
-            row = np.arange(len(columns))
-            start = rows.add(row, columns, entries[oblique], lower[oblique])
-            rows.extend(start + row, np.full(len(row), size - 1), 1.0)
-        penalty = np.full(2, PENALTY * task.team.robots)
-        lower, upper = (
-            np.append(bound.reshape(-1), [end, end])
-            for bound, end in zip(task.bounds, (0.0, np.inf), strict=True)
-        )
-        gradient = np.append(-task.reference.reshape(-1), penalty)
-        return QuadraticProgram(task.hessian(size), gradient, *rows.compressed(), lower, upper)
+
+    def _add_walls(self, rows: Rows, lines: tuple[Array, Array], arena: Arena) -> None:
+        """Add the rows of drones between the upright walls, with the slack of crossings."""
+        base, slope = (values[self.drones, :2] for values in lines)
+        entries = np.concatenate([slope, -slope], axis=1).T.ravel()
+        beyond = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1)
+        lower = beyond.T.ravel()
+        # Drones that slide parallel to a wall are omitted: their distance to it is constant.
+        oblique = np.abs(entries) > 1e-9
+        columns = np.tile(self.variable.reshape(-1)[self.drones], 4)[oblique]
+        row = np.arange(len(columns))
+        start = rows.add(row, columns, entries[oblique], lower[oblique])
+        rows.extend(start + row, np.full(len(row), rows.variables - 1), 1.0)
 
     def reference_kept(self) -> LegLengths | None:
         """Return the reference if it keeps the margin and exactly all bounds, else None."""

@@ -130,40 +130,51 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
     if slip is None:
         return None
     layout = motion.team.layout
-    coarse, longest = motion.drones.breaks, motion.duration / (PIECES_PER_INTERVAL * slip.pieces)
-    counts = np.maximum(1, np.ceil(np.diff(coarse) / longest - 1e-9).astype(np.intp))
-    breaks = divided(coarse, counts)
-    drones, vertices, legs, tensions = (
-        on_breaks(part, breaks)
-        for part in (motion.drones, motion.vertices, motion.legs, motion.tensions)
-    )
-    # On both sides of every breakpoint, since jerks jump where a vertex starts to follow points.
-    d, p, lengths, T = (
-        np.stack([np.concatenate(part.ends(order)) for order in range(JET)], axis=-1)
-        for part in (drones, vertices, legs, tensions)
-    )
-    logs = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
-    ratios = chained(np.repeat(np.exp(logs[..., :1]), JET, axis=-1), logs)
-    pulls = np.repeat(T[:, :, None], 2, axis=2)
-    pulls[:, layout.behind, 1] = product(ratios[:, :, 0], T[:, layout.behind])
-    pulls[:, layout.ahead, 0] = product(ratios[:, :, 1], T[:, layout.ahead])
-    cables = cables_of_legs(motion.team, d - p[:, layout.anchors], lengths, T)
-    balanced = slipping_drones(motion.team, p, lengths, T, pulls, d, cables)
+    longest = motion.duration / (PIECES_PER_INTERVAL * slip.pieces)
+    counts = np.maximum(1, np.ceil(np.diff(motion.drones.breaks) / longest - 1e-9).astype(np.intp))
+    breaks = divided(motion.drones.breaks, counts)
+    vertices = on_breaks(motion.vertices, breaks)
+    legs = on_breaks(motion.legs, breaks)
+    tensions = on_breaks(motion.tensions, breaks)
+
+    drone_jets = _jets_at_breaks(on_breaks(motion.drones, breaks))
+    vertex_jets = _jets_at_breaks(vertices)
+    leg_jets = _jets_at_breaks(legs)
+    tension_jets = _jets_at_breaks(tensions)
+    slip_jets = slip.jet(np.concatenate([breaks[:-1], breaks[1:]]), JET)
+    ratios = chained(np.repeat(np.exp(slip_jets[..., :1]), JET, axis=-1), slip_jets)
+    pulls = np.repeat(tension_jets[:, :, None], 2, axis=2)
+    pulls[:, layout.behind, 1] = product(ratios[:, :, 0], tension_jets[:, layout.behind])
+    pulls[:, layout.ahead, 0] = product(ratios[:, :, 1], tension_jets[:, layout.ahead])
+    chords = drone_jets - vertex_jets[:, layout.anchors]
+    cables = cables_of_legs(motion.team, chords, leg_jets, tension_jets)
+    curves = vertex_jets, leg_jets, tension_jets, pulls, drone_jets, cables
+    balanced = slipping_drones(motion.team, *curves)
     if not np.all(np.isfinite(balanced)):
         return None
-    original = np.stack([d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead]], axis=2)[..., 0]
-    clasps = p[:, layout.clasps][..., 0][:, :, None]
+    r_drones, q_drones = 2 * layout.behind + 1, 2 * layout.ahead
+    original = np.stack([drone_jets[:, r_drones], drone_jets[:, q_drones]], axis=2)[..., 0]
+    clasps = vertex_jets[:, layout.clasps][..., 0][:, :, None]
     before, after = original - clasps, balanced[..., 0] - clasps
     leans = np.arctan2(length(np.cross(before, after)), dot(before, after))
-    d[:, 2 * layout.behind + 1], d[:, 2 * layout.ahead] = balanced[:, :, 0], balanced[:, :, 1]
+    drone_jets[:, r_drones] = balanced[:, :, 0]
+    drone_jets[:, q_drones] = balanced[:, :, 1]
     with_feedforward = motion.replaced(
-        drones=_hermite(breaks, d),
+        drones=_hermite(breaks, drone_jets),
         vertices=vertices,
         legs=legs,
         tensions=tensions,
         leg_tensions=_hermite(breaks, pulls),
     )
     return FrictionFeedforward(with_feedforward, float(np.max(leans)))
+
+
+def _jets_at_breaks(curve: PiecewisePolynomial) -> Array:
+    """Return jets at the starts of all pieces, then at their ends (2 pieces, …, JET).
+
+    Jerks jump where a vertex starts to follow points, so that both sides of a break count.
+    """
+    return np.stack([np.concatenate(curve.ends(order)) for order in range(JET)], axis=-1)
 
 
 def cables_of_legs(team: Team, chords: Array, lengths: Array, tensions: Array) -> Array | None:
@@ -262,22 +273,24 @@ class _ForceTriangles:
     @classmethod
     def of(cls, motion: Motion, t: Array) -> _ForceTriangles:
         layout = motion.team.layout
+        team = motion.team
         edges = layout.edges(motion.vertices.at(t))
-        u = edges / length(edges)[..., None]
-        behind, ahead = u[:, layout.behind], u[:, layout.ahead]
-        T = motion.tensions.at(t)
-        tensions = np.stack([T[:, layout.behind], T[:, layout.ahead]], axis=-1)
-        both = motion.legs.at(t)
-        legs, team = _at_clasps(layout, both), motion.team
-        half = 0.5 * GRAVITY * team.cable_density
+        directions = edges / length(edges)[..., None]
+        edge_tensions = motion.tensions.at(t)
+        behind, ahead = edge_tensions[:, layout.behind], edge_tensions[:, layout.ahead]
+        legs = motion.legs.at(t)
+        half_weight = 0.5 * GRAVITY * team.cable_density
         level = edges[..., 0] ** 2 + edges[..., 1] ** 2
-        pull = chord_pull(T, half, level)[..., None]
-        V = pull[:, layout.behind] * behind - pull[:, layout.ahead] * ahead
+        pulls = chord_pull(edge_tensions, half_weight, level)[..., None] * directions
+        total = pulls[:, layout.behind] - pulls[:, layout.ahead]
         if team.loaded:
-            rest = team.cable_length - both[..., ::-1].swapaxes(-1, -2)  # L - e, L - d
-            V[..., 2] += half * (rest[:, 0, layout.ahead] + rest[:, 1, layout.behind])
-            V[..., 2] += GRAVITY * team.load
-        return cls(length(V), tensions, legs, motion.requirements.separation)
+            rest = team.cable_length - legs[..., ::-1].swapaxes(-1, -2)  # L - e, L - d
+            carried = rest[:, 0, layout.ahead] + rest[:, 1, layout.behind]
+            total[..., 2] += half_weight * carried
+            total[..., 2] += GRAVITY * team.load
+        tensions = np.stack([behind, ahead], axis=-1)
+        separation = motion.requirements.separation
+        return cls(length(total), tensions, _at_clasps(layout, legs), separation)
 
     @cached_property
     def leg_angles(self) -> Array:

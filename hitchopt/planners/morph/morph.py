@@ -19,6 +19,7 @@ from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, drones_along, shapes_along
 from hitchopt.planners.timing.flight import GRID, fly
 from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
@@ -146,24 +147,30 @@ class BlendedMorph:
         knots: Array = s / s[-1]
         return knots
 
+    def _spline(self, values: Sequence[Array]) -> PiecewisePolynomial:
+        """Return the natural quintic spline through values at the knots."""
+        return interpolated(self.knots, np.stack(values), zero_orders=(3, 4))
+
     @cached_property
     def problem(self) -> ShapePath:
         """The path to be timed.
 
         Raises InfeasibleError as for a straight morph, or if the path has a point of zero speed.
         """
-        vertices, fractions, roll = (
-            interpolated(self.knots, np.stack(values), zero_orders=(3, 4))
-            for values in zip(
-                *((h.vertices, h.fractions, h.roll) for h in self.hitches), strict=True
-            )
+        vertices = self._spline([hitch.vertices for hitch in self.hitches])
+        fractions = self._spline([hitch.fractions for hitch in self.hitches])
+        roll = self._spline([hitch.roll for hitch in self.hitches])
+        path = ShapePath(
+            self.hitches[0].team,
+            vertices,
+            LegLaw.of_fractions(fractions),
+            roll=roll if np.any(roll.coefficients) else None,
         )
-        curve, legs = roll if np.any(roll.coefficients) else None, LegLaw.of_fractions(fractions)
-        path = ShapePath(self.hitches[0].team, vertices, legs, roll=curve)
         check_shapes(path)
         grid = np.linspace(0.0, 1.0, GRID + 1)
         speed = np.max(length(drones_along(path, grid).positions[..., 1]), axis=1)
-        slowest, ratio = int(np.argmin(speed)), float(np.min(speed) / np.mean(speed))
+        slowest = int(np.argmin(speed))
+        ratio = float(np.min(speed) / np.mean(speed))
         if ratio < MIN_SPEED_RATIO:
             unit, when = "of the mean speed", f"at {grid[slowest]:.0%} of the path"
             remedy = "the path turns back on itself there: go by another one"
