@@ -242,6 +242,9 @@ required_module = partial(optional_module, purpose="this format needs", extra="e
 MANIFEST = "export.json"
 """File name of an export's manifest, which has its contents, frame and checks."""
 
+PLAN_COPY = "exported_plan.npz"
+"""File name of the copy of the plan in the folder of its export."""
+
 MANIFEST_FORMAT = "hitchopt-export/1"
 """Format of the manifest."""
 

@@ -22,7 +22,13 @@ from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import certificate_of, certify
 from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Progress, contained
-from hitchopt.exports.contents import MANIFEST, MANIFEST_FORMAT, listed_names, read_manifest
+from hitchopt.exports.contents import (
+    MANIFEST,
+    MANIFEST_FORMAT,
+    PLAN_COPY,
+    listed_names,
+    read_manifest,
+)
 from hitchopt.exports.format import ExportTask, Format, format_of
 from hitchopt.exports.held_tension import held_tension, is_overridden, loop_gains, trailing_times
 from hitchopt.exports.options import ENDINGS, ExportOptions
@@ -34,6 +40,7 @@ from hitchopt.hitch.forces import INTEGRAL, SLACK, undetermined_tension
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.plan_file import write_plan
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
@@ -127,8 +134,11 @@ def export_flight(
         raise FileError(f"{place}: already exists; an export is a folder: choose another name")
     certificate_of(plan, say).raise_if_violated()
     with _scratch_folder(place) as scratch:
+        copy = scratch / PLAN_COPY
+        write_plan(copy, flight, title, problem)
+        task = replace(task, plan_digest=digest(copy), stretch=options.stretch)
         task, exports = _export_task(kind, task, scratch, say)
-        return _move_exports(exports, place, kind, task)
+        return _move_exports(exports, place, kind, task, copy)
 
 
 def tracking_notes(flight: Flight) -> Iterator[str]:
@@ -421,7 +431,8 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             slower = task.flight.stretched(factor)
             slowdown = f"exported {factor - 1.0:.0%} slower than planned"
             note = f"{slowdown}: at full speed, rounding would break a limit"
-            yield (replace(task, flight=slower, notes=(*task.notes, note)),)
+            notes, stretch = (*task.notes, note), factor * task.stretch
+            yield (replace(task, flight=slower, stretch=stretch, notes=notes),)
         yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
     for number, tasks in enumerate(candidates()):
@@ -510,8 +521,13 @@ def _tracking_facts(flight: Flight) -> dict[str, Any]:
 
 
 def _manifest_head(kind: Format, task: ExportTask) -> dict[str, Any]:
-    head = {"format": MANIFEST_FORMAT, "exported_as": kind.name, "title": task.title}
+    head: dict[str, Any] = {
+        "format": MANIFEST_FORMAT,
+        "exported_as": kind.name,
+        "title": task.title,
+    }
     names = _controllers(task.flight.team)
+    head |= {"plan_digest": task.plan_digest, "stretch": task.stretch}
     return {**head, "flown_by": kind.flown_by, "controllers": names, **task.frame.to_dict()}
 
 
@@ -532,11 +548,12 @@ def _is_file(place: Path) -> bool:
 
 
 def _move_exports(
-    exports: Sequence[Export], place: Path, kind: Format, task: ExportTask
+    exports: Sequence[Export], place: Path, kind: Format, task: ExportTask, plan: Path
 ) -> tuple[Export, ...]:
     """Move verified exports to their file or folder; several parts to subfolders.
 
-    Raises FileError if files that are not of an earlier export would go.
+    A folder gets the copy of the ``plan``, too. Raises FileError if files that are not of an
+    earlier export would go.
     """
     first, several = exports[0], len(exports) > 1
     if _is_file(place):
@@ -557,10 +574,13 @@ def _move_exports(
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}
         new[place] = {MANIFEST: first.folder.parent / MANIFEST}
         write_strict_json(new[place][MANIFEST], content)
+    new[place][plan.name] = plan
     parts = [place / name for name in listed_names(read_manifest(place), "parts")]
     obsolete = [folder for folder in parts if folder not in new]
     for folder, sources in (new | {folder: {} for folder in obsolete}).items():
-        owned = {MANIFEST, *listed_names(read_manifest(folder), "files")}
+        earlier = read_manifest(folder)
+        owned = {MANIFEST, *listed_names(earlier, "files")}
+        owned |= {PLAN_COPY} if "plan_digest" in earlier else set()
         if foreign := [name for name in sources if name not in owned and (folder / name).exists()]:
             reason = "already exists and is not an export; choose another folder with -o"
             raise FileError(f"{folder / foreign[0]}: {reason}")

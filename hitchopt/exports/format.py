@@ -58,6 +58,8 @@ class ExportTask:
     undetermined: tuple[str, ...] = ()  # reasons why the tension is undetermined
     settings: Mapping[str, Any] = field(default_factory=dict)  # of receivers, for the manifest
     notes: tuple[str, ...] = ()  # notes for the user
+    plan_digest: str = ""  # of the plan's file, for the manifest
+    stretch: float = 1.0  # factor of the plan's durations
     has_trims: bool = True  # whether setpoints include trims, which turn with the heading
 
     @property
@@ -224,6 +226,10 @@ class Format(ABC):
     @abstractmethod
     def load(self, files: Sequence[Path]) -> FileContents:
         """Read files of any origin; raises FileError if they are damaged."""
+
+    def sent(self, files: Sequence[Path]) -> FileContents:
+        """Read files as a receiver gets them; streamed accelerations include cable forces."""
+        return self.load(files)
 
     def read(self, folder: Path, task: ExportTask) -> FileContents:
         """Return the receiver's motion for a task's files.

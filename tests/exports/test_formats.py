@@ -180,7 +180,8 @@ def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:
     exported(swarm_plan(), "csv", folder)
     (folder / "mine.txt").write_text("mine")
     exported(swarm_plan(), "parquet", folder)
-    assert {p.name for p in folder.iterdir()} == {"export.json", "mine.txt", "setpoints.parquet"}
+    names = {"export.json", "exported_plan.npz", "mine.txt", "setpoints.parquet"}
+    assert {p.name for p in folder.iterdir()} == names
     other.mkdir()
     (other / "setpoints.parquet").write_text("somebody's")
     with pytest.raises(FileError, match="is not an export"):

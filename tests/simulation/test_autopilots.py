@@ -33,7 +33,7 @@ from hitchopt.hitch.flight_controller import (
     stiffest_gains,
 )
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
+from hitchopt.lab.simulation.commands import flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import (
     LATENCY,
     Estimator,
@@ -44,7 +44,7 @@ from hitchopt.lab.simulation.estimator import (
 )
 from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
 from hitchopt.lab.simulation.settings import Settings, settings_of
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import Commands, Task
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.values import Array
 
@@ -313,7 +313,7 @@ def test_drones_are_controlled_independently(name: str) -> None:
         inertia = inertia_of(masses[chosen])
         pilots = Autopilots(loops[chosen], masses[chosen], inertia, 25.0 * masses[chosen])
         mine = RigidBodies(*(values[chosen] for values in vars(now).values()))
-        sent = Commands(*(values[chosen] for values in vars(commands).values()))
+        sent = Commands(*(values[chosen] for values in commands.arrays.values()))
         for _ in range(7):
             pilots.advance(sent, mine, PERIOD)
         return np.column_stack([pilots.thrusts, pilots.moments])
@@ -650,7 +650,7 @@ def test_the_commands_of_several_teams_hold_their_last_setpoint() -> None:
     short, long = (Commands(*random.standard_normal((4, k, d, 3))) for k, d in ((2, 4), (5, 6)))
     both = Commands.joined([short, long])
     for index in (0, 1, 4, 7):
-        for name, values in vars(both[index]).items():
+        for name, values in both[index].arrays.items():
             expected = [getattr(x[index], name) for x in (short, long)]
             np.testing.assert_array_equal(values, np.concatenate(expected))
 

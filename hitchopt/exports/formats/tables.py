@@ -38,6 +38,8 @@ COLUMNS = tuple(name for group in GROUPS.values() for name in group)  # After t 
 HEADER = ",".join(("t", "drone", *COLUMNS))
 STATE_COLUMNS = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
 """Columns of position, velocity and acceleration; the latter two are optional."""
+SENT_COLUMNS = *STATE_COLUMNS[:2], GROUPS["feed_forward"]
+"""Columns of position, velocity and feed-forward acceleration."""
 SMOOTH = 2  # The curves are quintics with continuous accelerations
 GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 FRAME_KEY = b"hitchopt.frame"  # Key in a parquet schema's metadata
@@ -64,13 +66,25 @@ class TableFormat(Format):
     dotted = True
 
     @abstractmethod
-    def table(self, path: Path) -> tuple[NDArray[np.str_], Array, str]:
-        """Read names of drones (rows,), times and vectors (rows, 4, 7 or 10), and the frame."""
+    def table(
+        self, path: Path, columns: Sequence[Sequence[str]]
+    ) -> tuple[NDArray[np.str_], Array, str]:
+        """Read names of drones (rows,), times and vectors (rows, 4, 7 or 10), and the frame.
+
+        ``columns`` are those of positions, velocities and accelerations.
+        """
 
     def load(self, files: Sequence[Path]) -> FileContents:
         """Return the contents of rows sorted by time, then drone."""
-        with reading(files[0], f"{self.name} table of hitchopt's columns"):
-            return _contents_of_rows(*self.table(files[0]))
+        return self._contents(files[0], STATE_COLUMNS)
+
+    def sent(self, files: Sequence[Path]) -> FileContents:
+        """Return the contents with feed-forward accelerations, for controllers that take them."""
+        return self._contents(files[0], SENT_COLUMNS)
+
+    def _contents(self, path: Path, columns: Sequence[Sequence[str]]) -> FileContents:
+        with reading(path, f"{self.name} table of hitchopt's columns"):
+            return _contents_of_rows(*self.table(path, columns))
 
 
 def _contents_of_rows(drones: NDArray[np.str_], table: Array, frame: str) -> FileContents:
@@ -105,10 +119,12 @@ class CsvTable(TableFormat):
         write_rows(folder / self.files(task)[0], HEADER, (task.names, rows_of(task, ROWS)))
         return FormatOutput(self.files(task))
 
-    def table(self, path: Path) -> tuple[NDArray[np.str_], Array, str]:
+    def table(
+        self, path: Path, columns: Sequence[Sequence[str]]
+    ) -> tuple[NDArray[np.str_], Array, str]:
         """Read the columns that are there; the file's name has the frame."""
         table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
-        numbers = table.numbers(["t", *present_columns(table, STATE_COLUMNS)])
+        numbers = table.numbers(["t", *present_columns(table, columns)])
         drones = np.array(table.words("drone"), np.str_)
         return drones, numbers, path.stem.rpartition("_")[2]
 
@@ -136,14 +152,16 @@ class ParquetTable(TableFormat):
                 writer.write_table(arrow.table(columns, schema=writer.schema), len(indices))
         return FormatOutput((self.file,))
 
-    def table(self, path: Path) -> tuple[NDArray[np.str_], Array, str]:
+    def table(
+        self, path: Path, columns: Sequence[Sequence[str]]
+    ) -> tuple[NDArray[np.str_], Array, str]:
         """Read the columns that are there; the metadata has the frame."""
         arrow, parquet = required_module("pyarrow"), required_module("pyarrow.parquet")
         with reading(path, "parquet file", arrow.ArrowException), parquet.ParquetFile(path) as file:
             check_expansion(72 * file.metadata.num_rows, path.stat().st_size)
             schema = file.schema_arrow
             frame = (schema.metadata or {}).get(FRAME_KEY, b"").decode("ascii", "replace")
-            columns = ["drone", "t", *present_columns(schema.names, STATE_COLUMNS)]
-            drones, *rows = file.read(columns).columns
+            present = ["drone", "t", *present_columns(schema.names, columns)]
+            drones, *rows = file.read(present).columns
             numbers = np.column_stack([row.to_numpy() for row in rows]).astype(np.float64)
             return np.array(drones.to_pylist(), np.str_), numbers, frame

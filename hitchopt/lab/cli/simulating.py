@@ -73,6 +73,7 @@ def _settings_options() -> Sequence[click.Option]:
 @command(
     "directory DIR",
     option("-o --output", "Output directory; default: DIR/simulation.", PATH, "OUT"),
+    option("--plan", "Plan of an exported file; export folders have a copy.", PATH, "PLAN"),
     option(
         "--preset",
         "fast: links of 30 mm, to see whether the hitch holds; accurate: links of 10 mm, correct "
@@ -108,6 +109,7 @@ def _settings_options() -> Sequence[click.Option]:
 def simulate(
     directory: Path,
     output: Path | None,
+    plan: Path | None,
     runs: int | None,
     workers: int | None,
     lose: str | None,
@@ -119,10 +121,12 @@ def simulate(
     reaction: bool,
     **options: Any,
 ) -> None:
-    """Simulate the plan in DIR with ropes and drones (needs mujoco).
+    """Simulate the plan or export in DIR with ropes and drones (needs mujoco).
 
-    Flies what the plan states: its cables, its drones, and their controller with the filter and
-    the files that are exported for it. Options change one of these each. Vertex errors are
+    An export, a folder or file that hitchopt export wrote, is flown by its files: their setpoints,
+    gains and filter, and what fly.py does between parts. A plan is flown with its cables, its
+    drones, and their controller with the filter and the files that would be exported for it.
+    Options change one of these each. Vertex errors are
     distances in three dimensions, including sag. A single flight ends with 3 if drones touch, a
     vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5° beyond
     the plan's tracking errors, or the simulation leaves its valid range; with --lose, if a survivor
@@ -130,6 +134,7 @@ def simulate(
     success rate.
     """
     from hitchopt.lab.simulation.control import read_calibrated
+    from hitchopt.lab.simulation.exported import is_export, read_exported
     from hitchopt.lab.simulation.judgement import warnings
     from hitchopt.lab.simulation.settings import settings_of
     from hitchopt.lab.simulation.task import read_task
@@ -139,22 +144,40 @@ def simulate(
         run_campaign,
         save_campaign,
     )
+    from hitchopt.motion.plan_file import read_saved_plan
 
-    directory = plan_path(directory).parent
+    exported = None
+    if plan is not None or is_export(directory):
+        if lose is not None:
+            raise InputError("lose", lose, "of a plan", "simulate the plan's directory")
+        with ProgressBar("reading the export"):
+            exported = read_exported(directory, None if plan is None else plan_path(plan))
+        say(str(exported), exported=exported.facts)
+        directory = directory if directory.is_dir() else directory.parent
+    else:
+        directory = plan_path(directory).parent
     if lose is not None and runs is not None:
         raise InputError("lose", lose, "of a single flight", "leave out --runs")
     if as_calibrated is not None:
         options["as_calibrated"] = read_calibrated(as_calibrated)
     settings = settings_of(**options, **perturb)
     with ProgressBar("reading the plan"):
-        task = read_task(directory)
+        task = read_task(directory) if exported is None else exported.task
     if lose is not None:
         settings, task = _with_loss(directory, settings, task, lose, react=reaction)
     for warning in warnings(task, settings):
         say(f"note: {warning}")
     folder = directory / RESULTS if output is None else output
     if runs is None:
-        _simulate_one(task, settings, folder, directory, format, width)
+        simulation = _flown(task, settings)
+        if exported is None:
+            saved = read_saved_plan(plan_path(directory))
+            title, flight = saved.title, saved.flight
+        else:
+            title, flight = exported.title, exported.flight
+        with ProgressBar("writing the results"):
+            simulation.save(folder, title, flight, format, width)
+        _report(simulation, folder, directory if exported is None else None)
         return
     with ProgressBar("building ropes"):
         seconds, count = expected_seconds(task, settings), processes(runs, workers)
@@ -191,35 +214,45 @@ def _with_loss(
     return settings, task.released(reaction.motion, reaction.start, RELEASE_TIME)
 
 
-def _simulate_one(
-    task: Task, settings: Settings, folder: Path, directory: Path, format: str, width: float | None
-) -> None:
-    """Simulate, save and report one flight; exit with EXIT_INFEASIBLE unless it succeeded."""
+def _flown(task: Task, settings: Settings) -> Simulation:
+    """Simulate one flight; report what it flies, and how long that takes."""
     from hitchopt.lab.simulation.flight import FlightInProgress
+    from hitchopt.lab.simulation.report import Simulation
+
+    with ProgressBar("building ropes"):
+        flight = FlightInProgress(task, settings)
+        seconds = flight.expected_seconds()
+    if flight.files:
+        say(
+            f"flies what an export would contain ({flight.files}), without storing it; to fly "
+            "stored files, simulate the folder of their export",
+            files=flight.files,
+        )
+    say(f"{flight.steps:,} steps, about {seconds:.0f} s")
+    with ProgressBar("flying") as progress:
+        return Simulation.judged(flight.flown(progress))
+
+
+def _report(simulation: Simulation, folder: Path, plan: Path | None) -> None:
+    """Report one flight, of the ``plan`` in a directory or of an export.
+
+    Exits with EXIT_INFEASIBLE unless it succeeded.
+    """
     from hitchopt.lab.simulation.judgement import (
         FAILED,
         NOT_SIMULATED,
         UNSIMULATED,
         tracking_verdict,
     )
-    from hitchopt.lab.simulation.report import Simulation, ending, summary
-    from hitchopt.motion.plan_file import read_saved_plan
+    from hitchopt.lab.simulation.report import ending, summary
 
-    with ProgressBar("building ropes"):
-        flight = FlightInProgress(task, settings)
-        seconds = flight.expected_seconds()
-    say(f"{flight.steps:,} steps, about {seconds:.0f} s")
-    with ProgressBar("flying") as progress:
-        simulation = Simulation.judged(flight.flown(progress))
-    saved = read_saved_plan(plan_path(directory))
-    with ProgressBar("writing the results"):
-        simulation.save(folder, saved.title, saved.flight, format, width)
     message = f"{flight_tables(simulation)}\n\n{ending(simulation)}; results are in {folder}"
     say(message, directory=str(folder), simulation=summary(simulation))
     if words := tracking_verdict(simulation.flight):
         say(words, tracking=words)
-    if simulation.errors.t.size and len(task.parts) == 1:
-        command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(directory)])
+    is_alone = len(simulation.flight.task.parts) == 1
+    if simulation.errors.t.size and is_alone and plan is not None:
+        command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(plan)])
         say(f"LaTeX table: {command}")
     for failure in simulation.outcome.failures:
         status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED

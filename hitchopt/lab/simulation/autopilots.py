@@ -24,10 +24,10 @@ import numpy as np
 from hitchopt.geometry.vectors import axial_vector, cross_product, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import FlightController
-from hitchopt.lab.simulation.commands import Commands
 from hitchopt.lab.simulation.control import ARM, MOMENT_SHARES, UP, PositionGains, desired_attitudes
 from hitchopt.lab.simulation.estimator import RATE, Estimator
 from hitchopt.lab.simulation.settings import MOTOR_LAG
+from hitchopt.lab.simulation.task import Commands
 from hitchopt.lab.simulation.world import BODY_RADIUS, RigidBodies
 from hitchopt.values import Array
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import HELD, STOCK, Gains, latency_scale
 from hitchopt.lab.simulation.settings import IDEAL, Settings
-from hitchopt.lab.simulation.task import RATE, Task
+from hitchopt.lab.simulation.task import RATE, Commands, Received, Task
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.trajectory import PiecewisePolynomial
@@ -30,38 +30,14 @@ PACKET_RATES = ("mellinger",)  # Controllers that follow body rates of a packet
 CURVE_RATES = ("mellinger", "lee")  # Controllers that follow body rates from the jerk of curves
 
 
-@dataclass(frozen=True, eq=False)
-class Commands:
-    """Setpoints at some times (…); yaw is 0."""
-
-    positions: Array  # (…, 2n, 3) [m]
-    velocities: Array  # (…, 2n, 3) [m/s]
-    accelerations: Array  # (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward
-    rates: Array  # (…, 2n, 3) [rad/s], about the bodies' axes
-
-    @classmethod
-    def joined(cls, each: Sequence[Commands]) -> Commands:
-        """Return the samples of several teams; those that end early hold their last one."""
-        samples = np.arange(max(len(commands.positions) for commands in each))
-
-        def joined(name: str) -> Array:
-            columns = (getattr(commands, name).take(samples, 0, mode="clip") for commands in each)
-            return np.concatenate([*columns], axis=1)
-
-        return cls(*(joined(field.name) for field in fields(cls)))
-
-    def __getitem__(self, index: int) -> Commands:
-        """Return the setpoints of one sample, of the last one beyond it."""
-        i = min(index, len(self.positions) - 1)
-        return Commands(self.positions[i], self.velocities[i], self.accelerations[i], self.rates[i])
-
-
 def resolved(task: Task, settings: Settings) -> Settings:
     """Return settings that state controller, estimator and upload: those of a task if left out.
 
     Exact states are None in these. Raise InputError for settings of a flight controller without
     one, or a latency without an estimator.
     """
+    if task.received is not None:
+        settings = _of_files(task.received, settings)
     estimator, upload = settings.estimator, settings.upload
     if settings.controller is None:
         names = named_controllers(task)
@@ -80,6 +56,19 @@ def resolved(task: Task, settings: Settings) -> Settings:
         bound, remedy = "left out without an estimator", "add estimator='crazyflie'"
         raise InputError("latency", settings.latency, bound, remedy)
     return replace(settings, estimator=estimator, upload=bool(upload))
+
+
+def _of_files(files: Received, settings: Settings) -> Settings:
+    """Return settings with controller and filter of exported files, if these hold gains."""
+    for name in ("controller", "gains", "estimator", "upload", "feedback"):
+        if value := getattr(settings, name):
+            raise InputError(name, value, "left out for an export", "its files state it")
+    settings = replace(settings, upload=files.flown_by == "upload")
+    if not files.loops:
+        return settings
+    name = files.loops[0].name
+    estimator = (files.estimator or HELD) if STOCK[name].filtered else IDEAL
+    return replace(settings, controller=name, estimator=estimator)
 
 
 def named_controllers(task: Task) -> set[str | None]:
@@ -123,10 +112,16 @@ def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
     """Return the rounded packets of full states, with body rates if ``follows``."""
     setpoints, mass = task.states, team.mass[:, None]
     forward = setpoints.accelerations - team.pull_gain * setpoints.cable_forces / mass
-    rates = _body_rates(mass, forward, task.states.t, follows=follows)
-    values = setpoints.positions, setpoints.velocities, forward, rates
-    counts = (np.rint(x / QUANTUM) for x in values)
-    return Commands(*(QUANTUM * np.clip(x, -MAX_COUNT, MAX_COUNT) for x in counts))
+    rates = body_rates(mass, forward, task.states.t, follows=follows)
+    return packets(Commands(setpoints.positions, setpoints.velocities, forward, rates))
+
+
+def packets(commands: Commands) -> Commands:
+    """Return commands as they are rounded in the packets of full states."""
+    arrays = commands.positions, commands.velocities, commands.accelerations, commands.rates
+    counts = (np.clip(np.rint(x / QUANTUM), -MAX_COUNT, MAX_COUNT) for x in arrays)
+    positions, velocities, accelerations, rates = (QUANTUM * count for count in counts)
+    return Commands(positions, velocities, accelerations, rates, commands.files)
 
 
 def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
@@ -164,8 +159,11 @@ def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
             jet = curve.jet(np.minimum(elapsed, curve.duration), 3)
             jets[:, current, d] = np.moveaxis(jet, -1, 0)
             jets[1:, current & (t > start + curve.duration), d] = 0.0  # it hovers at the end
-    rates = _body_rates(team.mass[:, None], jets[2], t, follows=follows)
-    return Commands(jets[0], jets[1], jets[2], rates)
+    rates = body_rates(team.mass[:, None], jets[2], t, follows=follows)
+    count = "1 part" if len(parts) == 1 else f"{len(parts)} parts"
+    options_given = f"longer_rests={options.longer_rests}, allow_slack={options.allow_slack}"
+    words = f"{kind.name}, {count}, {options_given}"
+    return Commands(jets[0], jets[1], jets[2], rates, words)
 
 
 def _read(kind: CrazyflieFormat, part: Export, names: Sequence[str]) -> list[PiecewisePolynomial]:
@@ -174,7 +172,7 @@ def _read(kind: CrazyflieFormat, part: Export, names: Sequence[str]) -> list[Pie
     return [kind.upload(part.folder / file).curve for file in files]
 
 
-def _body_rates(mass: Array, accelerations: Array, t: Array, *, follows: bool) -> Array:
+def body_rates(mass: Array, accelerations: Array, t: Array, *, follows: bool) -> Array:
     """Return body rates (samples, 2n, 3) [rad/s] of free drones with some accelerations.
 
     Rates are zero at the last time, whose setpoint is held.

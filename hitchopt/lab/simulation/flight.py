@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from time import process_time
@@ -14,13 +15,13 @@ from numpy.typing import NDArray
 from hitchopt.errors import InfeasibleError, InputError, Progress, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import EstimatorParameters
+from hitchopt.hitch.flight_controller import EstimatorParameters, FlightController
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.lab.simulation.commands import Commands, flown_team, received, resolved
+from hitchopt.lab.simulation.commands import flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator, frame_age
 from hitchopt.lab.simulation.settings import IDEAL, Settings
-from hitchopt.lab.simulation.task import RATE, Task
+from hitchopt.lab.simulation.task import RATE, Commands, Task
 from hitchopt.lab.simulation.world import (
     BODY_HALF_HEIGHT,
     InvalidRunError,
@@ -157,6 +158,7 @@ class FlightInProgress:
         if task.flight is not None and settings.lost is not None:
             task.flight.of_one_team("the simulated loss of a drone")
         self._task, self._settings = task, settings
+        self.files = ""  # what an export of the plan would contain, in words; empty if streamed
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
         self._disturbances, parts = disturbances, task.parts
         end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
@@ -204,8 +206,7 @@ class FlightInProgress:
         self._calm_tension = MIN_CALM_TENSION * team.tension
         self._mean_calm_tension = float(np.mean(self._calm_tension))
         self._tensions = world.tensions  # of all segments after the last step
-        positions = task.states.positions + self._drone_models.trims
-        self._setpoints = replace(task.states, positions=positions)
+        self._setpoints = _setpoints(task, settings, self._drone_models.trims)
         self._outward_pulls = _outward_pulls(task)
         self._moment = self._moment_at(0)
         # Samples of the commands and of the plan that were sent last; None if others corrected them
@@ -234,17 +235,9 @@ class FlightInProgress:
         task, settings, world = self._task, self._settings, self._world
         if settings.controller == IDEAL:
             return control.Pilots(world, task.team, settings)
-        teams, estimator = [flown_team(part.team, settings) for part in task.parts], None
-        pairs = [*zip(task.parts, teams, strict=True)]
-        self._command_delay = 0.0
-        try:
-            each = [received(part, team, settings) for part, team in pairs]
-        except (InfeasibleError, UnsupportedError):
-            if not self._may_stream:
-                raise
-            settings = self._settings = replace(settings, upload=False)
-            each = [received(part, team, settings) for part, team in pairs]
-        self._commands = Commands.joined(each)
+        estimator, self._command_delay = None, 0.0
+        loops = self._receive()
+        settings = self._settings
         if isinstance(settings.estimator, EstimatorParameters):
             stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
             latency = max(stated) if settings.latency is None else settings.latency
@@ -253,7 +246,6 @@ class FlightInProgress:
             bodies = replace(world.bodies, positions=self._drones(0))
             measuring = self._disturbances.sensor_random
             estimator = Estimator(settings.estimator, bodies, measuring, round(age / PERIOD))
-        loops = [kind.loop for team in teams for kind in team.kinds]
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
 
@@ -265,6 +257,26 @@ class FlightInProgress:
         except InvalidRunError as error:
             return self._flight(error)
         return self._flight(None)
+
+    def _receive(self) -> Sequence[FlightController]:
+        """Store the commands of flight controllers, from files or the plan; return their loops."""
+        task, settings = self._task, self._settings
+        teams = [flown_team(part.team, settings) for part in task.parts]
+        loops = [kind.loop for team in teams for kind in team.kinds]
+        if (files := task.received) is not None:
+            self._commands = files.commands
+            return files.loops or loops
+        pairs = [*zip(task.parts, teams, strict=True)]
+        try:
+            each = [received(part, team, settings) for part, team in pairs]
+        except (InfeasibleError, UnsupportedError):
+            if not self._may_stream:
+                raise
+            self._settings = replace(settings, upload=False)
+            each = [received(part, team, self._settings) for part, team in pairs]
+        self._commands = Commands.joined(each)
+        self.files = self._commands.files
+        return loops
 
     def _fly_all(self) -> None:
         """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
@@ -507,6 +519,25 @@ class FlightInProgress:
             objects=world.objects,
             error=error,
         )
+
+
+def _setpoints(task: Task, settings: Settings, trims: Array) -> States:
+    """Return the setpoints of simplified controllers, with the drones' trims (2n, 3) [m].
+
+    Accelerations that files hold include the forces of cables.
+    """
+    states, files = task.states, task.received
+    if files is None or settings.controller != IDEAL:
+        return replace(states, positions=states.positions + trims)
+    sent, none = files.commands, np.zeros_like(states.positions)
+    return replace(
+        states,
+        positions=sent.positions + trims,
+        velocities=sent.velocities,
+        accelerations=sent.accelerations,
+        jerks=none,
+        cable_forces=none,
+    )
 
 
 def _outward_pulls(task: Task) -> Array:

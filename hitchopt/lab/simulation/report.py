@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hitchopt.errors import InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
+from hitchopt.lab.simulation.exported import is_export, read_exported
 from hitchopt.lab.simulation.flight import SimulatedFlight, fly
 from hitchopt.lab.simulation.judgement import (
     CampaignRun,
@@ -219,8 +220,9 @@ def simulate(
 
     Parameters
     ----------
-    plan: a plan with cables, or the directory of a saved one. The hitches of several teams fly in
-        one world; single drones and drones of other plans follow their setpoints exactly.
+    plan: a plan with cables, the directory of a saved one, or the folder of an export. The hitches
+        of several teams fly in one world; single drones and drones of other plans follow their
+        setpoints exactly.
     preset: ``fast``: links of 30 mm, which show whether the hitch holds; ``accurate``: of 10 mm,
         five times slower, with correct friction, to measure vertices.
     perturbed: whether to add the usual disturbances of an indoor flight.
@@ -244,6 +246,8 @@ def simulate(
     _check_names("settings", settings, vars(Settings()))
     is_perturbed = flag("perturbed", perturbed)
     options = settings_of(preset, perturbed=is_perturbed, **settings, **changes)
+    if isinstance(plan, str | Path) and is_export(Path(plan)):
+        return Simulation.of(read_exported(Path(plan)).task, options, progress)
     if isinstance(plan, str | Path):
         return Simulation.of(read_task(Path(plan)), options, progress)
     check_instance("plan", plan, Plan)

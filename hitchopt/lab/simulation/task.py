@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
+from hitchopt.hitch.flight_controller import EstimatorParameters, FlightController
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion
 from hitchopt.motion.loads import tautness
@@ -110,6 +111,49 @@ class Cargo:
         return ~rests & (heights > np.maximum(*supports) + MIN_LIFT)
 
 
+@dataclass(frozen=True, eq=False)
+class Commands:
+    """Setpoints at some times (…); yaw is 0."""
+
+    positions: Array  # (…, 2n, 3) [m]
+    velocities: Array  # (…, 2n, 3) [m/s]
+    accelerations: Array  # (…, 2n, 3) [m/s²]; less F / m if the force F of cables is fed forward
+    rates: Array  # (…, 2n, 3) [rad/s], about the bodies' axes
+    files: str = ""  # exported files that they are read from, in words; empty if streamed
+
+    @classmethod
+    def joined(cls, each: Sequence[Commands]) -> Commands:
+        """Return the samples of several teams; those that end early hold their last one."""
+        samples = np.arange(max(len(commands.positions) for commands in each))
+
+        def joined(name: str) -> Array:
+            columns = (getattr(commands, name).take(samples, 0, mode="clip") for commands in each)
+            return np.concatenate([*columns], axis=1)
+
+        arrays = {name: joined(name) for name in each[0].arrays}
+        return cls(**arrays, files=each[0].files)
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """Arrays of the setpoints by name."""
+        return {name: values for name, values in vars(self).items() if name != "files"}
+
+    def __getitem__(self, index: int) -> Commands:
+        """Return the setpoints of one sample, of the last one beyond it."""
+        i = min(index, len(self.positions) - 1)
+        return Commands(self.positions[i], self.velocities[i], self.accelerations[i], self.rates[i])
+
+
+@dataclass(frozen=True, eq=False)
+class Received:
+    """What the drones of exported files receive and are set to."""
+
+    commands: Commands  # (samples, 2n, 3)
+    loops: tuple[FlightController, ...]  # (2n,); empty if the files hold no gains
+    estimator: EstimatorParameters | None  # of the drones' filters; None if not in the files
+    flown_by: str  # upload or stream
+
+
 def group_of(name: str) -> str:
     """Return the team in the name of a drone, point or cable; empty for a single team."""
     return name.rpartition(".")[0]
@@ -201,6 +245,7 @@ class Task:
     flight: Flight | None = None
     teams: tuple[Task, ...] = ()  # the tasks of several teams
     passing: Passing = field(default_factory=Passing)  # drones that are not simulated
+    received: Received | None = None  # from exported files; None if the plan itself is flown
 
     def __post_init__(self) -> None:
         states, formed = self.states, self.states.formed[:, None]

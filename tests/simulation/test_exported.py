@@ -1,0 +1,176 @@
+"""Exported files as they are flown: setpoints, parts, parameters, and the plan that they need."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hitchopt as ho
+from hitchopt.cli import main
+from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.exports.contents import PLAN_COPY
+from hitchopt.exports.format import format_of
+from hitchopt.hitch.flight_controller import HELD
+from hitchopt.lab.simulation.commands import flown_team, resolved, streamed
+from hitchopt.lab.simulation.exported import BEFORE, BETWEEN, is_export, read_exported
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import Task
+from hitchopt.storage.archive import PLAN
+
+TEAM = ho.Team(3, 2.3, tension=0.4, quadrotor="paper_132g")
+QUANTUM = 1e-3  # Of packets [m], [m/s²]
+
+
+@pytest.fixture(scope="module")
+def plan() -> ho.Plan:
+    start = ho.Hitch.balanced(TEAM, ho.regular_polygon(3, 1.3), altitude=2.0)
+    return ho.transport(start, to=[0.2, 0.1, 2.1])
+
+
+def exported(plan: ho.Plan, folder: Path, kind: str, **options: Any) -> Path:
+    plan.export(kind, folder, **options)
+    assert is_export(folder)
+    return folder
+
+
+def test_streamed_setpoints_are_those_of_the_file_as_packets_hold_them(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    """They are those of the plan, which the simulator forms itself without a file."""
+    flown = read_exported(exported(plan, tmp_path / "csv", "csv"))
+    files, task = flown.task.received, Task.of(plan.flight)
+    settings = resolved(flown.task, Settings())
+    assert (settings.controller, settings.upload) == ("mellinger", False)
+    assert settings.estimator == HELD
+    own = streamed(task, flown_team(task.team, settings), follows=True)
+    assert files is not None
+    assert flown.task.duration == pytest.approx(plan.duration)
+    for name in ("positions", "velocities", "accelerations"):
+        ours, theirs = own.arrays[name], files.commands.arrays[name]
+        np.testing.assert_allclose(theirs[: len(ours)], ours, atol=1.001 * QUANTUM)
+
+
+@pytest.mark.parametrize("kind", ["crazyswarm2", "compressed"])
+@pytest.mark.parametrize(
+    "placed", [{}, {"frame": "nwu", "origin": (1.0, -2.0, 0.5), "yaw": 0.7}], ids=["enu", "nwu"]
+)
+def test_uploads_are_evaluated_from_their_files_in_the_plans_frame(
+    plan: ho.Plan, tmp_path: Path, kind: str, placed: dict[str, Any]
+) -> None:
+    folder = exported(plan, tmp_path / kind, kind, **placed)
+    flown = read_exported(folder)
+    states, files = flown.task.states, flown.task.received
+    assert files is not None
+    outward = files.commands.positions - states.positions
+    legs = states.positions - states.vertices[:, flown.task.team.layout.pulled_to]
+    along = np.einsum("sda,sda->sd", outward, legs) / np.linalg.norm(legs, axis=-1)
+    gains = files.loops[0].kp[0]
+    np.testing.assert_allclose(along[-1], 0.4 / gains, rtol=0.25)  # setpoints hold the tension
+    if not placed:
+        frame = "_enu" * (kind == "compressed")
+        ending = {"crazyswarm2": ".csv", "compressed": ".bin"}[kind]
+        curve = format_of(kind).upload(folder / f"r1{frame}{ending}").curve  # type: ignore[attr-defined]
+        drone = flown.task.team.drone_names.index("r1")
+        for index in (0, 37, 60):
+            place = curve.at(min(states.t[index], curve.duration))
+            np.testing.assert_allclose(files.commands.positions[index, drone], place, atol=1e-12)
+
+
+def test_gains_and_filter_are_those_of_the_files(plan: ho.Plan, tmp_path: Path) -> None:
+    folder = exported(plan, tmp_path / "files", "crazyswarm2")
+    flown, kinds = read_exported(folder), TEAM.kinds
+    assert flown.task.received is not None
+    assert flown.changed == ()
+    for loop, kind in zip(flown.task.received.loops, kinds, strict=True):
+        np.testing.assert_allclose([loop.kp, loop.kd], [kind.loop.kp, kind.loop.kd], rtol=1e-5)
+    assert flown.task.received.estimator == HELD
+    settings = folder / "crazyflies.yaml"
+    text = settings.read_text(encoding="utf-8")
+    settings.write_text(text.replace('"pNAcc_xy": 20.0', '"pNAcc_xy": 7.0'), encoding="utf-8")
+    edited = read_exported(folder)
+    assert edited.changed == ("crazyflies.yaml",)
+    assert edited.task.received is not None
+    assert edited.task.received.estimator is not None
+    assert edited.task.received.estimator.level_noise == 7.0
+    with pytest.raises(InputError, match="its files state it"):
+        resolved(edited.task, Settings(controller="lee"))
+
+
+def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) -> None:
+    saved = plan.save(tmp_path / "plan", picture=False)
+    other = ho.hold(plan.end, 0.5).save(tmp_path / "other", picture=False)
+    folder = exported(ho.load(saved), tmp_path / "csv", "csv")
+    manifest = json.loads((folder / "export.json").read_text(encoding="utf-8"))
+    assert (folder / PLAN_COPY).read_bytes() == (saved / PLAN).read_bytes()
+    file = tmp_path / "alone.csv"
+    ho.load(saved).export("csv", file)
+    assert is_export(file)
+    assert not is_export(saved)
+    with pytest.raises(InputError, match=r"plan = None.*add --plan"):
+        read_exported(file)
+    with pytest.raises(FileError, match="is another plan than the exported one"):
+        read_exported(file, other / PLAN)
+    with pytest.raises(FileError, match=r"holds no export\.json"):
+        read_exported(saved)
+    assert read_exported(file, saved / PLAN).task.duration == pytest.approx(plan.duration)
+    assert manifest["plan_digest"]
+    viewed = exported(plan, tmp_path / "gltf", "gltf")
+    with pytest.raises(UnsupportedError, match="no drone flies them"):
+        read_exported(viewed)
+
+
+def test_an_export_that_becomes_smaller_leaves_nothing_behind(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    folder = exported(plan, tmp_path / "files", "crazyswarm2")
+    exported(plan, folder, "csv")
+    names = {path.name for path in folder.iterdir()}
+    assert names == {"export.json", PLAN_COPY, "setpoints_enu.csv"}
+
+
+def test_stretched_exports_are_flown_with_a_stretched_plan(plan: ho.Plan, tmp_path: Path) -> None:
+    flown = read_exported(exported(plan, tmp_path / "csv", "csv", stretch=1.5))
+    assert flown.task.duration == pytest.approx(1.5 * plan.duration)
+    states, files = flown.task.states, flown.task.received
+    assert files is not None
+    np.testing.assert_allclose(files.commands.positions, states.positions, atol=QUANTUM)
+
+
+@pytest.mark.slow
+def test_parts_are_flown_with_what_the_script_does_between_them(tmp_path: Path) -> None:
+    """Drones take off, and go to the first points of the next part: nothing jumps."""
+    q = np.array([[-1.0, 0.9, 1.0], [0.9, 0.9, 1.0], [-0.3, -1.2, 1.0]])
+    team = ho.Team(3, 2.35, tension=0.4, cable_density=0.01, quadrotor="paper_132g")
+    start = ho.DronesStart(q, q + [0.6, 0.0, 0.0])
+    mission = ho.Mission(team, start).form(ho.regular_polygon(3, 1.0), altitude=1.5)
+    plan = mission.hold(4.0).release().solve()
+    flown = read_exported(exported(plan, tmp_path / "files", "crazyswarm2"))
+    assert flown.takes_off
+    assert len(flown.parts) > 1
+    seconds = sum(part.curves.duration for part in flown.parts)
+    waits = BEFORE + BETWEEN * (len(flown.parts) - 1)
+    assert flown.task.duration == pytest.approx(seconds + waits, abs=0.01)
+    files, states = flown.task.received, flown.task.states
+    assert files is not None
+    positions, velocities = files.commands.positions, files.commands.velocities
+    assert np.max(positions[0, :, 2]) < 0.05
+    assert np.max(np.linalg.norm(np.diff(positions, axis=0), axis=-1)) < 0.011
+    rates = np.diff(positions, axis=0) / np.diff(states.t)[:, None, None]
+    mean_rates = 0.5 * (velocities[1:] + velocities[:-1])
+    assert np.max(np.abs(rates - mean_rates)) < 0.05
+    assert np.max(np.linalg.norm(positions - states.positions, axis=-1)) < 0.2
+
+
+@pytest.mark.slow
+def test_the_command_flies_an_export(plan: ho.Plan, tmp_path: Path) -> None:
+    folder = exported(plan, tmp_path / "files", "crazyswarm2")
+    result = CliRunner().invoke(main, ["simulate", str(folder)])
+    assert result.exit_code == 0, result.output
+    assert "flies the crazyswarm2 files in 1 part" in result.stdout
+    assert (folder / "simulation" / "simulation.json").is_file()
+    assert "every vertex holds" in result.stdout
