@@ -704,8 +704,8 @@ OBJECT_CLEARANCE = CheckRule(
         Evaluator(nearest(_hanging_and_objects), DRAWN, exported=True),
         Evaluator(nearest(_clasped_and_objects), FREE_STATES | TAUT_STATES),
     ),
-    "fly higher over objects or farther from them, lift the held one higher, use shorter cables "
-    "or stand it higher where the ground is near, or allow a smaller separation.object",
+    "fly higher over objects or farther away, lift the held one higher, use shorter cables, place "
+    "it higher, or allow a smaller separation.object",
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
 )

@@ -61,8 +61,8 @@ TRAILING_REMEDY = "fly it slower, give cables or polygons more room, or fly full
 
 ROUNDING_REASON = "rounding or refitting costs more than the plan's margins"
 OFFSET_REASON = (
-    "setpoints outward of the drones, which hold the tension, cost more than the plan's margins: "
-    "stiffer position loops or lower tensions move them less; or stream it, or add allow_slack=True"
+    "setpoints that hold the tension exceed the plan's margins: use stiffer position loops or a "
+    "lower tension, stream it, or add allow_slack=True"
 )
 """Reasons for violations, without and with setpoints that hold the tension."""
 
@@ -241,8 +241,8 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
             remedy = f"Add stretch={task.options.stretch * first * factor:.4g}"
             break
     message = (
-        f"{kind.name}: drones that follow positions alone {size}, and distances do not allow for "
-        f"it. {remedy}, or fly full setpoints, which do not trail: leave out positions_only."
+        f"{kind.name}: drones that follow positions alone {size}, more than distances allow for. "
+        f"{remedy}, or leave out positions_only and fly full setpoints."
     )
     raise InfeasibleError([check.violation("", TRAILING_REMEDY)], message)
 

@@ -86,15 +86,15 @@ def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:
     """Return the parts of a task between times [s] at rest, with notes."""
     count = len(cuts) - 1
     notes = [
-        f"the plan is cut into {count} parts at rests, to fit the drones' memory or keep a limit: "
-        "before each upload, goTo every drone's hover point"
+        f"the plan is cut into {count} parts at rests, to fit memory or keep a limit: before each "
+        "upload, goTo every drone's hover point"
     ]
     if task.rests_longer:
         times = ", ".join(f"{rest:.3f}" for rest in cuts[1:-1])
         notes.append(
-            f"rests are extended by {REST_TIME:g} s at t = {times} s of the plan "
-            f"({REST_TIME * (count - 1):g} s in all), so that setpoints come to rest; the "
-            "certificate covers them"
+            f"rests at t = {times} s are extended by {REST_TIME:g} s "
+            f"({REST_TIME * (count - 1):g} s in all) until setpoints are at rest; the certificate "
+            "covers them"
         )
     parts = []
     for i, (start, end) in enumerate(pairwise(cuts), 1):

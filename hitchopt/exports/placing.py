@@ -96,12 +96,12 @@ class Member:
     """A drone in a fleet file, or a robot in a crazyflies.yaml."""
 
     uri: Annotated[str, Key(_WORD, "Address of its radio")]
-    name: Annotated[str, Key(_WORD, "In files and topics; in a crazyflies.yaml its key")] = ""
-    type: Annotated[str, Key(_WORD, "Its entry in the types")] = "default"
-    role: Annotated[str, Key(_WORD, "Its name in the plan; in a fleet file its key")] = ""
+    name: Annotated[str, Key(_WORD, "Name in files and topics; the key in a crazyflies.yaml")] = ""
+    type: Annotated[str, Key(_WORD, "Entry in the types")] = "default"
+    role: Annotated[str, Key(_WORD, "Name in the plan; the key in a fleet file")] = ""
     enabled: Annotated[bool, Key(FLAGS, "Whether it flies")] = True
     initial_position: Annotated[
-        list[float], Key(list_of(NUMBER), "Its place; the plan's is used")
+        list[float], Key(list_of(NUMBER), "Initial position; that of the plan is used")
     ] = field(default_factory=list)
     firmware_params: Annotated[
         dict[str, dict[str, int | float]],

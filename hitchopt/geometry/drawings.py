@@ -58,8 +58,8 @@ PIXELS = 96.0
 PAGE_TOLERANCE = 5e-4  # Largest share of its bounding box that a page or frame leaves out
 
 PIXEL_NOTE = (
-    "its size is in pixels of 1/96 inch, as in CSS; programs that write 72 px an inch, such as "
-    "Illustrator, make parts three quarters as large: check the size, or save the drawing in mm"
+    "its size is in CSS pixels (1/96 inch); programs with 72 px per inch make parts three "
+    "quarters as large: check it, or save the drawing in mm"
 )
 """Note on drawings whose size is in pixels, which is no physical unit."""
 

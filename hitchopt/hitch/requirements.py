@@ -77,8 +77,9 @@ class Limits(OneLine):
         float | Tube | None,
         Key(
             TRACKING,
-            "How far all drones may be off at once, every distance kept, a number, or level and "
-            "height; null: as far as the team's calibrated drones or named flight controllers need",
+            "Largest tracking error of all drones at which every distance is kept, a number, or "
+            "level and height; null: that of the team's calibrated drones or named flight "
+            "controllers",
         ),
     ] = None
     tilt_deg: InitVar[float | None] = field(default=None, kw_only=True)

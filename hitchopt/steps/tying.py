@@ -376,8 +376,7 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
         (np.ptp(team.tension) > 0.0, "unequal tensions: give one team.tension"),
         (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
         (requirements.limits.tube.level, "limits.tracking, which taut cables alone do not allow: "
-         "set limits.tracking: 0 (left out, it follows from the controller), and a larger "
-         "separation.radius for the drones' errors"),
+         "set limits.tracking: 0, and a larger separation.radius for the drones' errors"),
     ):  # fmt: skip
         if unsupported:
             raise UnsupportedError(f"{step}: laying and rolling do not support {reason}")

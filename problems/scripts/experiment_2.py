@@ -15,7 +15,7 @@ flight.save("experiment_2/simulation")
 flown = ho.evaluate("experiment_2/simulation", "experiment_2")
 flown.save("experiment_2/evaluation", format="pdf", width=3.5)
 print(flown.sag)
-assert "not in these errors" in flown.sag
+assert "do not include it" in flown.sag
 for row in flown.short_table:
     if row.phase == "all" and row.name.startswith("p"):
         print(f"{row.name}: {1e3 * row.mean:.0f} ± {1e3 * row.std:.0f} mm")

@@ -68,7 +68,7 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
     result = run("simulate", solved, code=0)
     for words in (
         "every vertex holds; results are in",
-        "preset fast: .* links of 30 mm catch at clasps; .* with --preset accurate, links of 10 mm",
+        r"preset fast: .* links of 30 mm catch at clasps; use --preset accurate \(10 mm\)",
         r"p0( +\d\.\d){3}\n",
         r"all, at rest( +\d\.\d){3}\n",
         r"minimum separation of drones \[ellipsoids\] +\d\.\d\d, [qr]\d and [qr]\d\n",

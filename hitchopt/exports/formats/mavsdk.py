@@ -71,8 +71,8 @@ class MavsdkDroneShow(Format):
     rate = 20.0
     accuracy = 2e-3
     feed_forward = (
-        "ax, ay, az = a - F/m, the cable's force F and the drone's mass m: PX4 adds gravity itself "
-        "and has no model of the cable; fly it with acceleration feed-forward on"
+        "ax, ay, az = a - F/m with the cable's force F and the mass m: PX4 adds gravity and has "
+        "no model of the cable; enable acceleration feed-forward"
     )
     flown_by = "stream"
     needs_stiffness = True  # by its own settings the show sends positions only

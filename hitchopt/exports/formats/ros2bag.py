@@ -63,9 +63,8 @@ class Ros2Bag(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "cmd_full_state: acc = a - G F/m, the cable's force F, the drone's mass m and G, the pull "
-        "gain of a named controller, else 1, with attitude and body rates to match; trajectory: "
-        "the drone's own acceleration"
+        "cmd_full_state: acc = a - G F/m with the cable's force F, the mass m and the pull gain G "
+        "(1 without a named controller); trajectory: the drone's acceleration a"
     )
     flown_by = "stream"
     has_gains = True

@@ -58,9 +58,8 @@ class TableFormat(Format):
     rate = 100.0
     accuracy = 1e-3
     feed_forward = (
-        "ff_* = a - G F/m, the cable's force F, the drone's mass m and G, the pull "
-        "gain of a named controller, else 1: for controllers that add gravity; cable_* = F for "
-        "those that take forces; a for others"
+        "ff_* = a - G F/m with the cable's force F, the mass m and the pull gain G (1 without a "
+        "named controller), for controllers that add gravity; cable_* = F"
     )
     flown_by = "stream"
     dotted = True

@@ -207,9 +207,9 @@ def _with_loss(
         motion = read_plan(plan_path(directory)).of_one_team(FEATURE)
         reaction = Reactions(motion).plan(loss.drone, loss.time)
     say(
-        f"reaction: tension is released from t = {reaction.start:.3f} s on, all are on the ground "
-        f"at {reaction.motion.duration:.3f} s; hovering with its weight takes up to "
-        f"{reaction.thrust:.0%} of a thrust"
+        f"reaction: tension is released from t = {reaction.start:.3f} s on, all drones are on the "
+        f"ground at {reaction.motion.duration:.3f} s; hovering takes up to {reaction.thrust:.0%} "
+        "of a thrust"
     )
     return settings, task.released(reaction.motion, reaction.start, RELEASE_TIME)
 
@@ -314,8 +314,8 @@ def _inexact(settings: Settings) -> list[str]:
     preset = settings.preset
     line = (
         f"preset {preset.name}: vertices are 1 to 2 cm off, since links of "
-        f"{1e3 * preset.segment:g} mm catch at clasps; measure them with "
-        f"preset={ACCURATE.name}, links of {1e3 * ACCURATE.segment:g} mm"
+        f"{1e3 * preset.segment:g} mm catch at clasps; use "
+        f"preset={ACCURATE.name} ({1e3 * ACCURATE.segment:g} mm) to measure them"
     )
     return [] if preset.exact else [line]
 

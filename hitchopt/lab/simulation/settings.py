@@ -220,10 +220,11 @@ class Settings(Record):
         EstimatorParameters | str | None,
         Key(
             ESTIMATOR,
-            "State estimator: ideal for exact states but for noise and velocity_noise; crazyflie "
-            "for a Crazyflie's filter on motion capture (100 Hz, 1 mm, latency) and an IMU, as "
-            "exports set it; firmware or one_marker for that with the firmware's parameters for "
-            "rigid bodies or for one marker; null: crazyflie for a Crazyflie's controller of the "
+            "State estimator: ideal, exact but for noise and velocity_noise; crazyflie, the "
+            "Crazyflie's filter with exported parameters on motion capture (100 Hz, 1 mm, "
+            "latency) and an IMU; firmware or one_marker, the same with the firmware's parameters "
+            "for rigid bodies or for one marker; null: crazyflie for a Crazyflie's controller of "
+            "the "
             "team, else ideal",
         ),
     ] = None

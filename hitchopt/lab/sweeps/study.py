@@ -259,7 +259,7 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
         bound = "a mapping with the keys problem and parameters"
         raise InputError("study", short(values), bound, "see hitchopt.Study")
     if "problem" not in values and {"team", "teams"} & values.keys():
-        remedy = "hitchopt solve plans it; a study names it, as problem: FILE"
+        remedy = "plan it with hitchopt solve, or name it in a study as problem: FILE"
         raise InputError("problem", Missing(), "given: this is a problem, no study", remedy)
     study = Study(STUDY.check("", values), tuple(_problems(values["problem"], Path(directory))))
     study.check()
