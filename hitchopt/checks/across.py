@@ -35,8 +35,7 @@ from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, cached, flight_magnitude, magnitude
 from hitchopt.checks.tracking import (
-    OF_PAIRS,
-    PARTS,
+    RULES,
     Ellipsoid,
     downwash_radius,
     ellipsoid_axes,
@@ -308,6 +307,10 @@ def check_across(
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
 
 
+BY_SLACK = {rule.name for rule in RULES}
+"""Names of checks whose slack bounds the radius."""
+
+
 def radius_across(
     flight: Flight, requirements: Requirements, checks: Iterable[Check | None], gamma: float
 ) -> WorstCase:
@@ -317,7 +320,7 @@ def radius_across(
     """
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
     for check in filter(None, checks):
-        if check.name in DISTANCES and PARTS[check.name] is not OF_PAIRS:
+        if check.name in DISTANCES and check.name in BY_SLACK:
             slack = max(check.worst - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
             terms.append(WorstCase(slack, check.time, check.where))
 

@@ -45,7 +45,14 @@ from hitchopt.checks.distances import (
 )
 from hitchopt.checks.drones import Drones, edge_sags, leg_sags, steepness_of
 from hitchopt.checks.objects import in_object_frame, placed_corners
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
+from hitchopt.checks.rule import (
+    Approach,
+    CheckRule,
+    Evaluator,
+    WorstCase,
+    WorstOverSpans,
+    largest_error,
+)
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,
@@ -585,6 +592,7 @@ CABLE_CLEARANCE = CheckRule(
     "or allow a smaller separation.cable",
     "length",
     remedy_at=partial(leg_remedy, distance="separation.cable"),
+    approach=Approach(lambda gamma: 1.0 + largest_error(gamma), lambda _: 2.0),
 )
 """Distance of cables from other drones and the ground; horizontal while they lie on it.
 
@@ -610,6 +618,7 @@ KEEP_OUT = CheckRule(
     lambda motion: motion.requirements.separation.radius if _obstacles(motion) else None,
     (Evaluator(nearest(_drones_and_bodies), exported=True, formulas=(gap, Solid.normals)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
+    approach=Approach(lambda _: 1.0, lambda _: 1.0),
 )
 """Distance of drones from prisms and objects: at least the radius of their ellipsoids."""
 
@@ -708,6 +717,7 @@ OBJECT_CLEARANCE = CheckRule(
     "it higher, or allow a smaller separation.object",
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
+    approach=Approach(largest_error, largest_error),
 )
 """Distance of cables and held objects from other objects.
 
@@ -836,6 +846,7 @@ ARENA = CheckRule(
     ARENA_REMEDY,
     remedy_at=_arena_remedy,
     exported_limit=EXPORTED_LIMIT,
+    approach=Approach(largest_error, lambda _: 1.0),
 )
 """Drones, taut cables and held objects stay in the arena; ``cable_clearance`` and
 ``object_clearance`` keep hanging cables and objects above its floor."""

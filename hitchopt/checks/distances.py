@@ -27,7 +27,13 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.bodies import Bodies, clasped_cables, taut_parts
 from hitchopt.checks.certificate import Check, with_tolerance
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
+from hitchopt.checks.rule import (
+    Approach,
+    CheckRule,
+    Evaluator,
+    WorstCase,
+    largest_error,
+)
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
@@ -684,6 +690,7 @@ CROSSING = CheckRule(
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",
     "place the robots farther apart, or lower separation.crossing",
+    approach=Approach(lambda gamma: 2.0 * largest_error(gamma), lambda _: 2.0),
 )
 """Cable parts that share no clasp keep a distance.
 

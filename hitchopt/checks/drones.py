@@ -17,7 +17,12 @@ from operator import attrgetter
 import numpy as np
 
 from hitchopt.checks.certificate import with_tolerance
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
+from hitchopt.checks.rule import (
+    Approach,
+    CheckRule,
+    Evaluator,
+    WorstOverSpans,
+)
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
@@ -421,6 +426,7 @@ LEGS = CheckRule(
     (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), TAUT_STATES),),
     "use a longer cable, a smaller polygon, or a smaller limits.leg",
     ease="length",
+    approach=Approach(lambda gamma: 1.0 + gamma, lambda _: 1.0),
 )
 """The shortest leg ``|q_k - p_k|`` or ``|r_k - p_{k+1}|``; ``where`` is ``q-leg k``."""
 

@@ -113,6 +113,25 @@ class Evaluator:
     formulas: tuple[object, ...] = ()
 
 
+@dataclass(frozen=True)
+class Approach:
+    """By how much two bodies approach each other per radius of tracking errors, by γ.
+
+    Drones are within the radius of their plan, vertices within γ times the radius.
+    """
+
+    hitched: Callable[[float], float]
+    """With a hitch, whose taut cables have their vertices' errors."""
+
+    free: Callable[[float], float]
+    """Without a hitch, where cables have the errors of their drones."""
+
+
+def largest_error(gamma: float) -> float:
+    """Return the largest error of a body per radius of tracking errors."""
+    return max(1.0, gamma)
+
+
 class SpanResult(NamedTuple):
     """The check of a time span in which cables are in one of ``states``."""
 
@@ -141,6 +160,9 @@ class CheckRule:
     # whether a joined motion is checked as a whole, as its parts do not cover the joints
     whole: bool = False
     exported_limit: float | None = None  # limit for exported curves, if different
+    # approach of the bodies of a distance, for ``tracking_radius``; None if that bounds the radius
+    # for the pairs of bodies, or if tracking errors do not enter
+    approach: Approach | None = None
     # suggested change at a violated check of a hitch, if its geometry decides; empty for ``remedy``
     remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
 

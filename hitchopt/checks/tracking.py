@@ -14,9 +14,11 @@ makes the ellipsoid a ball and lengthens no distance, so all of the above applie
 ``limits.tracking``, if stated, is the limit; then the distances of cables and carried objects from
 other objects count, too.
 
-It follows from the bounds of the checks, which hold for all t; ``PARTS`` has each check's part.
-Only pairs of drones at different heights, hanging cables, and what is below drones are bounded
-separately.
+It follows from the bounds of the checks, which hold for all t, and the ``approach`` of each rule.
+Only pairs of drones at different heights, spans of free cables, hanging cables, and what is below
+drones are bounded separately. Other checks do not enter: constant errors change no rate; forces and
+shapes of displaced hitches are not bounded; cables that keep their distances do not pass through
+each other; the limit of ``hinge`` contains ``limits.tracking``.
 """
 
 from __future__ import annotations
@@ -51,64 +53,12 @@ from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
 GAMMA = 1.0  # default ratio of vertex errors to drone errors
-RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)  # with slacks
+# Checks whose slack bounds the radius; the last one only if ``limits.tracking`` is stated
+RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)
 HANGING_CHECKS = ("cable_clearance", "object_clearance")  # distances of cables that hang
 HALVINGS = 40  # bisection steps for the radius of hanging cables
 NEWTON = 12  # iterations for the nearest point; an inexact normal only costs tightness
 PROJECTIONS = 24  # alternating ones onto an ellipsoid and a body, to the same effect
-
-
-@dataclass(frozen=True)
-class Part:
-    """The part of a check in the radius, by its slack, or by an evaluation of its own.
-
-    Parameters
-    ----------
-    hitched, free: approach of two bodies per radius, with a hitch and without, by γ; None if the
-        radius is evaluated for the pairs of bodies.
-    """
-
-    hitched: Callable[[float], float] | None = None
-    free: Callable[[float], float] | None = None
-
-
-def _largest(gamma: float) -> float:
-    """Return the largest error of a body per radius: drones have 1, vertices γ."""
-    return max(1.0, gamma)
-
-
-OF_PAIRS = Part()
-RATES = "constant errors change no rate"
-FORCES = "forces of displaced hitches are not bounded"
-PARTS: dict[str, Part | str] = {
-    "separation": OF_PAIRS,
-    "cable_clearance": Part(lambda gamma: 1.0 + _largest(gamma), lambda _: 2.0),
-    "crossing": Part(lambda gamma: 2.0 * _largest(gamma), lambda _: 2.0),
-    "legs": Part(lambda gamma: 1.0 + gamma, lambda _: 1.0),
-    "span": OF_PAIRS,
-    "arena": Part(_largest, lambda _: 1.0),
-    "keep_out": Part(lambda _: 1.0, lambda _: 1.0),
-    "downwash": OF_PAIRS,
-    "object_clearance": Part(_largest, _largest),  # if ``limits.tracking`` is stated
-    "speed": RATES,
-    "acceleration": RATES,
-    "jerk": RATES,
-    "vertex_speed": RATES,
-    "body_rate": RATES,
-    "continuity": RATES,
-    "duration": RATES,
-    "thrust": FORCES,
-    "tilt": FORCES,
-    "tension": FORCES,
-    "cable_length": FORCES,
-    "equilibrium": FORCES,
-    "grip": FORCES,
-    "support": FORCES,
-    "convexity": "shapes of displaced polygons are not bounded",
-    "interlacing": "cables that keep their distances do not pass through each other",
-    "hinge": "its limit contains limits.tracking",
-}
-"""Each check's part in the radius, or the reason why it has none."""
 
 
 def flattened(requirements: Requirements) -> Requirements:
@@ -149,16 +99,15 @@ def _flattened_results(motion: Motion, results: SpanResults) -> tuple[Motion, Sp
 def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator[WorstCase]:
     """Yield the radii [m] that follow from slacks of checks, over the approach of two bodies."""
     is_limited = bool(motion.requirements.limits.tube.level)
-    for name, part in PARTS.items():
-        if not isinstance(part, Part) or part.hitched is None or part.free is None:
+    for rule in RULES:
+        if rule.approach is None or (rule is OBJECT_CLEARANCE and not is_limited):
             continue
-        if name == OBJECT_CLEARANCE.name and not is_limited:
-            continue
-        for result in results[name]:
-            on_floor = name == ARENA.name and result.states != TAUT_STATES
-            if on_floor or (name in HANGING_CHECKS and _is_hanging(result)):
+        for result in results[rule.name]:
+            on_floor = rule is ARENA and result.states != TAUT_STATES
+            if on_floor or (rule.name in HANGING_CHECKS and _is_hanging(result)):
                 continue
-            approach = part.free if result.states <= FREE_STATES else part.hitched
+            is_free = result.states <= FREE_STATES
+            approach = rule.approach.free if is_free else rule.approach.hitched
             check = result.check
             yield WorstCase(_slack(check) / approach(gamma), check.time, check.where)
 

@@ -30,13 +30,14 @@ from hitchopt.exports.contents import (
     read_manifest,
 )
 from hitchopt.exports.format import ExportTask, Format, format_of
-from hitchopt.exports.held_tension import held_tension, is_overridden, loop_gains, trailing_times
+from hitchopt.exports.held_tension import held_tension, loop_gains, trailing_times
 from hitchopt.exports.options import ENDINGS, ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
+from hitchopt.exports.tension import TensionPolicy
 from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
-from hitchopt.hitch.forces import INTEGRAL, SLACK, undetermined_tension
+from hitchopt.hitch.forces import SLACK
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
@@ -47,7 +48,8 @@ from hitchopt.values.fields import with_fields
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
 REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
-STRETCH_FACTORS, MAX_STRETCH = (1.0, 1.25, 1.5), 20.0  # Stretches that are tried, and the largest
+STRETCH_FACTORS = (1.0, 1.25, 1.5)  # Stretches that are tried, over the first one
+MAX_STRETCH = 20.0  # Largest stretch that is tried
 STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if setpoints hold no tension
 TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
 """Controllers whose stiffest gains are known."""
@@ -168,7 +170,8 @@ def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str
     if kind.velocity_settings and not options.positions_only:
         speed = largest_rate(flight.drones, 1).worst
         size = f"at up to {speed:.2g} m/s"
-        if all(_is_known(each.motion.team, options) for each in flight.teams):
+        policy = TensionPolicy.of(kind, flight, options)
+        if all(policy.knows_stiffness(each.motion.team) for each in flight.teams):
             size = f"up to {speed * max(_lags(flight, options)):.2g} m at {speed:.2g} m/s"
         yield (
             f"velocities follow from the curves with {kind.velocity_settings}; without them drones "
@@ -288,60 +291,41 @@ def _export_task(
     If tensions cannot be held, they are lost if ``allow_slack`` is set; else InfeasibleError is
     raised, with a remedy.
     """
-    needs_offsets, may_lose = _needs_offsets(kind, task), task.options.allow_slack
-    if not (reason := _slack_reason(kind, task)):
+    policy, may_lose = _policy(kind, task), task.options.allow_slack
+    if not policy.slack_reason:
         try:
-            held = task
-            if needs_offsets:
-                moved = held_tension(task.flight, task.options.stiffness, task.options.damping)
-                held = replace(task, flight=moved.flight, without_offsets=task.flight)
-                held = replace(held, notes=(*task.notes, moved.note))
-            held = _allowing_for_trailing(kind, held)
-            held = replace(held, undetermined=_undetermined_reasons(kind, held))
-            return held, _first_valid(kind, held, scratch / "held", say)
+            held = _with_offsets(task) if policy.needs_offsets else task
+            return _export_as_held(kind, held, scratch / "held", say)
         except InfeasibleError:
-            if not (needs_offsets and may_lose):
+            if not (policy.needs_offsets and may_lose):
                 raise
     elif not may_lose:
         remedy = _tried_remedy(kind, task, scratch / "remedy", say)
-        message = f"{kind.name}: {reason} {remedy}, or add allow_slack=True."
+        message = f"{kind.name}: {policy.slack_reason} {remedy}, or add allow_slack=True."
         raise InfeasibleError([], message)
+    return _export_as_held(kind, task, scratch / "slack", say)
+
+
+def _policy(kind: Format, task: ExportTask) -> TensionPolicy:
+    """Return how the tension of a task's cables is held."""
+    return TensionPolicy.of(kind, task.flight, task.options)
+
+
+def _with_offsets(task: ExportTask) -> ExportTask:
+    """Return the task with setpoints whose offsets hold the tension."""
+    moved = held_tension(task.flight, task.options.stiffness, task.options.damping)
+    notes = (*task.notes, moved.note)
+    return replace(task, flight=moved.flight, without_offsets=task.flight, notes=notes)
+
+
+def _export_as_held(
+    kind: Format, task: ExportTask, scratch: Path, say: Progress
+) -> tuple[ExportTask, list[Export]]:
+    """Export a task with its offsets, if any; return it with what it leaves undetermined."""
     task = _allowing_for_trailing(kind, task)
-    task = replace(task, undetermined=_undetermined_reasons(kind, task))
-    return task, _first_valid(kind, task, scratch / "slack", say)
-
-
-def _needs_offsets(kind: Format, task: ExportTask) -> bool:
-    """Return whether setpoints have to hold the tension."""
-    is_taken = all(_takes_force(kind, task, team) for team in _hitch_teams(task.flight))
-    return task.options.hold_tension or (_needs_stiffness(kind, task) and not is_taken)
-
-
-def _needs_stiffness(kind: Format, task: ExportTask) -> bool:
-    """Return whether tensions are lost if the stiffness of position loops is not known."""
-    return kind.needs_stiffness or task.options.positions_only
-
-
-def _takes_force(kind: Format, task: ExportTask, team: Team) -> bool:
-    """Return whether receivers get the cable forces, and the drones add them."""
-    is_sent = kind.flown_by != "upload" and not task.options.positions_only
-    return is_sent and bool(np.all(team.feed_forward))
-
-
-def _is_known(team: Team, options: ExportOptions) -> bool:
-    """Return whether the stiffness of a team's position loops is known."""
-    return options.stiffness is not None or bool(np.all(np.isfinite(team.stiffness)))
-
-
-def _slack_reason(kind: Format, task: ExportTask) -> str:
-    """Return why the drones of an upload lose the tension, or an empty string."""
-    if not _needs_stiffness(kind, task):
-        return ""
-    teams = _hitch_teams(task.flight)
-    if _needs_offsets(kind, task) and any(map(is_overridden, teams)):
-        return INTEGRAL
-    is_known = all(_is_known(team, task.options) for team in teams)
-    return "" if is_known else SLACK
+    reasons = _policy(kind, task).undetermined_reasons(has_offsets=task.holds_tension)
+    task = replace(task, undetermined=reasons)
+    return task, _first_valid(kind, task, scratch, say)
 
 
 def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) -> str:
@@ -350,7 +334,7 @@ def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) 
         with contextlib.suppress(InfeasibleError, InputError):
             settings = kind.settings(changed.flight.team, changed.options)
             trial = replace(changed, settings=settings)
-            if not _slack_reason(kind, trial):
+            if not _policy(kind, trial).slack_reason:
                 _export_task(kind, trial, scratch / str(number), say)
                 return words
     return STREAM
@@ -358,15 +342,16 @@ def _tried_remedy(kind: Format, task: ExportTask, scratch: Path, say: Progress) 
 
 def _remedies(kind: Format, task: ExportTask) -> Iterator[tuple[str, ExportTask]]:
     """Yield changes, in words, and the changed task."""
-    teams = _hitch_teams(task.flight)
-    if not any(map(_controllers, teams)) and not all(_is_known(t, task.options) for t in teams):
+    policy = _policy(kind, task)
+    teams = policy.teams
+    if not any(map(_controllers, teams)) and not all(map(policy.knows_stiffness, teams)):
         stiffness = float(f"{kind.stiffest * min(np.min(team.mass) for team in teams):.3g}")
         options = replace(task.options, stiffness=stiffness)
         words = f"Add stiffness={stiffness:g}, whose gains are exported"
         if not kind.has_gains:
             words = f"Add the stiffness of the position loops, such as stiffness={stiffness:g}"
         yield words, replace(task, options=options)
-    if any(map(is_overridden, teams)):
+    if policy.is_overridden:
         kinds = {kind for team in teams for kind in team.quadrotor}
         key = "gains.ki to 0" if all(kind.controller for kind in kinds) else "integral to false"
         yield f"Set team.quadrotor.{key} and solve again", _flown_by(task, _without_integral)
@@ -395,23 +380,6 @@ def _flown_by(task: ExportTask, change: Callable[[Quadrotor], Quadrotor]) -> Exp
         return motion.replaced(team=with_fields(motion.team, quadrotor=kinds))
 
     return replace(task, flight=task.flight.each_team(changed))
-
-
-def _undetermined_reasons(kind: Format, task: ExportTask) -> tuple[str, ...]:
-    """Return the reasons why the files leave the tension undetermined, if any."""
-    reasons = list[str]()
-    for team in _hitch_teams(task.flight) if kind.flown_by else ():
-        is_trusted = not _needs_stiffness(kind, task) or _is_known(team, task.options)
-        reasons += undetermined_tension(
-            integral=bool(np.any(np.isinf(team.integral[:, :2]))),  # level
-            feed_forward=task.holds_tension or (is_trusted and _takes_force(kind, task, team)),
-        )
-    return tuple(dict.fromkeys(reasons))
-
-
-def _hitch_teams(flight: Flight) -> list[Team]:
-    """Return the teams that form a hitch during a flight."""
-    return [each.motion.team for each in flight.teams if np.any(each.motion.formed)]
 
 
 def _controllers(team: Team) -> list[str]:

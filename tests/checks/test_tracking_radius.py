@@ -29,7 +29,6 @@ import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
 from hitchopt.checks.distances import closeness
 from hitchopt.checks.registry import RULES, TEAM_REPORTS
-from hitchopt.checks.tracking import PARTS, Part
 from hitchopt.hitch import Team
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
@@ -224,12 +223,11 @@ def test_binding_distances_are_named() -> None:
     assert radius_of(low).worst == pytest.approx(1e-3, rel=1e-6)
 
 
-def test_every_check_has_a_part_or_a_reason() -> None:
-    assert PARTS.keys() == {rule.name for rule in RULES}
-    by_slack = {name for name, each in PARTS.items() if isinstance(each, Part) and each.free}
+def test_every_distance_enters_by_its_slack_or_by_pairs_of_bodies() -> None:
+    by_slack = {rule.name for rule in RULES if rule.approach is not None}
     assert by_slack == {rule.name for rule in tracking.RULES}
-    positions = {rule.name for rule in RULES if rule.name in DISTANCES}
-    assert positions <= {name for name, each in PARTS.items() if isinstance(each, Part)}
+    distances = {rule.name for rule in RULES if rule.name in DISTANCES}
+    assert distances - by_slack == {"separation", "downwash"}
 
 
 OBSTACLES = {
