@@ -73,7 +73,7 @@ def outcome(problem: ho.Problem, method: Method, seed: int | None) -> Outcome | 
 
 
 def figures(outcomes: Sequence[Outcome]) -> tuple[object, ...]:
-    """Return the cells of outcomes: means, smallest separation, and results of flights."""
+    """Return the cells of outcomes: means, minimum separation, and results of flights."""
     if not outcomes:
         return ("",) * len(COLUMNS)
     runs = [each.run for each in outcomes if each.run is not None]

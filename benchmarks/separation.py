@@ -136,7 +136,7 @@ def rival(table: Table) -> None:
 
 
 def fly(problem: ho.Problem, limit: float = 120.0) -> tuple[float, float]:
-    """Return the duration [s] of IPOPT's solution and its smallest separation, or nan.
+    """Return the duration [s] of IPOPT's solution and its minimum separation, or nan.
 
     Drones are B-splines from rest to rest with free final time. The initial guess are lines that
     bulge to the right, which breaks the symmetry of circles.

@@ -60,7 +60,7 @@ class Check(OneLine):
 
     Attributes
     ----------
-    name: as in the certificate's table (README).
+    name: such as ``separation``.
     holds: whether ``worst`` satisfies the limit, within ``TOLERANCE``.
     worst: bound of the quantity for all t, rounding included; an infinity that holds if nothing was
         evaluated, which is null in files.

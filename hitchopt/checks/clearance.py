@@ -737,7 +737,7 @@ def on_floor_pieces(motion: Motion) -> Flags:
 
 
 def _wall_gap(spans: MotionSpans, x: Array, lowered: Array | float, reach: float = 0.0) -> Bound:
-    """Return the smallest distance to a wall of points x (spans, points, 3, degree + 1) [m].
+    """Return the minimum distance to a wall of points x (spans, points, 3, degree + 1) [m].
 
     Points have a horizontal radius ``reach``, and are lowered by ``lowered`` (spans, points) [m].
     """
@@ -753,7 +753,7 @@ def _wall_gap(spans: MotionSpans, x: Array, lowered: Array | float, reach: float
 
 
 def drone_wall_gap(spans: Drones, *, on_floor: bool = True) -> Bound:
-    """Return the smallest distance of drones to a wall [m].
+    """Return the minimum distance of drones to a wall [m].
 
     With ``on_floor``, the floor also counts for drones that rest there, take off or land.
     """
@@ -784,7 +784,7 @@ def _part_sags(motion: Motion) -> list[Array]:
 
 
 def _part_wall_gap(spans: Parts) -> Bound:
-    """Return the smallest distance of taut cables to a wall [m].
+    """Return the minimum distance of taut cables to a wall [m].
 
     A straight part of length s sags by ``ρ g s² / 8 T`` at its middle.
     """
@@ -800,7 +800,7 @@ def _part_wall_gap(spans: Parts) -> Bound:
 
 
 def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
-    """Return the smallest distance of a held object to a wall or the ceiling [m]."""
+    """Return the minimum distance of a held object to a wall or the ceiling [m]."""
     cases = [WorstCase(math.inf, 0.0)]
     for name, body, pose in _objects(motion):
         held = held_pieces(motion, name, HoldBy.REST) | held_pieces(motion, name, HoldBy.GRIP)

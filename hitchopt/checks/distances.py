@@ -1,4 +1,4 @@
-"""Smallest distances of moving bodies, for all t; checks ``separation`` and ``crossing``.
+"""Minimum distances of moving bodies, for all t; checks ``separation`` and ``crossing``.
 
 ``closeness`` lists the closest pairs of drones of a plan.
 
@@ -450,7 +450,7 @@ def _nearest_neighbours(moving: Moving, attained: Callable[[], float]) -> Iterat
 
 
 def smallest(moving: Moving, **options: float) -> Extremum:
-    """Return the smallest distance of all pairs that count, with options of ``BranchAndBound``.
+    """Return the minimum distance of all pairs that count, with options of ``BranchAndBound``.
 
     Without a pair, it is infinite and the item is -1.
     """
@@ -465,7 +465,7 @@ def smallest(moving: Moving, **options: float) -> Extremum:
 def nearest(
     cases: Callable[[Motion], Iterable[Moving]], *, scaled: bool = False
 ) -> Callable[[Motion, float], WorstCase]:
-    """Return a function that evaluates the smallest distance over several cases of bodies.
+    """Return a function that evaluates the minimum distance over several cases of bodies.
 
     Heights are divided by ``Requirements.height_ratio``, except in ``scaled`` coordinates.
     """
@@ -479,7 +479,7 @@ def nearest(
 
 
 def nearest_of(cases: Iterable[Moving], limit: float, size: float) -> WorstCase:
-    """Return the smallest distance over several cases of bodies; infinite without any.
+    """Return the minimum distance over several cases of bodies; infinite without any.
 
     ``limit`` is that of the distance, ``size`` the largest length that enters [m].
     """

@@ -3,7 +3,7 @@
 Between drones, ``separation`` keeps two ellipsoids apart. The lower half of a drone's ellipsoid,
 with the semi-axes ``radius`` and ``height``, also keeps off taut cables of other teams, and off
 objects that they carry or that the drone's downwash would move. In coordinates scaled by these
-semi-axes, the smallest distance is 1.
+semi-axes, the minimum distance is 1.
 
 The momentum of a rotor's wake per time is its thrust (momentum theory: Leishman, Principles of
 Helicopter Aerodynamics, 2006, section 2.2), so the wake pushes a body by no more. An object that

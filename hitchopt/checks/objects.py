@@ -531,7 +531,7 @@ def foot(spans: Gripped) -> Bound:
 
 
 def _force_lines(motion: Motion, _: float) -> WorstCase:
-    """Return the smallest distance of a force line from the edge of its supports [m].
+    """Return the minimum distance of a force line from the edge of its supports [m].
 
     It is minus infinity if an object moves or is carried without a hold, if it floats, if its
     heading is not a unit vector, if holding clasps do not surround it or have left their positions,

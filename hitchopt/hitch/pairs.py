@@ -49,7 +49,7 @@ class DistanceRule:
     check: name of the check.
     kinds: kinds of bodies that keep it; ``taut`` are parts of taut cables, ``objects`` those that a
         team moves.
-    limit: smallest distance [m], or ratio.
+    limit: minimum distance [m], or ratio.
     approach: approach of two bodies of different teams per radius of tracking errors, by the larger
         one of 1 and γ.
     """
@@ -97,7 +97,7 @@ DISTANCES = {
 
 
 def limits_of(separation: Separation) -> Array:
-    """Return the smallest distances (3,) [m] by kind of pairs, as planners keep them."""
+    """Return the minimum distances (3,) [m] by kind of pairs, as planners keep them."""
     return np.array([2.0 * separation.radius, separation.cable, separation.crossing])
 
 

@@ -106,7 +106,7 @@ class Limits(OneLine):
 @documented
 @dataclass(frozen=True)
 class Separation(Record):
-    """Smallest distances between drones and cables."""
+    """Minimum distances between drones and cables."""
 
     radius: Annotated[
         float,

@@ -402,7 +402,7 @@ class LegBodies:
         return shortest_offset(between * scale[kind][:, None])
 
     def margins(self, offsets: Array) -> Array:
-        """Return the smallest distance over its limit (J,), relative to the margins of the knots.
+        """Return the minimum distance over its limit (J,), relative to the margins of the knots.
 
         Crossings at their margin do not count.
 

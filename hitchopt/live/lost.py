@@ -78,7 +78,7 @@ class Reaction(OneLine):
     # largest ratio of thrust to maximum thrust of a survivor that hovers while its level cable
     # carries the lost drone's weight
     thrust: float
-    nearest: float  # smallest separation of survivors, or distance to the lost one over two radii
+    nearest: float  # minimum separation of survivors, or distance to the lost one over two radii
 
 
 class Reactions:
@@ -182,7 +182,7 @@ class Reactions:
         return min(self._to_lost(survivors, fall[:, None]), self._to_lost(later, fall[-1]))
 
     def _to_lost(self, survivors: Array, positions: Array) -> float:
-        """Return the smallest distance of survivors (…, 3) to the lost drone, over two radii.
+        """Return the minimum distance of survivors (…, 3) to the lost drone, over two radii.
 
         The distance counts equally in all directions: without motors there is no downwash.
         """

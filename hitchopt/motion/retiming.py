@@ -76,7 +76,7 @@ MAX_PIECE = 0.1
 """[s] Longest piece: degree 7 fits the retimed curve on it to little more than rounding."""
 
 MIN_SPACING = 4e-3
-"""[s] Smallest distance of the plan's breaks from the clock's: derivatives on short pieces suffer
+"""[s] Minimum distance of the plan's breaks from the clock's: derivatives on short pieces suffer
 from rounding."""
 
 ORDERS = 4  # Number of derivatives, the zeroth included, interpolated at both ends of every piece

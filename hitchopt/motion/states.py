@@ -21,7 +21,7 @@ from hitchopt.values import Array, as_array, nonnegative, positive
 HOVER = np.array([0.0, 0.0, GRAVITY])  # [m/s²] Specific thrust that compensates gravity
 
 END_TOLERANCE = 1e-6
-"""[s] Smallest distance of a plan's end from the last regular sample at which it is sampled."""
+"""[s] Minimum distance of a plan's end from the last regular sample at which it is sampled."""
 
 MAX_SAMPLES = 50_000_000  # Maximum number of samples; more are refused before memory is allocated
 

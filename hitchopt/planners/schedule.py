@@ -185,7 +185,7 @@ def _slacks_by_check(
 def _slack(
     first: SampledBodies, second: SampledBodies, i: Indices, j: Indices, limit: float, axes: Array
 ) -> Array:
-    """Return the smallest distance minus the limit at samples i and j (m,), infinite beyond REACH.
+    """Return the minimum distance minus the limit at samples i and j (m,), infinite beyond REACH.
 
     Distances are scaled by ``axes`` (3,) [m].
     """
@@ -383,7 +383,7 @@ class Schedule:
         return self.tables[a, b]
 
     def _blocked(self, track: SampledPath, other: Placed, sample: int, start: int) -> Blocked:
-        """Return the smallest distance at a sample, or at rest if it is smaller there."""
+        """Return the minimum distance at a sample, or at rest if it is smaller there."""
         a, b = track, other.track
         i = int(np.clip(sample - start, 0, len(a) - 1))
         j = int(np.clip(sample - other.start, 0, len(b) - 1))

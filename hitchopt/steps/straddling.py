@@ -45,7 +45,7 @@ NO_TURN = math.radians(2.0)
 """[rad] Angle up to which hanging cables need not turn about an object."""
 
 EDGE = 0.02
-"""[m] Smallest distance of clasps to the top and the bottom of an object."""
+"""[m] Minimum distance of clasps to the top and the bottom of an object."""
 
 BELOW_RIM = 0.03
 """[m] Preferred distance of clasps to a rim above them, which cables must not touch."""

@@ -117,7 +117,7 @@ def catenary_links(s: Spans, k: Index, *distances: float) -> Links:
 def own_cable_gap(s: Spans, i: Index, k: Index) -> Line:
     """Return distances of drones i from their hanging cables k, where these rise again.
 
-    That is beyond OWN_DISTANCES of the smallest distance along the cable. Slopes are ``sinh(μσ +
+    That is beyond OWN_DISTANCES of the minimum distance along the cable. Slopes are ``sinh(μσ +
     artanh(h / L))``. Links that lead down, or end nearer, throughout a span do not count.
     """
     nearest = OWN_DISTANCES * s.plan.cable_limit[1]

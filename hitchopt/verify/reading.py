@@ -33,7 +33,7 @@ from .spans import CLASPING, G, Spans
 REST_TOL = 1e-9  # [m] of the file format, as the next two
 CONTACT_TOL = 1e-4  # [m]
 WRAP_TOL = 2e-5  # [m]
-MIN_GAP = 1e-4  # [m] smallest distance of cables that cannot pass through each other
+MIN_GAP = 1e-4  # [m] minimum distance of cables that cannot pass through each other
 TAUT_TOL = 1e-4  # [N] largest difference of a tension from that of taut cables
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
 EXACT_RANGE = 0.5  # [m] of exact distances of hanging cables

@@ -126,7 +126,7 @@ def panels(flight: Flight, states: States) -> tuple[Panel, ...]:
     if scaled.shape[1] < 2:
         return (rates, forces)
     ratios = np.array([np.min(cKDTree(points).query(points, k=[2])[0]) for points in scaled])
-    return (Panel("separation", "smallest\nseparation [–]", ratios, 1.0), rates, forces)
+    return (Panel("separation", "minimum\nseparation [–]", ratios, 1.0), rates, forces)
 
 
 def draw_summary(

@@ -240,7 +240,7 @@ def _free_distances(s: Samples, state: CableState) -> dict[str, float]:
 
 
 def own_cable_distance(motion: Motion, drones: Array, count: int = 401) -> float:
-    """Return the smallest distance of drones (times, 2n, 3) from their own hanging cables.
+    """Return the minimum distance of drones (times, 2n, 3) from their own hanging cables.
 
     These count where they rise again, from twice the distance of cables on.
     """

@@ -71,7 +71,7 @@ def bodies(motion: Motion, times: Array) -> tuple[Array, Array, bool]:
 
 
 def sampled(first: Motion, second: Motion, times: Array) -> dict[str, float]:
-    """Return the smallest distances between groups by check; hanging cables are sheets."""
+    """Return the minimum distances between groups by check; hanging cables are sheets."""
     (x, a, hung), (y, b, also) = (bodies(each, times) for each in (first, second))
     r = x[:, :, None] - y[:, None]
     wide, high = 2.0 * SEPARATION.radius, 2.0 * SEPARATION.height
@@ -87,7 +87,7 @@ def sampled(first: Motion, second: Motion, times: Array) -> dict[str, float]:
 
 
 def apart(a: Array, long: Array | None, b: Array, wide: Array | None) -> float:
-    """Return the smallest distance of segments; of sheets, horizontal or vertical."""
+    """Return the minimum distance of segments; of sheets, horizontal or vertical."""
     if not a.shape[1] or not b.shape[1]:
         return math.inf
     flat = np.array([1.0, 1.0, 0.0]) if long is not None or wide is not None else 1.0

@@ -26,7 +26,7 @@ KEPT: dict[str, Any] = {"limits": Limits(), "separation": Separation()}
 
 
 def margins(p: Array, x: Array) -> Array:
-    """(m,): smallest distance over its limit of drones (m, 2n, 3), written out pair by pair."""
+    """(m,): minimum distance over its limit of drones (m, 2n, 3), written out pair by pair."""
     i, j = np.triu_indices(x.shape[1], 1)
     smallest = [np.min(np.linalg.norm((x[:, i] - x[:, j]) / [0.24, 0.24, 0.6], axis=-1), axis=1)]
     for k, following in enumerate(np.roll(p, -1, axis=0)):

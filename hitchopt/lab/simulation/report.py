@@ -414,7 +414,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
     first = "vertex error" if simulation.settings.preset.exact else "vertex error\n± 1 to 2 cm"
-    second = f"tension [N],\nplanned dashed,\n{MEAN_TIME:g} s means thick"
+    second = f"tension [N]\nplanned: dashed\nthick: {MEAN_TIME:g} s average"
     titles = f"{first},\nsag included [cm]", second, "largest drone\nerror [cm]"
     for axes, words in zip(plots, titles, strict=True):
         axes.set_ylabel(words)

@@ -30,7 +30,7 @@ TENSION_RESERVE = (
 MAX_SUBSTEPS = 8  # Largest number of substeps, for light ropes
 ROUNDING = 1e-9  # Tolerance of a number of segments: 2.4 m are 96 of 0.025 m in spite of rounding
 
-GAP_DIAMETERS = 3.5  # Smallest distance of the two bends of a loose clasp, in diameters
+GAP_DIAMETERS = 3.5  # Minimum distance of the two bends of a loose clasp, in diameters
 GAP_SEGMENTS = 1.7  # The same in segments, so that a bend consists of several segments
 
 REACH = 2.0  # Distance from a clasp, over its gap, at which a cable meets the planned line

@@ -80,7 +80,7 @@ def sides_of(polygon: Array) -> tuple[Array, Array]:
 # Grips.
 
 MIN_GAP = 0.02
-"""[m] Smallest distance of a clasp, where two ropes bend around each other, to the section."""
+"""[m] Minimum distance of a clasp, where two ropes bend around each other, to the section."""
 
 DIFFERENCE_STEP = 1e-6  # [m] Step of central differences of margins
 
@@ -396,7 +396,7 @@ EDGE_MARGIN = 0.045
 20 mm for the position error of the object."""
 
 SUFFICIENT_INSET, MIN_INSET = 0.05, 0.01
-"""[m] Sufficient and smallest distance of clasps to the rim's outline, and of edges to the body."""
+"""[m] Sufficient and minimum distance of clasps to the rim's outline, and of edges to the body."""
 
 ANGLES, ASPECTS = 12, 17  # Numbers of candidate orientations and aspect ratios
 SIZES = np.linspace(0.05, 1.0, 96)  # Candidate sizes of a polygon below a rim, over the rim's own

@@ -34,7 +34,7 @@ OPEN = -math.pi * SENSE
 """[rad] Roll at which cables lie on one another."""
 
 MIN_BEND, PITCHED_SHARE = 1e-3, 0.6
-"""Smallest distance of bends at which drones rest, and bend up to which cables are pitched, over
+"""Minimum distance of bends at which drones rest, and bend up to which cables are pitched, over
 that at which drones pass each other."""
 
 ITERATIONS = 8

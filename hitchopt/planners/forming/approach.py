@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 PAIR_SEPARATION = 1.6  # Separation [1] of a gathered robot's two drones
 HEIGHT_SAMPLES = 101  # Number of times at which the cables' heights are sampled
-DISC_SEPARATION = 1.15  # Smallest separation [1] of the discs at the goal
+DISC_SEPARATION = 1.15  # Minimum separation [1] of the discs at the goal
 
 
 @dataclass(frozen=True, eq=False)

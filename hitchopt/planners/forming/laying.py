@@ -250,7 +250,7 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
 
 
 def _cable_distance(layout: Layout, drones: Array) -> float:
-    """Return the smallest distance of cables of a ring to the next two, drones (2n, 2) [m]."""
+    """Return the minimum distance of cables of a ring to the next two, drones (2n, 2) [m]."""
     ends = np.concatenate([drones, np.zeros((len(drones), 1))], axis=1).reshape(-1, 2, 3)
     k, smallest = np.arange(layout.robots), np.inf
     for other in (k - 1, k - 2):

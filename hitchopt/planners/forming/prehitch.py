@@ -54,7 +54,7 @@ DEFAULT_TILT = math.radians(45.0)
 of robots; horizontal axes do so for up to about seven."""
 
 MIN_SEPARATION = 1.05
-"""Smallest separation [1] of drones in planned stages, such as a pair that turns."""
+"""Minimum separation [1] of drones in planned stages, such as a pair that turns."""
 
 MAX_SPAN_RATIO = 0.97  # Largest distance of the drones of a hanging cable, over its length
 CLEARANCE = 1.05  # Clearance of drones to cables, over ``Separation.cable``
@@ -402,7 +402,7 @@ def _evaluate(
 
 
 def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
-    """Return the smallest distance [m] of drones at a clasp to the regions of its cables.
+    """Return the minimum distance [m] of drones at a clasp to the regions of its cables.
 
     Seen from above, at samples of the move to the hitch; see ``checks.bodies``.
     """
@@ -417,7 +417,7 @@ def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
 
 
 def smallest_separation(drones: Array, separation: Separation) -> float:
-    """Return the smallest separation [1] of drones (J, m, 3) [m] at J times."""
+    """Return the minimum separation [1] of drones (J, m, 3) [m] at J times."""
     from scipy.spatial import cKDTree
 
     scaled = drones * separation.scale

@@ -434,7 +434,7 @@ def planes_to_prism(curves: Array, prism: Prism, radius: float, cutoff: float) -
     Parameters
     ----------
     curves: (pieces, N, 3, degree + 1) [m], Bernstein coefficients.
-    radius: smallest distance to the prism [m]
+    radius: minimum distance to the prism [m]
     """
     corners = prism.corners
     low, high = np.min(corners, axis=0) - cutoff, np.max(corners, axis=0) + cutoff

@@ -237,7 +237,7 @@ class CurveBounds:
     ----------
     coefficients: (N, count, 3) [m].
     duration: shortest duration [s] within the limits of speed, acceleration, jerk and body rate.
-    closest: lower bound of the smallest separation of any pair.
+    closest: lower bound of the minimum separation of any pair.
     violations: those of any duration; their times refer to ``duration``.
     """
 
