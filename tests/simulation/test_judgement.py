@@ -200,7 +200,7 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
 
 
 def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path) -> None:
-    with pytest.raises(ho.InputError, match="motion"):
+    with pytest.raises(ho.InputError, match="flight = None"):
         flight_with().save(tmp_path / "flight")
     assert not (tmp_path / "flight").exists()
     flight_with().save(tmp_path / "flight", flight=ho.hold(HITCH, 2.0).flight)
