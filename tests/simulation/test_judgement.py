@@ -215,7 +215,7 @@ def test_what_the_plan_leaves_open_is_warned_of() -> None:
     task = resting_task(regular_hitch(3, cable_density=0.0), 0.1)
     (words,) = judgement.warnings(task, Settings())
     density = 1e3 * simulated_density(task.team, Settings(), 0.5)
-    assert f"fly as ropes of {density:.2g} g/m, the lightest that fast holds" in words
+    assert f"fly as ropes of {density:.2g} g/m, the lightest that fast can simulate" in words
     assert judgement.warnings(task, Settings(density=0.01)) == ()
     kinds = [ho.Quadrotor(controller=name) for name in ("lee", "pid", None)]
     task = resting_task(regular_hitch(3, quadrotor=kinds), 0.1)
