@@ -220,7 +220,7 @@ def test_what_the_plan_leaves_open_is_warned_of() -> None:
     kinds = [ho.Quadrotor(controller=name) for name in ("lee", "pid", None)]
     task = resting_task(regular_hitch(3, quadrotor=kinds), 0.1)
     (words,) = judgement.warnings(task, Settings())
-    assert words.startswith("lee, none, pid: controllers fly as one, the ideal one")
+    assert words.startswith("lee, none, pid: controllers are replaced by the ideal one")
     assert judgement.warnings(task, Settings(controller="lee")) == ()
 
 
