@@ -22,7 +22,7 @@ import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser
 
 Curve = Callable[[float, int], Array]
-"""Position (3,) [m], or a derivative by time, at a time."""
+"""Position (3,) [m], or a time derivative, at a time."""
 
 STEMS, FASTEST = ("triangle", "move_vertex", "square_half_turn", "transport"), 3
 

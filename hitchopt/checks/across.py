@@ -148,7 +148,7 @@ def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iter
 
 
 def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
-    """Return the cables of a team, if ``parts`` with names of taut parts; None without cables."""
+    """Return a team's cables, with names of taut parts if ``parts``; None for single drones."""
     motion, sheets = side.motion, side.sheets
     if sheets is None:
         return None

@@ -101,7 +101,7 @@ class Drones(MotionSpans):
     names = staticmethod(attrgetter("team.drone_names"))
 
     def motion_rate(self, order: int) -> Enclosed:
-        """Return a derivative of the position by time."""
+        """Return a time derivative of the position."""
         return self.derivative(self.source.drones, order)
 
     @lazy
@@ -110,7 +110,7 @@ class Drones(MotionSpans):
         return self.source.team.mass[self.item, None]
 
     def scalar(self, table: Callable[[Motion], Array], order: int = 0) -> Enclosed:
-        """Return a scalar of a table (pieces, 2n, degree + 1), or its derivative by time."""
+        """Return a scalar of a table (pieces, 2n, degree + 1), or its time derivative."""
         c = self.read(rate(self.source, table) if order else table(self.source))[:, None]
         return Enclosed(c, ROUNDING * np.max(np.abs(c), axis=(1, 2)))
 
@@ -214,7 +214,7 @@ class Drones(MotionSpans):
 
     @lazy
     def load_rate(self) -> Enclosed:
-        """[N/s] The derivative of the load by time."""
+        """[N/s] The time derivative of the load."""
         parts = self.source.drones, self.source.vertices
         margin = sum(float(np.max(derivative_margin(part, 1))) for part in parts)
         velocity = Enclosed(self.read(rate(self.source, pull_vectors)), margin)
@@ -322,7 +322,7 @@ def turning_rate(spans: Drones) -> Bound:
 
 
 def _norm(spans: MotionSpans, order: int) -> Bound:
-    """Return the norm of a derivative of a position by time."""
+    """Return the norm of a time derivative of a position."""
     part = spans.source.vertices if isinstance(spans, Points) else spans.source.drones
     return spans.derivative(part, order).norm_upper
 
@@ -437,7 +437,7 @@ def largest_rate(
     limit: float = math.nan,
     size: Callable[[Enclosed], Bound] = lambda rate: rate.norm_upper,
 ) -> Extremum:
-    """Return the largest norm, or other size, of a derivative by time of points (items, d).
+    """Return the largest norm, or other size, of a time derivative of points (items, d).
 
     The bound is as tight as the comparison with the limit requires.
     """

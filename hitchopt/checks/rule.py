@@ -154,7 +154,7 @@ class CheckRule:
     # kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of legs) or
     # ``tension`` (lower, or less weight); empty for none
     ease: str = ""
-    # highest derivative of positions by time that enters the quantity; 0 for none. The quantity is
+    # highest time derivative of positions that enters the quantity; 0 for none. The quantity is
     # undefined where the next lower derivative jumps, and decreases in slow motion.
     derivative: int = 0
     # whether a joined motion is checked as a whole, as its parts do not cover the joints

@@ -99,12 +99,12 @@ def position_margin(motion: Motion) -> float:
 
 @cached
 def derivative(part: PiecewisePolynomial, order: int) -> Array:
-    """Return the coefficients (pieces, …, degree + 1) of a derivative by time."""
+    """Return the coefficients (pieces, …, degree + 1) of a time derivative."""
     return by_time(derivative(part, order - 1), part.durations) if order else part.coefficients
 
 
 def by_time(c: Array, durations: Array) -> Array:
-    """Return the derivative by time of polynomials (pieces, …, degree + 1)."""
+    """Return the time derivative of polynomials (pieces, …, degree + 1)."""
     slope = bernstein.differentiate(c)
     slope /= durations.reshape(-1, *(1,) * (c.ndim - 1))
     return slope
@@ -112,7 +112,7 @@ def by_time(c: Array, durations: Array) -> Array:
 
 @cached
 def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
-    """Return the rounding margin (pieces, items) of the norm of a derivative by time.
+    """Return the rounding margin (pieces, items) of the norm of a time derivative.
 
     For the k-th derivative of degree N on a piece of h seconds, it is ``2**-50 · 2^k · N!/(N-k)! /
     h^k`` times the largest difference of adjacent coefficients, plus ``2**-40`` of the derivative.
@@ -139,7 +139,7 @@ def _largest(coefficients: Array) -> Array:
 
 @cached
 def rate(motion: Motion, table: Callable[[Motion], Array]) -> Array:
-    """Return the derivative by time of a table of a motion (pieces, …, degree + 1)."""
+    """Return the time derivative of a table of a motion (pieces, …, degree + 1)."""
     return by_time(table(motion), motion.drones.durations)
 
 
@@ -167,7 +167,7 @@ class MotionSpans(TimeSpans):
         return [Enclosed(self.read(table)[:, None]) for table in tables]
 
     def derivative(self, part: PiecewisePolynomial, order: int) -> Enclosed:
-        """Return the derivative by time of points of a part, rounding included."""
+        """Return the time derivative of points of a part, rounding included."""
         margin = derivative_margin(part, order)[self.piece, self.item]
         return Enclosed(self.read(derivative(part, order)), margin)
 

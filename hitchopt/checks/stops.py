@@ -75,7 +75,7 @@ def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases
 
 
 def rates_of(cells: ClockPhases) -> Array:
-    """Return bounds (3, cells, 1) of the rate s and its two derivatives by time."""
+    """Return bounds (3, cells, 1) of the rate s and its two time derivatives."""
     (s, a, j), t = cells.jets.T[1:], cells.duration
     each = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
     return np.stack([np.max(np.abs(c), axis=0)[:, None] for c in each])
@@ -119,7 +119,7 @@ class OnClock(MotionSpans):
 
     @lazy
     def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
-        """The rate s and its derivatives by time, as lines over plan time.
+        """The rate s and its time derivatives, as lines over plan time.
 
         In h seconds, plan time deviates from its chord by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
         """
@@ -162,7 +162,7 @@ class DronesOnClock(OnClock, Drones):
 
     @lazy
     def load_rate(self) -> Enclosed:
-        """[N/s] The derivative of the load by time."""
+        """[N/s] The time derivative of the load."""
         return super().load_rate * self.clock[0]
 
 

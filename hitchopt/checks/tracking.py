@@ -120,7 +120,7 @@ def _downwash_radii(motion: Motion, results: SpanResults) -> Iterator[WorstCase]
 
 
 def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
-    """Yield the distance [m] of drones to walls, if any, but of those at rest on the floor."""
+    """Yield the distance [m] to walls, if any, of drones that are not at rest on the floor."""
     if motion.requirements.arena is None:
         return
     closest = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")

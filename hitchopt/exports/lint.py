@@ -129,11 +129,11 @@ class Rules(Record):
 
     speed: Annotated[
         float | None,
-        Key(SPEED, "Largest speed; null: the show's own, or a warning from 3 on"),
+        Key(SPEED, "Largest speed; null: the show's own, or a warning above 3"),
     ] = None
     acceleration: Annotated[
         float | None,
-        Key(ACCELERATION, "Largest acceleration; null: the show's own, or a warning from 10 on"),
+        Key(ACCELERATION, "Largest acceleration; null: the show's own, or a warning above 10"),
     ] = None
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)

@@ -148,7 +148,7 @@ def model(
     J times at once, a column each. Inputs that are left out are zero. Values are nan where tensions
     cannot carry the loads.
 
-    Inputs are columns of values, first and second derivatives by time:
+    Inputs are columns of values, first and second time derivatives:
 
     - ``vertices``, ``vertex_velocities``, ``vertex_accelerations`` (3 points, 1) [m, m/s, m/s²],
       coordinates of p_0, p_1, …;

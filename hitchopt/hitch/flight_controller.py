@@ -156,9 +156,9 @@ class Gains(Record):
     InputError: a gain of another form, or out of its range.
     """
 
-    kp: Annotated[GAIN, Key(_pair(units.STIFFNESS), "Force by offset")] = None
-    kd: Annotated[GAIN, Key(_pair(units.DAMPING), "Force by velocity")] = None
-    ki: Annotated[GAIN, Key(_pair(units.INTEGRAL), "Force by offset and time")] = None
+    kp: Annotated[GAIN, Key(_pair(units.STIFFNESS), "Force per offset")] = None
+    kd: Annotated[GAIN, Key(_pair(units.DAMPING), "Force per velocity")] = None
+    ki: Annotated[GAIN, Key(_pair(units.INTEGRAL), "Force per offset and time")] = None
 
     @classmethod
     def of(cls, gains: object) -> Gains:

@@ -8,7 +8,7 @@ are in the order of ``Layout.clasps``: all n points of a closed hitch, the n - 1
 chain.
 
 ``closed_triangle`` solves this balance as a formula over ``Series``, which serves hitches at rest
-(values), paths (derivatives by time) and the optimiser (casadi expressions).
+(values), paths (time derivatives) and the optimiser (casadi expressions).
 """
 
 from __future__ import annotations

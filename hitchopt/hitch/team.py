@@ -258,7 +258,7 @@ class Team(ByValue):
     topology: Annotated[
         str, Key(words(CLOSED, OPEN), "closed: a polygon of n points; open: an arc of n + 1")
     ]
-    cable_density: Annotated[float, Key(units.DENSITY, "Mass of cables by length")]
+    cable_density: Annotated[float, Key(units.DENSITY, "Mass per length of the cables")]
     cable_friction: Annotated[float, Key(units.FRICTION, "Coefficient of friction at the clasps")]
     tension: Annotated[
         NDArray[np.float64],

@@ -43,7 +43,7 @@ class Setpoints(OneLine):
     time: plan time [s].
     rate: rate of the clock, 1 for the plan's own speed.
     positions, velocities, accelerations, jerks: (drones, 3) [m], [m/s], [m/s²], [m/s³], with
-        derivatives by real time.
+        derivatives with respect to real time.
     """
 
     time: float
@@ -428,7 +428,7 @@ class Sampler:
     def values(
         self, time: float, rate: float = 1.0, slope: float = 0.0, jerk: float = 0.0
     ) -> Array:
-        """Return positions and three derivatives by real time (4, points, 3) at a plan time.
+        """Return positions and three real-time derivatives (4, points, 3) at a plan time.
 
         ``slope`` and ``jerk`` are derivatives of the clock's rate.
         """

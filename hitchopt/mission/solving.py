@@ -63,7 +63,7 @@ def _with_tracking_advice(
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
     of_two = (
-        "two cables are hardly ever tied if vertical tracking errors exceed horizontal ones, here "
+        "two cables can rarely be tied if vertical tracking errors exceed horizontal ones, here "
         f"{tube}: set limits.tracking to {tube.level:g} if it was measured"
     )
     tied_by_two = team.has_cables and team.layout.closed and team.robots == 2

@@ -129,7 +129,7 @@ def _subdivide(times: Array, edges: Array) -> Array:
 
 
 def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
-    """Return derivatives by time (ORDERS, ends, *shape) at jets (ends, 4) of a clock.
+    """Return time derivatives (ORDERS, ends, *shape) at jets (ends, 4) of a clock.
 
     At the ends of pieces they are exact: tensions that vanish there stay zero.
     """

@@ -70,7 +70,7 @@ class States(OneLine):
         later piece.
     cable_forces: (…, 2n, 3) [N], of the cable on each drone: of its leg (of its edge at a chain's
         end), or of a hanging cable while there is no hitch (``forces.cable_forces``).
-    cable_force_rates: (…, 2n, 3) [N/s], their derivatives by time.
+    cable_force_rates: (…, 2n, 3) [N/s], their time derivatives.
     vertices, vertex_velocities: (…, points, 3) [m], [m/s]. These, legs and tensions are only
         meaningful while the hitch exists.
     legs: (…, n, 2) [m], of the drones q and r of every robot.
@@ -118,7 +118,7 @@ class States(OneLine):
         return np.asarray(team.mass[:, None] * (self.accelerations + HOVER) - self.cable_forces)
 
     def thrust_rates(self, team: Team | Swarm) -> Array:
-        """Return the derivatives of the thrust vectors by time (…, 2n, 3) [N/s]."""
+        """Return the time derivatives of the thrust vectors (…, 2n, 3) [N/s]."""
         return np.asarray(team.mass[:, None] * self.jerks - self.cable_force_rates)
 
     @cached_property
@@ -157,7 +157,7 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
 
     Parameters
     ----------
-    thrusts, thrust_rates: (…, 3) [N], and their derivatives by time.
+    thrusts, thrust_rates: (…, 3) [N], and their time derivatives.
     yaw: [rad]
     """
     c, s = np.cos(yaw), np.sin(yaw)

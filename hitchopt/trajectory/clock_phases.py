@@ -33,7 +33,7 @@ class ClockPhases:
     """Phases in which a clock has constant jerk and a rate of constant sign."""
 
     owner: Indices  # (phases,), index of each phase's clock
-    jets: Array  # (phases, 4), plan time τ [s] and its derivatives by time at the start of each
+    jets: Array  # (phases, 4), plan time τ [s] and its time derivatives at the start of each
     duration: Array  # (phases,) [s]
 
     def __len__(self) -> int:

@@ -130,7 +130,7 @@ class PiecewisePolynomial(OneLine):
         return float(self.breaks[-1] - self.breaks[0])
 
     def at(self, t: ArrayLike, derivative: int = 0) -> Array:
-        """Return values, or a derivative by time, at times t (…) as ``(…, *shape)``.
+        """Return values, or a time derivative, at times t (…) as ``(…, *shape)``.
 
         Raises
         ------
@@ -143,7 +143,7 @@ class PiecewisePolynomial(OneLine):
         return bernstein.evaluate(function.coefficients[piece], x)
 
     def jet(self, t: ArrayLike, count: int) -> Array:
-        """Return values and derivatives by time at times t (…) as ``(…, *shape, count)``.
+        """Return values and time derivatives at times t (…) as ``(…, *shape, count)``.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class PiecewisePolynomial(OneLine):
         return jets
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
-        """Return the derivative of the given order by time."""
+        """Return the time derivative of the given order."""
         if order == 0:
             return self
         stored = _DERIVATIVES.setdefault(self, {})
@@ -194,12 +194,12 @@ class PiecewisePolynomial(OneLine):
         return self.replaced(bernstein.elevate(self.coefficients, order))
 
     def ends(self, derivative: int = 0) -> tuple[Array, Array]:
-        """Return a derivative by time at both ends of every piece, ``(pieces, *shape)`` each."""
+        """Return a time derivative at both ends of every piece, ``(pieces, *shape)`` each."""
         c = self.differentiated(derivative).coefficients
         return c[..., 0], c[..., -1]
 
     def end_jet(self, count: int) -> Array:
-        """Return the value and derivatives by time at the last break, ``(*shape, count)``."""
+        """Return the value and time derivatives at the last break, ``(*shape, count)``."""
         differences, scale = self.coefficients[-1][..., -count:], 1.0
         jet = np.zeros((*self.shape, count))
         for order in range(differences.shape[-1]):

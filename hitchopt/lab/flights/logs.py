@@ -296,7 +296,7 @@ def read_ulog(path: Path) -> Log:
     if "commanded_position" in quantities:
         positions["trajectory_setpoint"] = quantities.pop("commanded_position").rows
     notes = [
-        f"{topic} is left out while it is not valid"
+        f"{topic} is skipped while it is not valid"
         for topic, rows in logged.items()
         if len(rows) < len(topics[topic]["timestamp"])
     ]

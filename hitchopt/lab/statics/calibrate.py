@@ -226,7 +226,7 @@ def calibrate(
     team, windows = task.team, windows_of(recording, task, FRICTION_WINDOW)
     if not len(windows.t):
         bound = "of a flight with visible drones and vertices while the plan has a hitch"
-        remedy = "record the vertices too, and let t count from the plan's start"
+        remedy = "record the vertices too, with t from the plan's start"
         raise InputError("recording", f"{len(recording.t)} samples", bound, remedy)
     stated_density = recording.density if density is None else nonnegative("density", density)
     rope_density = team.cable_density if stated_density is None else stated_density
