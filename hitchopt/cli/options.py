@@ -121,7 +121,7 @@ def width_option(of: str) -> click.Option:
 
 def picture_options(of: str = "the picture") -> tuple[click.Option, click.Option]:
     """Return the options for format and width of a picture among other results."""
-    formats = option("--format", "Of the picture.", "png", choices=("png", "svg", "pdf"))
+    formats = option("--format", "Format of the picture.", "png", choices=("png", "svg", "pdf"))
     return formats, width_option(of)
 
 

@@ -442,7 +442,7 @@ def init(
 ) -> None:
     """Write a commented problem file to start from, or an example.
 
-    NAME is problem.yaml by default, study.yaml of a study, or the example's name.
+    NAME defaults to problem.yaml, to study.yaml for a study, or to the name of the example.
     """
     if schema:
         from hitchopt.mission.loading import problem_schema

@@ -56,7 +56,7 @@ TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0
 OFFSETS_HOLD_TENSION = (
     "none: the offsets of the setpoints hold the tension; nothing is to be fed forward"
 )
-NO_CABLE_FORCE = "none: accelerations are the drones' own, where the files hold them"
+NO_CABLE_FORCE = "none: files with accelerations hold those of the drones"
 
 TRAILING_REMEDY = "fly it slower, give cables or polygons more room, or fly full setpoints"
 """Remedy for drones that trail positions."""

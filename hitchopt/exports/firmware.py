@@ -219,7 +219,7 @@ def settings_findings(
             yield level("parameters", str(name), f"{differences}: {effect}")
         marker = str(mapping_at(kind, "motion_capture").get("marker"))
         if "single" in marker:
-            effect = "has no attitude, and the filter's parameters count on one; mount four"
+            effect = "gives no attitude, which the filter's parameters require; mount four"
             yield warning("markers", str(name), f"one marker ({marker}) {effect}")
 
 

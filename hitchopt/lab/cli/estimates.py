@@ -162,7 +162,7 @@ def _statics_tables(content: dict[str, Any]) -> str:
         PATH,
         "DIR",
     ),
-    option("-o --output", "Team, or drones of hovers, with the estimates (YAML).", PATH, "FILE"),
+    option("-o --output", "YAML file for the estimates of team or drones.", PATH, "FILE"),
     option("--density", "Measured density of the cables.", float, "KG/M"),
     option("--mass", "Mass of every drone, for hovers.", float, "KG"),
     option("--kp", "Horizontal stiffness of the position loop, for hovers.", float, "N/M"),
@@ -181,9 +181,9 @@ def calibrate(
     """Estimate a team's cables and friction from a flight of a plan, or drones from hovers.
 
     RECORDING is a CSV file with the columns t, name, x, y, z: seconds from the plan's start, q0,
-    r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any that
-    `hitchopt evaluate` reads. Estimates have standard errors; values that the recording does not
-    determine are marked. Distances to the plan are in three dimensions.
+    r0, … or p0, …, and metres; the results of `hitchopt simulate`, DIR/simulation; or any recording
+    that `hitchopt evaluate` reads. Estimates have standard errors; values that the recording does
+    not determine are marked. Distances to the plan are in three dimensions.
 
     Without a plan, recordings are hovers: for each drone the trim, its tilt at rest, thrust factor
     (with --mass), lag of moving commands, and tracking error, as `team.quadrotor` takes them.

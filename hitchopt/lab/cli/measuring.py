@@ -26,7 +26,9 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
         "DIR",
     ),
     option("-o --output", "Output directory; default: evaluation next to RECORDING.", PATH, "OUT"),
-    option("--names", "Names of drones by recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"),
+    option(
+        "--names", "Names of drones for recorded names, such as cf231=q0,cf7=r0,…", str, "NAMES"
+    ),
     option(
         "--frame",
         "plan, y-up, fit, or a file such as another flight's evaluation.json.",
@@ -68,8 +70,8 @@ def evaluate(
 ) -> None:
     """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
-    Without a plan, what RECORDING holds is listed: bodies, quantities, topics, rates and gaps.
-    RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
+    Without a plan, the contents of RECORDING are listed: bodies, quantities, topics, rates and
+    gaps. RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
     evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.

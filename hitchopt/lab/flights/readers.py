@@ -317,7 +317,7 @@ def read_motive(path: Path, unit: str | None) -> RecordedFlight:
     header = next((i for i, cells in enumerate(rows) if cells[:1] == ["Frame"]), 0)
     titles = [cells for cells in rows[1:header] if any(cells)]
     if len(titles) < 3:
-        raise FileError("has no titles above a row 'Frame'; export it with its header")
+        raise FileError("has no column titles above the row 'Frame'; export it with its header")
     metadata = dict(zip(rows[0], rows[0][1:], strict=False))
     if metadata.get("Coordinate Space", "Global").casefold() != "global":
         raise FileError("is in Local space, each body in its own; export it in Global space")
