@@ -12,7 +12,8 @@ import pytest
 
 import hitchopt as ho
 from hitchopt import verify
-from problems.random_morph import random_morph, wild_morph
+from hitchopt.planners.optimise.guesses import MIN_EDGE_SHARE, turning_edges, turns
+from problems.random_morph import HEAVY, random_morph, wild_morph
 
 PAIRS: list[dict[str, Any]] = json.loads(
     Path(__file__).with_name("irregular_pairs.json").read_text(encoding="utf-8")
@@ -106,6 +107,48 @@ def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
         ho.morph(start, PAIRS[13]["goal"])
     assert "along the best route tried (edges turned" in caught.value.violations[0].when
     assert "the step's own route is infeasible: convexity" in caught.value.note
+
+
+BLUNT = {
+    "start": [[-0.83, -0.223], [-0.341, 0.04], [-0.214, 0.085], [0.052, 0.151], [1.332, -0.053]],
+    "goal": [[0.423, -1.272], [0.104, -1.221], [-1.043, 1.199], [-0.494, 1.53], [1.0, -0.515]],
+}
+"""A pair whose edges, turned evenly with the nearest lengths that close, would vanish midway."""
+
+
+def test_edges_that_turn_evenly_keep_a_share_of_their_lengths() -> None:
+    first, last = (ho.ConvexPolygon(BLUNT[key]) for key in ("start", "goal"))
+    (turn,) = turns(first, last)
+    found = turning_edges(first, last, turn, np.linspace(0.0, 1.0, 9))
+    assert found is not None
+    np.testing.assert_allclose(found[0], first.vertices, atol=1e-9)
+    np.testing.assert_allclose(found[-1], last.vertices, atol=1e-9)
+    shortest = MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)
+    for corners in found:
+        outline = ho.ConvexPolygon(corners)  # convex, clockwise
+        assert np.all(outline.edge_lengths >= shortest - 1e-6)
+
+
+@pytest.mark.slow
+def test_blunt_pairs_with_friction_are_planned() -> None:
+    problem = {
+        "team": {"robots": 5, "cable_length": 4.09, "cable_friction": 0.1},
+        "start": {"hitch": {"polygon": BLUNT["start"], "altitude": 1.5, "legs": "spread"}},
+        "mission": [{"morph": {"polygon": BLUNT["goal"]}}],
+    }
+    assert ho.solve(ho.problem_from_dict(problem)).certificate.certified
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [6, 17])
+def test_heavy_cables_of_many_robots_are_planned(index: int, tmp_path: Path) -> None:
+    """Their refinements need clasps in balance to much less than the certificate's bound."""
+    pair = PAIRS[index]
+    team = ho.Team(pair["n"], pair["cable_length"], **HEAVY)
+    start = ho.Hitch.spread(team, pair["start"], pair["altitude"])
+    plan = ho.morph(start, pair["goal"])
+    assert plan.certificate.certified
+    assert is_proven(plan, tmp_path)
 
 
 @pytest.mark.slow

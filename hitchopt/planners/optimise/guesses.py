@@ -14,12 +14,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import centroids
 from hitchopt.geometry.vectors import EAST, left_of, length, unit
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LegTask
 from hitchopt.planners.morph.morph import exterior_angles
@@ -96,7 +98,7 @@ def turns(first: Outline, last: Outline) -> tuple[float, ...]:
 
 
 def turning_edges(first: Outline, last: Outline, turn: float, s: Array) -> Array | None:
-    """Return outlines (J, points, 2) [m] whose edges turn evenly; None if an edge vanishes.
+    """Return outlines (J, points, 2) [m] whose edges turn evenly; None if no lengths close them.
 
     Parameters
     ----------
@@ -106,12 +108,10 @@ def turning_edges(first: Outline, last: Outline, turn: float, s: Array) -> Array
     start, goal = _directions(first), _directions(last)
     angles = _line(start, goal + turn - np.mean(goal - start), s)
     sides = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    lengths = _line(first.edge_lengths, last.edge_lengths, s)
-    if first.closed:
-        across = np.swapaxes(sides, 1, 2)
-        gap = across @ lengths[..., None]
-        lengths -= (sides @ np.linalg.solve(across @ sides, gap))[..., 0]
-    if np.any(lengths < MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)):
+    linear = _line(first.edge_lengths, last.edge_lengths, s)
+    shortest = MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)
+    lengths = _closing_lengths(sides, linear, shortest) if first.closed else linear
+    if lengths is None:
         return None
     edges = lengths[..., None] * sides
     if first.closed:
@@ -122,6 +122,37 @@ def turning_edges(first: Outline, last: Outline, turn: float, s: Array) -> Array
         own, ends = corners.mean(axis=1), (first.vertices.mean(axis=0), last.vertices.mean(axis=0))
     outlines: Array = corners + (_line(*ends, s) - own)[:, None]
     return outlines
+
+
+def _closing_lengths(sides: Array, lengths: Array, shortest: Array) -> Array | None:
+    """Return the edges' lengths (J, n) [m] nearest to given ones that close polygons.
+
+    Parameters
+    ----------
+    sides: (J, n, 2), unit vectors along edges.
+    lengths: (J, n) [m], which close the first and the last polygon.
+    shortest: (n,) [m], smallest lengths; None is returned if no polygon has them.
+    """
+    across = np.swapaxes(sides, 1, 2)
+    gap = across @ lengths[..., None]
+    nearest: Array = lengths - (sides @ np.linalg.solve(across @ sides, gap))[..., 0]
+    if np.all(nearest >= shortest):
+        return nearest
+    inner, size = sp.block_diag(list(across[1:-1])), lengths[1:-1].size
+    closed = np.zeros(inner.shape[0])
+    program = QuadraticProgram(
+        sp.csc_array(sp.eye_array(size)),
+        -lengths[1:-1].ravel(),
+        sp.csc_array(inner),
+        closed,
+        closed,
+        np.tile(shortest, len(lengths) - 2),
+    )
+    found = solve_qp(program)
+    if found is None:
+        return None
+    nearest[1:-1] = found.reshape(-1, lengths.shape[1])
+    return nearest
 
 
 def rolled_guesses(start: Hitch, end: Hitch, requirements: Requirements) -> list[KnotPath]:
