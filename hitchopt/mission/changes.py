@@ -21,6 +21,7 @@ from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.flight_controller import MIN_TRACKING, Tube, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
+from hitchopt.objects import Rim
 from hitchopt.steps.moving import ShapeStep
 from hitchopt.steps.step import (
     DECIMALS,
@@ -36,7 +37,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.storage.yaml_file import split_key, with_value
 from hitchopt.values import Array
-from hitchopt.values.fields import keys_of
+from hitchopt.values.fields import keys_of, with_fields
 
 DIGITS = 3  # Number of significant digits of a suggested value
 
@@ -436,6 +437,32 @@ def _object_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator
 def _names(violations: Sequence[Violation]) -> list[str]:
     """Return the names of bodies in violations, each once."""
     return [*dict.fromkeys(name for each in violations for name in each.where)]
+
+
+RIM_OVERHANG = 0.03
+"""[m] Overhang over the body of rims that suggestions try."""
+
+
+def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
+    """Yield rims at the ceilings of objects for which no grip was found.
+
+    Three or more robots rest objects with rims on their cables; two grip every object.
+    """
+    for name, body in problem.objects.items():
+        ungripped = any(v.when.startswith(f"around objects.{name} ") for v in violations)
+        if problem.team.robots == 2 or not ungripped:
+            continue
+        wider, radius = body.section.widened(RIM_OVERHANG), math.sqrt(body.section.area / math.pi)
+        keys = (
+            {"circle": wider.radius}
+            if wider.outline is None
+            else {"outline": wider.outline.tolist()}
+        )
+        edits = (Edit(f"objects.{name}.rim", {**keys, "at": body.upper}),)
+        with_rim = with_fields(body, rim=Rim(wider, body.upper))
+        changed = replace(problem, objects={**problem.objects, name: with_rim})
+        new, relative = f"{RIM_OVERHANG:g} m wide at {body.upper:g} m", RIM_OVERHANG / radius
+        yield Change(edits[0].key, "of the mean radius", "none", new, "", relative, changed, edits)
 
 
 def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:

@@ -40,6 +40,7 @@ from hitchopt.mission.changes import (
     detour_changes,
     knobs_of,
     retuning_changes,
+    rim_changes,
     roll_changes,
     size_of,
     spread_changes,
@@ -230,7 +231,7 @@ class _Search:
         if max_changes and broken <= SPACE_CHECKS | {"crossing", "arena"}:
             changes += spread_changes(problem)
         if max_changes:
-            changes += retuning_changes(problem)
+            changes += [*rim_changes(problem, error.violations), *retuning_changes(problem)]
         verdicts = map(self._verdict_of, changes)
         suggestions = [each for each in verdicts if isinstance(each, Suggestion)]
         suggestions += self._fitted(knobs)

@@ -52,7 +52,7 @@ OF_TWO = frozenset({"hinge", "tracking_radius"})
 def _with_tracking_advice(
     error: InfeasibleError, requirements: Requirements, team: Team
 ) -> InfeasibleError:
-    """Return an error with advice on distances that tracking errors widen."""
+    """Return an error with advice on distances that tracking errors widen, if they lack no more."""
     if not (tube := requirements.limits.tube).level:
         return error
     if tube == Tube.of(team.tracking):
@@ -69,7 +69,10 @@ def _with_tracking_advice(
     tied_by_two = team.has_cables and team.layout.closed and team.robots == 2
     violations = list[Violation]()
     for each in error.violations:
-        if each.constraint in WIDENED:
+        in_reach = (
+            each.unit != "m" or each.limit - each.value <= 2.0 * tube.largest
+        )  # of two bodies
+        if each.constraint in WIDENED and in_reach:
             violations.append(replace(each, remedy=_remedy(each, advice)))
         elif each.constraint in OF_TWO and tied_by_two and tube.ratio > 1.0:
             own = f"{each.remedy}; " if each.constraint == "hinge" else ""

@@ -107,6 +107,15 @@ class Section(ByValue):
         edges = self.sides[:, 1] - self.sides[:, 0]  # clockwise
         return unit(left_of(edges))
 
+    def widened(self, distance: float) -> Section:
+        """Return the section with its sides, or its circle, farther out by a distance [m]."""
+        if self.outline is None:
+            return Section(radius=self.rounding + distance)
+        normals = self._normals
+        meeting = np.stack([np.roll(normals, 1, axis=0), normals], axis=-2)
+        moves = np.linalg.solve(meeting, np.full((len(normals), 2, 1), distance))
+        return Section(self.outline + moves[..., 0])
+
     def support(self, directions: Array) -> Array:
         """Return the support function (…) [m]: largest products of directions (…, 2) and points."""
         reach: Array = np.max(directions @ self.core.T, axis=-1)

@@ -144,9 +144,10 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
             require_certified(StepPlan(planner.motion(moves, "lift"), task.before), when)
     except InfeasibleError as error:
         robots = "use more robots, as hitchopt fit counts them"
+        capacities, max_mass, rim_mass = hold_capacity(planner, task.requirements)
         rim = "rest it on a rim with three robots" if hold.team.robots == 2 else "give it a rim"
-        hardware = robots if hold.by is HoldBy.REST else f"use rougher cables, or {rim}"
-        capacities, max_mass = hold_capacity(planner, task.requirements)
+        rim = f", or {rim}" if rim_mass >= planner.body.mass else ""
+        hardware = robots if hold.by is HoldBy.REST else f"use rougher cables{rim}"
         remedy = f"lower {name}.mass, or request another tension, or {hardware}{capacities}"
         mass, violations = planner.body.mass, list[Violation]()
         if mass > max_mass:
@@ -159,14 +160,15 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
         raise InfeasibleError(violations) from None
 
 
-def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str, float]:
-    """Return in words the capacities of the hold and of a rim, and the hold's maximum mass [kg].
+def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str, float, float]:
+    """Return in words the capacities of the hold and of a rim, and their maximum masses [kg].
 
-    The mass is inf if it cannot be computed.
+    The hold's mass is inf if it cannot be computed, the rim's 0; at least three robots rest it.
     """
     hold, team, body = planner.hold, planner.hold.team, planner.body
     tension, kind = float(np.min(planner.state.tension)), team.quadrotor[0]
-    length, texts, max_mass = float(np.min(team.cable_length)), list[str](), np.inf
+    length, texts = float(np.min(team.cable_length)), list[str]()
+    max_mass, rim_mass, robots = np.inf, 0.0, max(team.robots, 3)
     rim_outline, height = hold.polygon, float(body.centre_of_mass[2]) - hold.height
     with contextlib.suppress(InfeasibleError):
         if isinstance(hold, GripHold):
@@ -174,13 +176,13 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str
             max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
             texts = [f"a grip holds {max_mass:.2g} kg"]
             rim = with_fields(body, rim=Rim(body.section, body.lower))
-            rim_outline = rest_polygons(planner.state.object, rim, team.robots, planner.gap).clasps
+            rim_outline = rest_polygons(planner.state.object, rim, robots, planner.gap).clasps
             height = float(body.centre_of_mass[2]) - body.lower
         shape = ConvexPolygon(rim_outline)
         rim_mass = rest_capacity(shape, length, tension, kind, requirements, height).mass
         texts.append(f"a rim {'' if texts else 'holds '}{rim_mass:.2g} kg")
         max_mass = rim_mass if hold.by is HoldBy.REST else max_mass
-    return (f" ({', '.join(texts)})" if texts else ""), max_mass
+    return (f" ({', '.join(texts)})" if texts else ""), max_mass, rim_mass
 
 
 def altitude_over(task: StepTask) -> float:

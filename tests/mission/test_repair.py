@@ -6,7 +6,7 @@ import copy
 import itertools
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,14 @@ from problem_cases import hitch_start, triangle
 
 import hitchopt as ho
 from hitchopt.hitch.team import Assignment
-from hitchopt.mission.changes import change_of, knobs_of, scaled_outlines, team_edit, with_edits
+from hitchopt.mission.changes import (
+    change_of,
+    knobs_of,
+    rim_changes,
+    scaled_outlines,
+    team_edit,
+    with_edits,
+)
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import find_suggestions, fitting_cables
 from hitchopt.mission.solving import contents, solve_problem
@@ -160,6 +167,34 @@ def test_a_crate_gets_the_cable_that_grips_it_and_the_tension_that_carries_it() 
     fitted = ho.fit(outline, 4, height=0.2).holding.cable_length
     assert keys["team.cable_length"] == pytest.approx(fitted, rel=0.2)
     assert_as_suggested(data, suggestion)
+
+
+def test_objects_that_cables_cannot_grip_get_a_rim_that_rests_on_them() -> None:
+    """Four heavy cables of 2 m find no grip; no words promise a rim that was not tried."""
+    hitch = {"polygon": [[-0.4, 0.4], [0.4, 0.4], [0.4, -0.4], [-0.4, -0.4]], "altitude": 1.2}
+    data: Any = {
+        "team": {"robots": 4, "cable_length": 2.0, "cable_density": 0.01},
+        "objects": {"crate": CRATE},
+        "start": {"hitch": hitch},
+        "mission": [{"enclose": {"object": "crate"}}],
+    }
+    problem = problem_from_dict(data)
+    with pytest.raises(ho.InfeasibleError, match="no grip by 4 cables") as refused:
+        ho.solve(problem)
+    assert "rim" not in str(refused.value)
+    (fault,) = refused.value.violations
+    (change,) = rim_changes(problem, [fault])
+    rim = change.edits[0]
+    assert (rim.key, change.size > 0.0) == ("objects.crate.rim", True)
+    assert solve_problem(problem_from_dict(edited(data, [rim]))).certificate.certified
+    assert solve_problem(change.problem).certificate.certified
+    assert not list(rim_changes(problem, [replace(fault, when="at t = 1 s")]))
+    round_crate = {key: value for key, value in CRATE.items() if key != "outline"} | {
+        "circle": 0.16
+    }
+    data["objects"]["crate"] = round_crate
+    (change,) = rim_changes(problem_from_dict(data), [fault])
+    assert change.edits[0].value == {"circle": pytest.approx(0.19), "at": 0.2}
 
 
 def test_sizes_are_compared_as_factors() -> None:

@@ -30,6 +30,23 @@ def random_section(rng: np.random.Generator) -> ho.Section:
     return ho.Section(hull[:: rng.choice([-1, 1])])
 
 
+@examples
+@given(SEEDS, st.floats(0.001, 0.2))
+def test_widened_sections_have_their_sides_farther_out(seed: int, distance: float) -> None:
+    """A circle everywhere; a polygon along its normals, and in between by no less."""
+    section = random_section(np.random.default_rng(seed))
+    wider, angles = section.widened(distance), np.linspace(0.0, 2.0 * np.pi, 50)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    more = wider.support(directions) - section.support(directions)
+    assert np.all(more >= distance - 1e-9)
+    if section.outline is None:
+        assert np.allclose(more, distance)
+        return
+    edges = section.sides[:, 1] - section.sides[:, 0]
+    normals = edges[:, ::-1] * [-1.0, 1.0] / np.linalg.norm(edges, axis=1)[:, None]
+    assert np.allclose(wider.support(normals) - section.support(normals), distance)
+
+
 def inner_points(section: ho.Section, rng: np.random.Generator, count: int) -> Array:
     """Return points of the section, including its corners."""
     weights = rng.dirichlet(np.full(len(section.core), 0.5), count)

@@ -283,6 +283,23 @@ def test_a_specified_tracking_that_is_too_large_is_suggested_as_that_of_retuned_
     assert first.change.relative == pytest.approx(-0.9)
 
 
+@pytest.mark.parametrize(("ceiling", "advised"), [(1.5, True), (0.5, False)])
+def test_smaller_errors_are_advised_only_where_distances_lack_no_more(
+    ceiling: float, advised: bool
+) -> None:
+    """A hitch at 1.5 m lacks 5 cm of tracking below a ceiling at 1.5 m, and a metre more at 0.5."""
+    data: Any = {
+        "team": {"robots": 3, "cable_length": 2.4, "quadrotor": "paper_132g"},
+        "limits": {"tracking": 0.05},
+        "arena": {"lower": [-4, -4, 0], "upper": [4, 4, ceiling]},
+        "start": {"hitch": {"polygon": [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], "altitude": 1.5}},
+        "mission": [{"hold": {"seconds": 1}}],
+    }
+    with pytest.raises(InfeasibleError, match="arena") as refused:
+        ho.solve(ho.problem_from_dict(data))
+    assert ("stiffer controller" in str(refused.value)) is advised
+
+
 SOFT = ho.Quadrotor(0.25, 5.5, controller="px4", gains={"kp": 2.5, "kd": 1.25})
 
 

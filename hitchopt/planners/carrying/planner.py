@@ -294,7 +294,7 @@ class MovePlanner:
         tensions = [each for each in candidates if hold.largest_push(each) <= limit * (1.0 + 1e-9)]
         if not tensions:
             name, push = f"objects.{self.state.object}", hold.largest_push(low)
-            remedy = f"give it more weight, raise {name}.friction, or rest it on a rim"
+            remedy = f"give it more weight, or raise {name}.friction"
             when = "on its support, which its edges push it along"
             raise InfeasibleError(
                 [Violation("grip", push, limit, "max", "N", (name,), when, remedy)]

@@ -338,8 +338,6 @@ def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
     limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
     remedy = f"{note}: this distance is the one that the nearest one lacks most"
-    if task.robots > 2:
-        remedy += "; rest the object on a rim"
     value = round(ratio * limit, DECIMALS)
     return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
 
