@@ -34,7 +34,12 @@ from hitchopt.geometry.vectors import column_lengths, turn, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import (
+    HITCHED_STATE,
+    OPEN_STATES,
+    CableState,
+    Motion,
+)
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
@@ -50,7 +55,6 @@ MAX_PAST_ROLL = math.degrees(2.0 * math.asin(0.5 * BALANCE_LIMIT))
 BALANCE_LIMIT of their tension, as much as forces may be out of balance."""
 
 MAX_HALVINGS = 12  # of pieces on which rolls are not yet bounded
-OPEN_STATES = frozenset({CableState.ROLLING})
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
 Flags = NDArray[np.bool_]
 LEG_ENDS = np.array([0, 1])  # Legs at a clasp: q of the cable ahead, r of the cable behind

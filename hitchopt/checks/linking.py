@@ -32,7 +32,6 @@ from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
 from hitchopt.checks.clasps import (
     MAX_PAST_ROLL,
     OPEN_ROLL,
-    OPEN_STATES,
     roll_changes,
     roll_past,
 )
@@ -75,7 +74,9 @@ from hitchopt.motion.loads import stated_tensions
 from hitchopt.motion.motion import (
     FREE_STATES,
     JOINT,
+    LAID_STATES,
     TAUT_STATES,
+    UNLINKED_STATES,
     CableState,
     HoldBy,
     Motion,
@@ -240,9 +241,6 @@ def _outside_sheet(spans: PairSpans) -> Flags:
 
 MAX_LAID_GAP = 0.02  # [m] Largest distance of cables that lie on each other: their sags differ
 MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a drone can follow
-# States in which neighbours have the crossing number 0; it changes in clasping, and then is 1
-UNLINKED = frozenset({CableState.GROUND, CableState.FREE, CableState.DRAWN})
-LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}  # followed by half crossings
 MAX_NAMED = 12  # maximum number of pairs in ``where``
 MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
 MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
@@ -345,8 +343,8 @@ def _wrong_cables(motion: Motion) -> Iterator[Wrong]:
 
 
 def _required_number(state: CableState) -> int | None:
-    """Return the size of neighbours' crossing numbers in a state; None if it may change."""
-    return None if state is CableState.CLASPING else int(state not in UNLINKED)
+    """Return the size of neighbours' crossing numbers in a state; None where it changes."""
+    return None if state is CableState.CLASPING else int(state not in UNLINKED_STATES)
 
 
 def _wrong_at_start(state: CableState, part: PhasePart, ties: Ties) -> Iterator[Wrong]:

@@ -249,24 +249,26 @@ def slipping_drones(
         sides = vertices[:, layout.ends[ahead]] - vertices[:, layout.starts[behind]]
     else:
         sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
-    half = 0.5 * GRAVITY * team.cable_density
-    halves = half * (legs if cables is None else cables)
-    along = -np.sum(halves, axis=2)  # half of the weights of edges
-    along[..., 0] += half * team.cable_length
+    half_weight = 0.5 * GRAVITY * team.cable_density  # of a cable, by length
+    of_legs = half_weight * (legs if cables is None else cables)
+    of_edges = -np.sum(of_legs, axis=2)
+    of_edges[..., 0] += half_weight * team.cable_length
     loads = np.zeros(sides.shape)
-    loads[:, :, 2] = halves[:, ahead, 1] + halves[:, behind, 0]
-    whole = half * (team.cable_length[ahead] + team.cable_length[behind])
-    loads[:, :, 2, 0] -= whole + GRAVITY * team.load
+    loads[:, :, 2] = of_legs[:, ahead, 1] + of_legs[:, behind, 0]
+    of_cables = half_weight * (team.cable_length[ahead] + team.cable_length[behind])
+    loads[:, :, 2, 0] -= of_cables + GRAVITY * team.load
     with np.errstate(all="ignore"):
-        points, T = Series.of_jet(vertices), _scalars(tensions)
-        u = (points.select(layout.ends) - points.select(layout.starts)).direction
-        edges = (chord_pull(T, _scalars(along)) if half > 0.0 else T) * u
+        points, tension = Series.of_jet(vertices), _scalars(tensions)
+        along = (points.select(layout.ends) - points.select(layout.starts)).direction
+        sagging = half_weight > 0.0
+        edges = (chord_pull(tension, _scalars(of_edges)) if sagging else tension) * along
+        leg_weights = _scalars(of_legs[:, behind, 1]), _scalars(of_legs[:, ahead, 0])
         directions = closed_triangle(
             edges.select(behind) - edges.select(ahead) - Series.of_jet(loads),
             Series.of_jet(sides),
             None,
             (_scalars(pulls[:, behind, 1]), _scalars(pulls[:, ahead, 0])),
-            (_scalars(halves[:, behind, 1]), _scalars(halves[:, ahead, 0])) if half > 0.0 else None,
+            leg_weights if sagging else None,
         )
         clasps = points.select(layout.clasps)
         r = clasps + _scalars(legs[:, behind, 1]) * directions[0]

@@ -68,6 +68,15 @@ FREE_STATES = frozenset(CableState) - TAUT_STATES - {CableState.NONE}
 """States of cables that are slack or lie on the ground."""
 
 
+UNLINKED_STATES = frozenset({CableState.GROUND, CableState.FREE, CableState.DRAWN})
+"""States in which no cables hold each other."""
+
+OPEN_STATES = frozenset({CableState.ROLLING})
+"""States of a hitch in which clasps may be open."""
+
+LAID_STATES = OPEN_STATES | {CableState.LAYING, CableState.BENT}
+"""States in which neighbouring cables may lie across each other."""
+
 CLASPED_STATES = frozenset({CableState.CLASPING, CableState.TIGHTENING})
 """States in which neighbouring cables may hold each other although no hitch exists."""
 

@@ -77,8 +77,8 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     """
     sides = np.roll(section.core, -1, axis=0) - section.core
     angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
-    c, s = np.cos(angles), np.sin(angles)
-    axes = np.stack([c, s, -s, c], axis=-1).reshape(-1, 2, 2)
+    cosines, sines = np.cos(angles), np.sin(angles)
+    axes = np.stack([cosines, sines, -sines, cosines], axis=-1).reshape(-1, 2, 2)
     widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
     ratios = np.column_stack([np.sqrt(ASPECT_RATIOS), 1.0 / np.sqrt(ASPECT_RATIOS)])
     turns = 2.0 * math.pi / n * (np.arange(ROTATIONS)[:, None] / ROTATIONS - np.arange(n))
@@ -91,10 +91,10 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     reaches = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)
     corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
     onward = np.roll(corners, -1, axis=-2) - corners
-    previous, sizes = np.roll(onward, 1, axis=-2), length(onward)
-    turned = turn(onward, previous)
-    feasible = np.isclose(np.sum(turned, axis=-1), 2.0 * math.pi)
-    feasible &= np.all(turned >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
+    sizes = length(onward)
+    right_turns = turn(onward, np.roll(onward, 1, axis=-2))
+    feasible = np.isclose(np.sum(right_turns, axis=-1), 2.0 * math.pi)
+    feasible &= np.all(right_turns >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
     feasible &= np.min(sizes, axis=-1) >= MIN_EDGE * np.mean(sizes, axis=-1)
     feasible &= np.all(dot(onward, edges) > 0.0, axis=-1)
     if not np.any(feasible):

@@ -111,25 +111,31 @@ class SampledPath:
         """Cylinders around the objects that the team moves."""
         motion = self.flown.motion
         objects = motion.requirements.objects
-        own = [k for k, name in enumerate(objects) if name in self.owned]
-        at = np.repeat(motion.poses.at(self.times)[:, own, None, :3], 2, axis=2)
-        slabs = [list(objects.values())[k].slabs for k in own]
-        ends = [[min(s.lower for s in each), max(s.upper for s in each)] for each in slabs]
-        radii = [max(s.section.circumradius for s in each) for each in slabs]
-        heights = at[..., 2] + np.array(ends).reshape(-1, 2)
-        return SampledBodies(at, heights, np.array(radii), np.ones(len(self), np.bool_))
+        indices = [k for k, name in enumerate(objects) if name in self.owned]
+        bodies = [body for name, body in objects.items() if name in self.owned]
+        bases = np.repeat(motion.poses.at(self.times)[:, indices, None, :3], 2, axis=2)
+        ends = [
+            [min(slab.lower for slab in body.slabs), max(slab.upper for slab in body.slabs)]
+            for body in bodies
+        ]
+        radii = [max(slab.section.circumradius for slab in body.slabs) for body in bodies]
+        heights = bases[..., 2] + np.array(ends).reshape(-1, 2)
+        return SampledBodies(bases, heights, np.array(radii), np.ones(len(self), np.bool_))
 
     @cached_property
     def box(self) -> tuple[Array, Array]:
         """Corners (samples, 3) [m] of boxes around all bodies."""
         lower, upper = np.full((len(self), 3), np.inf), np.full((len(self), 3), -np.inf)
-        for each in (self.drones, self.cables, self.objects):
-            if each.corners.shape[1]:
-                level, radii = each.corners[..., :2], each.radii[:, None]
-                low = np.min(np.min(level, axis=2) - radii, axis=1), np.min(each.heights, (1, 2))
-                high = np.max(np.max(level, axis=2) + radii, axis=1), np.max(each.heights, (1, 2))
-                lower = np.minimum(lower, np.column_stack(low))
-                upper = np.maximum(upper, np.column_stack(high))
+        for bodies in (self.drones, self.cables, self.objects):
+            if not bodies.corners.shape[1]:
+                continue
+            level, radii = bodies.corners[..., :2], bodies.radii[:, None]
+            level_low = np.min(np.min(level, axis=2) - radii, axis=1)
+            level_high = np.max(np.max(level, axis=2) + radii, axis=1)
+            low = np.column_stack([level_low, np.min(bodies.heights, (1, 2))])
+            high = np.column_stack([level_high, np.max(bodies.heights, (1, 2))])
+            lower = np.minimum(lower, low)
+            upper = np.maximum(upper, high)
         return lower, upper
 
 

@@ -20,7 +20,12 @@ from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.motion.motion import (
+    HITCHED_STATE,
+    OPEN_STATES,
+    CableState,
+    Motion,
+)
 from hitchopt.motion.states import States
 from hitchopt.values import Array
 
@@ -42,7 +47,6 @@ SLACK_TOLERANCE = 1e-4
 UP = np.array([0.0, 0.0, 1.0])
 MIN_LENGTH = 1e-9  # Minimum length of a span [m], since a chain's ends have no legs
 HOOKED_STATES = HITCHED_STATE | {CableState.TIGHTENING}
-OPEN_STATES = HITCHED_STATE - {CableState.HITCHED}  # States in which clasps may be open
 FULL_CONTACT = 0.5  # Share of a clasp's contact above which its bends are complete
 STRAIGHT_REACH = 2.0  # Reach of straight strands, in bend radii
 MIN_ROLL_RISE = 0.01  # Minimum change of height of a rolling pair [m]

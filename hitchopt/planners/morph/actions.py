@@ -254,7 +254,7 @@ class ActionMorph:
     def solve(self) -> FlownAction:
         """Return the flight; errors are those of ``StraightMorph.solve``."""
         action, seconds = self.action, self.action.seconds
-        team, s = action.start.team, np.linspace(0.0, 1.0, PATH_SAMPLES)
+        team = action.start.team
         distance = np.max(np.abs(self.end.drones - action.start.drones))
         if action.track is None and distance < POSITION_TOLERANCE:
             return FlownAction(None)
@@ -269,12 +269,15 @@ class ActionMorph:
         equal = with_fields(
             team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0
         )
-        ideal = replace(ideal, team=equal, roll=None)
-        by_law, own = (_moving(each, s) for each in (law, ideal))
+        s = np.linspace(0.0, 1.0, PATH_SAMPLES)
+        by_law = _moving(law, s)
+        by_action = _moving(replace(ideal, team=equal, roll=None), s)
         hulls = motion.drones.coefficients
-        moves = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
-        names, further = np.array(team.drone_names), (moves > POSITION_TOLERANCE) & ~own
-        turning, sliding = (tuple(names[further & mask].tolist()) for mask in (by_law, ~by_law))
+        travel = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+        further = (travel > POSITION_TOLERANCE) & ~by_action
+        names = np.array(team.drone_names)
+        turning = tuple(names[further & by_law].tolist())
+        sliding = tuple(names[further & ~by_law].tolist())
         worst = None if path is self.own_path else worst_point(self.own_path, self.requirements)
         return FlownAction(motion, turning, sliding, worst)
 

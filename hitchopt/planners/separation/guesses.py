@@ -46,26 +46,28 @@ def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
     usable = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
     acceleration = np.minimum(np.broadcast_to(usable, n), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
-    straight, routes = length(task.goal - task.start), routes_around(task)
+    routes = routes_around(task)
     lengths = np.array([np.sum(length(np.diff(route, axis=0))) for route in routes])
-    (bound, _), (durations, ramps) = (
-        fastest_ramps(each, limits.speed, acceleration, limits.jerk) for each in (straight, lengths)
-    )
+    straight = length(task.goal - task.start)
+    bound, _ = fastest_ramps(straight, limits.speed, acceleration, limits.jerk)
+    durations, ramps = fastest_ramps(lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(durations))
     duration = float(durations[slowest])
     ramp = max(float(ramps[slowest]), MIN_RAMP_SHARE * duration)
     size = max(float(np.max(lengths)), 2.0 * task.requirements.separation.radius)
     moving = float(lengths[slowest]) > 1e-6 * size
     cruise = max(duration_ratio * duration / ramp - 2.0, 0.0) if moving else 0.0  # in ramps
-    first = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
-    middle = min(math.ceil(duration_ratio * MAX_CRUISE_PIECES), math.ceil(cruise - 1e-9))
-    cruising = 1.0 + np.linspace(0.0, cruise, middle + 1)
-    breaks = np.concatenate([first[:-1], cruising, 1.0 + cruise + first[1:]])
+    # Breaks in ramps: of the first ramp, of the cruise, and of the last ramp
+    ramp_breaks = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
+    cruise_pieces = min(math.ceil(duration_ratio * MAX_CRUISE_PIECES), math.ceil(cruise - 1e-9))
+    cruise_breaks = 1.0 + np.linspace(0.0, cruise, cruise_pieces + 1)
+    breaks = np.concatenate([ramp_breaks[:-1], cruise_breaks, 1.0 + cruise + ramp_breaks[1:]])
     grid = Grid(breaks / breaks[-1])
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
     progress = _progress(s, 1.0 / breaks[-1])
     nominal = np.zeros((n, grid.count, 3))
-    nominal[:, :END_COUNT], nominal[:, -END_COUNT:] = task.start[:, None], task.goal[:, None]
+    nominal[:, :END_COUNT] = task.start[:, None]
+    nominal[:, -END_COUNT:] = task.goal[:, None]
     targets = np.stack([points_along(route, progress) for route in routes])
     nominal[:, grid.free] = grid.fitting(s) @ (targets - grid.sampled(s) @ nominal)
     return Setting(task, grid, nominal, caps, float(np.max(bound)), duration, size)
@@ -307,7 +309,8 @@ def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
     """Return the task with nominal curves along a schedule, on a grid that resolves them."""
     setting = setting_of(task, SCHEDULE_PIECES * schedule.duration_ratio)
     grid, nominal = setting.grid, np.zeros_like(setting.nominal)
-    nominal[:, :END_COUNT], nominal[:, -END_COUNT:] = task.start[:, None], task.goal[:, None]
+    nominal[:, :END_COUNT] = task.start[:, None]
+    nominal[:, -END_COUNT:] = task.goal[:, None]
     s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
     times = np.linspace(0.0, 1.0, schedule.points.shape[1])
     targets = interp1d(times, schedule.points, axis=1)(s)

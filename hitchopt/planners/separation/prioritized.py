@@ -87,10 +87,13 @@ class Lattice:
     def of(cls, task: SeparationTask) -> Lattice | None:
         """Return the lattice of a task; None if the space is too large for one."""
         separation, arena = task.requirements.separation, task.requirements.arena
-        ends, margin = np.vstack([task.start, task.goal]), MARGIN / separation.scale
-        lower, upper = np.min(ends, axis=0) - margin, np.max(ends, axis=0) + margin
+        ends = np.vstack([task.start, task.goal])
+        margin = MARGIN / separation.scale
+        lower = np.min(ends, axis=0) - margin
+        upper = np.max(ends, axis=0) + margin
         if arena is not None:
-            lower, upper = np.maximum(lower, arena.lower), np.minimum(upper, arena.upper)
+            lower = np.maximum(lower, arena.lower)
+            upper = np.minimum(upper, arena.upper)
         size = (upper - lower) * separation.scale
         spacing = SPACING
         while np.prod(np.ceil(size / spacing) + 1.0) > MAX_POINTS:
