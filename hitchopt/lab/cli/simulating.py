@@ -30,12 +30,14 @@ if TYPE_CHECKING:
 
     from hitchopt.lab.simulation.judgement import Spread
     from hitchopt.lab.simulation.report import Simulation
+    from hitchopt.lab.simulation.rests import Rest
     from hitchopt.lab.simulation.settings import Settings
     from hitchopt.lab.simulation.task import Task
     from hitchopt.lab.sweeps.campaign import Campaign
     from hitchopt.lab.sweeps.sweep import Summary
 
 RESULTS = "simulation"  # Default directory of the results, in DIR
+ERROR_COLUMNS = ("mean", "deviation", "largest")
 OBJECT_COLUMNS = ("name", "placed", "tilted", "turned", "slipped", "free")
 # Errors of all vertices, and their labels
 ERRORS = {
@@ -297,6 +299,8 @@ def flight_tables(simulation: Simulation) -> str:
             for name, values in each.items()
         ]
         parts.append(table("Vertex errors, sag included [cm]", vertices))
+    if simulation.rests:
+        parts.append(_table_of_rests(simulation.rests))
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
@@ -305,6 +309,21 @@ def flight_tables(simulation: Simulation) -> str:
         parts.append(table("Objects, to the plan's, and while carried [m, °]", objects))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", rows))
     return "\n\n".join([*parts, *_inexact(simulation.settings)])
+
+
+def _table_of_rests(rests: Sequence[Rest]) -> str:
+    """Return the table of every vertex at every rest."""
+    rows = [
+        {
+            "rest": f"{rest.phase}, {rest.end:.1f} s",
+            "vertex": name,
+            **{key: known_text(100.0 * getattr(vertex, key)) for key in ERROR_COLUMNS},
+            "holds": vertex.holds,
+        }
+        for rest in rests
+        for name, vertex in rest.vertices.items()
+    ]
+    return table("Vertices at rest, where steps end [cm]", rows)
 
 
 def _inexact(settings: Settings) -> list[str]:

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
+from hitchopt.lab.simulation.judgement import TAUT_RATIO
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array, as_array
 
@@ -54,7 +55,6 @@ MIN_GAIN = 1.2
 GAIN_TIME = 0.1  # That shift [s]
 MIN_OVERLAP = 0.5  # Smallest share of samples at times of both records
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
-TAUT_RATIO = 0.9  # Smallest planned tension, over the team's, of a hitch that is evaluated
 
 # Standard error of a vertex that is interpolated across a window, added to its standard deviation
 # [m]

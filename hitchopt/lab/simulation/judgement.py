@@ -29,7 +29,7 @@ from hitchopt.values import Array
 REST_TOLERANCE = 1e-6
 
 # Smallest tension over the team's of a taut hitch; vertices of loose hitches are ill-defined
-TAUT_RATIO = 0.5
+TAUT_RATIO = 0.9
 
 ROUNDING = 1e-5  # Rounding error of sample times [s]
 MAX_SLIP = 0.10  # Largest slip of a vertex along its cables in the pull test [m]
@@ -111,14 +111,11 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     The first sample is excluded, as no contact forces precede it.
     """
     task, record = flight.task, flight.record
-    taut, moves = list[Array](), np.zeros(len(task.states.t), np.bool_)
+    taut, moves = list[NDArray[np.bool_]](), np.zeros(len(task.states.t), np.bool_)
     for part in task.parts:
-        tension, formed = part.team.tension, part.states.formed
-        taut.append(formed & np.all(part.states.tensions >= TAUT_RATIO * tension, axis=-1))
-        steps = length(np.diff(part.states.vertices, axis=0))
-        changes = np.abs(np.diff(part.states.tensions, axis=0)) / tension
-        resting = np.all(np.concatenate([steps, changes], axis=-1) <= REST_TOLERANCE, axis=-1)
-        moves[1:] |= ~resting & formed[1:] & formed[:-1]
+        formed = part.states.formed
+        taut.append(taut_samples(part))
+        moves[1:] |= ~resting_samples(part)[1:] & formed[1:] & formed[:-1]
     clasp_is_taut = task.clasped(taut)
     end = np.fmax(task.duration, flight.rested) + ROUNDING
     rows = np.flatnonzero(
@@ -129,6 +126,21 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     planned = np.where(clasp_is_taut[index, :, None], planned, np.nan)
     moving = moves[index] & (t <= task.duration + ROUNDING)
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
+
+
+def taut_samples(task: Task) -> NDArray[np.bool_]:
+    """Return whether a team's hitch is taut at the samples of its task (samples,)."""
+    tension, states = task.team.tension, task.states
+    taut: NDArray[np.bool_] = np.all(states.tensions >= TAUT_RATIO * tension, axis=-1)
+    return states.formed & taut
+
+
+def resting_samples(task: Task) -> NDArray[np.bool_]:
+    """Return whether no vertex moves and no tension changes before samples of a task (samples,)."""
+    steps = length(np.diff(task.states.vertices, axis=0))
+    changes = np.abs(np.diff(task.states.tensions, axis=0)) / task.team.tension
+    resting = np.all(np.concatenate([steps, changes], axis=-1) <= REST_TOLERANCE, axis=-1)
+    return np.append(False, resting)
 
 
 def tension_ratios(flight: SimulatedFlight, rows: NDArray[np.int64]) -> Array:
@@ -144,7 +156,7 @@ def tracking_verdict(flight: SimulatedFlight) -> str:
 
     Errors are distances from the planned positions, level and upright.
     """
-    record, tube, task = flight.record, _tube_of(flight), flight.task
+    record, tube, task = flight.record, allowed_errors(flight), flight.task
     during = record.t <= task.duration + ROUNDING
     errors = record.drones[during] - task.states.positions[record.index[during]]
     if task.flight is None or errors.size == 0:
@@ -354,7 +366,7 @@ def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failur
         f"{state.turned:.1f}°; at most {100 * MAX_DISTANCE:g} cm and {MAX_ANGLE:g}°"
     )
     drop = f" is dropped: more than {100 * MAX_DROP:g} cm below its planned height"
-    if (tube := _tube_of(flight)).level:
+    if (tube := allowed_errors(flight)).level:
         error, drop = (f"{words}, beyond tracking errors of {tube}" for words in (error, drop))
     cases = (
         (dropped, "dropped", state.dropped, drop),
@@ -368,7 +380,7 @@ def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failur
     ]
 
 
-def _tube_of(flight: SimulatedFlight) -> Tube:
+def allowed_errors(flight: SimulatedFlight) -> Tube:
     """Return the largest tracking errors of any group that the plan allows for.
 
     Distances of a carried object are certified for errors of its place as large as those of the
@@ -381,17 +393,23 @@ def _tube_of(flight: SimulatedFlight) -> Tube:
     return Tube.enclosing(tubes) or Tube.of(None)
 
 
-def object_states(flight: SimulatedFlight) -> tuple[ObjectState, ...]:
-    """Return the states of all movable objects, at the end of the rest or of the record."""
+def object_states(
+    flight: SimulatedFlight, end: float | None = None, window: float = AVERAGING_TIME
+) -> tuple[ObjectState, ...]:
+    """Return the states of all movable objects at a time [s]: means over a ``window`` [s] before.
+
+    Without a time it is the end of the rest, or the last sample of a record that ends before.
+    """
     task, record, cargo = flight.task, flight.record, flight.task.cargo
     if not cargo.movable.any():
         return ()
-    rested = bool(np.isfinite(flight.rested))
-    end = flight.rested if rested else record.t[-1]
+    if end is None:
+        rested = bool(np.isfinite(flight.rested))
+        end, window = (flight.rested, window) if rested else (float(record.t[-1]), 2.0 * ROUNDING)
     t = record.t[record.t <= end + ROUNDING]
     rows, poses, touched = (x[: len(t)] for x in (record.index, record.poses, record.touched))
-    plan, at_end = cargo.poses[rows], t > end - AVERAGING_TIME if rested else t == end
-    yaws, tube = np.arctan2(plan[-1, :, 4], plan[-1, :, 3]), _tube_of(flight)
+    plan, at_end = cargo.poses[rows], t > end - window
+    yaws, tube = np.arctan2(plan[-1, :, 4], plan[-1, :, 3]), allowed_errors(flight)
     offsets = poses[..., :3] - plan[..., :3]
     vertices, states = record.vertices[: len(t)], list[ObjectState]()
     groups = np.array([group_of(task.team.point_names[p]) for p in task.team.layout.clasps])

@@ -6,7 +6,7 @@ import csv
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,6 +34,7 @@ from hitchopt.lab.simulation.judgement import (
     vertex_errors,
     warnings,
 )
+from hitchopt.lab.simulation.rests import Rest, rests
 from hitchopt.lab.simulation.settings import CALM, PRESETS, Settings, settings_of
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.motion.flight import Flight
@@ -100,6 +101,11 @@ class Simulation(OneLine):
     def loss(self) -> LossOutcome | None:
         """Outcome for the other drones after a loss; None without a loss."""
         return loss_outcome(self.flight)
+
+    @cached_property
+    def rests(self) -> tuple[Rest, ...]:
+        """Verdicts at all rests with a taut hitch."""
+        return rests(self.flight, self.outcome)
 
     @property
     def spreads(self) -> dict[str, Spread]:
@@ -328,6 +334,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
             "all_without_sag": spreads["without_sag"],
             **each,
         },
+        "rests": [rest.to_dict() for rest in simulation.rests],
         "tension": [
             dict(zip(("cable", "mean", "peak", "over_planned"), each, strict=True))
             for each in tensions

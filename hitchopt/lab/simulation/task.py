@@ -304,7 +304,7 @@ class Task:
         if self.flight is not None:
             self.flight.of_one_team(what, others=True)
 
-    def clasped(self, flags: Sequence[Array]) -> Flags:
+    def clasped(self, flags: Sequence[Flags]) -> Flags:
         """Return flags (…) of every team, repeated for its clasps (…, clasps)."""
         counts = [len(part.team.layout.clasps) for part in self.parts]
         each = zip(flags, counts, strict=True)

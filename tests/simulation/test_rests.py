@@ -1,0 +1,81 @@
+"""Verdicts at every rest of a flight, and their agreement with the evaluation of its recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plans import planned
+from scripted import flight_of
+
+import hitchopt as ho
+from hitchopt.lab.simulation.judgement import Outcome, judge, vertex_errors
+from hitchopt.lab.simulation.report import Simulation, summary
+from hitchopt.lab.simulation.rests import AFTER, rests
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import Task
+
+TEAM = ho.Team(3, 2.3, tension=0.5, cable_density=0.01)
+FROM, TO = ho.regular_polygon(3, 1.3), ho.regular_polygon(3, 1.15)
+
+
+@pytest.fixture(scope="module")
+def plan() -> ho.Plan:
+    """A plan of three steps, each of which ends at rest."""
+    start = ho.HitchStart(FROM, 2.0)
+    return ho.Mission(TEAM, start).hold(0.5).morph(TO).hold(0.8).solve()
+
+
+def test_every_step_that_ends_with_a_taut_hitch_is_a_rest(plan: ho.Plan) -> None:
+    """Errors are those at the step's end: of rests over the rest, of others over a tenth."""
+    task = Task.of(plan.flight)
+    t = np.arange(0.0, task.duration + 1.005, 0.01)
+    states = task.states[np.array([task.index(each) for each in t])]  # type: ignore[index]
+    vertices = states.vertices[:, task.team.layout.clasps].copy()
+    vertices[:, 1, 0] += 0.03 + 0.01 * (t > plan.phases[0].end)  # p1 is off, more from there on
+    off = states.positions + [0.0, 0.03, -0.02]
+    flight = flight_of(task, plan.end, t, vertices=vertices, drones=off, rested=task.duration + 1.0)
+    found = rests(flight, Outcome((), ()))
+    ends = [phase.end for phase in plan.phases[:-1]]
+    assert [rest.phase for rest in found] == ["hold", "morph", AFTER]
+    np.testing.assert_allclose([rest.end for rest in found], [*ends, flight.rested])
+    np.testing.assert_allclose([rest.end - rest.start for rest in found], [0.5, 0.1, 1.0])
+    for rest, error in zip(found, (0.03, 0.04, 0.04), strict=True):
+        assert rest.vertices["p1"].mean == pytest.approx(error)
+        assert rest.vertices["p1"].largest == pytest.approx(error)
+        assert rest.vertices["p0"].mean == pytest.approx(0.0, abs=1e-12)
+        np.testing.assert_allclose(rest.drones, [0.03, 0.02])
+        assert not rest.hitched  # straight cables are not linked
+
+
+@pytest.mark.slow
+def test_a_hitch_that_holds_does_so_at_every_rest(plan: ho.Plan, tmp_path: Path) -> None:
+    """The evaluation of the recording finds the vertices of the simulation to a millimetre."""
+    simulation = Simulation.of(Task.of(plan.flight), Settings(pull_test=False))
+    found = simulation.rests
+    assert [rest.phase for rest in found] == ["hold", "morph", AFTER]
+    assert all(rest.hitched for rest in found)
+    assert summary(simulation)["rests"][1]["vertices"]["p0"]["holds"]
+    errors, outcome = vertex_errors(simulation.flight), judge(simulation.flight)
+    assert {clasp.name for clasp in outcome.clasps} == {*found[-1].vertices}
+    last = (errors.t > found[-1].start + 1e-6) & (errors.t <= found[-1].end + 1e-6)
+    for c, vertex in enumerate(found[-1].vertices.values()):
+        assert vertex.mean == pytest.approx(np.mean(errors.errors[last, c]))
+    folder = simulation.save(tmp_path / "simulation")
+    evaluation = ho.evaluate(folder, plan)
+    during = errors.t <= plan.duration
+    for c in range(3):
+        own, theirs = errors.errors[during, c], evaluation.errors[:, c]
+        assert np.nanmean(theirs) == pytest.approx(np.nanmean(own), abs=1e-3)
+        assert np.nanmax(theirs) == pytest.approx(np.nanmax(own), abs=3e-3)
+
+
+@pytest.mark.slow
+def test_plans_that_end_untied_have_rests_before() -> None:
+    motion = planned("tie_carry_untie").flight
+    simulation = Simulation.of(Task.of(motion), Settings(pull_test=False))
+    found = simulation.rests
+    assert found
+    assert AFTER not in {rest.phase for rest in found}
+    assert all(rest.objects or not motion.requirements.objects for rest in found)
