@@ -29,7 +29,7 @@ SIZE = (4.2, 4.2)
 """Width and height [inch]."""
 
 EDGES = {"left": 0.01, "right": 0.99, "bottom": 0.01, "top": 0.94}
-"""Edges of storyboards, as shares of the figure."""
+"""Edges of storyboards, as fractions of the figure."""
 
 PALETTE = 64
 """Number of colours: line drawings need few, and files shrink to a third."""

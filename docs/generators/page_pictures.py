@@ -13,7 +13,7 @@ import hitchopt as ho
 from generators.problem_collection import GALLERY, PROBLEMS
 
 SCREENSHOTS = {"carry_box": 0.55, "swarms/circle_24": 0.45, "form_thirty_gon": 1.0}
-"""Problems, and times of the pictures as shares of the plan's duration."""
+"""Problems, and times of the pictures as fractions of the plan's duration."""
 
 KINDS = {"view": "The live view", "report": "The report"}
 

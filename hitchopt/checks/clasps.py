@@ -72,7 +72,7 @@ def clasp_sizes(motion: Motion) -> dict[str, Array]:
     A common factor ``x^a (1 - x)^b``, as where tensions rise from zero, is divided out: it cancels
     in every ratio.
 
-    - ``legs``, ``edges`` [N]: tensions; those of edges without the share of a rim;
+    - ``legs``, ``edges`` [N]: tensions; those of edges without the fraction of a rim;
     - ``leg_halves``, ``edge_halves`` [N/m]: half of the weight per length;
     - ``weights`` [N]: half of the cable's weight, and half of the clasp's load;
     - ``loads`` (pieces, clasps, 3, degree + 1) [N]: forces of objects.
@@ -98,7 +98,7 @@ def has_loads(motion: Motion) -> bool:
 
 
 def edge_tensions(motion: Motion) -> Array:
-    """Return the pulls of edges (pieces, n, degree + 1) [N], without the share of a rim."""
+    """Return the pulls of edges (pieces, n, degree + 1) [N], without the fraction of a rim."""
     return _without_strut(motion, motion.tensions.coefficients)
 
 
@@ -409,7 +409,7 @@ def spare_forces(motion: Motion) -> Array:
 
 
 BENT = frozenset({CableState.BENT})
-PASSED_SHARE = 0.4  # Largest share of a cable's weight at a clasp that the other cable bears
+PASSED_SHARE = 0.4  # Largest fraction of a cable's weight at a clasp that the other cable bears
 
 
 class LegEnds(MotionSpans):

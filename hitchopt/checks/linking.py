@@ -244,7 +244,7 @@ MAX_JUMP = 1e-6  # [m], [m/s], [m/s²] Largest sum of jumps, far below what a dr
 MAX_NAMED = 12  # maximum number of pairs in ``where``
 MAX_DRIFT = 1e-3  # [m] Largest motion of the midpoint of two drones that turn about each other
 MAX_LEG_DRIFT = 1e-4  # [m] Largest change of legs beyond that of their sag, while they roll
-MAX_TAUT_SHARE = 0.5  # largest share of a tightening phase with cables at their full length:
+MAX_TAUT_SHARE = 0.5  # largest fraction of a tightening phase with cables at their full length:
 # tightening comes to rest there, which takes a few hundredths of its time
 PROBES = np.linspace(0.0, 1.0, 9)  # points of a piece, one of which shows that cables are slack
 
@@ -838,7 +838,7 @@ def chord_squares(motion: Motion) -> Array:
 
 
 def _taut_share(motion: Motion) -> float:
-    """Return the share of time in which cables are not provably slack around the vertices.
+    """Return the fraction of time in which cables are not provably slack around the vertices.
 
     Lengths are weighted by tensions: their sum is smallest where taut cables balance, so no choice
     of vertices hides cables at their full length.

@@ -156,7 +156,7 @@ class Held(MotionSpans):
 
     @lazy
     def share(self) -> Enclosed:
-        """Share of its weight that cables carry."""
+        """Fraction of its weight that cables carry."""
         return Enclosed(self.read(self.source.load_share.coefficients)[:, None])
 
 
@@ -371,7 +371,7 @@ def unbalanced(motion: Motion) -> WorstCase:
 def missing_force(spans: Gripped) -> Bound:
     """Return an object's missing force over the smallest tension; infinite without tension.
 
-    It is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried share of its weight, or the moment
+    It is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried fraction of its weight, or the moment
     about its centre over its radius, both reduced by friction with its support.
     """
     body, pulls = spans.body, spans.pulls

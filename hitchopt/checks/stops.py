@@ -177,7 +177,7 @@ class ClockLimit:
     # whether norms of derivatives (orders, cells, items) prove that limits hold, for pieces
     # (cells,) and the clock's rate and its derivatives there, (cells, 1) each
     norms_suffice: Callable[..., Flags]
-    utilization: Callable[[Any], Array]  # largest share of a limit (spans,)
+    utilization: Callable[[Any], Array]  # largest fraction of a limit (spans,)
 
     @lazy
     def sizes(self) -> Array:
@@ -258,7 +258,7 @@ def _limit_of_drones(motion: Motion) -> ClockLimit:
         return feasible & (body_rate is None)  # norms do not bound turning rates tightly
 
     def utilization(spans: DronesOnClock) -> Array:
-        """Return the largest share of a limit (spans,), by the formulas of the checks."""
+        """Return the largest fraction of a limit (spans,), by the formulas of the checks."""
         acceleration, jerk = (spans.motion_rate(order).norm_upper.value for order in (2, 3))
         shares = [acceleration / limits.acceleration, jerk / limits.jerk]
         if body_rate is not None:

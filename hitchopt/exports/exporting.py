@@ -47,7 +47,7 @@ from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
 RETRY_STRETCHES = (1.02, 1.05)  # Factors of durations if rounding violates a limit
-REFIT_SHARES = (1.0, 0.3)  # Candidate shares of the usual refit error, for parts
+REFIT_SHARES = (1.0, 0.3)  # Candidate fractions of the usual refit error, for parts
 STRETCH_FACTORS = (1.0, 1.25, 1.5)  # Stretches that are tried, over the first one
 MAX_STRETCH = 20.0  # Largest stretch that is tried
 STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if setpoints hold no tension

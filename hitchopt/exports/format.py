@@ -248,7 +248,7 @@ class Format(ABC):
     def parts(self, task: ExportTask, share: float) -> Sequence[ExportTask]:  # noqa: ARG002
         """Return a task cut into parts that are flown one by one; empty if that is not possible.
 
-        The refit error of parts is this share of the usual one.
+        The refit error of parts is this fraction of the usual one.
         """
         return ()
 

@@ -55,7 +55,7 @@ INCH = 0.0254
 PIXELS = 96.0
 """Pixels of one inch in CSS: lengths with units in SVG become pixels."""
 
-PAGE_TOLERANCE = 5e-4  # Largest share of its bounding box that a page or frame leaves out
+PAGE_TOLERANCE = 5e-4  # Largest fraction of its bounding box that a page or frame leaves out
 
 PIXEL_NOTE = (
     "its size is in CSS pixels (1/96 inch); programs with 72 px per inch make parts three "

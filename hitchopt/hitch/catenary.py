@@ -68,7 +68,7 @@ def depth_rate(sigma: Array) -> Array:
 
 SHIFT_RATIO = 1.12
 """Bound of the displacement of a point at fixed σ over that of the ends: at most √(1 + ¼), since
-the point's shares of their horizontal and vertical motion differ by up to one half."""
+the point's fractions of their horizontal and vertical motion differ by up to one half."""
 
 
 def displacement_bound(

@@ -280,7 +280,7 @@ def _unbalanced(
         remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
         name, value, limit = "tension", abs(behind - ahead), total
     else:
-        # The share of the load at which |edges - share · load| is the sum of both pulls.
+        # The fraction of the load at which |edges - share · load| is the sum of both pulls.
         name, value, along = "load", float(length(load)), float(edges @ load)
         root = math.sqrt(along**2 + value**2 * max(pull**2 - float(edges @ edges), 0.0))
         limit = (along + root) / value if value > 0.0 else 0.0

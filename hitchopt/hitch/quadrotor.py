@@ -236,7 +236,7 @@ class Quadrotor(OneLine):
 
     @property
     def tension(self) -> float:
-        """Default tension [N] of cables; for a model, a share of its largest horizontal pull."""
+        """Default tension [N] of cables; for a model, a fraction of its largest horizontal pull."""
         of_model = float(f"{TENSION_RATIO * self.usual_pull[0]:.2g}")
         return DEFAULT_TENSION if self.model is None else of_model
 

@@ -70,7 +70,8 @@ class Limits(OneLine):
         float,
         Key(
             units.SHARE,
-            "Share of acceleration and jerk that plans use; below 1 stops can begin at every time",
+            "Fraction of the acceleration and jerk limits that plans use; below 1, stops can "
+            "begin at every time",
         ),
     ] = 1.0
     tracking: Annotated[

@@ -34,7 +34,7 @@ from hitchopt.values import Array, nonnegative, positive
 FEATURE = "a reaction to a lost drone"  # it supports a single team
 
 DELAY = 0.05  # time from the loss until the survivors react [s]
-LIMIT_SHARE = 0.8  # share of the limits that is used in the descent
+LIMIT_SHARE = 0.8  # fraction of the limits that is used in the descent
 STOP_DELAYS = (0.0, 0.1, 0.25)  # candidate delays of the stop [s]
 GROUND_TOLERANCE = 1e-3  # height up to which drones are on the ground [m]
 

@@ -65,8 +65,8 @@ ONE_SIDED = 1e-9  # relative distance from a break at which one-sided derivative
 # Share of the limits that is allowed at samples for the brake alone; the rest is a margin for the
 # times between samples
 BRAKE_SHARE = 0.9
-SHARE = 0.99  # Share of the limits that is allowed at samples for the sum
-TARGET_SHARE = 0.989  # Share of the limits that is the target of a longer shift
+SHARE = 0.99  # Fraction of the limits that is allowed at samples for the sum
+TARGET_SHARE = 0.989  # Fraction of the limits that is the target of a longer shift
 
 # Relative times of samples, of the sum and of a brake
 SAMPLES = np.linspace(0.0, 1.0, 16, endpoint=False)
@@ -378,7 +378,7 @@ class RetargetPath:
     team: Team
     state: MovingState
     end: Array  # vertices (points, 3) [m] at rest
-    fractions: Array  # (n,), shares of the slack at rest
+    fractions: Array  # (n,), fractions of the slack at rest
     yaw: float = 0.0  # rotation of the frame [rad]
 
     @classmethod
@@ -480,7 +480,7 @@ def _drones(team: Team, outputs: Array, *, turns: bool = False) -> DroneJets:
 def _excess(drones: DroneJets, limits: Limits, t: Array) -> Array:
     """Return the factor by which motions are too fast at times (J,) [s]; at most 1 is feasible.
 
-    Thrust and tilt, which do not scale, count by the square root of their share of the limit.
+    Thrust and tilt, which do not scale, count by the square root of their fraction of the limit.
     At t = 0 only the jerk counts, because the state is fixed.
     """
     rates = np.maximum.reduce(column_lengths(drones.positions), axis=1).T

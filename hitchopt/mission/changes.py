@@ -228,7 +228,7 @@ MAX_TILT_DEG = 80.0
 """Maximum tilt of suggestions [deg]."""
 
 LOAD_SHARE = 0.95
-"""First mass to try, as a share of the maximum mass at rest, since carrying adds forces."""
+"""First mass to try, as a fraction of the maximum mass at rest, since carrying adds forces."""
 
 CHECK_OF_LIMIT = {"leg": "legs"}  # Names of checks that differ from their limits
 

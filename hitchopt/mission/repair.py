@@ -91,7 +91,7 @@ ROUTE_SIZES = (0.05, 0.2, 0.5)
 """Relative sizes of changes that are tried with the optimiser, where no route was found."""
 
 BETWEEN = (0.25, 0.5, 0.75)
-"""Shares of the straight path between two polygons at which legs are separated as well."""
+"""Fractions of the straight path between two polygons at which legs are separated as well."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -162,7 +162,7 @@ def reduce_constants(coefficients: Array) -> Array:
 class Supports:
     """Distribution of an object's weight over the clasps below it."""
 
-    shares: Array  # (…, clasps), shares of its mass
+    shares: Array  # (…, clasps), fractions of its mass
     # (…, clasps, 2) [1/m], ``G_k``: derivatives of the shares by the point at which the force line
     # meets the clasps' plane, in the object's frame
     gains: Array
@@ -231,7 +231,7 @@ def saved_lengths(motion: Motion) -> Array | None:
 
 
 def strut_shares(motion: Motion) -> Array | None:
-    """Return the share of edges' pulls that rims take (pieces, degree + 1); None if zero.
+    """Return the fraction of edges' pulls that rims take (pieces, degree + 1); None if zero.
 
     It grows with the square of the load share, as ``1 - cos`` of the legs' slope does.
     """

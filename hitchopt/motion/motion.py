@@ -194,7 +194,7 @@ class Motion(OneLine):
         differ where cables slide against friction.
     poses: shape (objects, 5): x, y, z [m] of the objects' bases, cosine and sine of yaw; by default
         where requirements place them.
-    load_share: shape (objects,), share of each object's weight that clasps carry, from 0 (on its
+    load_share: shape (objects,), fraction of each object's weight that clasps carry, from 0 (on its
         support, the default) to 1.
     contacts: shape (n, 2, 3) [m], first and last point at which edge k touches the section that it
         is wrapped around, one point if straight; by default the edges' midpoints.

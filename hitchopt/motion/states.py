@@ -76,7 +76,7 @@ class States(OneLine):
     legs: (…, n, 2) [m], of the drones q and r of every robot.
     tensions: (…, n) [N], of the robots' cables.
     object_poses: (…, objects, 5): x, y, z [m] of their bases, cosine and sine of yaw.
-    load_share: (…, objects), share of each object's weight that clasps carry.
+    load_share: (…, objects), fraction of each object's weight that clasps carry.
     masses: (…, 2n) [kg], of the drones.
     """
 

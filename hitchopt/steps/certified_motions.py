@@ -416,10 +416,10 @@ def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> 
 
 
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
-"""Shares of the friction that feed-forward compensates; the first certified one is used."""
+"""Fractions of the friction that feed-forward compensates; the first certified one is used."""
 
 FULL_SHARE = 0.99
-"""Share of the friction that counts as all of it."""
+"""Fraction of the friction that counts as all of it."""
 
 MAX_SLOWDOWN = 1.5
 """Maximum ratio of a step's duration with friction feed-forward to that without."""

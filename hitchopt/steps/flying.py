@@ -24,7 +24,9 @@ from hitchopt.values.units import DURATION
 
 SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 
-LIMIT_SHARE = 1.0 - 1e-6  # Usable share of the limits of thrust and tilt, as a margin for rounding
+LIMIT_SHARE = (
+    1.0 - 1e-6
+)  # Usable fraction of the limits of thrust and tilt, as a margin for rounding
 
 CIRCLE_CORNERS = 24
 """Number of corners of the polygon around a circle."""

@@ -178,7 +178,7 @@ DECIMALS = 9
 """Number of decimals of numbers in edits."""
 
 MIN_REMAINING_SHARE = 0.1
-"""Minimum share of a quantity that lowering leaves."""
+"""Minimum fraction of a quantity that lowering leaves."""
 
 PLAN_DURATION = "plan duration"
 """Constraint that the plan is too long; ``duration`` means that a step is too short."""

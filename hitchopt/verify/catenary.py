@@ -71,7 +71,7 @@ def catenary_depth(L: Array, h: Array, sigma: Array, mu: Array) -> Array:
 
 
 class Links(NamedTuple):
-    """A chain that replaces hanging cables: points at shares of lengths and positions μ.
+    """A chain that replaces hanging cables: points at fractions of lengths and positions μ.
 
     ``chord`` has points of chords above, ``sag`` (m, 1) how far cables sag below links, and
     ``rate`` (m,) bounds rates of depths below chords, and of lengths up to points.

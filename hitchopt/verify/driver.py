@@ -145,7 +145,7 @@ def object_faults(p: Plan) -> Iterator[Fault]:
         for wrong, words in (
             (np.max(np.abs(np.array(head) - 1.0), axis=0) > POS_TOL, "has an invalid heading"),
             (busy & ~(p.held[b] & p.formed), "moves or has a load share without a hold"),
-            (moving & ~lifted, "moves without a load share of 1"),
+            (moving & ~lifted, "moves without a load fraction of 1"),
             (np.any((share < 0.0) | (share > 1.0), axis=-1), "has a load share outside 0 to 1"),
             (busy & body.fixed, "is fixed but moves"),
             (falls & (not body.fixed), "has no support"),

@@ -29,7 +29,7 @@ from .reading import DRAWN, EXACT_RANGE, LAID, MIN_GAP, SAG_TOL, TIGHTENED, UNLI
 from .shapes import distance, hull_distance, prism_gap, signed_distance
 from .spans import CLASPING, MIN_TENSION, RESOLUTION, Row, Spans, prove
 
-PASSED = 0.4  # largest share of a cable's weight at a clasp that a cable below it may bear
+PASSED = 0.4  # largest fraction of a cable's weight at a clasp that a cable below it may bear
 
 
 def bent_cables(p: Plan) -> Iterator[Row]:

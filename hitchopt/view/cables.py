@@ -35,19 +35,19 @@ EDGE = 9  # Number of points of an edge
 POINTS = 2 * LEG + 2 * BEND + EDGE  # Number of points of a cable, from q to r
 # Indices of a cable's points in the middles of its bends, nearest to the vertices
 CLASPS = (LEG + BEND // 2, LEG + BEND + EDGE + BEND // 2)
-THICKNESS = 0.0035  # Radius of a drawn cable as a share of the scene's extent
+THICKNESS = 0.0035  # Radius of a drawn cable as a fraction of the scene's extent
 MIN_RADIUS = 0.004  # Minimum radius of a drawn cable [m]
 MAX_RADIUS = 0.03  # Maximum radius of a drawn cable [m]
 # Radius of a bend in radii of the drawn cable, so that neighbours clear each other
 BEND_RADIUS = 2.2
 STRAIGHT_AT = 3.0  # Distance from a vertex beyond which a cable is straight, in bend radii
-MAX_BEND_SHARE = 0.2  # Maximum radius of a bend, as a share of the shortest leg or edge
+MAX_BEND_SHARE = 0.2  # Maximum radius of a bend, as a fraction of the shortest leg or edge
 # Relative slack up to which a weightless cable is straight
 SLACK_TOLERANCE = 1e-4
 UP = np.array([0.0, 0.0, 1.0])
 MIN_LENGTH = 1e-9  # Minimum length of a span [m], since a chain's ends have no legs
 HOOKED_STATES = HITCHED_STATE | {CableState.TIGHTENING}
-FULL_CONTACT = 0.5  # Share of a clasp's contact above which its bends are complete
+FULL_CONTACT = 0.5  # Fraction of a clasp's contact above which its bends are complete
 STRAIGHT_REACH = 2.0  # Reach of straight strands, in bend radii
 MIN_ROLL_RISE = 0.01  # Minimum change of height of a rolling pair [m]
 ROLL_SAMPLES = 17  # Number of samples of a rolling pair
@@ -58,7 +58,7 @@ def cable_curves(
 ) -> tuple[Array, float]:
     """Return the cables of a plan (times, n, POINTS, 3) [m], from q to r, and their drawn radius.
 
-    ``thickness`` is the radius as a share of the scene's extent.
+    ``thickness`` is the radius as a fraction of the scene's extent.
     """
     drones = states.positions
     extent = float(np.max(np.ptp(drones, axis=(0, 1)), initial=0))
@@ -167,7 +167,7 @@ def wrapped_edges(first: Array, last: Array, contacts: Array) -> tuple[Array, Ar
 
 
 def _hooked_shares(motion: Motion, t: Array) -> tuple[Array, Array]:
-    """Return times of the vertices, and shares of the hooked shape, from 0 to 1 (times,).
+    """Return times of the vertices, and fractions of the hooked shape, from 0 to 1 (times,).
 
     The share rises in the second half of the clasping before a hitch, and falls in the first half
     of the clasping after it.
@@ -196,7 +196,7 @@ def _smooth(share: Array) -> Array:
 def _free_cables(motion: Motion, drones: Array, share: Array) -> Array:
     """Return free cables (times, n, POINTS, 3) between drones (times, 2n, 3) [m].
 
-    Their points are at shares of each cable, from 0 to 1, (POINTS,) or (times, n, POINTS).
+    Their points are at fractions of each cable, from 0 to 1, (POINTS,) or (times, n, POINTS).
     """
     q, r = drones[:, 0::2], drones[:, 1::2]
     return _sagging(q, r, motion.team.cable_length, share, of_chord=False)

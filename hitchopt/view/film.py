@@ -26,9 +26,9 @@ RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
 AZIMUTH = -115.0  # Azimuth of the camera [deg]
 ELEVATION = 32.0  # Elevation of the camera [deg]
 MARGIN = 0.2  # Margin around drones and cables [m]
-HEADER_SHARE = 0.09  # Height of the header above the scene, as a share of the frame's
-MIN_CABLE_WIDTH = 0.0022  # Minimum half width of a cable, as a share of the frame's height
-MIN_DRONE_SIZE = 0.012  # Minimum radius of a drone, as a share of the frame's height
+HEADER_SHARE = 0.09  # Height of the header above the scene, as a fraction of the frame's
+MIN_CABLE_WIDTH = 0.0022  # Minimum half width of a cable, as a fraction of the frame's height
+MIN_DRONE_SIZE = 0.012  # Minimum radius of a drone, as a fraction of the frame's height
 SMOOTHING_TIME = 1.5  # Standard deviation of the smoothing of the camera's motion [s]
 
 
@@ -37,8 +37,9 @@ def save_film(
 ) -> None:
     """Write the film of a scene, 1280 × 720, with a title above it.
 
-    ``progress`` is called with the finished share. Raises InputError unless ``path`` ends in .gif
-    or .mp4, UnsupportedError for a missing package, and FileError if the file cannot be written.
+    ``progress`` is called with the completed fraction. Raises InputError unless ``path`` ends in
+    .gif or .mp4, UnsupportedError for a missing package, and FileError if the file cannot be
+    written.
     """
     kind = path.suffix.lower()
     if kind not in RATES:

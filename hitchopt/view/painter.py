@@ -45,10 +45,10 @@ PRIORITY_TRAVEL = 1e6  # Travel that is added to the rank of essential moments [
 TINY_STEP = 1e-9  # Least path between two samples [m], so that path lengths increase
 AZIMUTH = -115.0  # Azimuth of the camera [deg]
 ELEVATION = 38.0  # Elevation of the camera [deg]
-# Radius of a drawn cable as a share of the extent, large enough to show clasps in small panels
+# Radius of a drawn cable as a fraction of the extent, large enough to show clasps in small panels
 THICKNESS = 0.011
-MARGIN = 0.08  # Margin as a share of a panel's height
-MIN_DRONE_SIZE = 0.03  # Minimum radius of a drone as a share of a panel's height
+MARGIN = 0.08  # Margin as a fraction of a panel's height
+MIN_DRONE_SIZE = 0.03  # Minimum radius of a drone as a fraction of a panel's height
 PATH_SAMPLES = 150  # Number of points of a drone's path
 PATH_OPACITY = 0.45  # Opacity of a drone's path
 LETTER_WIDTH = 5.6  # Width of a bold small letter [points]

@@ -36,12 +36,12 @@ from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, 
 
 SIZE = (13.0, 7.2)  # Width and height of the picture [inch]
 HEIGHTS = (1.0, 1.7)  # Height ratios of a row of panels and the plan below it
-# Edges of the plots, and of a plan or a storyboard on their left, as shares of the figure
+# Edges of the plots, and of a plan or a storyboard on their left, as fractions of the figure
 PLOT_EDGES = {"left": 0.585, "right": 0.935, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
 PLAN_EDGES = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
 STORYBOARD_EDGES = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
-LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a share of its height
-LABEL_AT = -0.1  # Position of the plots' labels, as a share of their width
+LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a fraction of its height
+LABEL_AT = -0.1  # Position of the plots' labels, as a fraction of their width
 CARD_RESOLUTION = 65  # Resolution of a notebook's picture [dots per inch]: 850 pixels wide
 POINTS = 150_000  # Number of sampled drone positions: more is finer than pixels
 SAMPLES = (60, 600)  # Range of the number of sampled times
@@ -61,7 +61,7 @@ START_COLOUR = "0.62"
 
 # Maximum height of the plan on a page of a paper [inch], where parts are one below the other
 PAGE_PLAN = 4.5
-PAGE_SHARE = 0.9  # Height of the plan on a page, as a share of its width
+PAGE_SHARE = 0.9  # Height of the plan on a page, as a fraction of its width
 PAGE_PLOT = 1.0  # Height of a plot on a page [inch]
 PAGE_LEGEND = 1.5  # Height of phases' names and legend together on a page [inch]
 
@@ -83,7 +83,7 @@ class Panel:
     label: str  # label with unit
     values: Array  # (samples,), in the label's unit
     limit: float  # in the same unit
-    share: bool = False  # whether values are shares of the limit
+    share: bool = False  # whether values are fractions of the limit
 
     def worst_of(self, certificate: Certificate) -> tuple[float, float] | None:
         """Return time and value of the certificate's worst, in the label's unit, if it has one."""
@@ -109,7 +109,7 @@ def _sample_times(flight: Flight) -> Array:
 def panels(flight: Flight, states: States) -> tuple[Panel, ...]:
     """Return separation, speed and thrust; a single drone has no separation.
 
-    Thrust is a share of its limit if limits differ.
+    Thrust is a fraction of its limit if limits differ.
     """
     times, requirements, team = states.t + flight.drones.breaks[0], flight.requirements, flight.team
     kinds = np.unique(team.max_thrust)
@@ -340,7 +340,7 @@ def _label(axes: Axes, text: str, value: float, colour: str, shift: float = 0.0)
 def draw_plan_view(axes: Axes, flight: Flight, gap: float = 0.1) -> None:
     """Draw a plan from above: start, paths, end and surroundings.
 
-    ``gap`` is the distance of the legend below, as a share of the axes' height.
+    ``gap`` is the distance of the legend below, as a fraction of the axes' height.
     """
     requirements, cables, look = flight.requirements, _has_cables(flight), Appearance.of(flight)
     radius, colours = requirements.separation.radius, list(look.drone_colours)

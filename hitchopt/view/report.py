@@ -53,7 +53,7 @@ def save_view(
 ) -> None:
     """Write a plan as a page, a picture or a film, according to the file name's extension.
 
-    ``problem`` is the text of its file; ``progress`` receives the finished share of a film;
+    ``problem`` is the text of its file; ``progress`` receives the finished fraction of a film;
     ``width`` [inch] makes a picture a figure for a paper. Raises
     InputError for another extension, UnsupportedError for a missing package, and FileError if the
     file cannot be written.

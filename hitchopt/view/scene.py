@@ -92,7 +92,7 @@ def scene_of(flight: Flight, samples: int = MAX_SAMPLES) -> Scene:
 def scene_at(flight: Flight, t: Array, thickness: float = THICKNESS) -> Scene:
     """Return the scene of a plan, with other plans, at ascending times (times,) [s].
 
-    ``thickness`` is the radius of a drawn cable as a share of the scene's extent.
+    ``thickness`` is the radius of a drawn cable as a fraction of the scene's extent.
     """
     begin, rows, radii = flight.drones.breaks[0], list[Any](), list[float]()
     poses = [flight.poses.at(begin + np.minimum(t, flight.duration))]
@@ -200,7 +200,7 @@ def highlight_of(flight: Flight, where: Sequence[str]) -> Highlight:
 
 # Surfaces of drones, objects and spheres; names, colours and shapes of a scene.
 
-SPAN = 0.8  # Radius of a drone with rotors as a share of its ellipsoid's radius
+SPAN = 0.8  # Radius of a drone with rotors as a fraction of its ellipsoid's radius
 SEGMENTS = 16  # Number of corners of a rotor (even)
 ROUND = 32  # Number of corners of a circle
 PLATE = 0.012  # Thickness of a drawn rim [m], below its height

@@ -161,7 +161,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
         edit(lambda text: lines(text, slice(7, None))), "a table of Motive with its header",
     ),
     "Motive without titles": (
-        edit(lambda text: lines(text, slice(2), slice(5, None))), "no column titles above the row 'Frame'",
+        edit(lambda text: lines(text, slice(2), slice(5, None))), "no column titles above",
     ),
     "Motive in leagues": (
         partial(w.write_motive, unit=("Leagues", 1e-3)), "unknown; state unit='m', 'cm' or 'mm'",

@@ -129,7 +129,7 @@ class MavsdkDroneShow(Format):
 
 
 def rise_of(task: ExportTask) -> PiecewisePolynomial:
-    """Return the completed share of the rise, 0 to 1, over an integer number of rows."""
+    """Return the completed fraction of the rise, 0 to 1, over an integer number of rows."""
     limits = [each.motion.requirements.limits for each in task.flight.teams]
     height = float(np.max(np.abs(_ascent(task))))
     speed = min(SPEED, *(each.speed for each in limits))

@@ -95,7 +95,7 @@ WORD_START = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 LAND = "land"  # Action: descend directly
 LEVEL = "goToKeepAlt"  # Action: descend after a horizontal flight
-SPEED_SHARE = 0.9  # Share of the speed limit for returns, whose durations are integer seconds
+SPEED_SHARE = 0.9  # Fraction of the speed limit for returns, whose durations are integer seconds
 LANDING_SPEED = 0.5  # Default speed of a descent [m/s]
 MIN_SEPARATION = 1.01  # Minimum separation of planned returns, with a margin for rounding
 MAX_RETURNS = 60  # Maximum number of returns of a plan

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 MAX_WINDOW = 1.0  # Largest time window of line fits [s]
-MIN_SHARE = 0.5  # Smallest share of the time of a vertex that is measured without a remark
+MIN_SHARE = 0.5  # Smallest fraction of the time of a vertex that is measured without a remark
 ROUNDING = 1e-6  # Tolerance of a number of time steps
 
 FORMAT = "hitchopt-evaluation/1"
@@ -61,7 +61,7 @@ OWNED = (SUMMARY, VERTICES, LATEX, RECORDING, *(PICTURE + kind for kind in PICTU
 
 SIZE = (13.0, 6.4)  # Width and height of the picture [inch]
 WIDTHS = (1.35, 1.0)  # Widths of its columns, relative
-PAGE_SHARES = (0.6, 0.5, 0.8)  # Heights of the parts on a page, as shares of its width
+PAGE_SHARES = (0.6, 0.5, 0.8)  # Heights of the parts on a page, as fractions of its width
 PAGE_LEGEND = 0.9  # Height of the legend on a page [inch]
 MAX_NAMED = 8  # Maximum number of names in a legend
 SNAPSHOT_TIME = 0.05  # Half width of a snapshot [s]
@@ -78,7 +78,7 @@ class ErrorRow:
     mean: float  # distance from the plan in three dimensions [m]; nan without samples
     std: float  # standard deviation of these distances [m]
     max: float  # largest distance [m]
-    found: float  # share of the samples in which it was measured
+    found: float  # fraction of the samples in which it was measured
     standard_error: float  # median standard error of the positions [m]; nan for drones
 
 

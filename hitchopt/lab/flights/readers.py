@@ -43,7 +43,7 @@ MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in met
 MAX_STEP = 1.0  # Largest median step of times in seconds [s]
 JUMP = 0.1  # Smallest jump to and fro between samples [m]
 JUMP_SPEED = 10.0  # Smallest speed of such a jump [m/s]
-MAX_JUMPS = 0.1  # Largest share of samples with such jumps
+MAX_JUMPS = 0.1  # Largest fraction of samples with such jumps
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
 

@@ -26,7 +26,7 @@ MARKER = "marker"  # Name of the rows of unlabeled points
 
 # Quantities of a body, besides its measured position, with their units; those with True are in the
 # file's unit of length. Attitudes are quaternions x, y, z, w, from the body (x forward, z up) to
-# the world; rates and specific forces are in the body's frame; motors are shares of full power
+# the world; rates and specific forces are in the body's frame; motors are fractions of full power
 QUANTITIES: dict[str, tuple[str, bool]] = {
     "velocity": ("m/s", True),
     "attitude": ("1", False),
@@ -53,7 +53,7 @@ MAX_RESIDUAL = 0.05  # Largest root mean square distance of two records of one m
 # Smallest ratio by which the distance grows at a shift of GAIN_TIME from the best one
 MIN_GAIN = 1.2
 GAIN_TIME = 0.1  # That shift [s]
-MIN_OVERLAP = 0.5  # Smallest share of samples at times of both records
+MIN_OVERLAP = 0.5  # Smallest fraction of samples at times of both records
 MAX_GAP = 0.1  # Largest time to the nearest sample at which a body counts as visible [s]
 
 # Standard error of a vertex that is interpolated across a window, added to its standard deviation

@@ -129,7 +129,7 @@ class HungLoads:
         self._cable = np.repeat(np.arange(team.robots), np.diff(world.cable_vertices))
         self._bodies = world.model.flex_vertbodyid
         self._empty = world.model.body_mass[self._bodies]
-        self._on_nodes = np.zeros((len(team.load), len(self._bodies)))  # shares of a load
+        self._on_nodes = np.zeros((len(team.load), len(self._bodies)))  # fractions of a load
 
     def apply(self, shares: Array, seconds: float) -> None:
         """Distribute the loads over the nodes at their clasps for the next ``seconds``.

@@ -29,7 +29,7 @@ Flags = NDArray[np.bool_]
 
 RATE = 100.0  # Setpoints per second [Hz]
 MIN_LIFT = 0.03  # Smallest height of a lifted object above its supports [m]
-FULL_SHARE = 1.0 - 1e-6  # Smallest share of its weight at which an object is fully carried
+FULL_SHARE = 1.0 - 1e-6  # Smallest fraction of its weight at which an object is fully carried
 POINT_TABLES = ("starts", "ends", "clasps", "anchors", "pulled_to")  # Of a layout
 CABLE_TABLES = ("ahead", "behind", "neighbours")
 JOINED_FIELDS = (*DRONE_FIELDS, "vertices", "vertex_velocities", "legs", "tensions")
@@ -45,7 +45,7 @@ class Cargo:
     poses: Array = field(default_factory=lambda: np.zeros((1, 0, 5)))
     # whether the hitch holds them and its cables may touch them (samples, objects)
     held: Flags = field(default_factory=lambda: np.zeros((1, 0), dtype=np.bool_))
-    # share of its weight that the hitch carries (samples, objects)
+    # fraction of its weight that the hitch carries (samples, objects)
     load_share: Array = field(default_factory=lambda: np.zeros((1, 0)))
     floor: float = 0.0  # height of the ground on which they stand [m]
     # for several teams, the team whose hitch may hold each object
@@ -237,7 +237,7 @@ class Task:
 
     team: Team  # the team that flies
     states: States  # (samples, …), objects aside; without a hitch, vertices and tensions are zero
-    # share of its clasps' loads that each cable carries (samples, n); None: all of cables under
+    # fraction of its clasps' loads that each cable carries (samples, n); None: all of cables under
     # tension
     taut: Array | None = None
     cargo: Cargo = field(default_factory=Cargo)  # objects

@@ -185,7 +185,7 @@ class RestHold(HoldingHitch):
         ----------
         tension: (…, n) [N]
         forces: (…, n, 3) [N], of the object on clasps, in its frame.
-        strut: (…), share of edges' pulls that the rim carries; None if loads hang at clasps.
+        strut: (…), fraction of edges' pulls that the rim carries; None if loads hang at clasps.
         saved: (…, n, 2) [m], lengths that legs gain because the rim bends them.
 
         Raises
@@ -252,7 +252,7 @@ MAX_NEWTON_STEPS, STEP_TOLERANCE = 20, 1e-12
 """Maximum number of Newton steps for clasps, and size of the last one [m]."""
 
 EVENT_TOLERANCE, PAST_EVENT = 1e-6, 3e-6
-"""Shares of the path: distance of distinct events, and distance beyond an event."""
+"""Fractions of the path: distance of distinct events, and distance beyond an event."""
 
 PATH_SAMPLES, BISECTIONS = 400, 60
 """Samples of the path from around the object to the grip at which edges are compared, and steps

@@ -89,13 +89,13 @@ class Move:
     start: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
     end: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
     tension: Array  # (2, n) [N], before and after
-    load_share: tuple[float, float]  # share of the object's weight on clasps before and after
+    load_share: tuple[float, float]  # fraction of the object's weight on clasps before and after
     law: SmoothLaw  # of the progress
     # depth of the clasps below the rim before and after [m]; 0 if they touch it
     below: tuple[float, float] = (0.0, 0.0)
     # closure of a gripping hitch before and after: 0 around the object, 1 in its grip
     closure: tuple[float, float] = (1.0, 1.0)
-    # friction feed-forward before and after, as a share of clasp friction: legs pull harder than
+    # friction feed-forward before and after, as a fraction of clasp friction: legs pull harder than
     # edges, so that clasps close; negative while they open
     friction_share: tuple[float, float] = (0.0, 0.0)
     roll: tuple[float, float] = (0.0, 0.0)  # of all clasps before and after [rad]
@@ -141,7 +141,7 @@ class MoveState:
 
     @property
     def load_share(self) -> Array:
-        """(…): share of the object's weight on clasps."""
+        """(…): fraction of the object's weight on clasps."""
         return self.between(*self.move.load_share)
 
     @property

@@ -142,7 +142,7 @@ class MovePlanner:
         return self.move(SmoothLaw(0.5 * seconds))
 
     def transfer(self, before: float, after: float) -> Move:
-        """Return the move that changes the clasps' share of the weight."""
+        """Return the move that changes the clasps' fraction of the weight."""
         return self.within_limits(self.move(LOAD_LAW, load_share=(before, after)))
 
     @property

@@ -44,7 +44,7 @@ ITERATIONS = 8
 class Place(NamedTuple):
     """A place of cables on their path around the object, (4,) in sequence."""
 
-    bend: float  # share of the final turns, from 0 (straight) to 1 (crossing at the clasps)
+    bend: float  # fraction of the final turns, from 0 (straight) to 1 (crossing at the clasps)
     beside: float  # distance from the object [m]
     pitch: float  # slope of cables, q-drones up [rad]
     above: float  # height above the clasps [m]

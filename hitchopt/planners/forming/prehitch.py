@@ -44,7 +44,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 LEG_SHARES = (0.6, 0.5, 0.4, 0.3, 0.2, 0.1)
-"""Shares of the hitch's legs, in the order of the search."""
+"""Fractions of the hitch's legs, in the order of the search."""
 
 SCALES = (1.0, 0.9, 0.8, 0.7, 0.6, 1.15, 1.3, 1.5, 1.8)
 """Scales of the hitch's polygon, in the order of the search."""
@@ -66,22 +66,22 @@ after the first swap: cables that do not cross there do not clasp."""
 ANGLES = 73  # Number of sampled angles; the certificate bounds all of them
 
 SAMPLES = np.linspace(0.0, 1.0, 41)
-"""Sampled shares of a hanging cable's length and of straight flights."""
+"""Sampled fractions of a hanging cable's length and of straight flights."""
 
 TIGHTENING_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of the move from the pre-hitch to the hitch at which cable heights are sampled."""
+"""Fractions of the move from the pre-hitch to the hitch at which cable heights are sampled."""
 
 MAX_PIECE_ANGLE = 0.3
 """[rad] Largest angle on one polynomial of degree 7, which is within 1e-9 of the ellipse."""
 
 TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
-"""Shares of the acceleration that are centripetal at full speed; the rest is tangential."""
+"""Fractions of the acceleration that are centripetal at full speed; the rest is tangential."""
 
-JERK_SHARE = 0.7  # Share of the jerk for the angle's own rate
+JERK_SHARE = 0.7  # Fraction of the jerk for the angle's own rate
 TURN_ANGLES = 25  # Number of angles of half a turn at which usable accelerations are computed
 
 CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Shares of the line from pre-hitch to hitch that are candidates for the clasps."""
+"""Fractions of the line from pre-hitch to hitch that are candidates for the clasps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,7 +316,7 @@ def _ellipses(
     scale: float,
     across: bool,
 ) -> SwapEllipses:
-    """Return the ellipses for a share of the legs and a scale of the polygon.
+    """Return the ellipses for a fraction of the legs and a scale of the polygon.
 
     If legs or tensions at a vertex differ much, the chord of its drones may be too oblique for
     their cables to cross after a swap; ``across`` lays chords along the vertices' bisectors.

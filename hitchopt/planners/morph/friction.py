@@ -87,7 +87,7 @@ which half to 0.7 suffices. With 0.75, simulated vertices jump by up to 12 cm wh
 tensions peak; with 0.65 they move by up to 6 cm."""
 
 LAST_SHARE = 0.35
-"""Share of the friction of one cable in the last swing."""
+"""Fraction of the friction of one cable in the last swing."""
 
 
 def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, float] | None:
@@ -96,7 +96,7 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
     Legs close and open alternately, as mobilized friction ``P = T e^{± μ θ}`` requires to hold the
     vertices, with decreasing amplitude as in demagnetization. Vertices, leg lengths and edge
     tensions are constant. The result is None if no leg can lean by MIN_LEAN; else it includes the
-    smallest share of the swing that the legs of a clasp can reach.
+    smallest fraction of the swing that the legs of a clasp can reach.
 
     Open legs wrap more, and hold vertices more stiffly, than closed ones. Both sides therefore have
     the same share of their own friction, and every swing ends with open legs: with equal ratios of
@@ -224,7 +224,7 @@ MIN_DISTANCE = 1e-3  # [m] Distance of drones to the other leg of their clasp if
 WRAP_ITERATIONS = 8
 """Fixed-point iterations for the wrap angle of legs with the friction that it causes."""
 
-BISECTIONS = 20  # Number of bisections for the largest feasible share of friction
+BISECTIONS = 20  # Number of bisections for the largest feasible fraction of friction
 
 
 def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:

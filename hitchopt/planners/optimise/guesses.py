@@ -53,7 +53,7 @@ ROLLED_STEPS = 16
 """Number of steps between the knots of a guess that rolls, which resolve its rise."""
 
 ROLL_RAMP = 0.25
-"""Share of the path in which the roll of a guess rises, and in which it sinks."""
+"""Fraction of the path in which the roll of a guess rises, and in which it sinks."""
 
 ROLL_COST, TURN_COST = 0.3, 0.3
 """[1/rad] Penalties of roll and of turns of a guess, in units of its margin."""
@@ -190,7 +190,7 @@ def _rolled(path: KnotPath, roll: float, midway: Array, evenness: float) -> Knot
     Parameters
     ----------
     midway: (J + 1, 1), 0 at the ends and 1 between.
-    evenness: share of the change to equal fractions midway.
+    evenness: fraction of the change to equal fractions midway.
     """
     clasps = len(path.team.layout.clasps)
     rolls = np.zeros((len(midway), clasps)) if path.roll is None else path.roll

@@ -130,7 +130,7 @@ class KnotPath:
         )
 
     def with_perturbed_legs(self, share: float) -> KnotPath:
-        """Return the path with q-legs changed at random, by up to a share of the shorter leg."""
+        """Return the path with q-legs changed at random, by up to a fraction of the shorter leg."""
         random = np.random.default_rng(0).uniform(-share, share, self.q_legs.shape)
         random[[0, -1]] = 0.0
         return replace(
@@ -191,7 +191,7 @@ TENSION_MARGIN = 0.02
 """Margin at both ends of a range of tensions, over the range, for the same reason."""
 
 STATIC_SHARE = 0.97
-"""Largest share of thrust and tilt at rest, with a reserve for motion."""
+"""Largest fraction of thrust and tilt at rest, with a reserve for motion."""
 
 MARGIN_RAMP = 2.0
 """Number of knots over which the margin changes from that of an end, since a jump would bend the

@@ -75,7 +75,7 @@ SLACK_SCALE = 0.01
 """Unit of slacks, in strides, which scales the program."""
 
 BETWEEN_KNOTS_SHARE = 0.2
-"""Share of a step's reach up to which pairs have rows between the knots."""
+"""Fraction of a step's reach up to which pairs have rows between the knots."""
 
 NEAR_RANGE, ADDED_RANGE = 0.5, 0.1
 """Distances to their bounds, in strides, below which rows are enforced at first, and below which
@@ -302,7 +302,7 @@ def _energy(
     if fastest:
         time = float(np.sum(np.max(segment_times(path, limits), axis=1)))
         own, bend_weight = TIME_ENERGY_WEIGHT, TIME_BEND_WEIGHT / time
-    scale = np.zeros(columns.size)  # units of time and, for tensions, shares of the team's
+    scale = np.zeros(columns.size)  # units of time and, for tensions, fractions of the team's
     scale[columns.vertices], scale[columns.drones] = 1.0 / limits.vertex_speed, 1.0 / limits.speed
     of_nodes = 2.0 / n * (own * squares + bend_weight * bends)
     hessian = _blockwise(of_nodes[1:-1, 1:-1], scale**2)

@@ -101,7 +101,7 @@ MAX_ESTIMATE_RATIO = 1.1
 so far."""
 
 MIN_GAIN = 0.01
-"""Smallest gain over the fastest path so far, as a share of its duration, for which guesses are
+"""Smallest gain over the fastest path so far, as a fraction of its duration, for which guesses are
 tried."""
 
 MAX_EFFORT = 240.0

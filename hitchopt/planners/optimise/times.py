@@ -26,7 +26,7 @@ from hitchopt.planners.timing.profile import (
 from hitchopt.values import Array, Indices
 
 MIN_SHARE = 0.5
-"""Share of a limit of speed or acceleration below which a node has no row."""
+"""Fraction of a limit of speed or acceleration below which a node has no row."""
 
 
 class TimedRows(NamedTuple):

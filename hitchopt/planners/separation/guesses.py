@@ -206,9 +206,11 @@ def _widened(outline: Array, distance: float) -> Array:
 SAMPLES = 3  # Number of samples of every piece at which guesses are pushed
 TARGET_SEPARATION = 1.15  # Target of pushes; above 1, since drones move between samples
 MAX_PUSH_ITERATIONS = 120  # Maximum number of iterations of pushing
-MOMENTUM = 0.8  # Share of an iteration's pushes that is added to the next
+MOMENTUM = 0.8  # Fraction of an iteration's pushes that is added to the next
 SMOOTHING_TIME = 0.08  # Time constant of the smoothing filter, over the duration
-SIDE_FADE_SHARE = 0.5  # Share of the iterations over which the common side fades out of the pushes
+SIDE_FADE_SHARE = (
+    0.5  # Fraction of the iterations over which the common side fades out of the pushes
+)
 
 
 def pushed_apart(setting: Setting, side: float) -> Array:

@@ -171,7 +171,7 @@ def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> Non
 
 
 LATERAL_SHARES = (0.3, 0.7)
-"""Largest change normal to a derivative, as shares of its limit: at the limit, and at zero."""
+"""Largest change normal to a derivative, as fractions of its limit: at the limit, and at zero."""
 
 
 def _add_limits(
@@ -179,7 +179,7 @@ def _add_limits(
 ) -> None:
     """Limit the first three derivatives, and their changes normal to them to a share of the limit.
 
-    Slacks are shares of the duration.
+    Slacks are fractions of the duration.
     """
     for order, cap in enumerate(setting.caps, 1):
         matrix = setting.grid.rates[order - 1] / duration**order
@@ -197,7 +197,7 @@ def _add_limit(
 ) -> None:
     """Limit derivatives (N, k, 3), the ``matrix`` of coefficients, to ``cap`` (N,).
 
-    The factor of the slack is the change of a derivative, over its limit, per share of duration.
+    The factor of the slack is the change of a derivative, over its limit, per fraction of duration.
     """
     count, free = len(derivatives), setting.grid.count - 2 * END_COUNT
     drones = np.arange(count)[:, None]

@@ -279,7 +279,7 @@ BACKTRACK_FACTOR = 0.7
 """Factor that shortens steps that violate a row."""
 
 MIN_STEP_SHARE = 1e-8
-"""Share of a step at which the search ends."""
+"""Fraction of a step at which the search ends."""
 
 CENTRING = 0.1  # Target of the duality gap in a step, over the current gap
 
@@ -427,6 +427,6 @@ def _newton(
 
 
 def _step_share(values: Array, steps: Array) -> float:
-    """Return the share of steps, at most 1, that keeps positive values positive."""
+    """Return the fraction of steps, at most 1, that keeps positive values positive."""
     fastest = float(np.minimum.reduce(steps / values))
     return min(1.0, BOUNDARY_SHARE / -fastest) if fastest < 0.0 else 1.0

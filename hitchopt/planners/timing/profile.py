@@ -24,7 +24,7 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import Path
 from hitchopt.values import Array, Indices
 
-LIMIT_SHARE = 0.999  # Share of the limits at samples, with a reserve for the times between
+LIMIT_SHARE = 0.999  # Fraction of the limits at samples, with a reserve for the times between
 
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits for the polynomials' enclosures; the rest is for the certificate's bounds."""
@@ -41,7 +41,7 @@ class Demands:
     loads: Array  # (J, 2n, 3) [N], thrusts at rest, which balance weight and cable force
     team: Team  # with masses and largest thrusts
     limits: Limits  # of motion
-    share: float = LIMIT_SHARE  # enforced share of the limits
+    share: float = LIMIT_SHARE  # enforced fraction of the limits
 
     @classmethod
     def along(cls, path: Path, limits: Limits, s: Array) -> Demands:
