@@ -357,7 +357,7 @@ def test_positions_that_px4_does_not_trust_are_left_out(tmp_path: Path) -> None:
             np.testing.assert_allclose(
                 result.tracks[name].positions, track.positions[20:], atol=1e-6
             )
-        assert any("left out while it is not valid" in note for note in result.notes)
+        assert any("skipped while it is not valid" in note for note in result.notes)
     never = {name: np.zeros((60, 2), np.uint8) for name in flight.tracks}
     logs = w.write_ulog(tmp_path / "never", flight, "vehicle_local_position", never)
     with pytest.raises(ho.FileError, match="never has a valid position in vehicle_local_position"):
