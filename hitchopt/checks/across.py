@@ -122,29 +122,26 @@ def runs(flight: Flight) -> tuple[Run, ...]:
 
 def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iterator[Run]:
     """Yield the runs of two teams."""
-    ends = np.array([each.motion.drones.breaks[[0, -1]] for each in (first, second)])
+    teams = first, second
+    ends = np.array([flown.motion.drones.breaks[[0, -1]] for flown in teams])
     begin, end = float(np.min(ends)), float(np.max(ends))
-    motions = [padded(each.motion, begin, end) for each in (first, second)]
-    breaks = merged_breaks([each.drones.breaks for each in motions])
-    one, other = (on_breaks_of(each, breaks) for each in motions)
-    kinds = [each.formed + 2 * each.in_states(CLASPED_STATES) for each in (one, other)]
+    at_rest_besides = [padded(flown.motion, begin, end) for flown in teams]
+    breaks = merged_breaks([motion.drones.breaks for motion in at_rest_besides])
+    motions = [on_breaks_of(motion, breaks) for motion in at_rest_besides]
+    kinds = [motion.formed + 2 * motion.in_states(CLASPED_STATES) for motion in motions]
     changes = np.flatnonzero(np.diff(3 * kinds[0] + kinds[1])) + 1
-    edges = [0, *changes.tolist(), len(breaks) - 1]
-    sheets = [cable_sheets(each) if each.team.has_cables else None for each in (one, other)]
-    for start, stop in pairwise(edges):
+    sheets = [cable_sheets(motion) if motion.team.has_cables else None for motion in motions]
+
+    def side(index: int, start: int, stop: int) -> Side:
+        """Return one of the teams on a run of pieces."""
+        motion, cables = motions[index], sheets[index]
         pieces = slice(start, stop)
-        a, b = (
-            Side(
-                replace(
-                    flown,
-                    motion=each.slice_pieces(pieces, each.overlapping(breaks[start], breaks[stop])),
-                ),
-                own and own.on(pieces),
-                moved_objects(each),
-            )
-            for flown, each, own in zip((first, second), (one, other), sheets, strict=True)
-        )
-        yield Run(a, b, separation)
+        phases = motion.overlapping(breaks[start], breaks[stop])
+        flown = replace(teams[index], motion=motion.slice_pieces(pieces, phases))
+        return Side(flown, cables and cables.on(pieces), moved_objects(motion))
+
+    for start, stop in pairwise([0, *changes.tolist(), len(breaks) - 1]):
+        yield Run(side(0, start, stop), side(1, start, stop), separation)
 
 
 def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:

@@ -187,7 +187,8 @@ class Clasps(MotionSpans):
     def object_force(self) -> Enclosed:
         """[N] Force of objects on the clasp."""
         motion, loads = self.source, self.read(clasp_sizes(self.source)["loads"])
-        mass = sum(each.mass for each in motion.requirements.objects.values() if not each.fixed)
+        objects = motion.requirements.objects.values()
+        mass = sum(body.mass for body in objects if not body.fixed)
         clasps = motion.team.layout.clasps[self.item]
         error = mass * derivative_margin(motion.vertices, 2)[self.piece, clasps]
         return Enclosed(loads, np.where(np.any(loads != 0.0, axis=(1, 2)), error, 0.0))

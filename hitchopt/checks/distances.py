@@ -299,16 +299,17 @@ class Moving:
         """
         count = self.first.shape[1] * self.first.shape[2]
         drift = np.add.reduce(self.first, axis=(1, 2), keepdims=True) / count
-        own = _boxes(self.first - drift)
+        first = _boxes(self.first - drift)
         if self.lengths is not None:
             # No cable hangs deeper than one that leads straight down and up again.
             ends = np.sum(np.min((self.first - drift)[:, :, :, 2], axis=-1), axis=-1)
-            own[0, 2] = np.minimum(own[0, 2], 0.5 * (ends - self.lengths))
-        both = own, own if self.second is None else _boxes(self.second - drift)
+            first[0, 2] = np.minimum(first[0, 2], 0.5 * (ends - self.lengths))
+        second = first if self.second is None else _boxes(self.second - drift)
         if self.height_ratio != 1.0:
-            for each in both[: 1 + (self.second is not None)]:
-                each[:, 2] /= self.height_ratio
-        return both
+            first[:, 2] /= self.height_ratio
+            if second is not first:
+                second[:, 2] /= self.height_ratio
+        return first, second
 
     @property
     def extent(self) -> Array:
@@ -318,11 +319,11 @@ class Moving:
 
     def gaps(self, pairs: Pairs) -> Array:
         """Return lower bounds (pieces, pairs) [m] of distances, from the boxes of pairs."""
-        own, others = self.boxes
-        a_lower, a_upper = own.take(pairs.first, axis=3)
-        b_lower, b_upper = others.take(pairs.second, axis=3)
-        lower, upper = self.extent[..., None, None]
-        offsets = np.maximum(a_lower - b_upper - upper, b_lower - a_upper + lower)
+        boxes, other_boxes = self.boxes
+        lower, upper = boxes.take(pairs.first, axis=3)
+        other_lower, other_upper = other_boxes.take(pairs.second, axis=3)
+        shape_lower, shape_upper = self.extent[..., None, None]
+        offsets = np.maximum(lower - other_upper - shape_upper, other_lower - upper + shape_lower)
         np.maximum(offsets, 0.0, out=offsets)
         gaps: Array = np.sqrt(np.add.reduce(offsets * offsets))
         if self.active is not None:
@@ -443,9 +444,10 @@ def _nearest_neighbours(moving: Moving, attained: Callable[[], float]) -> Iterat
 
     middle = len(moving.first) // 2
     part = moving.part(middle, middle + 1)
-    own, others = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
-    second = cKDTree(others).query(own, k=min(NEIGHBOURS, moving.count))[1].reshape(len(own), -1)
-    first = np.repeat(np.arange(len(own)), second.shape[1])
+    centres, other_centres = (boxes[:, :, 0].mean(axis=0).T for boxes in part.boxes)
+    _, neighbours = cKDTree(other_centres).query(centres, k=min(NEIGHBOURS, moving.count))
+    second = neighbours.reshape(len(centres), -1)
+    first = np.repeat(np.arange(len(centres)), second.shape[1])
     yield from _compared(part, attained, moving.select(first, second.ravel()))
 
 

@@ -207,10 +207,10 @@ class Drones(MotionSpans):
     def thrust(self) -> Enclosed:
         """[N] f = m (a + g ẑ) - (force of the cable)."""
         hover = self.mass * GRAVITY * UPWARD
-        own = Enclosed(hover[..., None])
+        force = Enclosed(hover[..., None])
         if self.is_moving:
-            own = self.motion_rate(2) * self.mass + hover
-        return own + self.load if self.source.team.has_cables else own
+            force = self.motion_rate(2) * self.mass + hover
+        return force + self.load if self.source.team.has_cables else force
 
     @lazy
     def load_rate(self) -> Enclosed:
@@ -264,8 +264,9 @@ class Drones(MotionSpans):
     @lazy
     def turning(self) -> Enclosed:
         """ω = f × ḟ / |f|² [rad/s], about axes perpendicular to the thrust."""
-        own = self.motion_rate(3) * self.mass
-        thrust_rate = own + self.load_rate if self.source.team.has_cables else own
+        thrust_rate = self.motion_rate(3) * self.mass
+        if self.source.team.has_cables:
+            thrust_rate = thrust_rate + self.load_rate
         f, thrust_rate = self.thrust.reduced(ORDER), thrust_rate.reduced(ORDER)
         ratio = (f.cross(thrust_rate).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
         return ratio * f.norm.inverse

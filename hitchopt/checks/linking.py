@@ -149,8 +149,8 @@ def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
         crossing = spans.take(across & ~separated)
         if len(crossing) and not spans.points:
             ends = [crossing.at(x) for x in (0.0, 1.0)]
-            signs = [_sign(np.concatenate(each.ends, axis=1)[..., 0]) for each in ends]
-            times = [each.times(np.zeros(len(each))) for each in ends]
+            signs = [_sign(np.concatenate(spans_at.ends, axis=1)[..., 0]) for spans_at in ends]
+            times = [spans_at.times(np.zeros(len(spans_at))) for spans_at in ends]
             events.append(np.stack([crossing.item, *times, *signs]))
         return separated | across
 
@@ -265,7 +265,8 @@ def _largest_jump(motion: Motion, _: float) -> WorstCase:
     cases = [WorstCase(0.0, float(motion.drones.breaks[0]))]
     for part, names in parts:
         rates = [derivative(part, order) for order in range(3)]
-        left, right = (np.stack([each[..., end] for each in rates]) for end in (0, -1))
+        left = np.stack([values[..., 0] for values in rates])
+        right = np.stack([values[..., -1] for values in rates])
         jumps = accumulated(length(left[:, 1:] - right[:, :-1]), 1e-3 * MAX_JUMP)
         jumps[0] += position_margin(motion)
         for order in (1, 2):
@@ -848,7 +849,8 @@ def _taut_share(motion: Motion) -> float:
         for vectors in (leg_vectors(motion), edge_vectors(motion))
     )
     sag = sag_factors(motion.team, motion.team.tension)
-    lengths = sum(cable_of(each, sag) for each in (edges, legs[:, :, 0::2], legs[:, :, 1::2]))
+    parts = edges, legs[:, :, 0::2], legs[:, :, 1::2]
+    lengths = sum(cable_of(vectors, sag) for vectors in parts)
     weights, full_lengths = motion.team.tension, motion.team.cable_length
     taut = np.max(1.0 - lengths @ weights / float(full_lengths @ weights), axis=0) <= LENGTH_LIMIT
     return float(np.sum(motion.drones.durations[taut]) / motion.duration)

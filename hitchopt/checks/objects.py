@@ -140,8 +140,8 @@ class Held(MotionSpans):
     def start_pieces(self) -> Indices:
         """(spans,) First pieces of the current holds; the spans' own if not carried."""
         carried = carried_objects(self.source)
-        own = np.arange(len(carried))[:, None]
-        starts = np.where(carried & np.roll(carried, 1, axis=0), 0, own)
+        pieces = np.arange(len(carried))[:, None]
+        starts = np.where(carried & np.roll(carried, 1, axis=0), 0, pieces)
         return np.asarray(np.maximum.accumulate(starts)[self.piece, self.item])
 
     @lazy
@@ -164,7 +164,7 @@ def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
     """Return index and name of every gripped object, and the mask of its pieces (pieces,)."""
     names = enumerate(motion.requirements.objects)
     held = [(index, name, held_pieces(motion, name, HoldBy.GRIP)) for index, name in names]
-    return [each for each in held if np.any(each[2])]
+    return [(index, name, pieces) for index, name, pieces in held if np.any(pieces)]
 
 
 @cached

@@ -91,11 +91,10 @@ class WorstOverSpans(Generic[S]):
         extremum = worst(self.spans.of(motion), self.formula, self.sense, target=target)
         if extremum.item < 0:
             return WorstCase(extremum.worst, 0.0)
-        own = None if limits is None else float(limits[extremum.item])
-        value = extremum.worst * (1.0 if own is None else own)
-        return WorstCase(
-            value, extremum.time, (self.spans.names(motion)[extremum.item],), size, own
-        )
+        item_limit = None if limits is None else float(limits[extremum.item])
+        value = extremum.worst * (1.0 if item_limit is None else item_limit)
+        where = (self.spans.names(motion)[extremum.item],)
+        return WorstCase(value, extremum.time, where, size, item_limit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,12 +189,13 @@ class CheckRule:
         results = list[SpanResult]()
         with np.errstate(all="ignore"):  # coefficients may have any value: nan fails a check
             for evaluator in self.evaluators:
-                own = evaluator.states
-                if (exported and not evaluator.exported) or states.isdisjoint(own):
+                applicable = evaluator.states
+                if (exported and not evaluator.exported) or states.isdisjoint(applicable):
                     continue
-                for span in (motion,) if states <= own else runs_of(motion, own):
+                spans = (motion,) if states <= applicable else runs_of(motion, applicable)
+                for span in spans:
                     worst_case = evaluator.evaluate(span, limit)
-                    results.append(SpanResult(own, worst_case.check(self, limit)))
+                    results.append(SpanResult(applicable, worst_case.check(self, limit)))
         return tuple(results)
 
 

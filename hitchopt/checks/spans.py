@@ -319,5 +319,6 @@ def phase_parts(motion: Motion) -> Iterator[PhasePart]:
         pieces = np.flatnonzero(index == i)
         if len(pieces):
             run = slice(int(pieces[0]), int(pieces[-1]) + 1)
-            own = replace(phase, start=float(breaks[run.start]), end=float(breaks[run.stop]))
-            yield PhasePart(phase, run, motion.slice_pieces(run, (own,)))
+            start, end = float(breaks[run.start]), float(breaks[run.stop])
+            whole = replace(phase, start=start, end=end)
+            yield PhasePart(phase, run, motion.slice_pieces(run, (whole,)))

@@ -224,24 +224,23 @@ class ClockLimits:
     """Limits of a flight's teams that bound clocks; ``carried`` are those of carried objects."""
 
     def __init__(self, flight: Flight) -> None:
-        motions = [each.motion for each in flight.teams]
+        motions = [flown.motion for flown in flight.teams]
         with value_cache():
-            self.carried = [
-                _inertia(path, slack) for each in motions for path, slack in carried_paths(each)
-            ]
-            self._drones = [_limit_of_drones(each) for each in motions]
+            paths = (path for motion in motions for path in carried_paths(motion))
+            self.carried = [_inertia(path, slack) for path, slack in paths]
+            self._drones = [_limit_of_drones(motion) for motion in motions]
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
         """Return which clocks (owners,), with rates from -1 to 1, keep all limits."""
         feasible = np.ones(owners, dtype=np.bool_)
         with value_cache():
-            for each in (*self.carried, *self._drones):
-                each.decide(phases, feasible)
+            for limit in (*self.carried, *self._drones):
+                limit.decide(phases, feasible)
         return feasible
 
     def carries(self, times: Array) -> Flags:
         """Return whether an object is carried at plan times (m,) [s]."""
-        spans = np.array([each.path.breaks[[0, -1]] for each in self.carried]).reshape(-1, 2)
+        spans = np.array([limit.path.breaks[[0, -1]] for limit in self.carried]).reshape(-1, 2)
         inside = (spans[:, 0] < times[:, None]) & (times[:, None] < spans[:, 1])
         return np.asarray(np.any(inside, axis=1))
 
@@ -336,7 +335,7 @@ def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
     those of the flight, if known.
     """
     limits = limits or ClockLimits(flight)
-    begin, end = (float(each) for each in flight.breaks[[0, -1]])
+    begin, end = flight.breaks[[0, -1]].tolist()
     max_starts = max(MAX_STARTS // flight.team.drones, MIN_STOPS)
     count = max(2, int(min(np.ceil((end - begin) / SPACING), max_starts)) + 1)
     starts = np.linspace(begin, end, count)[:-1]
