@@ -311,7 +311,7 @@ def check(
             neighbours = ho.closest(ho.Plan(flight, certificate), picture=picture, width=width)
         say(f"Closest neighbours\n{neighbours}\n", closest=str(neighbours).splitlines())
         if picture is not None:
-            say(f"the closest neighbours over time are drawn in {picture}")
+            say(f"drew the closest neighbours over time to {picture}")
     certificate.raise_if_violated()
     if differences := [*_differences_from_request(path)]:
         raise FileError("\n".join(differences))

@@ -157,7 +157,7 @@ class StraddlePlanner(MovePlanner):
 
     @cached_property
     def unbalanced(self) -> Check | None:
-        """The check that cables violate that lie on one another, each for itself; or None.
+        """The check that cables lying on one another violate individually, or None.
 
         One cable of a clasp bears the other if their legs are of very different lengths.
         """
