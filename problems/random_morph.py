@@ -142,7 +142,7 @@ def wild_morph(n: int, seed: int, *, heavy: bool = False) -> dict[str, Any]:
             {"polygon": _points(polygon.vertices), "altitude": 1.5, "legs": "spread"}
             for polygon in (start, goal)
         ]
-        if all(_is_certified(team, hitch) for hitch in hitches):
+        if all(is_certified(team, {"hitch": hitch}) for hitch in hitches):
             break
     return {
         "title": f"Wild morph, n = {n}, seed {seed}",
@@ -152,11 +152,13 @@ def wild_morph(n: int, seed: int, *, heavy: bool = False) -> dict[str, Any]:
     }
 
 
-def _is_certified(team: dict[str, Any], hitch: dict[str, Any]) -> bool:
-    """Return whether a hitch keeps all limits at rest."""
-    problem = {"team": team, "start": {"hitch": hitch}, "mission": [{"hold": {"seconds": 1.0}}]}
+def is_certified(
+    team: dict[str, Any], start: dict[str, Any], options: dict[str, Any] | None = None
+) -> bool:
+    """Return whether a team keeps all limits at rest at a start; ``options`` are further keys."""
+    problem = {"team": team, "start": start, "mission": [{"hold": {"seconds": 1.0}}]}
     try:
-        ho.solve(ho.problem_from_dict(problem))
+        ho.solve(ho.problem_from_dict({**problem, **(options or {})}))
     except ho.InfeasibleError:
         return False
     return True

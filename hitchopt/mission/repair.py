@@ -469,7 +469,7 @@ def _cables_around(problem: Problem, name: str) -> tuple[list[Outline], list[flo
     gap = requirements.separation.object + EDGE_MARGIN
     try:
         if body.rim is not None:
-            polygons = rest_polygons(name, body, n, gap)
+            polygons, *_ = rest_polygons(name, body, n, gap)
             centred = (polygons.around, polygons.clasps)
             return [ConvexPolygon(each) for each in centred], []
         kind, section, tension = team.quadrotor[0], body.section, float(np.min(team.tension))

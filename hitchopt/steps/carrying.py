@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,10 @@ from hitchopt.checks.objects import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
-from hitchopt.hitch import Team
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
 from hitchopt.objects import Rim, SolidObject
 from hitchopt.objects.placing import (
@@ -44,7 +46,12 @@ from hitchopt.planners.carrying.polygons import (
     grip_polygons,
     rest_polygons,
 )
-from hitchopt.steps.certified_motions import end_of_morph, first_feasible, require_certified
+from hitchopt.steps.certified_motions import (
+    end_of_morph,
+    excess,
+    nearest_feasible,
+    require_certified,
+)
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
     Knob,
@@ -78,9 +85,14 @@ OBJECT_MARGIN = 0.10
 CLOSING_MARGIN = 1.03
 """Factor of the separation limits as legs close below a rim, since motion reduces distances."""
 
-ROLL_FACTORS = (1.3, 2.5, 3.5)
-"""Factors of the minimum roll, in the order of trial: a load brings legs closer together, and
-drones may pass the other legs of their cables."""
+ROLL_RESERVE = 1.3
+"""Factor of the smallest roll of unloaded legs: a load brings legs closer together."""
+
+HELD_ROLLS = tuple(math.radians(angle) for angle in (0.0, 9.0, 18.0, 27.0, 36.0, 45.0))
+"""[rad] Other rolls of legs that hold an object by its rim, in the order of the search."""
+
+HELD_SPLITS = (0.5, 0.4, 0.6, 0.3, 0.7)
+"""Slack splits for each roll, all cables alike, after the one nearest to the hitch's own."""
 
 MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the
@@ -130,7 +142,7 @@ def step_motion(
     return step.with_duration(task, motion)
 
 
-def check_hold(task: StepTask, planner: MovePlanner) -> None:
+def require_hold(task: StepTask, planner: MovePlanner) -> None:
     """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
     hold, name = planner.hold, f"objects.{planner.state.object}"
     lifted, when = planner.from_state(carried=True), f"with {name} off its support"
@@ -143,21 +155,36 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
             moves = planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)
             require_certified(StepPlan(planner.motion(moves, "lift"), task.before), when)
     except InfeasibleError as error:
-        robots = "use more robots, as hitchopt fit counts them"
-        capacities, max_mass, rim_mass = hold_capacity(planner, task.requirements)
-        rim = "rest it on a rim with three robots" if hold.team.robots == 2 else "give it a rim"
-        rim = f", or {rim}" if rim_mass >= planner.body.mass else ""
-        hardware = robots if hold.by is HoldBy.REST else f"use rougher cables{rim}"
-        remedy = f"lower {name}.mass, or request another tension, or {hardware}{capacities}"
-        mass, violations = planner.body.mass, list[Violation]()
-        if mass > max_mass:
-            values = mass, max_mass, "max", "kg", (planner.state.object,), when, remedy
-            violations.append(Violation("load", *values))
-        for each in error.violations:
-            extra = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
-            extra += "" if each.constraint in LOAD_LIMITED else f", or {each.remedy}"
-            violations.append(replace(each, when=when, remedy=remedy + extra))
-        raise InfeasibleError(violations) from None
+        violations = [replace(each, when=when) for each in error.violations]
+        raise InfeasibleError(violations, error.note) from None
+
+
+def check_hold(task: StepTask, planner: MovePlanner) -> None:
+    """Raise the error of ``require_hold``, with what the hold can carry."""
+    try:
+        require_hold(task, planner)
+    except InfeasibleError as error:
+        raise hold_error(task, planner, error) from None
+
+
+def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
+    """Return the error of a hold with what it can carry, and what to change."""
+    hold, name = planner.hold, f"objects.{planner.state.object}"
+    robots = "use more robots, as hitchopt fit counts them"
+    capacities, max_mass, rim_mass = hold_capacity(planner, task.requirements)
+    rim = "rest it on a rim with three robots" if hold.team.robots == 2 else "give it a rim"
+    rim = f", or {rim}" if rim_mass >= planner.body.mass else ""
+    hardware = robots if hold.by is HoldBy.REST else f"use rougher cables{rim}"
+    remedy = f"lower {name}.mass, or request another tension, or {hardware}{capacities}"
+    mass, violations = planner.body.mass, list[Violation]()
+    if mass > max_mass:
+        where, when = (planner.state.object,), error.violations[0].when
+        violations.append(Violation("load", mass, max_mass, "max", "kg", where, when, remedy))
+    for each in error.violations:
+        extra = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
+        extra += "" if each.constraint in LOAD_LIMITED else f", or {each.remedy}"
+        violations.append(replace(each, remedy=remedy + extra))
+    return InfeasibleError(violations)
 
 
 def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str, float, float]:
@@ -176,7 +203,8 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str
             max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
             texts = [f"a grip holds {max_mass:.2g} kg"]
             rim = with_fields(body, rim=Rim(body.section, body.lower))
-            rim_outline = rest_polygons(planner.state.object, rim, robots, planner.gap).clasps
+            rests = rest_polygons(planner.state.object, rim, robots, planner.gap)
+            rim_outline = rests[0].clasps
             height = float(body.centre_of_mass[2]) - body.lower
         shape = ConvexPolygon(rim_outline)
         rim_mass = rest_capacity(shape, length, tension, kind, requirements, height).mass
@@ -220,23 +248,44 @@ class Enclose(Step):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan to a hitch around the object."""
-        requirements, hitch, team = task.requirements, task.hitch, task.before.team
+        """Return the plan to a hitch around the object, in the first feasible orientation."""
+        return first_orientation(self.orientations(task), task)
+
+    def orientations(self, task: StepTask) -> list[Callable[[StepTask], StepPlan]]:
+        """Return the planners of hitches around the object, the one that holds it best first.
+
+        There are several if obstacles may be in the way of some.
+        """
+        requirements, team = task.requirements, task.before.team
         body, gap = object_of(task, self.object), requirements.separation.object + EDGE_MARGIN
         if body.rim is None:
             polygons = grip_polygons(self.object, body, team, requirements, gap)
-            altitude = float(body.at[2] + body.centre_of_mass[2])
+            orientations = _turned(polygons, body, task.hitch.polygon)
         else:
-            polygons = rest_polygons(self.object, body, len(hitch.polygon), gap)
-            below = requirements.separation.object + BELOW_RIM
-            altitude = float(body.at[2]) + body.rim.height - below
-        clearance, height = requirements.separation.object, altitude - requirements.floor
+            rests = rest_polygons(self.object, body, team.robots, gap)
+            orientations = [_renumbered(each, body, task.hitch.polygon) for each in rests]
+        obstacles = len(requirements.objects) > 1 or requirements.keep_out or requirements.arena
+        count = len(orientations) if obstacles else 1
+        return [
+            partial(self._around, body=body, polygons=polygons, polygon=polygon)
+            for polygons, polygon in orientations[:count]
+        ]
+
+    def _around(
+        self, task: StepTask, body: SolidObject, polygons: HoldPolygons, polygon: ConvexPolygon
+    ) -> StepPlan:
+        """Return the plan to a polygon around the object."""
+        requirements, hitch, team = task.requirements, task.hitch, task.before.team
+        clearance = requirements.separation.object
+        altitude = float(body.at[2] + body.centre_of_mass[2])
+        if body.rim is not None:
+            altitude = float(body.at[2]) + body.rim.height - (clearance + BELOW_RIM)
+        height = altitude - requirements.floor
         if height < clearance - CONTACT_GAP:
             name, where = f"objects.{self.object}", ("ground",)
             remedy = f"make {name} or its rim higher, or stand it on something"
             values, when = ("object_clearance", height, clearance), f"with the hitch around {name}"
             raise InfeasibleError([Violation(*values, "min", "m", where, when, remedy)])
-        polygons, polygon = _renumbered(polygons, body, hitch.polygon)
         radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {radius:.2g} m in radius"
         check_opens(hitch, polygon.vertices, requirements, remedy)
@@ -258,15 +307,50 @@ class Enclose(Step):
         return StepPlan(motion, replace(down.after, grasp=grasp))
 
 
-def _renumbered(
+def first_orientation(
+    planners: Sequence[Callable[[StepTask], StepPlan]], task: StepTask
+) -> StepPlan:
+    """Return the first certified plan of several orientations, or the plan of the only one."""
+    if len(planners) == 1:
+        return planners[0](task)
+    return nearest_feasible(partial(planner, task) for planner in planners)
+
+
+GRIP_TURNS = 6
+"""Number of turns about a disc, within its grip's symmetry."""
+
+
+def _turned(
     polygons: HoldPolygons, body: SolidObject, polygon: Outline
+) -> list[tuple[HoldPolygons, ConvexPolygon]]:
+    """Return the polygons of a grip and the one around, the nearest first.
+
+    They are turned about a disc, and by half a turn about a section that is symmetric to it.
+    """
+    nearest, around = _renumbered(polygons, body, polygon)
+    centre, core = body.section.centroid, body.section.core
+    if body.section.radius is not None:
+        symmetry = 2.0 * math.pi / len(polygon)
+        turns = [symmetry * k / GRIP_TURNS for k in (1, -1, 2, -2, 3)]
+    else:
+        opposite = length(2.0 * centre - core[:, None] - core)
+        turns = [math.pi] if np.max(np.min(opposite, axis=1)) < PLACE_TOLERANCE else []
+    turned = [(nearest, around)]
+    for turn in turns:
+        both = (centre + rotated(x - centre, turn) for x in (nearest.around, nearest.clasps))
+        turned.append(_renumbered(HoldPolygons(*both), body, polygon, turn=False))
+    return turned
+
+
+def _renumbered(
+    polygons: HoldPolygons, body: SolidObject, polygon: Outline, *, turn: bool = True
 ) -> tuple[HoldPolygons, ConvexPolygon]:
     """Return the polygons numbered for the shortest paths of vertices, and the one around.
 
-    Polygons about a disc are also turned.
+    With ``turn`` polygons about a disc are also turned.
     """
     start = polygon.vertices - polygon.centroid
-    if body.rim is None and body.section.radius is not None:
+    if turn and body.rim is None and body.section.radius is not None:
         end, goal = (points @ np.array([1.0, 1.0j]) for points in (polygons.around, start))
         products = [np.vdot(np.roll(end, -k), goal) for k in range(len(end))]
         angle = float(np.angle(max(products, key=abs))) - body.yaw
@@ -348,16 +432,25 @@ class Grasp(TensionStep):
         wider = {key: CLOSING_MARGIN * value for key, value in vars(own).items()}
         with_margin = replace(requirements, separation=replace(own, **wider))
         goal = end_of_morph(task.hitch, below, None, with_margin).hitch
-        closings = (Morph(below, RolledLegs(goal.q_legs, x * goal.roll)) for x in ROLL_FACTORS)
-        closing_task = task.within(requirements, task.before)
-        closing = first_feasible(partial(each.plan, closing_task) for each in closings)
-        hitch = closing.after.tied
-        hold = RestHold(team, body, clasps, body.rim.height, hitch.fractions, hitch.roll)
-        planner = planner_of(task).from_state(tension=tension, hold=hold)
-        check_hold(task, planner)
-        moves = [*planner.retension(team.tension, tension), planner.rim_move(planner.gap, 0.0)]
-        rising = planner.motion(moves, self.name)
-        motion = step_motion(self, task, [closing.motion, rising], rising.phases[0].hold)
+        closing_task, failures = task.within(requirements, task.before), list[HoldFailure]()
+        for hitch in hitches_below(goal, with_margin):
+            fractions, legs = hitch.fractions, RolledLegs(hitch.q_legs, hitch.roll)
+            hold = RestHold(team, body, clasps, body.rim.height, fractions, hitch.roll)
+            planner = planner_of(task).from_state(tension=tension, hold=hold)
+            moves = [*planner.retension(team.tension, tension), planner.rim_move(planner.gap, 0.0)]
+            try:
+                require_hold(task, planner)
+                closing = require_certified(Morph(below, legs).plan(closing_task))
+                rising = planner.motion(moves, self.name)
+                parts = [closing.motion, rising]
+                motion = step_motion(self, task, parts, rising.phases[0].hold)
+                if np.any(hitch.roll):  # drones and cables sink toward the ground
+                    require_certified(StepPlan(motion, task.before))
+                break
+            except InfeasibleError as error:
+                failures.append(HoldFailure(planner, error))
+        else:
+            raise best_hold_error(task, failures)
         return plan_to(task, planner.state, motion, body.place)
 
     def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
@@ -376,6 +469,41 @@ class Grasp(TensionStep):
         check_hold(task, planner)
         motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
         return plan_to(task, planner.state, motion, body.place)
+
+
+class HoldFailure(NamedTuple):
+    """Legs that do not hold an object, or to which the hitch does not close."""
+
+    planner: MovePlanner  # with the hold
+    error: InfeasibleError
+
+
+def best_hold_error(task: StepTask, failures: Sequence[HoldFailure]) -> InfeasibleError:
+    """Return the error of the legs whose violations are smallest."""
+    best = min(failures, key=lambda failure: excess(failure.error))
+    return hold_error(task, best.planner, best.error)
+
+
+def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
+    """Yield hitches below a rim that may hold it: the goal first, then others with all distances.
+
+    A load moves drones, so that legs may have to be split or rolled otherwise than without it.
+    """
+    team, polygon, altitude = goal.team, goal.polygon, goal.altitude
+    yield Hitch(team, polygon, altitude, goal.q_legs, ROLL_RESERVE * goal.roll)
+    sign = -1.0 if np.sum(goal.roll) < 0.0 else 1.0
+    splits = [goal.q_legs, *(split * goal.slack for split in HELD_SPLITS)]
+    shortest = requirements.limits.leg
+    for roll in HELD_ROLLS:
+        rolls = np.full(team.robots, sign * roll)
+        for q_legs in splits:
+            if np.min([q_legs, goal.slack - q_legs]) < shortest:
+                continue
+            arguments = polygon.vertices[None], q_legs[None], shortest, 1.0
+            with contextlib.suppress(InfeasibleError):
+                task = LegTask(team, requirements, *arguments, roll=rolls)
+                if task.reference_margin() >= 1.0:
+                    yield Hitch(team, polygon, altitude, q_legs, rolls)
 
 
 @documented
@@ -608,13 +736,16 @@ class TransportObject(TensionStep):
             SetDown(self.object),
         ]
         grasp = Grasp(self.object, self.method_for(body), self.tension)
-        taking = [Enclose(self.object).plan, grasp.plan]
         leaving = [Loosen(self.object).plan, Leave(self.object).plan]
         if task.before.team.robots == 2:
             tension = self.tension_for(task.before.team)
-            taking = [partial(Tie(self.object).plan_to_grip, tension=tension)]
+            taking = partial(Tie(self.object).plan_to_grip, tension=tension)
             leaving = [Untie().plan]
-        plan = plan_in_sequence([*taking, *(step.plan for step in carrying), *leaving], task)
+        else:
+            around = Enclose(self.object).orientations(task)
+            holds = [partial(plan_in_sequence, [each, grasp.plan]) for each in around]
+            taking = partial(first_orientation, holds)
+        plan = plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
         height = float(plan.after.with_objects(task.requirements).objects[self.object].at[2])
         if abs(height - self.to[2]) > CONTACT_GAP:
             key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"

@@ -79,6 +79,27 @@ def first_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
     raise errors[0]
 
 
+def excess(error: HitchoptError) -> float:
+    """Return the largest violation of an error, relative to its limit; infinite without any."""
+    if not isinstance(error, InfeasibleError):
+        return math.inf
+    shortfalls = [
+        abs(each.value - each.limit) / max(abs(each.limit), 1e-9) for each in error.violations
+    ]
+    return max(shortfalls, default=math.inf)
+
+
+def nearest_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
+    """Return the first certified plan, else raise the error with the smallest violation."""
+    errors = list[HitchoptError]()
+    for planner in planners:
+        outcome = attempt(lambda planner=planner: require_certified(planner()))  # type: ignore[misc]
+        if isinstance(outcome, StepPlan):
+            return outcome
+        errors.append(outcome)
+    raise min(errors, key=excess)
+
+
 def rest_motion(hitch: Hitch, requirements: Requirements, duration: float, phase: Phase) -> Motion:
     """Return the motion of a hitch at rest for a duration [s]; the phase is retimed to it."""
     values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)

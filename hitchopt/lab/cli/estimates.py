@@ -297,6 +297,7 @@ def _fit_options() -> Sequence[click.Option]:
     task, quadrotor = keys_of(FitTask), keys_of(ho.Quadrotor)
     return (
         key_option("--clearance", task["clearance"]),
+        key_option("--stem", task["stem"]),
         key_option("--object-height height", task["height"]),
         option("--mass", "Mass to hold [kg]; ends with 3 if it cannot be held.", float, "KG"),
         option("--by", "How to hold --mass.", "grip", choices=("grip", "rest")),

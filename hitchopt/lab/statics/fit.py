@@ -29,6 +29,7 @@ from hitchopt.objects import Rim, Section, SolidObject
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
 from hitchopt.planners.carrying.polygons import (
+    EDGE_MARGIN,
     GripTask,
     best_grip,
     rest_polygons,
@@ -49,6 +50,10 @@ TIED_STEP = 0.2  # Step of the lengths of two cables [m]
 TIED_STEPS = 15  # Number of lengths of two cables that are tried
 TIED_DENSITY = 0.005  # Of two cables, which are not tied without weight [kg/m]
 
+CIRCLE_ANGLES = np.pi * np.arange(48) / 24.0
+CIRCLE = np.column_stack([np.cos(CIRCLE_ANGLES), -np.sin(CIRCLE_ANGLES)]) / np.cos(np.pi / 48.0)
+"""Polygon around the unit circle (48, 2), clockwise, at most 0.2 % larger."""
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FitTask(Record):
@@ -62,8 +67,17 @@ class FitTask(Record):
     kind: Quadrotor
     requirements: Requirements
     clearance: Annotated[
-        float, Key(DISTANCE, "Distance of cables to the object while it is enclosed")
+        float,
+        Key(
+            DISTANCE,
+            "Distance of cables to the object while it is enclosed, in addition to 4.5 cm for the "
+            "error of its place",
+        ),
     ] = 0.035
+    stem: Annotated[
+        float | None,
+        Key(LENGTH, "Radius of a round body below the outline as a rim; null: a flat tray"),
+    ] = None
     height: Annotated[
         float, Key(LENGTH, "Height of the object, its centre of mass at half of it")
     ] = 0.3
@@ -97,8 +111,8 @@ class Holding(OneLine):
     ----------
     task: the request.
     robots: number of cables.
-    enclosing: the polygon that is lowered around the object, with the clearance; None for two
-        cables, which are tied around it.
+    enclosing: the polygon that is lowered around the object, as far from it as ``enclose`` keeps;
+        None for two cables, which are tied around it.
     cable_length: of all cables [m].
     grip: the grip with the largest slip load, or the error without one.
     rest: the polygon on which the outline rests as a rim, or the error without one.
@@ -167,6 +181,7 @@ def fit(
     robots: int,
     *,
     clearance: float = FitTask.clearance,
+    stem: float | None = None,
     height: float = FitTask.height,
     friction: float = FitTask.friction,
     tension: float | None = None,
@@ -184,7 +199,9 @@ def fit(
     outline: points (m, 2) [m], a circle's radius [m], a ``Section``, a geometry of shapely, or the
         path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
     robots: number n of robots; the cables of two are tied around the object.
-    clearance: distance of cables to the object while it is enclosed [m].
+    clearance: distance of cables to the object while it is enclosed [m], in addition to 4.5 cm for
+        the error of its place.
+    stem: radius of a round body below the outline as a rim [m]; None for a flat tray.
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
     tension: of all cables [N]; None for the largest horizontal pull that tilt and thrust allow.
@@ -217,6 +234,7 @@ def fit(
         kind=kind,
         requirements=requirements,
         clearance=clearance,
+        stem=stem,
         height=height,
         friction=friction,
         tension=tension,
@@ -260,7 +278,8 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
 
 def _holding(task: FitTask, robots: int) -> Holding:
     """Return the polygons for a number of robots; InfeasibleError if none encloses the object."""
-    enclosing = enclosing_polygon(task.section, robots, task.clearance)
+    gap = task.clearance + EDGE_MARGIN
+    enclosing = enclosing_polygon(task.section, robots, gap)
     cable = task.cable_length or shortest_cable([enclosing], task.requirements)
     max_edge = cable - 2.0 * task.requirements.limits.leg
     k = int(np.argmax(enclosing.edge_lengths))
@@ -279,7 +298,10 @@ def _holding(task: FitTask, robots: int) -> Holding:
 
     def resting() -> ConvexPolygon:
         body = SolidObject(task.section, 0.0, task.height, rim=Rim(task.section, 0.0))
-        return ConvexPolygon(rest_polygons("outline", body, robots, task.clearance).clasps)
+        if task.stem is not None:
+            stem = Section(task.section.centroid + task.stem * CIRCLE)
+            body = SolidObject(stem, 0.0, task.height, rim=Rim(task.section, task.height))
+        return ConvexPolygon(rest_polygons("outline", body, robots, gap)[0].clasps)
 
     gripping, rest = _attempt(grip), _attempt(resting)
     gripped, rested = gripping, rest

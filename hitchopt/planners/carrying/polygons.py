@@ -400,11 +400,13 @@ ANGLES, ASPECTS = 12, 17  # Numbers of candidate orientations and aspect ratios
 SIZES = np.linspace(0.05, 1.0, 96)  # Candidate sizes of a polygon below a rim, over the rim's own
 
 
-def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> HoldPolygons:
-    """Return the polygons of a hitch below an object's rim.
+def rest_polygons(
+    name: str, body: SolidObject, robots: int, gap: float
+) -> tuple[HoldPolygons, ...]:
+    """Return the polygons of hitches below an object's rim, one per orientation, the best first.
 
     Candidates are regular polygons about the centre of mass, turned, and stretched along the rim's
-    axes. The result has the largest inset, the smaller distance of clasps to the rim's outline and
+    axes. The best have the largest inset, the smaller distance of clasps to the rim's outline and
     of edges to the body; of those with a SUFFICIENT_INSET, the widest support.
 
     Parameters
@@ -434,7 +436,8 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
     inset = np.minimum(inside, SUFFICIENT_INSET)
     if body.stem is not None:
         inset = np.minimum(inset, np.min(offsets - body.stem.support(outward), axis=-1))
-    best = np.unravel_index(int(np.argmax(inset + 1e-3 * width)), inset.shape)
+    merit = inset + 1e-3 * width
+    best = np.unravel_index(int(np.argmax(merit)), inset.shape)
     if inset[best] < MIN_INSET:
         value, when = float(inset[best]), "below the rim of the object"
         remedy = (
@@ -444,7 +447,14 @@ def rest_polygons(name: str, body: SolidObject, robots: int, gap: float) -> Hold
         raise InfeasibleError(
             [Violation("support", value, MIN_INSET, "min", "m", (name,), when, remedy)]
         )
-    return HoldPolygons.about(polygons[best], centre, (rim, body.section), gap)
+    by_angle = np.argmax(merit.reshape(ANGLES, -1), axis=1)
+    of_angles = np.unravel_index(
+        by_angle + merit[0].size * ASPECTS * np.arange(ANGLES), merit.shape
+    )
+    order = np.argsort(-merit[of_angles], kind="stable")
+    of_angles = tuple(indices[order] for indices in of_angles)
+    chosen = polygons[of_angles][inset[of_angles] >= MIN_INSET]
+    return tuple(HoldPolygons.about(each, centre, (rim, body.section), gap) for each in chosen)
 
 
 def _axes(section: Section) -> tuple[Array, Array]:

@@ -1,0 +1,408 @@
+"""Wild families: how many problems of each family are planned and proven, and in what time.
+
+Usage: python -m benchmarks families [FAMILY ...] [--problems N] [--first SEED]
+
+Families: ``form``, irregular hitches tied from scattered robots; ``carry``, objects held by rims or
+grips, half of them beside a table; ``morph``, irregular hitches into each other; ``box``, ``door``
+and ``corridor``, single drones in tight boxes, through doors and past each other. Both ends of
+every problem are certified at rest before it is planned, and none is left out afterwards.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.spatial.distance import pdist
+
+import hitchopt as ho
+from benchmarks.measuring import Array, Table, most_common, parser
+from hitchopt import verify
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.objects import Rim, Section
+from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, rest_polygons
+from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
+from problems.random_morph import WILD_EDGE, WILD_SLACK, is_certified, wild_morph, wild_polygon
+from problems.swarm import random_box, random_corridor, random_door
+
+LIMITATIONS = (
+    "one machine, one run each; processor time of planning alone, with the certificate's; planned "
+    "ones are certified, proven ones also by hitchopt verify; refused ones by the first limit "
+    "named; the search is local: failure does not prove infeasibility"
+)
+
+FORM_ROBOTS = range(3, 9)
+"""Numbers of robots of hitches that are tied or morphed, in turn."""
+
+CARRY_ROBOTS = range(3, 7)
+"""Numbers of robots that carry an object, in turn."""
+
+CABLE_DENSITY = 0.005
+"""Density of cables that hang or hold objects [kg/m]."""
+
+FORM_ALTITUDE = (1.2, 1.8)
+"""Altitude of formed hitches, least and most [m]."""
+
+SPAN = (0.35, 0.85)
+"""Distance of the drones of a hanging cable over its length, least and most."""
+
+HOVER = (1.0, 2.0)
+"""Mean heights of hovering pairs, least and most [m]."""
+
+HOVER_STEP = 0.15
+"""Largest difference of a hovering drone from its pair's mean height [m]."""
+
+START_TRIES = 20
+"""Number of starts that are drawn for a goal before another goal is drawn."""
+
+MIN_REACH = 0.8
+"""Half the width of the square in which robots start, over the root of their number [m]."""
+
+REACH_GROWTH = 1.01
+"""Factor by which the square grows until all robots fit in."""
+
+ROBOTS_APART = 0.9
+"""Smallest distance of the middles of two robots at the start, in plan view [m]."""
+
+DRONES_APART = 0.35
+"""Smallest distance of two drones at the start, in plan view [m]."""
+
+
+def wild_form(seed: int) -> dict[str, Any]:
+    """Return a problem that ties an irregular n-gon from robots scattered about it.
+
+    Half of the teams have equal cables, half stand on the ground and half hover, and a third take
+    the edges in their order.
+    """
+    n = _robots(seed, FORM_ROBOTS)
+    rng = np.random.default_rng([n, seed, 1])
+    edge, on_ground = rng.uniform(*WILD_EDGE), bool(rng.random() < 0.5)
+    equal, fixed = bool(rng.random() < 0.5), bool(rng.random() < 1.0 / 3.0)
+    slack = rng.uniform(*WILD_SLACK)
+    altitude = round(float(rng.uniform(*FORM_ALTITUDE)), 2)
+    start = None
+    while start is None:
+        polygon = wild_polygon(n, edge, rng).translated(rng.uniform(-0.5, 0.5, 2))
+        lengths = polygon.edge_lengths
+        cables = np.full(n, np.max(lengths) + slack)
+        if not equal:
+            cables = lengths + rng.uniform(WILD_SLACK[0], max(slack, 0.8), n)
+        cables = np.round(cables, 2)
+        corners = np.round(polygon.vertices, 3).tolist()
+        hitch = {"polygon": corners, "altitude": altitude, "legs": "spread"}
+        if is_certified(_team(cables), {"hitch": hitch}):
+            order = np.arange(n) if fixed or equal else rng.permutation(n)
+            start = _certified_start(cables[order], on_ground, rng)
+    form = {"polygon": corners, "altitude": altitude, **({"assign": "fixed"} if fixed else {})}
+    return {
+        "title": f"Wild form, n = {n}, seed {seed}",
+        "team": _team(cables[order]),
+        "start": {"drones": start},
+        "mission": [{"form": form}],
+    }
+
+
+def _robots(seed: int, numbers: range) -> int:
+    """Return the number of robots of a seed: all numbers in turn."""
+    return numbers[seed % len(numbers)]
+
+
+def _team(cables: Array) -> dict[str, Any]:
+    """Return a team with cable lengths (n,) [m]."""
+    lengths = cables.tolist() if np.ptp(cables) else float(cables[0])
+    return {"robots": len(cables), "cable_length": lengths, "cable_density": CABLE_DENSITY}
+
+
+def _certified_start(
+    cables: Array, on_ground: bool, rng: np.random.Generator
+) -> dict[str, Any] | None:
+    """Return places of drones at which robots with cables (n,) [m] are certified at rest."""
+    for _ in range(START_TRIES):
+        start = _scattered(cables, on_ground, rng)
+        if is_certified(_team(cables), {"drones": start}):
+            return start
+    return None
+
+
+def _scattered(cables: Array, on_ground: bool, rng: np.random.Generator) -> dict[str, Any]:
+    """Return random places of drones in a square, with hanging cables (n,) [m]."""
+    n, reach = len(cables), MIN_REACH * math.sqrt(len(cables))
+    while True:
+        middles = rng.uniform(-reach, reach, (n, 2))
+        angles = rng.uniform(-math.pi, math.pi, n)
+        arms = 0.5 * (rng.uniform(*SPAN, n) * cables)[:, None]
+        arms = arms * np.column_stack([np.cos(angles), np.sin(angles)])
+        places = np.stack([middles - arms, middles + arms], axis=1)
+        apart = np.min(pdist(middles)) > ROBOTS_APART
+        if apart and np.min(pdist(places.reshape(-1, 2))) > DRONES_APART:
+            break
+        reach *= REACH_GROWTH
+    heights = np.zeros((n, 2))
+    if not on_ground:
+        heights = rng.uniform(*HOVER, n)[:, None] + rng.uniform(-HOVER_STEP, HOVER_STEP, (n, 2))
+    drones = np.round(np.concatenate([places, heights[..., None]], axis=-1), 3)
+    return {"q": drones[:, 0].tolist(), "r": drones[:, 1].tolist()}
+
+
+CARRY_ALTITUDE = 1.3
+"""Altitude of a hitch before it takes an object [m]."""
+
+RIM_SHARE = 0.7
+"""Share of the objects that rest on a rim; the others are gripped."""
+
+HALF_WIDTH = (0.18, 0.28)
+"""Half of the smaller width of a rim or of a gripped object, least and most [m]."""
+
+ASPECT = (1.0, 1.5)
+"""Width of an object along its longer axis, over the smaller one, least and most."""
+
+STEM_SHARE = {3: (0.2, 0.45), 4: (0.3, 0.6), 5: (0.3, 0.6), 6: (0.3, 0.6)}
+"""Width of the body below a rim, over the rim's, least and most, by number of robots: three clasps
+form a triangle, which leaves less room for it."""
+
+RIM_HEIGHT = (0.3, 0.45)
+"""Height of rims above the ground, least and most [m]."""
+
+RESTING_MASS = (0.1, 0.4)
+"""Mass of objects on rims, least and most [kg]."""
+
+GRIPPED_MASS = (0.04, 0.1)
+"""Mass of gripped objects, least and most [kg]."""
+
+EXTRA_CABLE = (0.0, 0.35)
+"""Length of cables beyond the shortest that keep drones apart around the object, least and most."""
+
+START_SCALE = (1.0, 1.3)
+"""Size of the hitch at the start over that around the object, least and most."""
+
+BESIDE = (0.5, 0.9)
+"""Distance of a table to the object's corners, least and most [m]: drones reach farther."""
+
+TABLE_HEIGHT = (0.2, 0.6)
+"""Height of a table, least and most [m]."""
+
+PLACES = (1.2, 2.2)
+"""Distance of the object from the hitch and of its goal from its start, least and most [m]."""
+
+
+TURNS = 12
+"""Number of turns of the hitch around the object, one of which is certified at both places."""
+
+LIMITS = {"tilt_deg": 60}
+"""Limits of teams that carry."""
+
+
+def wild_carry(seed: int) -> dict[str, Any]:
+    """Return a problem in which a hitch takes an object and sets it down elsewhere.
+
+    The hitch is certified at the start, and around the object at both places by some turn. Cables
+    are such that a polygon holds the object by its rim, or a grip of its section exists.
+    """
+    n = _robots(seed, CARRY_ROBOTS)
+    rng = np.random.default_rng([n, seed, 2])
+    while True:
+        try:
+            data, around = _carrying(n, seed, rng)
+        except ho.InfeasibleError:  # no polygon below the rim, or no grip
+            continue
+        team, objects = data["team"], data["objects"]
+        thing, goal = objects["thing"], data["mission"][0]["transport_object"]["to"]
+        moved = {**objects, "thing": {**thing, "at": goal}}
+        height = thing["rim"]["at"] - 0.1 if "rim" in thing else 0.5 * thing["to"]
+        starts = is_certified(team, data["start"], {"limits": LIMITS, "objects": objects})
+        if starts and all(_fits(team, around, height, each) for each in (objects, moved)):
+            return data
+
+
+def _fits(team: dict[str, Any], around: Array, height: float, objects: dict[str, Any]) -> bool:
+    """Return whether the hitch around the object is certified at rest by some turn."""
+    obstacles = {name: body for name, body in objects.items() if name != "thing"}
+    options = {"limits": LIMITS, "objects": obstacles}
+    place, polygon = np.array(objects["thing"]["at"][:2]), ho.ConvexPolygon(around)
+    for turn in 2.0 * math.pi / TURNS * np.arange(TURNS):
+        vertices = polygon.rotated(float(turn)).vertices + place
+        hitch = {"polygon": vertices.tolist(), "altitude": height, "legs": "spread"}
+        if is_certified(team, {"hitch": hitch}, options):
+            return True
+    return False
+
+
+def _carrying(n: int, seed: int, rng: np.random.Generator) -> tuple[dict[str, Any], Array]:
+    """Return a problem whose ends are not certified yet, and the polygon around its object [m]."""
+    rests, is_round = bool(rng.random() < RIM_SHARE), bool(rng.random() < 0.3)
+    half = float(rng.uniform(*HALF_WIDTH))
+    other = half if is_round else half * float(rng.uniform(*ASPECT))
+    widths = np.array([half, other])
+    corner = half if is_round else float(np.linalg.norm(widths))
+    directions = rng.uniform(-math.pi, math.pi, 3)
+    away, onward = rng.uniform(*PLACES, 2)
+    at = away * np.array([math.cos(directions[0]), math.sin(directions[0])])
+    to = at + onward * np.array([math.cos(directions[1]), math.sin(directions[1])])
+    body: dict[str, Any] = {"at": [*_rounded(at), 0.0]}
+    body["yaw_deg"] = round(float(rng.uniform(0.0, 360.0)), 1)
+    outer = Section(radius=half) if is_round else Section(widths * RECTANGLE)
+    requirements, extra = Requirements(), float(rng.uniform(*EXTRA_CABLE))
+    gap = requirements.separation.object + EDGE_MARGIN
+    if rests:
+        share, height = float(rng.uniform(*STEM_SHARE[n])), float(rng.uniform(*RIM_HEIGHT))
+        body |= {**_section(share * widths, is_round), "to": round(height + 0.05, 3)}
+        body["rim"] = {"at": round(height, 3), **_section(widths, is_round)}
+        body["mass"] = round(float(rng.uniform(*RESTING_MASS)), 3)
+        stem = Section(radius=share * half) if is_round else Section(share * widths * RECTANGLE)
+        tray = ho.SolidObject(stem, 0.0, height + 0.05, rim=Rim(outer, height))
+        polygons, *_ = rest_polygons("thing", tray, n, gap)
+        around = polygons.around
+        outlines = [ho.ConvexPolygon(each) for each in (around, polygons.clasps)]
+        cable = shortest_cable(outlines, requirements) + extra
+    else:
+        body |= {**_section(widths, is_round), "to": round(float(rng.uniform(0.25, 0.4)), 3)}
+        body |= {"mass": round(float(rng.uniform(*GRIPPED_MASS)), 3), "friction": 0.6}
+        enclosing = enclosing_polygon(outer, n, gap)
+        around, shortest = enclosing.vertices, shortest_cable([enclosing], requirements)
+        kind = ho.Quadrotor()
+        task = GripTask(outer, n, shortest, 1.0, 0.15, requirements, kind)
+        cable = grip_and_cable(task, requirements.separation.object)[1] + 0.3 * extra
+    objects = {"thing": body}
+    if rng.random() < 0.5:
+        objects["table"] = _table(at, corner, directions[2], rng)
+    team: dict[str, Any] = {"robots": n, "cable_length": round(float(cable), 2)}
+    team |= {"cable_density": CABLE_DENSITY, "tension": 1.0}
+    team |= {} if rests else {"cable_friction": 0.15}
+    edge = float(np.max(ho.ConvexPolygon(around).edge_lengths)) * float(rng.uniform(*START_SCALE))
+    angles = rng.uniform(0.0, 2.0 * math.pi) - 2.0 * math.pi * np.arange(n) / n
+    angles += rng.uniform(-0.2, 0.2, n) * math.pi / n
+    polygon = 0.5 * edge / math.sin(math.pi / n) * np.stack([np.cos(angles), np.sin(angles)], -1)
+    carry: dict[str, Any] = {"object": "thing", "to": [*_rounded(to), 0.0]}
+    carry |= {"yaw_deg": round(float(rng.uniform(-120.0, 120.0)), 1)}
+    carry |= {} if rests else {"tension": 1.3}
+    data = {
+        "title": f"Wild carry, n = {n}, seed {seed}",
+        "team": team,
+        "limits": LIMITS,
+        "objects": objects,
+        "start": {"hitch": {"polygon": np.round(polygon, 3).tolist(), "altitude": CARRY_ALTITUDE}},
+        "mission": [{"transport_object": carry}],
+    }
+    return data, around
+
+
+def _table(at: Array, corner: float, direction: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Return a table beside an object at a place (2,) [m], whose corners are that far away [m]."""
+    side = np.array([math.cos(direction), math.sin(direction)])
+    centre = at + (corner + float(rng.uniform(*BESIDE)) + 0.5 * TABLE_DEPTH) * side
+    return {
+        "outline": TABLE,
+        "to": round(float(rng.uniform(*TABLE_HEIGHT)), 3),
+        "fixed": True,
+        "at": [*_rounded(centre), 0.0],
+        "yaw_deg": round((math.degrees(direction) + 90.0) % 360.0, 1),
+    }
+
+
+TABLE_DEPTH = 0.6
+"""Depth of a table, in the direction of the object [m]."""
+
+RECTANGLE = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+"""Corners of a rectangle of half widths 1, clockwise."""
+
+TABLE = [[-0.6, -0.3], [0.6, -0.3], [0.6, 0.3], [-0.6, 0.3]]
+"""Outline of a table [m]."""
+
+
+def _rounded(point: Array) -> list[float]:
+    """Return a point in whole millimetres."""
+    return [round(float(x), 3) for x in point]
+
+
+def _section(half_widths: Array, is_round: bool) -> dict[str, Any]:
+    """Return the section of an object with half widths (2,) [m]."""
+    a, b = (round(float(x), 3) for x in half_widths)
+    return {"circle": a} if is_round else {"outline": [[-a, -b], [a, -b], [a, b], [-a, b]]}
+
+
+def morph(seed: int) -> dict[str, Any]:
+    """Return a morph between wild polygons."""
+    return wild_morph(_robots(seed, FORM_ROBOTS), seed)
+
+
+FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
+    "form": wild_form,
+    "carry": wild_carry,
+    "morph": morph,
+    "box": random_box,
+    "door": random_door,
+    "corridor": random_corridor,
+}
+
+
+class Outcome(NamedTuple):
+    """What became of one problem."""
+
+    seed: int
+    size: int  # number of robots, or of single drones
+    seconds: float  # processor time [s]
+    duration: float | None  # of the flight [s]; None if it was refused
+    proven: bool  # also by ``hitchopt verify``
+    refusal: str  # first limit named by a refusal
+
+
+def outcome(data: dict[str, Any], seed: int) -> Outcome:
+    """Return the outcome of a problem, planned alone and then proven."""
+    problem = ho.problem_from_dict(data)
+    size = data["team"].get("robots", data["team"].get("drones", 0))
+    ho.forget()
+    start_time = time.process_time()
+    try:
+        plan = ho.solve(problem)
+    except ho.HitchoptError as error:
+        seconds = time.process_time() - start_time
+        violations = getattr(error, "violations", ())
+        refusal = violations[0].constraint if violations else type(error).__name__
+        return Outcome(seed, size, seconds, None, False, refusal)
+    seconds = time.process_time() - start_time
+    with tempfile.TemporaryDirectory() as folder:
+        plan.save(folder, picture=False)
+        proven = all(row.verdict in verify.PASSING for row in verify.verify(folder))
+    duration = plan.duration if plan.certificate.certified else None
+    return Outcome(seed, size, seconds, duration, proven, "")
+
+
+def add_rows(table: Table, family: str, outcomes: list[Outcome]) -> None:
+    """Add a row for each number of robots of a family, and one for all of them."""
+    by_size = defaultdict[int, list[Outcome]](list)
+    for each in outcomes:
+        by_size[each.size].append(each)
+    groups = [(str(size), by_size[size]) for size in sorted(by_size)]
+    if len(groups) > len(FORM_ROBOTS):
+        groups = []
+    for size, group in [*groups, ("all", outcomes)]:
+        planned = [each for each in group if each.duration is not None]
+        refused = [f"{each.seed} ({each.refusal})" for each in group if each.duration is None]
+        seconds = [each.seconds for each in group]
+        counts = len(group), len(planned), sum(each.proven for each in planned)
+        rate = f"{100.0 * len(planned) / len(group):.0f} %"
+        times = float(np.median(seconds)), max(seconds)
+        table.row(family, size, *counts, rate, ", ".join(refused), *times)
+
+
+def main() -> None:
+    """Print and write the families' rows."""
+    cli = parser(__doc__, problems=40, first=0)
+    cli.add_argument("families", nargs="*", choices=[*FAMILIES, []], default=[], help="or all")
+    options = cli.parse_args()
+    table = Table(options.output / "families.md", "Wild families", LIMITATIONS)
+    columns = ("family", "n", "problems", "planned", "proven", "rate", "refused: seed (limit)")
+    table.section("", *columns, "median [s]", "most [s]")
+    outcome(wild_morph(3, 0), 0)  # imports are not measured
+    reasons = list[str]()
+    for family in options.families or FAMILIES:
+        seeds = range(options.first, options.first + options.problems)
+        outcomes = [outcome(FAMILIES[family](seed), seed) for seed in seeds]
+        reasons += [f"{family}: {each.refusal}" for each in outcomes if each.duration is None]
+        add_rows(table, family, outcomes)
+    table.note(f"refusals: {most_common(reasons) or 'none'}")
