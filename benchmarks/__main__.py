@@ -10,7 +10,7 @@ from pathlib import Path
 NAMES = (
     "corpus",
     "morphs",
-    "hard_morphs",
+    "families",
     "forming",
     "separation",
     "teams",

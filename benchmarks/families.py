@@ -3,18 +3,21 @@
 Usage: python -m benchmarks families [FAMILY ...] [--problems N] [--first SEED]
 
 Families: ``form``, irregular hitches tied from scattered robots; ``carry``, objects held by rims or
-grips, half of them beside a table; ``morph``, irregular hitches into each other; ``box``, ``door``
-and ``corridor``, single drones in tight boxes, through doors and past each other. Both ends of
-every problem are certified at rest before it is planned, and none is left out afterwards.
+grips, half of them beside a table; ``morph`` and ``heavy_morph``, irregular hitches into each
+other; ``box``, ``door`` and ``corridor``, single drones in tight boxes, through doors and past each
+other. Both ends of every problem are certified at rest before it is planned, and none is left out
+afterwards.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 import tempfile
 import time
 from collections import defaultdict
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -325,15 +328,16 @@ def _section(half_widths: Array, is_round: bool) -> dict[str, Any]:
     return {"circle": a} if is_round else {"outline": [[-a, -b], [a, -b], [a, b], [-a, b]]}
 
 
-def morph(seed: int) -> dict[str, Any]:
-    """Return a morph between wild polygons."""
-    return wild_morph(_robots(seed, FORM_ROBOTS), seed)
+def wild_pair(seed: int, *, heavy: bool = False) -> dict[str, Any]:
+    """Return a morph between wild polygons, with weightless or ``heavy`` cables."""
+    return wild_morph(_robots(seed, FORM_ROBOTS), seed, heavy=heavy)
 
 
 FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "form": wild_form,
     "carry": wild_carry,
-    "morph": morph,
+    "morph": wild_pair,
+    "heavy_morph": partial(wild_pair, heavy=True),
     "box": random_box,
     "door": random_door,
     "corridor": random_corridor,
@@ -402,7 +406,10 @@ def main() -> None:
     reasons = list[str]()
     for family in options.families or FAMILIES:
         seeds = range(options.first, options.first + options.problems)
-        outcomes = [outcome(FAMILIES[family](seed), seed) for seed in seeds]
+        outcomes = list[Outcome]()
+        for seed in seeds:
+            outcomes.append(outcome(FAMILIES[family](seed), seed))
+            print(f"{family}: {outcomes[-1]}", file=sys.stderr, flush=True)
         reasons += [f"{family}: {each.refusal}" for each in outcomes if each.duration is None]
         add_rows(table, family, outcomes)
     table.note(f"refusals: {most_common(reasons) or 'none'}")

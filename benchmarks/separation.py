@@ -1,11 +1,10 @@
 """Single drones: circles, random teams and crowds, compared with plain casadi and IPOPT.
 
-Usage: python -m benchmarks separation [circles] [random] [crowds] [passages] [rival]
+Usage: python -m benchmarks separation [circles] [random] [crowds] [rival]
 
 ``circles``: every drone flies to the opposite point; ``random``: 100 seeded teams of 10 to 30
-drones; ``crowds``: random places, as dense as 1000 drones in 20 × 20 × 10 m; ``passages``: 40
-seeded problems each of tight boxes with pillars, doors and corridors for one drone at a time, none
-left out; ``rival``: small circles by IPOPT, ellipsoids and limits kept at knots alone.
+drones; ``crowds``: random places, as dense as 1000 drones in 20 × 20 × 10 m; ``rival``: small
+circles by IPOPT, ellipsoids and limits kept at knots alone.
 """
 
 from __future__ import annotations
@@ -23,10 +22,7 @@ from benchmarks.measuring import Table, parser, slope, timed
 from hitchopt.planners.timing.ramps import fastest_ramps
 from problems.swarm import (
     antipodal_circle,
-    random_box,
-    random_corridor,
     random_crowd,
-    random_door,
     random_team,
 )
 
@@ -36,7 +32,6 @@ LIMITATIONS = (
 )
 
 CIRCLES, SMALL, CROWDS, TEAMS = (6, 12, 24, 64, 200), (6, 12, 24), (100, 300, 1000), 100
-PASSAGES = 40  # Number of problems of each family of passages
 
 DEGREE, POINTS, KNOTS, FIXED = 5, 14, 24, 3
 """Degree, number of control points and number of knots of the rival's splines; number of control
@@ -96,32 +91,6 @@ def crowds(table: Table) -> None:
     table.section("Crowds between random places", "N", *COLUMNS)
     for n in CROWDS:
         table.row(n, *cells(ho.problem_from_dict(random_crowd(n))))
-
-
-def passages(table: Table) -> None:
-    """Add the families in which drones have to queue or to wait aside."""
-    columns = "family", "problems", "certified", "refused seeds", "median [s]", "most [s]"
-    table.section("Boxes, doors and corridors", *columns)
-    families = {"boxes": random_box, "doors": random_door, "corridors": random_corridor}
-    for family, draw in families.items():
-        times, refused = [], []
-        for seed in range(PASSAGES):
-            problem = ho.problem_from_dict(draw(seed))
-            plan, elapsed = timed(partial(_plan_or_none, problem))
-            times.append(elapsed)
-            if plan is None or not plan.certificate.certified:
-                refused.append(str(seed))
-        count = PASSAGES - len(refused)
-        figures = float(np.median(times)), max(times)
-        table.row(family, PASSAGES, count, ", ".join(refused), *figures)
-
-
-def _plan_or_none(problem: ho.Problem) -> ho.Plan | None:
-    """Return the plan of a problem, or None if it is refused."""
-    try:
-        return ho.separate(problem)
-    except ho.InfeasibleError:
-        return None
 
 
 def rival(table: Table) -> None:
@@ -185,7 +154,6 @@ PARTS: dict[str, Callable[[Table], None]] = {
     "circles": circles,
     "random": random,
     "crowds": crowds,
-    "passages": passages,
     "rival": rival,
 }
 
