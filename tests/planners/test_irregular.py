@@ -208,3 +208,23 @@ def test_laws_of_wild_pairs(change: str, robots: int) -> None:
     pair = pair_of(wild_morph(robots, 101))
     for each in (pair, CHANGES[change](pair)):
         assert planned(each).certificate.certified
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robots", [4, 6])
+@pytest.mark.parametrize("kind", ["given legs", "cables", "tensions", "loads", "friction"])
+def test_wild_pairs_of_other_teams_are_planned(kind: str, robots: int) -> None:
+    problem = wild_morph(robots, 102)
+    team, morph = problem["team"], problem["mission"][0]["morph"]
+    steps = np.arange(robots)
+    if kind == "given legs":
+        morph["legs"] = "spread"
+    elif kind == "cables":
+        team["cable_length"] = (team["cable_length"] + 0.05 * steps).tolist()
+    elif kind == "tensions":
+        team["tension"] = (0.4 + 0.01 * steps).tolist()
+    elif kind == "loads":
+        team["load"] = 0.002
+    else:
+        team["cable_friction"] = 0.1
+    assert ho.solve(ho.problem_from_dict(problem)).certificate.certified
