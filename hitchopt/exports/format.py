@@ -227,8 +227,11 @@ class Format(ABC):
     def load(self, files: Sequence[Path]) -> FileContents:
         """Read files of any origin; raises FileError if they are damaged."""
 
-    def sent(self, files: Sequence[Path]) -> FileContents:
-        """Read files as a receiver gets them; streamed accelerations include cable forces."""
+    def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:  # noqa: ARG002
+        """Read exported files of a plan as a receiver gets them, from the plan's start on.
+
+        Drones have the names of the manifest; streamed accelerations include cable forces.
+        """
         return self.load(files)
 
     def read(self, folder: Path, task: ExportTask) -> FileContents:

@@ -141,6 +141,28 @@ def test_stretched_exports_are_flown_with_a_stretched_plan(plan: ho.Plan, tmp_pa
     np.testing.assert_allclose(files.commands.positions, states.positions, atol=QUANTUM)
 
 
+@pytest.mark.parametrize("kind", ["mavsdk_drone_show", "ros2bag", "parquet"])
+def test_streams_are_held_from_sample_to_sample(kind: str, tmp_path: Path) -> None:
+    """Between samples setpoints stay, and are off the moving plan by at most speed over rate."""
+    px4 = ho.Quadrotor(mass=0.8, max_thrust=16.0, controller="px4")
+    team = ho.Team(3, 4.6, tension=0.2, quadrotor=px4)
+    start = ho.Hitch.balanced(team, ho.regular_polygon(3, 2.4), altitude=2.0)
+    moving = ho.transport(start, to=[0.2, 0.1, 2.1])
+    flown = read_exported(exported(moving, tmp_path / kind, kind))
+    states, files = flown.task.states, flown.task.received
+    assert files is not None
+    rate = format_of(kind).rate
+    held = np.max(np.abs(np.diff(files.commands.positions, axis=0)), axis=(1, 2)) == 0.0
+    assert np.mean(held) == pytest.approx(1.0 - rate / 100.0, abs=0.2)
+    speed = float(np.max(np.linalg.norm(states.velocities, axis=-1)))
+    off = np.linalg.norm(files.commands.positions - states.positions, axis=-1)
+    assert np.max(off) < speed / rate + 2.0 * QUANTUM
+    forward = states.accelerations - states.cable_forces / 0.8
+    at = slice(0, None, round(100.0 / rate))
+    sent = files.commands.accelerations[: len(forward)]
+    np.testing.assert_allclose(sent[at][:-1], forward[at][:-1], atol=0.02)
+
+
 @pytest.mark.slow
 def test_parts_are_flown_with_what_the_script_does_between_them(tmp_path: Path) -> None:
     """Drones take off, and go to the first points of the next part: nothing jumps."""

@@ -113,6 +113,17 @@ class MavsdkDroneShow(Format):
         each = (separator_findings(_table(path), path.stem) for path in files)
         return replace(contents, findings=tuple(chain.from_iterable(each)))
 
+    def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:
+        """Return all setpoints after the rise, of drones numbered in the manifest's order."""
+        names, folder = tuple(map(str, manifest["drones"].values())), files[0].parent
+        tables = read_tables(
+            [folder / self.file.format(number=i) for i in range(1, len(names) + 1)]
+        )
+        rise = float(manifest["receiver"]["plan_begins_s"])
+        t, values = tables[:, 0, 0] - rise, tables[..., 1:]
+        flown = t > -SAME_TIME
+        return FileContents.of_samples(names, t[flown], values[flown], "ned", SMOOTH)
+
     def read(self, folder: Path, task: ExportTask) -> FileContents:
         """Return the receiver's motion, without cable forces in accelerations."""
         tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)

@@ -133,6 +133,30 @@ class Ros2Bag(Format):
                 tuple(tables_by_name), values[:, 0, 0], samples, frame, smooth
             )
 
+    def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:
+        """Return the full states that are streamed, whose accelerations include cable forces."""
+        highlevel, store = required_module("rosbags.highlevel"), message_types()
+        names, frame = tuple(map(str, manifest["drones"].values())), ""
+        rows: dict[str, list[list[float]]] = {name: [] for name in names}
+        with (
+            reading(files[0], "bag", Exception),
+            highlevel.AnyReader([files[0]], default_typestore=store) as bag,
+        ):
+            connections = [c for c in bag.connections if c.msgtype == FULL_STATE]
+            if len(connections) != len(names):
+                raise FileError(f"has {len(connections)} streams of {FULL_STATE}, not {len(names)}")
+            for connection, _, data in bag.messages(connections):
+                message = bag.deserialize(data, connection.msgtype)
+                stamp, frame = message.header.stamp, FRAMES.get(message.header.frame_id, "")
+                vectors = message.pose.position, message.twist.linear, message.acc
+                values = [x for vector in vectors for x in (vector.x, vector.y, vector.z)]
+                name = connection.topic.strip("/").partition("/")[0]
+                rows[name].append([stamp.sec + 1e-9 * stamp.nanosec, *values])
+            table = np.array([rows[name] for name in names])
+        return FileContents.of_samples(
+            names, table[0, :, 0], np.moveaxis(table[..., 1:], 0, 1), frame, 2
+        )
+
     def read(self, folder: Path, task: ExportTask) -> FileContents:  # noqa: ARG002
         """Return the curves of the trajectories."""
         return self.load([folder / METADATA])

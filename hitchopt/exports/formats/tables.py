@@ -12,8 +12,9 @@ row group has complete samples. Readers use positions, velocities and accelerati
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,7 +78,7 @@ class TableFormat(Format):
         """Return the contents of rows sorted by time, then drone."""
         return self._contents(files[0], STATE_COLUMNS)
 
-    def sent(self, files: Sequence[Path]) -> FileContents:
+    def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:  # noqa: ARG002
         """Return the contents with feed-forward accelerations, for controllers that take them."""
         return self._contents(files[0], SENT_COLUMNS)
 

@@ -160,7 +160,7 @@ def _part(
 ) -> ExportedPart:
     """Return the files of one part, with drones in the order of their places."""
     trajectories = [file for file in files if file.suffix.lower() in kind.endings]
-    contents = kind.sent(trajectories)
+    contents = kind.sent(trajectories, content)
     frame = ReferenceFrame(
         content["frame"], content["origin_enu"], math.radians(content["yaw_deg"])
     )
