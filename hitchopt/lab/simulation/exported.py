@@ -191,9 +191,9 @@ def _flown(
     """Return the export as it is flown: setpoints at the samples of a prolonged plan."""
     legs, before = list[Flight](), 0.0
     begins_tied = any(bool(each.motion.formed[0]) for each in planned.teams)
-    first = parts[0].curves.at(0.0)
+    first, floor = parts[0].curves.at(0.0), planned.requirements.floor
     is_scripted = isinstance(kind, CrazyflieFormat)
-    if is_scripted and not begins_tied and float(np.min(first[:, 2])) > LANDED:
+    if is_scripted and not begins_tied and float(np.min(first[:, 2])) - floor > LANDED:
         before = BEFORE
     for i, part in enumerate(parts):
         leg = planned.between(part.begins, part.ends) if len(parts) > 1 else planned
@@ -212,10 +212,8 @@ def _flown(
     jets = _jets(kind, parts, starts, t)
     places = task.states.positions.copy()
     if before:
-        climbing = t < before - GO_TIME - SETTLE_TIME - UPLOAD_TIME
-        _take_off(jets, t, first)
+        _take_off(jets, t, first, floor)
         places[t < before] = jets[0, t < before]
-        places[climbing] = jets[0, climbing]
     trims = np.insert(task.team.trim, 2, 0.0, axis=1)  # simulated drones add theirs
     states = replace(task.states, positions=places)
     commands = _commands(kind, jets, trims, task, parts[0])
@@ -262,10 +260,10 @@ def _move(
     jets[1, rows], jets[2, rows] = rate * (goal - start), change * (goal - start)
 
 
-def _take_off(jets: Array, t: Array, first: Array) -> None:
+def _take_off(jets: Array, t: Array, first: Array, floor: float) -> None:
     """Set the jets before the first part: up from the floor, and on to the first points."""
     standing, above = first.copy(), first.copy()
-    standing[:, 2], above[:, 2] = REST_HEIGHT, np.min(first[:, 2])
+    standing[:, 2], above[:, 2] = floor + REST_HEIGHT, np.min(first[:, 2])
     rows = np.flatnonzero(t < BEFORE - BREAK_TOLERANCE)
     _move(jets, rows, t[rows] / TAKE_OFF_TIME, TAKE_OFF_TIME, standing, above)
     _go_to(jets, t, (TAKE_OFF_TIME + SETTLE_TIME, BEFORE), above, first)
