@@ -119,10 +119,10 @@ def test_moves_of_next_to_nothing_are_planned(offset: float) -> None:
 
 def test_optimize_is_never_slower_and_says_that_it_helped() -> None:
     start, goal = ho.Hitch.spread(ho.Team(4, 2.4), SQUARE), SQUARE.renumbered(1)
-    straight, optimised = ho.morph(start, goal), ho.morph(start, goal, optimize=True)
-    assert straight.phases[0].remark == ""
-    assert optimised.duration < straight.duration
-    assert "faster than the step's own route" in optimised.phases[0].remark
+    plans = ho.morph(start, goal), ho.morph(start, goal, optimize=True)
+    assert plans[1].duration <= plans[0].duration
+    for plan in plans:  # edges that turn by as much are searched without a request, too
+        assert "faster than the step's own route" in plan.phases[0].remark
     assert ho.morph(start, goal, optimize=True, duration=3.0).duration == 3.0
 
 
