@@ -53,7 +53,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         (f"{SOLVE} -o ''", "error: --output = '': must be a path that is not empty; name one"),
         ("solve ''", "error: FILE = '': must be a path that is not empty"),
         ("check ''", "error: DIR = '': must be a path that is not empty"),
-        (f"{SOLVE} -o /", "error: --output = '/': must be a directory of its own"),
+        (f"{SOLVE} -o /", "error: --output = '/': must be a separate directory"),
         (
             f"solve {FAULTY}",
             f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; give",

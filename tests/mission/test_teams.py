@@ -199,7 +199,7 @@ def test_two_finished_plans_on_one_clock_have_the_certificate_of_the_teams_toget
     assert {check.name for check in at_once.violated} >= {"separation", "crossing"}
     assert {name.partition(".")[0] for name in at_once["crossing"].where} == {"first", "second"}
     assert "a.q2, b.r0" in str(ho.closest(combined))
-    with pytest.raises(ho.InputError, match="a name of its own"):
+    with pytest.raises(ho.InputError, match="a unique name"):
         ho.combine(each[0], each[1], names=("a", "a"))
 
 
