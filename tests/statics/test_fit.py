@@ -236,21 +236,19 @@ def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
         assert CliRunner().invoke(main, ["fit", outline, "--robots", "3"]).exit_code == 2
 
 
-@pytest.mark.usefixtures("_one_number_of_robots")
 def test_edges_of_a_resting_polygon_keep_off_the_stem_below_the_rim() -> None:
     """Where no triangle is left, the limit is named."""
-    rest = ho.fit(BOX, 3, stem=0.05, tension=1.0).holding.rest
+    rest = ho.fit(BOX, 3, stem=0.05, tension=1.0, compared=()).holding.rest
     assert isinstance(rest, ho.ConvexPolygon)
     u = rest.edge_directions
     offsets = np.sum(rest.vertices * np.column_stack([-u[:, 1], u[:, 0]]), axis=1)
     assert np.min(offsets) >= 0.05 + 0.01
-    refused = ho.fit(BOX, 3, stem=0.14, tension=1.0).holding.rest
+    refused = ho.fit(BOX, 3, stem=0.14, tension=1.0, compared=()).holding.rest
     assert isinstance(refused, ho.InfeasibleError)
     assert refused.violations[0].constraint == "support"
 
 
-@pytest.mark.usefixtures("_one_number_of_robots")
 def test_the_enclosing_polygon_is_as_far_off_as_enclose_keeps() -> None:
-    fitted = ho.fit(BOX, 4, tension=1.0, clearance=0.05)
+    fitted = ho.fit(BOX, 4, tension=1.0, clearance=0.05, compared=())
     assert fitted.enclosing is not None
     np.testing.assert_allclose(np.max(fitted.enclosing.vertices, axis=0), [0.295, 0.245])
