@@ -95,7 +95,9 @@ class Reactions:
         """
         motion, names = self.motion, self.motion.team.drone_names
         if drone not in names:
-            raise InputError("drone", drone, f"one of {', '.join(names)}", "name a drone")
+            raise InputError(
+                "drone", drone, f"one of {', '.join(motion.team.listed_names)}", "name a drone"
+            )
         if nonnegative("t", time) > motion.duration:
             raise InputError(
                 "t", time, f"within {motion.duration:g} s", "choose a time within the plan"
