@@ -144,7 +144,8 @@ def test_blunt_pairs_with_friction_are_planned() -> None:
 def test_heavy_cables_of_many_robots_are_planned(index: int, tmp_path: Path) -> None:
     """Their refinements need clasps in balance to much less than the certificate's bound."""
     pair = PAIRS[index]
-    team = ho.Team(pair["n"], pair["cable_length"], **HEAVY)
+    density, tension = HEAVY["cable_density"], HEAVY["tension"]
+    team = ho.Team(pair["n"], pair["cable_length"], cable_density=density, tension=tension)
     start = ho.Hitch.spread(team, pair["start"], pair["altitude"])
     plan = ho.morph(start, pair["goal"])
     assert plan.certificate.certified

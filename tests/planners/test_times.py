@@ -35,13 +35,15 @@ def turning_path() -> KnotPath:
     return KnotPath.through("turned", start, goal, polygons)
 
 
-def changed(path: KnotPath, times: np.ndarray, rows: TimedRows, kind: str) -> tuple[float, float]:
+def changed(
+    path: KnotPath, times: np.ndarray, rows: TimedRows, kind: str
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the changes of the rows' values with a small step: by the rows, and true ones."""
     rng = np.random.default_rng(7)
     inner, knots = np.zeros_like(path.table), slice(1, -1)
     inner[knots] = 1e-6 * rng.normal(size=path.table[knots].shape)
     shift = 1e-6 * rng.normal(size=len(times))
-    linear = rows.by_table(path) @ inner[knots].ravel()
+    linear = np.asarray(rows.by_table(path) @ inner[knots].ravel())
     row, step, entry = rows.by_times(len(times))
     np.add.at(linear, row, entry * shift[step])
 

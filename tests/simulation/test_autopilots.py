@@ -307,13 +307,19 @@ def test_drones_are_controlled_independently(name: str) -> None:
     turns = rotation(0.4 * random.standard_normal((3, 3)))
     places, speeds, rates = random.standard_normal((3, 3, 3))
     now = RigidBodies(places, speeds, turns, rates)
-    commands = Commands(*random.standard_normal((4, 3, 3)))
+    positions, velocities, accelerations, body_rates = random.standard_normal((4, 3, 3))
+    commands = Commands(positions, velocities, accelerations, body_rates)
 
     def answer(chosen: slice) -> Array:
         inertia = inertia_of(masses[chosen])
         pilots = Autopilots(loops[chosen], masses[chosen], inertia, 25.0 * masses[chosen])
         mine = RigidBodies(*(values[chosen] for values in vars(now).values()))
-        sent = Commands(*(values[chosen] for values in commands.arrays.values()))
+        sent = Commands(
+            commands.positions[chosen],
+            commands.velocities[chosen],
+            commands.accelerations[chosen],
+            commands.rates[chosen],
+        )
         for _ in range(7):
             pilots.advance(sent, mine, PERIOD)
         return np.column_stack([pilots.thrusts, pilots.moments])
@@ -373,7 +379,7 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
     task = resting_task(hitch, 0.1)
     settings = Settings(controller="mellinger")
     sent = received(task, flown_team(task.team, settings), settings)
-    for values in vars(sent).values():
+    for values in sent.arrays.values():
         np.testing.assert_allclose(values, 1e-3 * np.rint(1e3 * values), atol=1e-12)
     assert 0.0 < np.max(np.abs(sent.positions - task.states.positions)) <= 5.0001e-4
     pull = -task.states.cable_forces / task.team.mass[:, None]

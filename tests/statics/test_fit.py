@@ -190,8 +190,9 @@ def test_a_concave_outline_is_held_by_its_hull() -> None:
     ],
 )
 def test_invalid_or_infeasible_fits_are_refused(options: dict[str, Any], words: str) -> None:
+    defaults: dict[str, Any] = {"outline": 0.2, "robots": 3, "compared": ()}
     with pytest.raises((ho.InputError, ho.InfeasibleError), match=words):
-        ho.fit(**({"outline": 0.2, "robots": 3, "compared": ()} | options))
+        ho.fit(**(defaults | options))
 
 
 def test_two_cables_are_tied_and_hold_more_than_three(tmp_path: Path) -> None:
