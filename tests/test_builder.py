@@ -271,6 +271,12 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
     ("call", "given", "words"),
     [
         (ho.Limits, "max_speed", "Limits() has no argument 'max_speed'; did you mean speed?"),
+        (
+            ho.Team,
+            "mass",
+            "Team() has no argument 'mass'; use one of robots, cable_length, topology, "
+            "cable_density, cable_friction, tension, quadrotor, load, assignment",
+        ),
         (ho.Team, "tensoin", "Team() has no argument 'tensoin'; did you mean tension?"),
         (
             ho.Hitch.spread,

@@ -184,9 +184,10 @@ def with_fields(record: T, **fields: Any) -> T:
 
 def check_keywords(name: str, valid: Sequence[str], keywords: Iterable[str]) -> None:
     """Raise TypeError for a keyword that function ``name`` does not have; suggest a valid one."""
+    stated = [word for word in valid if word != "self"]
     for each in keywords:
         if each not in valid:
-            raise TypeError(f"{name}() has no argument {each!r}; {closest_word(each, valid)}")
+            raise TypeError(f"{name}() has no argument {each!r}; {closest_word(each, stated)}")
 
 
 def suggest_keywords(function: Callable[P, T], name: str = "") -> Callable[P, T]:
