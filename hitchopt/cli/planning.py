@@ -328,12 +328,21 @@ def _differences_from_request(path: Path) -> Iterator[str]:
 
     Keys of the problem's team, limits and ends of steps are compared before, as a plan is read.
     """
-    from hitchopt.verify import read, requested
+    from hitchopt.verify import UnreadableError, read, requested
 
-    for plan in read(path)[0]:
+    try:
+        plans, _ = read(path)
+    except UnreadableError as error:
+        raise _unverifiable(path, error) from error
+    for plan in plans:
         for row in requested(plan):
             if row.verdict == "violated":
                 yield f"{path}: the problem in it differs: {row.where}"
+
+
+def _unverifiable(path: Path, error: Exception) -> FileError:
+    """Return the error on a plan.npz that the independent verifier does not read."""
+    return FileError(f"{path}: not a plan, or a damaged one: {error}")
 
 
 def _changed_others(flight: Flight, path: Path) -> Iterator[str]:
@@ -376,7 +385,7 @@ def _show_verified(path: Path) -> None:
                 rows.append(row)
                 progress(f"proven or not: {row.name}")
     except UnreadableError as error:
-        raise FileError(f"{path}: not a plan, or a damaged one: {error}") from error
+        raise _unverifiable(path, error) from error
     heads = ["check", "worst", "limit", "unit", "where", "when"]
     heads += ["verdict"] * any(row.verdict != "proven" for row in rows)
     content = [dict(zip(heads, cells(row), strict=False)) for row in rows]
