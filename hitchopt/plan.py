@@ -86,8 +86,8 @@ class Plan(OneLine):
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: assumptions, and tracking errors below those of controllers.
 
-        Cables count as weightless if the problem states no density. A plan without the text of its
-        problem states a density by one above 0.
+        Cables count as weightless if the problem states no density. If a plan lacks the text of
+        its problem, a density above 0 counts as stated.
         """
         notes = list[str]()
         with contained("a note"):

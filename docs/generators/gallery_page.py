@@ -32,14 +32,14 @@ All problem files of the repository, each with its YAML and the equivalent Pytho
 drones' paths since the previous one; single drones are seen from above, with circles for their downwash ellipsoids.
 """
 
-UNSOLVED = """These files are well-formed, but no plan meets their limits: `hitchopt solve` ends with
+UNSOLVED = """These files are well-formed, but no plan meets their limits: `hitchopt solve` exits with
 {doc}`exit code 3 </how_to/exit_code_3>` and names what binds. Pictures show the request: the start and
 intermediate outlines grey and dashed, the last one in blue.
 """
 
 REFUSALS = """## Invalid files
 
-`hitchopt solve` ends with {ref}`exit code 2 <exit-codes>` and the message shown.
+`hitchopt solve` returns {ref}`exit code 2 <exit-codes>` and the message shown.
 
 | file | message |
 |---|---|"""

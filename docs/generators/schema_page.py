@@ -18,7 +18,7 @@ INTRODUCTION = """# Problem file
 A problem file is YAML with the keys of {ref}`one of three kinds <keys-problem>`: a team with cables and its
 mission, {ref}`single drones <keys-swarmproblem>`, or {ref}`several teams <keys-teamsproblem>`. Every key that is not listed is an error. Lengths are in
 metres, times in seconds, angles in degrees where a key ends in `_deg`. `hitchopt init` writes a file to start
-from, and `hitchopt init --schema` a JSON Schema by which editors complete and check keys.
+from, and `hitchopt init --schema` a JSON Schema that editors use to complete and check keys.
 """
 
 HEADINGS = {

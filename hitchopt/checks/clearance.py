@@ -587,7 +587,7 @@ CABLE_CLEARANCE = CheckRule(
             formulas=(upright_distance,),
         ),
     ),
-    f"{OTHER_LEGS}, or a smaller separation.cable",
+    f"{OTHER_LEGS}, or allow a smaller separation.cable",
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     "length",

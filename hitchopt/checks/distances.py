@@ -503,9 +503,7 @@ def nearest_of(cases: Iterable[Moving], limit: float, size: float) -> WorstCase:
 # Changes that separate a drone from another one, or from a cable, of one hitch
 LONGER_LEGS = "use a longer cable or a smaller polygon"
 LARGER_POLYGON = "a larger polygon"
-OTHER_LEGS = (
-    "give the drones other leg lengths, by another length of the cable or size of the polygon"
-)
+OTHER_LEGS = "change leg lengths by another cable length or polygon size"
 
 PARALLEL = 0.02
 """Largest component along an edge, of the difference of unit vectors along the legs beyond it, up
@@ -586,7 +584,7 @@ SEPARATION = CheckRule(
     "min",
     lambda motion: 1.0 if motion.team.drones > 1 else None,
     (Evaluator(_DRONE_DISTANCE, exported=True, formulas=(gap, distance)),),
-    f"{OTHER_LEGS}, or a smaller separation.radius",
+    f"{OTHER_LEGS}, or allow a smaller separation.radius",
     "place the drones farther apart, use longer cables or a larger polygon, "
     "or allow a smaller separation.radius",
     "length",

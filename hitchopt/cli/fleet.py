@@ -312,7 +312,7 @@ def _default_abort(flight: ho.Flight) -> str:
     ),
     option("--fleet", "File with the names of the Crazyflies.", PATH, "FILE"),
     _placement_options,
-    option("--rate", "Setpoints per second and drone.", 50.0, "HZ"),
+    option("--rate", "Setpoints per second for each drone.", 50.0, "HZ"),
     option(
         "--how",
         "What key a does; default: release_and_land, or land without cables.",
@@ -360,7 +360,9 @@ def fly(
     with ThreadPoolExecutor(1) as workers, operator.attached():
         parts = commanded, outlet, operator.commands, watched, workers.submit, say
         stream = SetpointStream(*parts, rate=rate, patience=patience)
-        say(f"streaming at {rate:g} Hz, at rest at the plan's start; {KEYS_HELP}, Ctrl-C land")
+        say(
+            f"streaming at {rate:g} Hz, at rest at the plan's start; keys: {KEYS_HELP}, Ctrl-C land"
+        )
         with _land_on_signals(operator.add):
             due = time.monotonic()
             try:
@@ -371,7 +373,7 @@ def fly(
                 outlet.close(landed=stream.landed)
     landed, late = stream.landed, stream.late
     if late:
-        say(f"{late} setpoints were late by {1e3 / rate:.0f} ms, as commands took longer")
+        say(f"{late} setpoints were late by {1e3 / rate:.0f} ms because commands took longer")
     say("landed" if landed else "not landed", err=not landed, landed=landed, late=late)
     if not landed:
         exit_infeasible()

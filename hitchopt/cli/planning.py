@@ -63,7 +63,7 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
 @command(
     "file FILE",
     option("-o --output", "Output directory; default: ./ and the stem of FILE.", PATH, "DIR"),
-    option("--rate", "Setpoints per second and drone.", 100.0, "HZ"),
+    option("--rate", "Setpoints per second for each drone.", 100.0, "HZ"),
     option("--report", "Write DIR/report.html as well."),
     option("--no-picture", "Skip DIR/summary.png, as -q does."),
     option("--verify", "Also prove the plan's limits by another method."),
@@ -434,7 +434,7 @@ def example_files() -> list[Path]:
     ),
     option(
         "--schema",
-        "Write problem.schema.json, by which editors complete and check problem files.",
+        "Write problem.schema.json, which editors use to complete and check problem files.",
     ),
     type=str,
     required=False,

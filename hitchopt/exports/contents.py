@@ -195,9 +195,7 @@ def _check_units(t: Array, positions: Array, velocities: Array) -> None:
         ratio = product / square
         if not 1.0 / MAX_RATIO < ratio < MAX_RATIO:
             reason = f"positions change by {ratio:.3g} times what velocities say"
-            raise FileError(
-                f"{reason}: times are in other units than seconds, or velocities than m/s"
-            )
+            raise FileError(f"{reason}: times are not in seconds, or velocities not in m/s")
 
 
 def largest_jump(curves: PiecewisePolynomial, order: int) -> tuple[float, int, float]:

@@ -107,7 +107,7 @@ def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Pa
         path = directory / CERTIFICATE
         content = parsed_json(file_bytes(path)) if path.is_file() else {}
         if any(content.get(key) != value for key, value in expected.items()):
-            raise FileError(f"{directory / SUMMARY}: is not written: the plan there is another one")
+            raise FileError(f"{directory / SUMMARY}: not written: a different plan is there")
 
     return replace_files(directory, {SUMMARY: write}, (SUMMARY,), SUMMARY, check=check) / SUMMARY
 
@@ -133,7 +133,9 @@ def refuse_mixture(directory: Path) -> None:
         reason = f"{path}: cannot be read: {error}; was a save killed? solve again"
         raise FileError(reason) from error
     if expected != actual:
-        raise FileError(f"{path}: is of another {PLAN} than the one in this directory; solve again")
+        raise FileError(
+            f"{path}: belongs to a different {PLAN} than the one in this directory; solve again"
+        )
 
 
 def save_diagnosis(directory: Path | str, content: dict[str, Any]) -> Path:

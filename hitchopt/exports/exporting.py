@@ -53,9 +53,7 @@ MAX_STRETCH = 20.0  # Largest stretch that is tried
 STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if setpoints hold no tension
 TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
 """Controllers whose stiffest gains are known."""
-OFFSETS_HOLD_TENSION = (
-    "none: the offsets of the setpoints hold the tension; nothing is to be fed forward"
-)
+OFFSETS_HOLD_TENSION = "none: the setpoint offsets hold the tension; feed nothing forward"
 NO_CABLE_FORCE = "none: files with accelerations hold those of the drones"
 
 TRAILING_REMEDY = "fly it slower, give cables or polygons more room, or fly full setpoints"
@@ -166,7 +164,7 @@ def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str
     if trim and kind.flown_by and kind.has_heading:
         yield f"setpoints include {size} for the heading in the files: keep this heading in flight"
     elif trim and kind.flown_by:
-        yield f"{size} are not included: {kind.name} has no heading, with which they turn"
+        yield f"{size} are not included: they turn with the heading, which {kind.name} lacks"
     if kind.velocity_settings and not options.positions_only:
         speed = largest_rate(flight.drones, 1).worst
         size = f"at up to {speed:.2g} m/s"
@@ -526,7 +524,7 @@ def _move_exports(
     first, several = exports[0], len(exports) > 1
     if _is_file(place):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
-            bound = f"a folder for {kind.name}, or a name that ends as its only file does"
+            bound = f"a folder for {kind.name}, or a name with its only file's suffix"
             raise InputError("-o", str(place), bound, f"it writes {', '.join(first.files[:3])}")
         seal = f"{place.name}.{MANIFEST}"
         sources = {place.name: first.folder / first.files[0], seal: first.folder / MANIFEST}

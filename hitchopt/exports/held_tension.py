@@ -59,12 +59,12 @@ class HeldTension:
         stiffness, damping = _range_text(self.stiffness), _range_text(self.damping)
         return (
             f"setpoints lie up to {100.0 * self.offset:.3g} cm outside the plan to hold the "
-            f"tension (gains {stiffness} N/m, {damping} N s/m); files last {REST_TIME:g} s more"
+            f"tension (gains {stiffness} N/m, {damping} N s/m); files last {REST_TIME:g} s longer"
         )
 
 
 def is_overridden(team: Team) -> bool:
-    """Return whether integrals would move drones after their setpoints, at any tension.
+    """Return whether integral gains would pull drones to moved setpoints, at any tension.
 
     The upright integral that PX4 always has is not counted: it only bears vertical forces.
     """
@@ -154,7 +154,7 @@ def _team_setpoints(
     """Return the setpoints of one team with cables."""
     team = motion.team
     if is_overridden(team):
-        bound = "0 with hold_tension=True: integrals move drones after their setpoints"
+        bound = "0 with hold_tension=True: integral gains would pull drones to the moved setpoints"
         remedy = "set team.quadrotor.gains.ki to 0, there and on board"
         raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
     k, c = loop_gains(team, stiffness, damping, "hold_tension=True")

@@ -208,7 +208,7 @@ def load(path: Path) -> tuple[Format, FileContents]:
     is_one_flight = len(files) == 1 or all(f.suffix.lower() in first.several for f in files)
     if len(kinds) > 1 or not is_one_flight:
         counts = ", ".join(f"{number} of {kind.name}" for kind, number in kinds.items())
-        raise FileError(f"{path}: holds files that are not of one flight ({counts}); name one")
+        raise FileError(f"{path}: holds files of more than one flight ({counts}); name one")
     return first, first.load(files)
 
 
@@ -225,7 +225,9 @@ def _kind(path: Path, formats: Sequence[Format]) -> Format:
             if re.match(kind.header, line):
                 return kind
     first, columns = next(filter(None, lines), "")[:60], "duration, t,drone, idx,t,px"
-    reason = f"is of no known format ({columns}; apart by commas, semicolons, tabs or blanks)"
+    reason = (
+        f"is not in a known format ({columns}; separated by commas, semicolons, tabs or blanks)"
+    )
     raise FileError(f"{path}: its first line, {first!r}, {reason}")
 
 

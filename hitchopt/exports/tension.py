@@ -69,7 +69,7 @@ class TensionPolicy:
 
     @property
     def is_overridden(self) -> bool:
-        """Whether integrals would move drones after their setpoints, whatever the tension."""
+        """Whether integral gains would pull drones to moved setpoints, whatever the tension."""
         return any(map(is_overridden, self.teams))
 
     @property

@@ -173,7 +173,7 @@ def model(
 
     Parameters
     ----------
-    team: its drones and loads; its tensions and cable lengths, if they are no inputs.
+    team: its drones and loads; its tensions and cable lengths, if they are not inputs.
     separation: with the ellipsoid of the drones' downwash; None for the default.
     roll: whether legs may roll out of the plane.
     tensions: whether tensions are inputs.

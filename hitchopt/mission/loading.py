@@ -41,7 +41,7 @@ from hitchopt.values.units import START_TIME
 
 FOREIGN = {
     False: {
-        "keep_out": "a hitch keeps off objects: add one with fixed: true to objects",
+        "keep_out": "a hitch keeps clear of objects: add one with fixed: true to objects",
         "goal": "a hitch has a mission; goals are for single drones, team: {drones: 2}",
     },
     True: {"mission": "single drones have a goal; missions are for hitches, team: {robots: 3}"},

@@ -423,9 +423,9 @@ class Problem(ByValue):
 
     Several teams are mappings by name: ``team`` has their teams, ``start`` their starts, and items
     of ``mission`` a step, or a sequence of steps, of some of them. The steps of an item begin
-    together, or as soon after that as all keep off each other; the next item begins when all are
-    done. A team alone carries an object that a step of it names; all others are obstacles of all
-    teams.
+    together, or as soon after that as all keep clear of each other; the next item begins when all
+    are done. A team alone carries an object that a step of it names; all others are obstacles of
+    all teams.
 
     ``teams`` has start, steps and requirements of every team by name; a single team has the name
     ``""``.

@@ -222,7 +222,7 @@ class Flight(OneLine):
     def requirements(self) -> Requirements:
         """Requirements of the only team; of several, those between them, with all objects.
 
-        Distances between teams are the larger ones of both teams' requirements.
+        Distances between teams are the larger of the two teams' requirements.
         """
         if len(self.teams) == 1:
             return self.teams[0].motion.requirements

@@ -296,7 +296,7 @@ class Motion(OneLine):
 
     @lazy
     def has_friction(self) -> bool:
-        """Whether any leg pulls with another tension than its cable."""
+        """Whether any leg's tension differs from its cable's."""
         return not self._is_plain("leg_tensions")
 
     @lazy

@@ -323,5 +323,5 @@ def final_hitch(motion: Motion) -> Hitch:
             break
     hitch = hitch_of(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))
     if np.max(np.abs(hitch.drones - drones)) > MAX_DEVIATION:
-        raise UnsupportedError("the plan ends with other tensions than the team's: cannot continue")
+        raise UnsupportedError("the plan ends with tensions other than the team's: cannot continue")
     return hitch

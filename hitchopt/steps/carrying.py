@@ -707,7 +707,7 @@ class TransportObject(TensionStep):
         return super().requested_hold(team, body)
 
     def advice(self, check: str, key: str) -> str:
-        """Return how to keep off obstacles."""
+        """Return how to keep clear of obstacles."""
         is_obstacle = check in OBSTACLE_CHECKS
         return f"raise {key}.lift, or lead it around by {key}.via" if is_obstacle else ""
 

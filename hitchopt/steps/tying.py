@@ -193,7 +193,7 @@ class Form(Step):
         return spread
 
     def assignment(self, team: Team, drones: Array, requirements: Requirements) -> Assignment:
-        """Return the assignment of robots to edges with the shortest flights from (2n, 3) [m].
+        """Return the assignment of robots to edges with the shortest flights of drones (2n, 3) [m].
 
         Among unequal cables it is the first one with which the hitch holds at rest: if short
         flights leave some cables too little slack, or others too much, slack is to be more even.

@@ -258,7 +258,7 @@ def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> 
         "statics", settling, "--perturb=feed_forward=false", "--perturb=cable_length=2.6", code=3
     )
     assert "note: Cables will go slack" in result.stdout
-    assert "slack, or without hold: c0, c1, c2, p0, p1, p2" in result.stderr
+    assert "slack cables or loose clasps: c0, c1, c2, p0, p1, p2" in result.stderr
     assert read(settling / "statics.json")["slack_cables"] == ["c0", "c1", "c2"]
     options = [
         "--at",

@@ -194,7 +194,7 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
     (
         "keep_out",
         [],
-        "[]: must be a known key; a hitch keeps off objects: add one with fixed: true",
+        "[]: must be a known key; a hitch keeps clear of objects: add one with fixed: true",
     ),
     ("mission[2]", "release", "mission[2] = 'release': must be a mapping; write release: {}"),
     (

@@ -113,7 +113,7 @@ def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) 
     assert not is_export(saved)
     with pytest.raises(InputError, match=r"plan = None.*add --plan"):
         read_exported(file)
-    with pytest.raises(FileError, match="is another plan than the exported one"):
+    with pytest.raises(FileError, match="is not the plan that was exported"):
         read_exported(file, other / PLAN)
     with pytest.raises(FileError, match=r"holds no export\.json"):
         read_exported(saved)

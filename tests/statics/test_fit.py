@@ -221,7 +221,7 @@ def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
     arguments = ["fit", "circle:0.2", "--robots", "3", "-o", str(tmp_path / "out"), "--mass"]
     result = CliRunner().invoke(main, [*arguments, "0.05"])
     assert result.exit_code == 0, result.output
-    assert "50 g are held by grip" in result.output
+    assert "50 g is held by grip" in result.output
     content = json.loads((tmp_path / "out" / "fit.json").read_text())
     assert content["format"] == "hitchopt-fit/1"
     assert len(content["enclosing"]) == len(content["grip"]["polygon"]) == 3

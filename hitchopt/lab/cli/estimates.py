@@ -54,7 +54,7 @@ def _statics_options() -> Sequence[click.Option]:
 @command(
     "directory DIR",
     option("--at times", "Time [s]; repeatable.", float, "T", multiple=True),
-    option("--samples", "Number of times if --at is not given.", 25, "N"),
+    option("--samples", "Number of sampled times if --at is not given.", 25, "N"),
     _statics_options,
     *picture_options(),
 )
@@ -121,7 +121,7 @@ def statics(
         loose += map(flown.label, (*content["slack_cables"], *content["loose_clasps"]))
     record(directory=str(path.parent), statics=contents.get("", contents))
     if loose:
-        say(f"slack, or without hold: {', '.join(loose)}", err=True)
+        say(f"slack cables or loose clasps: {', '.join(loose)}", err=True)
         exit_infeasible()
 
 
@@ -299,7 +299,7 @@ def _fit_options() -> Sequence[click.Option]:
         key_option("--clearance", task["clearance"]),
         key_option("--stem", task["stem"]),
         key_option("--object-height height", task["height"]),
-        option("--mass", "Mass to hold [kg]; ends with 3 if it cannot be held.", float, "KG"),
+        option("--mass", "Mass to hold [kg]; exits with 3 if it cannot be held.", float, "KG"),
         option("--by", "How to hold --mass.", "grip", choices=("grip", "rest")),
         key_option("--friction", task["friction"], "FLOAT"),
         key_option("--clasp-friction", task["clasp_friction"], "FLOAT"),
@@ -357,7 +357,7 @@ def fit(
         say(f"fit.json and fit.{format} are in {output}", directory=str(output))
     if mass is not None:
         result.raise_if_too_heavy(mass, by)
-        say(f"{1e3 * mass:g} g are held by {by}")
+        say(f"{1e3 * mass:g} g is held by {by}")
 
 
 def _outline(text: str) -> object:

@@ -159,8 +159,8 @@ def _say_contents(flight: ho.RecordedFlight) -> None:
     clock = "one clock" if flight.one_clock else "a separate clock for each body"
     if flight.clock_shifts:
         words = ", ".join(f"{name} {shift:+.3f} s" for name, shift in flight.clock_shifts.items())
-        clock += f", to which separate clocks are shifted: {words}"
-    points = f"{len(flight.markers.t)} points without a name"
+        clock += f" (separate clocks shifted: {words})"
+    points = f"{len(flight.markers.t)} unnamed points"
     say(
         "\n\n".join([table(flight.source, rows), f"{clock}; {points}"]),
         source=flight.source,

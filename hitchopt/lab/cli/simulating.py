@@ -129,10 +129,10 @@ def simulate(
     gains and filter, and what fly.py does between parts. A plan is flown with its cables, its
     drones, and their controller with the filter and the files that would be exported for it.
     Options change one of these each. Vertex errors are
-    distances in three dimensions, including sag. A single flight ends with 3 if drones touch, a
+    distances in three dimensions, including sag. A single flight exits with 3 if drones touch, a
     vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5° beyond
     the plan's tracking errors, or the simulation leaves its valid range; with --lose, if a survivor
-    touches anything or there is no reaction. A campaign (--runs) ends with 0 and reports the
+    touches anything or there is no reaction. A campaign (--runs) exits with 0 and reports the
     success rate.
     """
     from hitchopt.lab.simulation.control import read_calibrated

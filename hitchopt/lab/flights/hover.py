@@ -3,8 +3,8 @@
 A drone whose rigid body is defined tilted by an angle takes level flight for a tilt. Its position
 loop, without an integral, then settles where its force cancels the one of that tilt: beside the
 setpoint by ``m g/kp`` times the tangent of the angle. So the trim, setpoint minus place at rest, is
-``m g/kp`` times the level part of the body's z axis over its upright part, and turns with yaw.
-Position-only commands trail by the speed times ``kd/kp``.
+``m g/kp`` times the horizontal part of the body's z axis over its vertical part, and turns with
+yaw. Position-only commands trail by the speed times ``kd/kp``.
 """
 
 from __future__ import annotations
@@ -78,15 +78,15 @@ class DroneHover(OneLine):
     setpoint: where it is known from: ``commanded``, ``above the place before take-off``, or
         ``commanded, in motion``, where the trim is fitted to the position loop's response.
     settled: time at rest [s].
-    tilt: level part of the body's z axis over its upright part, in the same frame.
+    tilt: horizontal part of the body's z axis over its vertical part, in the same frame.
     tilt_deg: angle of the body's z axis from vertical [deg].
     expected_trim: by the tilt and ``lever``, m g/kp of the gains or of all drones' tilts [m].
     lever: trim per tangent of the tilt that is expected [m].
     fixed_to: ``body``, ``world``, or empty if undetermined.
-    spread: standard deviation of the level position at rest [m].
+    spread: standard deviation of the horizontal position at rest [m].
     thrust_factor: commanded thrust over weight, and its standard error.
     lag, expected_lag: of moving commands, measured, and kd/kp if known and positions only [s].
-    tracking: largest distances from the setpoint plus trim, level and in height [m].
+    tracking: largest distances from the setpoint plus trim, horizontal and vertical [m].
     remarks: reasons for which something is not determined.
     """
 
@@ -218,7 +218,7 @@ def calibrate_hover(
     ----------
     recordings: one hover or several, files or directories in a format of ``read_flight``.
     mass: of every drone [kg], for thrust factors and expected trims; None: unknown.
-    kp, kd: level gains of the position loop [N/m], [N s/m]; None: unknown.
+    kp, kd: horizontal gains of the position loop [N/m], [N s/m]; None: unknown.
     names: names of the team by those of the recordings, such as ``cf2=q0,cf7=r0``.
 
     Raises
@@ -303,7 +303,7 @@ class _Rest:
 
     @property
     def spread(self) -> float:
-        """Standard deviation of the level position [m]."""
+        """Standard deviation of the horizontal position [m]."""
         places = self.hover.x[self.mask, :2]
         return float(np.sqrt(np.sum(np.var(places, axis=0))))
 

@@ -149,7 +149,7 @@ def _plan_of(path: Path, manifest: Mapping[str, Any], plan: Path | None) -> tupl
         raise InputError("plan", None, "given for an export without a copy of its plan", remedy)
     source = copy if plan is None else plan
     if (expected := manifest.get("plan_digest")) != digest(source):
-        reason = "is another plan than the exported one" if expected else "cannot be compared"
+        reason = "is not the plan that was exported" if expected else "cannot be compared"
         raise FileError(f"{source}: {reason}; export the plan again, and fly that export")
     saved = read_saved_plan(source)
     return saved.flight, saved.title

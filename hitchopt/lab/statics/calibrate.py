@@ -141,7 +141,7 @@ class Calibration(OneLine):
     recording: the measurements.
     density: of the cables [kg/m], as assumed.
     lengths: of each robot's cable [m], between its drones along the sagging parts.
-    stiffness: level stiffness of the position loops of each robot's drones [N/m].
+    stiffness: horizontal stiffness of the position loops of each robot's drones [N/m].
     friction: coefficient at the clasps.
     vertex_errors: (samples, points) [m], distances from the plan; nan if its hitch is not taut
         or the vertex is not visible.

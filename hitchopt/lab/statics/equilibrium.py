@@ -224,7 +224,7 @@ def equilibrium(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Equilib
 
     Raises
     ------
-    InputError: a time without hitch, or an invalid condition.
+    InputError: a time without a hitch, or an invalid condition.
     UnsupportedError: single drones, several teams, or objects that are carried.
     InfeasibleError: there is no rest.
     """

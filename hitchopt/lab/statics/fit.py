@@ -161,7 +161,7 @@ class Fit(OneLine):
         return self.holding.enclosing
 
     def capacities(self, by: str) -> dict[int, Capacity]:
-        """Return the capacity of each number of robots, by ``grip`` or, from three on, ``rest``."""
+        """Return the capacity of each number of robots, by ``grip`` or, from three, ``rest``."""
         return {
             n: each.capacity(by) if isinstance(each, Holding) else _zero_capacity(each)
             for n, each in self.others.items()

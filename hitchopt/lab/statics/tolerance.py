@@ -201,7 +201,7 @@ def tolerance(
 
     Raises
     ------
-    InputError: a time without hitch, a negative size, or a wrong condition.
+    InputError: a time without a hitch, a negative size, or a wrong condition.
     UnsupportedError: a plan without a taut hitch, or of several teams.
     InfeasibleError: there is no rest.
     """
