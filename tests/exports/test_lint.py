@@ -260,8 +260,8 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
     [
         ({}, "are read; it holds nothing"),
         ({"a.csv": "x,y\n1,2\n"}, "is not in a known format"),
-        ({"a.csv": "duration,x\n1,2\n", "b.bin": ""}, "of one flight"),
-        ({"a.csv": "duration,x\n1,2\n", "b.csv": "idx,t,px\n"}, "of one flight"),
+        ({"a.csv": "duration,x\n1,2\n", "b.bin": ""}, "more than one flight"),
+        ({"a.csv": "duration,x\n1,2\n", "b.csv": "idx,t,px\n"}, "more than one flight"),
         ({"a.csv": "t,drone,x\n", "b.csv": "t,drone,x\n"}, "2 of csv.; name one"),
         ({"a.skyc": "", "b.skyc": ""}, "2 of skybrush.; name one"),
         ({"one.bag": "", "two.bag": "", "c.dae": ""}, r"it holds \.bag, \.dae"),

@@ -207,7 +207,7 @@ def test_files_of_different_plans_are_refused(tmp_path: Path) -> None:
     plan = (one / "plan.npz").read_bytes()
     assert strict_json(one / "certificate.json")["plan"] == hashlib.sha256(plan).hexdigest()
     (other / "plan.npz").write_bytes(plan)
-    with pytest.raises(FileError, match=r"certificate\.json: is of another plan\.npz"):
+    with pytest.raises(FileError, match=r"certificate\.json: belongs to a different plan\.npz"):
         read_task(other)
     (one / "certificate.json").unlink()
     with pytest.raises(FileError, match="was a save killed"):
