@@ -107,7 +107,9 @@ def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Pa
         path = directory / CERTIFICATE
         content = parsed_json(file_bytes(path)) if path.is_file() else {}
         if any(content.get(key) != value for key, value in expected.items()):
-            raise FileError(f"{directory / SUMMARY}: not written: a different plan is there")
+            raise FileError(
+                f"{directory / SUMMARY}: is not written: another plan, or none, is there"
+            )
 
     return replace_files(directory, {SUMMARY: write}, (SUMMARY,), SUMMARY, check=check) / SUMMARY
 

@@ -231,7 +231,7 @@ def test_a_picture_goes_to_its_own_plan_only(place: Path, monkeypatch: pytest.Mo
 
     with monkeypatch.context() as patch:
         patch.setattr(DRAW, draw)
-        with pytest.raises(ho.FileError, match=r"summary\.png: not written: a different plan"):
+        with pytest.raises(ho.FileError, match=r"summary\.png: is not written: another plan"):
             first.draw("out")
     picture = (place / "out" / "summary.png").read_bytes()
     assert second.draw("out").read_bytes() == picture
