@@ -103,7 +103,7 @@ class Plan(OneLine):
         return plan_card(self.flight, self.certificate, self.title, self.notes)
 
     def plot(self, axes: Axes | None = None) -> Axes:
-        """Draw start, paths and end from above on matplotlib axes, and return the axes.
+        """Draw the start, paths and end from above on matplotlib axes; return the axes.
 
         Without ``axes``, a new pyplot figure is created.
         """
@@ -166,7 +166,7 @@ class Plan(OneLine):
         report: bool = False,
         picture: bool = True,
     ) -> Path:
-        """Write plan, setpoints at ``rate`` [Hz] and certificate, then draw; return the directory.
+        """Write the plan, setpoints at ``rate`` [Hz] and certificate, and draw; return the directory.
 
         With ``report``, ``report.html`` is written as well. Either all files are written or none,
         even if the process is killed; only files with these names are replaced. ``summary.png``

@@ -262,7 +262,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         max(largest_at_rest(each.motion, quantity) for each in flight.teams)
         for quantity in (thrust_share, tilt)
     )
-    needed = f"{thrust:.1%} of a drone's thrust, {angle:.2f}°"
+    needed = f"{thrust:.1%} of a drone's thrust and a tilt of {angle:.2f}°"
     say(f"hovering anywhere on the paths takes up to {needed}")
     save_aborts(path.parent, aborts)
     say(
@@ -274,7 +274,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         missing=[list(span) for span in aborts.missing],
     )
     if aborts.entries:
-        say(f"at rest {aborts.longest:.3f} s after any command at the latest")
+        say(f"at rest {aborts.longest:.3f} s at most after any command")
     if aborts.missing:
         spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in aborts.missing)
         say(f"no abort was found for commands from {spans}", err=True)

@@ -110,7 +110,7 @@ class Reactions:
             thrust, nearest = 0.0, self._check_fall(descent.drones, time, start, lost)
         thrust = max(largest_at_rest(motion, thrust_share), thrust)
         if thrust > 1.0:
-            raise _no_reaction(time, f"{drone} on its cable takes {thrust:.0%} of a thrust")
+            raise _no_reaction(time, f"{drone} on its cable takes {thrust:.0%} of a drone's thrust")
         if nearest < 1.0:
             raise _no_reaction(time, f"a survivor comes to {nearest:.3g} of its distance")
         return Reaction(drone, start, descent, thrust, nearest)

@@ -304,7 +304,7 @@ def test_a_reaction_follows_the_plan_and_then_releases_tension() -> None:
 def test_a_lost_drone_too_heavy_for_its_partner_has_no_reaction() -> None:
     team = ho.Team(4, 2.2, tension=0.5, quadrotor=ho.Quadrotor(max_thrust=1.7))
     start = ho.Hitch.spread(team, SQUARE, 2.4)
-    with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a thrust"):
+    with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a drone's thrust"):
         Reactions(ho.hold(start, 2.0).motion).plan("q1", 1.0)
     for drone, time, words in (
         ("d7", 0.5, "one of q0, r0"),

@@ -209,9 +209,9 @@ def _with_loss(
         motion = read_plan(plan_path(directory)).of_one_team(FEATURE)
         reaction = Reactions(motion).plan(loss.drone, loss.time)
     say(
-        f"reaction: tension is released from t = {reaction.start:.3f} s on, all drones are on the "
+        f"reaction: tension is released from t = {reaction.start:.3f} s, all drones are on the "
         f"ground at {reaction.motion.duration:.3f} s; hovering takes up to {reaction.thrust:.0%} "
-        "of a thrust"
+        "of a drone's thrust"
     )
     return settings, task.released(reaction.motion, reaction.start, RELEASE_TIME)
 

@@ -191,7 +191,7 @@ class Evaluation(OneLine):
         return Recording(self.t, self.drones, vertices, **fields)
 
     def save(self, directory: Path | str, format: str = "png", width: float | None = None) -> Path:
-        """Write table, vertices, picture and shapes to a directory; return it.
+        """Write the table, vertices, picture and shapes to a directory; return its path.
 
         The picture is ``evaluation.png``, or ``svg`` or ``pdf``; with a ``width`` [inch] it is a
         figure for a paper with text of 8 pt. All files are written, or none.

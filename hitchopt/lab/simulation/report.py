@@ -158,7 +158,7 @@ class Simulation(OneLine):
         format: str = "png",
         width: float | None = None,
     ) -> Path:
-        """Write summary, tables, recording and picture, all or none; return the directory.
+        """Write the summary, tables, recording and picture, all or none; return the directory.
 
         The picture shows the plan that was flown, or another ``flight``, under a title, as
         ``simulation.png``, ``svg`` or ``pdf``; with a ``width`` [inch] it is a figure for a paper.
