@@ -166,7 +166,7 @@ class Plan(OneLine):
         report: bool = False,
         picture: bool = True,
     ) -> Path:
-        """Write the plan, setpoints at ``rate`` [Hz] and certificate, and draw; return the directory.
+        """Write the plan, setpoints at ``rate`` [Hz] and certificate, and draw; return the path.
 
         With ``report``, ``report.html`` is written as well. Either all files are written or none,
         even if the process is killed; only files with these names are replaced. ``summary.png``

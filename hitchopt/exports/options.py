@@ -81,7 +81,7 @@ class ExportOptions(Record):
     hold_tension: Annotated[
         bool,
         Key(
-            FLAGS, "Move setpoints outward to hold the tension, also in formats other than uploads"
+            FLAGS, "Move setpoints outward to hold the tension, even in formats other than uploads"
         ),
     ] = False
     allow_slack: Annotated[

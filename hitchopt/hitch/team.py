@@ -196,7 +196,7 @@ class Assignment(OneLine):
         return np.column_stack([first, last]).ravel()
 
     def to_dict(self) -> dict[str, object]:
-        """Return the assignment in the form of files."""
+        """Return the assignment as problem files state it."""
         return {"robots": list(self.robots), "flipped": list(self.flipped)}
 
     def team(self, team: Team) -> Team:

@@ -275,7 +275,7 @@ class Flight(OneLine):
         return replace(self.each_team(part), others=others)
 
     def prolonged(self, seconds: float) -> Flight:
-        """Return a flight that goes on at rest at its end, for some time in its last phases."""
+        """Return a flight that stays at rest at its end for some time, in its last phases."""
         return self.each_team(lambda motion: prolonged(motion, seconds))
 
     def followed_by(self, flight: Flight) -> Flight:
