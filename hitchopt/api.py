@@ -267,8 +267,8 @@ class Mission(Problem):
     ) -> Self:
         """Move one vertex.
 
-        Only the four drones move that the paper names; where a limit binds, further drones slide
-        along their cables as well.
+        Only four drones move, those whose legs continue the two edges of the vertex; where a limit
+        binds, further drones slide along their cables as well.
 
         Parameters
         ----------

@@ -134,8 +134,8 @@ def move_vertex(
 ) -> Plan:
     """Return the certified plan of moving one vertex.
 
-    Only the four drones move that the paper names; where a limit binds, further drones slide along
-    their cables as well.
+    Only four drones move, those whose legs continue the two edges of the vertex; where a limit
+    binds, further drones slide along their cables as well.
 
     Parameters
     ----------

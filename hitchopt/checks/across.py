@@ -1,12 +1,16 @@
 """Distances between the teams of a flight, and between them and external plans.
 
 Each team is certified alone (``certify``). Between teams, the same distances apply as within one:
-checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``object_clearance``. Two
-teams are compared on their common breaks, in runs of pieces on which neither ties nor unties its
-hitch; they are at rest before and after their motions.
+checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``object_clearance``; and
+``downwash``, which concerns drones above another team only. Two teams are compared on their common
+breaks, in runs of pieces on which neither ties nor unties its hitch; they are at rest before and
+after their motions.
 
 Cables without a hitch stay within upright regions (``checks.bodies``). The distance of such a
 region is the larger one of its horizontal distance and the difference of heights.
+
+Where tracking errors are larger upright than level, all heights are divided by their ratio
+(``Requirements.height_ratio``): errors are then within a ball, and no distance is longer.
 """
 
 from __future__ import annotations
@@ -292,7 +296,7 @@ def check_across(
 ) -> Check | None:
     """Return the check of a rule between teams; None if nothing is compared.
 
-    ``requirements`` are the flight's own by default, or these with divided heights.
+    ``requirements`` are the flight's own by default, or these with another ``height_ratio``.
     """
     if rule.name not in ACROSS:
         return None
@@ -313,7 +317,8 @@ def radius_across(
 ) -> WorstCase:
     """Return the largest tracking error with which teams keep their distances [m].
 
-    Heights are divided as the requirements state; ``checks`` are those between teams with them.
+    Heights are divided by the ``height_ratio`` of the requirements, also in ``checks``, which are
+    those between teams.
     """
     terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
     for check in filter(None, checks):

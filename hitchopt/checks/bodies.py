@@ -3,9 +3,10 @@
 Checks within a team and between teams compare them (``checks.distances``).
 
 - Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
-- A cable that hangs, or lies on the ground, is in the upright sheet below its chord, no deeper than
-  a cable that leads straight down and up again.
-- A laid cable is in the sheet from its chord down to its largest sag.
+- A cable that hangs, or lies on the ground (CableState.GROUND), is in the upright sheet below its
+  chord, no deeper than a cable that leads straight down and up again.
+- A laid cable (CableState.LAYING) is in the air, too: its drones hold it taut and lay it across its
+  neighbours. It is in the sheet from its chord down to its largest sag.
 - A cable that is clasped or tightened, or the reverse, is somewhere between its chord and its route
   over the clasps, as far out as its slack allows: in the upright region below the hull of both. Its
   clasps are near the middles of the pairs of drones that turn about each other, or near the plan's

@@ -195,7 +195,8 @@ def _radius_between_teams(
 ) -> Check:
     """Return the check of the tracking error with which teams keep their distances.
 
-    ``between`` are the checks between them, without divided heights.
+    ``between`` are the checks between them with the flight's own ``height_ratio``; the radius is
+    that with the ratio of the tracking errors.
     """
     requirements = tracking.flattened(flight.requirements)
     if requirements is not flight.requirements:

@@ -286,7 +286,7 @@ class TeamMission:
 
 
 def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
-    """Yield the request of every step, as ``plan_file.mission_of``, without choices of planners."""
+    """Yield the request of every step, as ``request.mission_of``, without planners' choices."""
     requirements, team = mission.requirements, mission.team
     outline, stage = mission.start_outline, _ObjectStage()
     altitude: float | None = getattr(mission.start, "altitude", None)

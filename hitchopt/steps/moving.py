@@ -416,8 +416,8 @@ Offset = Annotated[Array | None, Key(POINT2, "Displacement [dx, dy] [m], instead
 class MoveVertex(MoveStep):
     """Move one vertex.
 
-    Only the four drones move that the paper names; where a limit binds, further drones slide along
-    their cables as well.
+    Only four drones move, those whose legs continue the two edges of the vertex; where a limit
+    binds, further drones slide along their cables as well.
     """
 
     vertex: WhichPoint

@@ -56,7 +56,7 @@ def check_duration(duration: float, fastest: float, when: str = "") -> None:
 
 
 GRID = 160  # Number of steps of toppra's grid along the path
-MAX_CABLE_ERROR = 1e-6  # Largest relative error of a cable's length, a tenth of a plan's guarantee
+MAX_CABLE_ERROR = 1e-6  # Largest relative error of a cable's length, a hundredth of LENGTH_LIMIT
 MAX_PIECES = 400  # Number of pieces at which refinement for MAX_CABLE_ERROR ends
 
 MIN_RAMP_SHARE = 1e-5
