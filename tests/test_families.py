@@ -13,7 +13,9 @@ from benchmarks.measuring import Table
 from problems.random_morph import is_certified
 
 
-@pytest.mark.parametrize("family", ["form", "carry", "corridor"])
+@pytest.mark.parametrize(
+    "family", ["form", pytest.param("carry", marks=pytest.mark.slow), "corridor"]
+)
 def test_problems_are_seeded_and_valid(family: str) -> None:
     draw = FAMILIES[family]
     first = draw(3)

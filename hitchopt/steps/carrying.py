@@ -121,7 +121,7 @@ def object_of(task: StepTask, name: str) -> SolidObject:
         bound, remedy = "above 0 where it is held", "only friction moves it along with the cables"
         raise InputError(f"{key}.friction", 0.0, bound, remedy)
     for other in stacked_on(objects, name, task.requirements.floor):
-        at, bound = objects[other].at.tolist(), f"not on objects.{name}, which is held alone"
+        at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held alone"
         raise InputError(f"objects.{other}.at", at, bound, f"carry objects.{other} away first")
     return body
 

@@ -192,6 +192,7 @@ def test_clasps_of_a_rest_are_below_the_rim_and_around(x: float, rim: float, hol
         assert found is None or found.holds == passes
 
 
+@pytest.mark.slow
 def test_flat_trays_are_carried_from_below_and_obstacles_are_named() -> None:
     flat = planned("carry_tray")
     tray = list(flat.motion.requirements.objects).index("tray")

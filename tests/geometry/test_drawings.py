@@ -359,7 +359,11 @@ INVALID = {
         ("a.csv", "0, 0\n400, 0\n400, 300\n", "not 400 x 300 m; state the drawing's unit"),
         ("a.csv", "4.3711, 52\n4.3712, 52\n4.3712, 52.0001\n", "at least 0.01 m .* degrees"),
         ("a.geojson", json.dumps(ROOF), "at least 0.01 m .* 0.0002 x 0.0001 m; .* degrees"),
-        ("a.geojson", '{"type":"FeatureCollection","features":[]}', "no lines: pictures and te"),
+        (
+            "a.geojson",
+            '{"type":"FeatureCollection","features":[]}',
+            "no lines: trace pictures and te",
+        ),
         ("a.geojson", '{"type": "Point", "coordinates": [1, 2]}', "no lines"),
         ("a.svg", SVG.format(size="", shape='<image width="4"/><text>a</text>'), "no lines"),
         ("a.svg", SVG.format(size="", shape="<text>a</text>" + INVISIBLE[3]), "no lines"),

@@ -58,6 +58,7 @@ def test_renumbering_edges_turns_the_polygon(edges: Array, shift: int) -> None:
     np.testing.assert_allclose(other.exterior_angles, angles, rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.slow
 @given(edges=EDGES)
 @settings(max_examples=20, deadline=None)
 def test_hitches_rest_on_circles_near_a_goal(edges: Array) -> None:

@@ -390,7 +390,7 @@ def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
     ("controller", "constraint", "words"),
     [
         ("pid", "feed_forward", "to one of mellinger, lee, px4"),
-        ("lee", "cable_clearance", "is wider for its tracking errors of 0.35 m"),
+        ("lee", "cable_clearance", "tracking errors of 0.35 m widen this distance"),
     ],
 )
 def test_infeasible_tracking_is_refused_by_name(

@@ -60,7 +60,7 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         row = found.pop(check.name)
         worst = row.worst * (check.limit or 1.0) if row.unit == "share" else row.worst
         widened = row.limit != check.limit or check.name in {"separation", "span"}
-        if plan.motion.requirements.limits.tracking and widened and row.unit != "share":
+        if plan.flight.requirements.limits.tracking and widened and row.unit != "share":
             sign = 1.0 if check.sense == "min" else -1.0  # by errors of drones
             assert sign * row.worst <= sign * check.worst + 0.02 * abs(check.worst)
             continue
