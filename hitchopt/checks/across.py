@@ -132,8 +132,10 @@ def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iter
     at_rest_besides = [padded(flown.motion, begin, end) for flown in teams]
     breaks = merged_breaks([motion.drones.breaks for motion in at_rest_besides])
     motions = [on_breaks_of(motion, breaks) for motion in at_rest_besides]
-    kinds = [motion.formed + 2 * motion.in_states(CLASPED_STATES) for motion in motions]
-    changes = np.flatnonzero(np.diff(3 * kinds[0] + kinds[1])) + 1
+    tied = [motion.formed for motion in motions]
+    clasped = [motion.in_states(CLASPED_STATES) for motion in motions]
+    states = np.array([*tied, *clasped])
+    changes = np.flatnonzero(np.any(states[:, 1:] != states[:, :-1], axis=0)) + 1
     sheets = [cable_sheets(motion) if motion.team.has_cables else None for motion in motions]
 
     def side(index: int, start: int, stop: int) -> Side:

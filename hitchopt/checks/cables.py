@@ -195,8 +195,8 @@ def _leg_and_edge(motion: Motion) -> list[Array]:
     return [each[:, :, 0] for each in pairs]
 
 
-class Slides(Drones):
-    """Spans of drones whose cables slide against friction."""
+class FrictionLegs(Drones):
+    """Spans of all legs, each by its drone, with the friction of their cables at the clasps."""
 
     @lazy
     def friction_ratio(self) -> Array:
@@ -208,7 +208,7 @@ class Slides(Drones):
         return np.asarray(np.exp(self.source.team.cable_friction * turn))
 
 
-def slip(spans: Slides) -> Bound:
+def leg_excess(spans: FrictionLegs) -> Bound:
     """Return the excess of a leg's pull over the range of friction, relative to the tension.
 
     The range is from ``e^{-μ θ}`` to ``e^{μ θ}`` times the edge's pull. A quotient of polynomials
@@ -222,8 +222,8 @@ def slip(spans: Slides) -> Bound:
 
 
 def friction_excess(motion: Motion) -> WorstCase:
-    """Return the largest excess of a leg's pull over the range of friction (``slip``)."""
-    largest = worst(Slides.of(motion), slip, "max")
+    """Return the largest excess of a leg's pull over the range of friction (``leg_excess``)."""
+    largest = worst(FrictionLegs.of(motion), leg_excess, "max")
     point = motion.team.layout.anchors[largest.item]
     return WorstCase(largest.worst, largest.time, (f"p{point}",))
 
@@ -245,7 +245,7 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
         cases += [_end_deviation(motion)]
         if motion.has_friction:
             twice = np.repeat(ranges, 2, axis=2)
-            cases += [_out_of_range(motion, Slides, motion.pulls.coefficients, twice)]
+            cases += [_out_of_range(motion, FrictionLegs, motion.pulls.coefficients, twice)]
     return max(cases, key=lambda each: each.worst)
 
 
@@ -280,14 +280,14 @@ def end_thrusts(motion: Motion) -> tuple[Array, Array]:
 
 
 def _out_of_range(
-    motion: Motion, spans_type: type[Cables] | type[Slides], pulls: Array, ranges: Array
+    motion: Motion, spans_type: type[Cables] | type[FrictionLegs], pulls: Array, ranges: Array
 ) -> WorstCase:
     """Return the distance of pulls (pieces, items, …) to ranges (2, pieces, items) [N]."""
     margin = ROUNDING * np.max(np.abs(pulls))
 
     def excess(spans: MotionSpans) -> Bound:
         pull = Enclosed(spans.read(pulls)[:, None], margin)
-        friction = spans.friction_ratio if isinstance(spans, Slides) else 1.0
+        friction = spans.friction_ratio if isinstance(spans, FrictionLegs) else 1.0
         smallest, largest = ranges[:, spans.piece, spans.item]
         high, low = pull.upper, pull.lower
         over = Bound(high.value - largest * friction, high.x)
@@ -323,8 +323,7 @@ def _end_deviation(motion: Motion) -> WorstCase:
 def _ramps(motion: Motion) -> Mask:
     """Return on which pieces tensions ramp up after, or down before, a span without a hitch.
 
-    The mask is (pieces, n). Nothing moves on a ramp, and it ends at the smallest tension that its
-    phase states, from which on cables are taut.
+    The mask is (pieces, n).
     """
     resting, unhitched = motion.taut, ~motion.taut
     for part in (motion.drones, motion.vertices):
@@ -332,14 +331,31 @@ def _ramps(motion: Motion) -> Mask:
     ends = motion.tensions.coefficients[..., [0, -1]]
     lowest = stated_tensions(motion)[..., 0]
     is_low = lowest[..., None] - ends > TENSION_LIMIT
-    ramps = np.zeros(is_low.shape[:2], dtype=np.bool_)
-    for flip in (slice(None), slice(None, None, -1)):  # forward in time, and backward
-        at_rest, lows = resting[flip], is_low[flip, :, flip]
-        for first in (np.flatnonzero(at_rest[1:] & unhitched[flip][:-1]) + 1).tolist():
-            run = slice(first, first + int(np.argmin(np.append(at_rest[first:], False))))
-            rising = np.logical_and.accumulate(lows[run, :, 0], axis=0)
-            reached = np.any(rising & ~lows[run, :, 1], axis=0)
-            ramps[flip][run] |= rising & reached
+    low_at_start, low_at_end = is_low[..., 0], is_low[..., 1]
+    rising = _rising(resting, unhitched, low_at_start, low_at_end)
+    # A tension that falls rises backward in time.
+    falling = _rising(resting[::-1], unhitched[::-1], low_at_end[::-1], low_at_start[::-1])[::-1]
+    return rising | falling
+
+
+def _rising(resting: Mask, unhitched: Mask, low_at_start: Mask, low_at_end: Mask) -> Mask:
+    """Return on which pieces tensions ramp up after a span without a hitch (pieces, n).
+
+    Nothing moves on a ramp, and it ends at the smallest tension that its phase states, from which
+    on cables are taut.
+
+    Parameters
+    ----------
+    resting, unhitched: (pieces,), whether nothing moves, and whether there is no hitch.
+    low_at_start, low_at_end: (pieces, n), whether the tension is below the smallest one there.
+    """
+    ramps = np.zeros_like(low_at_start)
+    for first in (np.flatnonzero(resting[1:] & unhitched[:-1]) + 1).tolist():
+        moving = np.flatnonzero(~resting[first:])
+        stop = first + int(moving[0]) if len(moving) else len(resting)
+        always_low = np.logical_and.accumulate(low_at_start[first:stop], axis=0)
+        reaches_smallest = np.any(always_low & ~low_at_end[first:stop], axis=0)
+        ramps[first:stop] = always_low & reaches_smallest
     return ramps
 
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.cables import friction_excess, slip
+from hitchopt.checks.cables import friction_excess, leg_excess
 from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.objects import missing_force, select, unbalanced
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
@@ -119,7 +119,9 @@ class Clasps(MotionSpans):
     names = staticmethod(clasp_names)
 
     hooked: Flags | None = None
-    """(spans,), whether cables are known to be hooked; None if that is not known of any."""
+    """(spans,), whether cables are known to be hooked; None if that is not known of any.
+
+    ``_balance`` sets it, and parts of the spans inherit it."""
 
     def _like(self, index: Any, extent: Array | None, *, points: bool = False) -> Self:
         spans = super()._like(index, extent, points=points)
@@ -213,7 +215,7 @@ class Clasps(MotionSpans):
         return self.weight.along_z() - self.forces - force * 0.5
 
     @lazy
-    def turn(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+    def roll_terms(self) -> tuple[Enclosed, Enclosed, Enclosed]:
         """Cosine of the roll, sine over |V|, up to a common positive factor, and the vector V.
 
         With V the sum of the legs' pulls, D their difference and ū = u_k + u_{k-1}, cosine and sine
@@ -276,16 +278,16 @@ def _balance(spans: Clasps) -> Bound:
     Rolling pairs may be open: ``roll_changes`` follows their angles. Near 180°, the weight that
     cables transfer to each other exceeds their contact force.
     """
-    residual, motion = _relative(spans.residual, spans), spans.source
-    value, x = residual.value, residual.x
-    if spans.hooked is None or not np.logical_and.reduce(spans.hooked):
-        opening = _opening(spans)
-        if has_loads(motion):
-            opening = largest_of([opening, _rolling(spans)])
-        spans.hooked = (opening.value < 0.0) | motion.in_states(OPEN_STATES)[spans.piece]
-        value = np.where(spans.hooked, value, np.inf)
-        x = np.where(spans.hooked, x, opening.x)
-    return Bound(value, x)
+    residual = _relative(spans.residual, spans)
+    if spans.hooked is not None and spans.hooked.all():
+        return residual
+    opening = _opening(spans)
+    if has_loads(spans.source):
+        opening = largest_of([opening, _rolling(spans)])
+    hooked = (opening.value < 0.0) | spans.source.in_states(OPEN_STATES)[spans.piece]
+    spans.hooked = hooked  # the search halves these spans: halves of hooked ones stay hooked
+    value = np.where(hooked, residual.value, np.inf)
+    return Bound(value, np.where(hooked, residual.x, opening.x))
 
 
 def _opening(spans: Clasps) -> Bound:
@@ -296,19 +298,20 @@ def _opening(spans: Clasps) -> Bound:
     Without a load, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` for a roll ψ and an exterior angle φ. Its
     magnitude at OPEN_ROLL is added, so clasps count as open from there on.
     """
-    along = spans.along.reduced(ROUGH_ORDER)
-    edges = _kinds(along)[1]
-    directions = along.sum(-2) * 0.5 if spans.source.has_friction else along
-    contact = spans.contact.reduced(ROUGH_ORDER)
-    if not spans.source.has_friction:
-        contact = Enclosed(contact.c[:, None], np.asarray(contact.r)[:, None])
-    products = contact.dot(directions)
-    peaks = products.c[..., 0, :] + np.asarray(products.r)[..., None]
-    peak = np.maximum.reduce(peaks, axis=tuple(range(1, peaks.ndim - 1)))
+    along, contact = spans.along.reduced(ROUGH_ORDER), spans.contact.reduced(ROUGH_ORDER)
+    if spans.source.has_friction:
+        products = contact.dot(along.sum(-2) * 0.5)
+    else:  # the contact force with legs, and with edges
+        for_each_kind = Enclosed(contact.c[:, None], np.asarray(contact.r)[:, None])
+        products = for_each_kind.dot(along)
+    upper = products.c[..., 0, :] + np.asarray(products.r)[..., None]
+    of_one_span = tuple(range(1, upper.ndim - 1))
+    largest_product = Enclosed(np.maximum.reduce(upper, axis=of_one_span)[:, None])
+    largest = _relative(largest_product, spans)
+    ahead, behind = (select(_kinds(along)[1], side) for side in (0, 1))
+    onward = (ahead - behind).norm_upper.value  # |u_k + u_{k-1}|, 2 cos(φ/2)
     share = math.cos(math.radians(0.5 * OPEN_ROLL)) ** 2
-    margin = 0.5 * share * (select(edges, 0) - select(edges, 1)).norm_upper.value ** 2
-    largest = _relative(Enclosed(peak[:, None]), spans)
-    return Bound(largest.value + margin, largest.x)
+    return Bound(largest.value + 0.5 * share * onward**2, largest.x)
 
 
 def _rolling(spans: Clasps) -> Bound:
@@ -316,7 +319,7 @@ def _rolling(spans: Clasps) -> Bound:
 
     It holds for any load: legs of heavily loaded clasps could wind around their edges in contact.
     """
-    cosine, sine, whole = spans.turn
+    cosine, sine, whole = spans.roll_terms
     sideways, lowest = sine.range, cosine.lower
     margin = np.maximum(np.maximum(sideways.low, -sideways.high), 0.0) * whole.norm_lower.value
     return Bound(math.tan(math.radians(OPEN_ROLL)) * lowest.value - margin, lowest.x)
@@ -330,7 +333,7 @@ def roll_changes(motion: Motion) -> tuple[Array, Array]:
     first, total = np.zeros((2, len(motion.team.layout.clasps)))
     for spans in Clasps.of(motion):
         rolls = [spans.at(x).rolls() for x in (0.0, 0.5, 1.0)]
-        cosine, sine, whole = spans.turn
+        cosine, sine, whole = spans.roll_terms
         middle = np.radians(rolls[1])[:, None]
         along = cosine * np.cos(middle) + sine * whole.norm * np.sin(middle)
         followed = along.lower.value > 0.0  # within a right angle of that at mid span
@@ -364,7 +367,7 @@ def roll_past(motion: Motion, senses: Array, tolerance: float) -> NDArray[np.boo
 
 def _past(spans: Clasps, senses: Array, tolerance: float) -> Array:
     """Return bounds (spans,), positive where pairs may roll past lying across."""
-    (cosine, sine, whole), angle = spans.turn, math.radians(tolerance)
+    (cosine, sine, whole), angle = spans.roll_terms, math.radians(tolerance)
     turned = sine * whole.norm * (math.cos(angle) * senses[spans.item, None])
     beyond = turned + cosine * math.sin(angle)
     return np.minimum(beyond.upper.value, -cosine.lower.value)
@@ -476,7 +479,15 @@ def _bent_residual(motion: Motion, limit: float) -> WorstCase:
     return max(each, key=lambda case: case.worst)
 
 
-FORMULAS = (_balance, Clasps.residual, _opening, _rolling, Clasps.contact, slip, missing_force)
+FORMULAS = (
+    _balance,
+    Clasps.residual,
+    _opening,
+    _rolling,
+    Clasps.contact,
+    leg_excess,
+    missing_force,
+)
 
 EQUILIBRIUM = CheckRule(
     "equilibrium",
