@@ -70,9 +70,12 @@ def clasp_legs(
 ) -> tuple[tuple[Series, Series], tuple[Series, Series], Series]:
     """Return directions and chords [m] of the legs r_{k-1} and q_k at ``p_k``, and ``e_{k-1}`` [m].
 
+    Pairs, given and returned, begin with cable k-1 and end with cable k. At ``p_k`` the edge and
+    the r-leg of cable k-1 meet the q-leg and the edge of cable k.
+
     Parameters
     ----------
-    edges, q_legs: of cables k-1 and k.
+    edges, q_legs: of both cables; the q-leg of cable k-1 is at ``p_{k-1}``.
     cable_length: of cable k-1 [m].
     load: external force on the clasp [N]; None for none.
     weight: of cables per length [N/m]; None for none.
@@ -80,28 +83,29 @@ def clasp_legs(
     equal: whether all tensions are equal. Without load, weight and roll, legs then continue the
         neighbouring edges.
     """
-    behind, ahead = edges
-    whole = q_legs[0].constant(cable_length)
-    e, d = whole - behind.cable - q_legs[0], q_legs[1]
+    (behind, ahead), (q_behind, q_leg) = edges, q_legs
+    length_behind = q_behind.constant(cable_length)
+    r_leg = length_behind - behind.cable - q_behind
     tensions = behind.tension, ahead.tension
     if equal and load is None and weight is None and roll is None:
-        return (-ahead.along, behind.along), (e, d), e
-    V = behind.pull * behind.along - ahead.pull * ahead.along
+        return (-ahead.along, behind.along), (r_leg, q_leg), r_leg
+    held = behind.pull * behind.along - ahead.pull * ahead.along  # by both legs
     if load is not None:
-        V = V - V.constant(load)
+        held = held - held.constant(load)
     onward = behind.along + ahead.along
     if weight is None:
-        return closed_triangle(V, onward, roll, tensions, None), (e, d), e
+        return closed_triangle(held, onward, roll, tensions, None), (r_leg, q_leg), r_leg
     half = 0.5 * weight
-    # Half of both cables' lengths about the clasp, such as cable k-1 without its q-leg.
-    carried = (whole - q_legs[0] + d + ahead.cable) * half
-    directions = closed_triangle(V + carried.upward, onward, roll, tensions, (e * half, d * half))
+    # Half of the lengths that meet at the clasp: edge and r-leg of cable k-1, q-leg and edge of k
+    carried = (length_behind - q_behind + q_leg + ahead.cable) * half
+    leg_halves = r_leg * half, q_leg * half
+    directions = closed_triangle(held + carried.upward, onward, roll, tensions, leg_halves)
     levels = [direction.row(0, 1) for direction in directions]
-    first, second = (
-        cable * shortening(edge.sag * cable * cable * level.dot(level))
-        for cable, edge, level in zip((e, d), edges, levels, strict=True)
+    r_chord, q_chord = (
+        leg * shortening(edge.sag * leg * leg * level.dot(level))
+        for leg, edge, level in zip((r_leg, q_leg), edges, levels, strict=True)
     )
-    return directions, (first, second), e
+    return directions, (r_chord, q_chord), r_leg
 
 
 CLASPS_PER_CHUNK = 4000

@@ -61,6 +61,10 @@ class SampledPath:
     def __len__(self) -> int:
         return len(self.times)
 
+    def samples(self, since_start: Indices) -> Indices:
+        """Return samples by their number since the start; the team rests before and after."""
+        return np.clip(since_start, 0, len(self) - 1)
+
     @cached_property
     def _pieces(self) -> Indices:
         """Pieces of the motion at all times (samples,)."""
@@ -362,22 +366,28 @@ class Schedule:
         With ``earlier`` it is the latest feasible start below 0, for which all others wait.
         """
         last = max([0, *(each.start + len(each.track) for each in placed)])
-        starts = -np.arange(1, len(track) + 1) if earlier else np.arange(last + 1)
-        starts = starts if len(track) > 1 else np.zeros(1, np.intp)
-        feasible = np.ones(len(starts), np.bool_)
+        if len(track) == 1:  # at rest: all starts are alike
+            starts = np.zeros(1, np.intp)
+        elif earlier:
+            starts = -np.arange(1, len(track) + 1)
+        else:
+            starts = np.arange(last + 1)
         first = min([0, int(np.min(starts)), *(each.start for each in placed)])
         clock = np.arange(first, last + len(track) + 1)
-        own = np.clip(clock - starts[:, None], 0, len(track) - 1)
+        own = track.samples(clock - starts[:, None])  # (starts, clock)
+        feasible = np.ones(len(starts), np.bool_)
         for each in placed:
-            other = np.clip(clock - each.start, 0, len(each.track) - 1)
-            table = self._table(track, each.track)
-            resting = table[np.ix_([0, -1], [0, -1])]  # constant, without need of the pad
-            close = table[own, other] < np.clip(np.min(resting), 0.0, pad)
-            remaining = feasible & ~np.any(close, axis=1)
+            slack = self._table(track, each.track)
+            at_rests = slack[np.ix_([0, -1], [0, -1])]
+            # Rests that are closer than the pad cannot be moved apart, and need no pad.
+            needed = np.clip(np.min(at_rests), 0.0, pad)
+            other = each.track.samples(clock - each.start)
+            too_close = slack[own, other] < needed
+            remaining = feasible & ~np.any(too_close, axis=1)
             if not np.any(remaining):
-                row = int(np.flatnonzero(feasible)[-1])
-                sample = int(clock[np.argmax(close[row])])
-                return self._blocked(track, each, sample, int(starts[row]))
+                last_feasible = int(np.flatnonzero(feasible)[-1])
+                sample = int(clock[np.argmax(too_close[last_feasible])])
+                return self._blocked(track, each, sample, int(starts[last_feasible]))
             feasible = remaining
         return int(starts[np.argmax(feasible)])
 
