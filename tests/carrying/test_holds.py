@@ -73,7 +73,7 @@ ON_TOP["objects"]["cup"] = {"circle": 0.03, "to": 0.1, "mass": 0.02, "at": [1.1,
 TENSE = plans.tray() | {"limits": {}}
 TENSE["mission"][0]["transport_object"]["tension"] = 1.6
 # Six straight parts with 1.3 N each lift 7.8 N at most, were they upright.
-LOADED = plans.drum(mass=0.82, friction=20.0)
+LOADED = plans.drum(mass=0.82, friction=3.0)
 LOADED["limits"]["tilt_deg"] = 70
 LOADED["team"] |= {"cable_length": 2.15, "cable_friction": 0.0, "cable_density": 0.0}
 LOW = plans.tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.53]}}
@@ -105,7 +105,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (steps_of(plans.tray(), {"enclose": {"object": "table"}}), "objects.table.fixed",
      "false where it is lifted"),
     ({**plans.drum(), "limits": {}}, "tilt", "need limits.tilt_deg of 51, above 45.*1.29 N or"),
-    (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or ask for another tension"),
+    (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or request another tension"),
     (steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}), "objects.drum.rim",
      "grasp it by: grip"),
     (LOADED, "equilibrium", "lower objects.drum.mass"),

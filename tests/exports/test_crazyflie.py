@@ -255,7 +255,7 @@ def test_long_plans_are_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) 
     for part, (begins, ends) in zip(parts, spans, strict=True):
         told = f"part {parts.index(part) + 1} of {len(parts)}, t = {begins:.3f} s to "
         assert any(note.startswith(told) for note in part.notes)
-        assert any("only then upload" in note for note in part.notes)
+        assert any("goTo every drone's hover point" in note for note in part.notes)
         assert all(
             told in (part.folder / file).read_text("utf-8") for file in ("README.txt", "fly.py")
         )
