@@ -154,7 +154,9 @@ def test_largest_values_at_rest_hold_for_all_times(tmp_path: Path) -> None:
     motion = motion_of()
     write_plan(tmp_path / "plan.npz", ho.Flight.of(motion))
     output = CliRunner().invoke(main, ["abort", str(tmp_path)]).output
-    result = re.search(r"up to ([\d.]+)%\sof\sa\sdrone's\sthrust,\s([\d.]+)°", output)
+    result = re.search(
+        r"up to ([\d.]+)%\sof\sa\sdrone's\sthrust\sand\sa\stilt\sof\s([\d.]+)°", output
+    )
     assert result
     forces = states_at(motion, np.linspace(0.0, motion.duration, 3000)).cable_forces
     static = motion.team.mass[:, None] * np.array([0.0, 0.0, 9.81]) - forces
