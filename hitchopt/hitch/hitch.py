@@ -27,11 +27,11 @@ from hitchopt.values.fields import store, suggest_keywords
 from hitchopt.values.units import PLACED_ALTITUDE
 
 LEG_TOLERANCE = 1e-4
-"""Tolerance of a prescribed leg at a chain's end, relative to its cable's length: of massless
-cables, as for cable lengths in plans."""
+"""Tolerance of a prescribed leg at a chain's end, relative to the length of its massless cable:
+that of cable lengths in plans."""
 
 SAGGING_LEG_TOLERANCE = 1e-2
-"""The same of heavy cables, whose sag the user may have neglected."""
+"""The same tolerance for a heavy cable, whose sag the user may have neglected."""
 
 ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
 UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit

@@ -18,8 +18,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from hitchopt.checks.bodies import clasped_outlines
-from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import hull_distance
 from hitchopt.geometry.vectors import cross, left_of, unit
 from hitchopt.hitch import Hitch, Team
@@ -229,13 +227,6 @@ class PreHitch:
     def doubtful(self) -> bool:
         """Whether samples violate a requirement."""
         return self.violation > 0.0
-
-    def error(self, when: str) -> InfeasibleError:
-        """Return the error of the requirement that is violated most."""
-        tightest, rule = self.tightest, RULE_OF[self.tightest.constraint]
-        values = tightest.value, tightest.limit, tightest.sense, tightest.unit
-        remedy = rule.free_remedy or rule.remedy
-        return InfeasibleError([Violation(tightest.constraint, *values, (), when, remedy)])
 
     @property
     def drones_hanging(self) -> Array:
