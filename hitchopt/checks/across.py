@@ -44,7 +44,7 @@ from hitchopt.checks.tracking import (
     downwash_radius,
     ellipsoid_axes,
 )
-from hitchopt.hitch.pairs import DISTANCES
+from hitchopt.hitch.pairs import DISTANCES, DistanceRule
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
@@ -163,7 +163,8 @@ def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
 def drone_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones, scaled for separation."""
     scale = run.separation.scale
-    first, second = (each.drones.scaled(scale) for each in (run.first, run.second))
+    first = run.first.drones.scaled(scale)
+    second = run.second.drones.scaled(scale)
     yield run.moving(first, second, margin=run.margin * float(np.max(scale)))
 
 
@@ -176,7 +177,7 @@ def drones_and_cables(run: Run) -> Iterator[Moving]:
 
 def cable_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of cables."""
-    first, second = (cables_of(each, parts=True) for each in (run.first, run.second))
+    first, second = cables_of(run.first, parts=True), cables_of(run.second, parts=True)
     if first is not None and second is not None:
         yield run.moving(first, second)
 
@@ -191,13 +192,19 @@ def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclose
             yield name, body, Enclosed(pose)
 
 
+def _slabs(one: Side, other: Side) -> Iterator[tuple[str, Slab, Enclosed]]:
+    """Yield the slabs of ``_objects``, with the names of these and their poses."""
+    for name, body, pose in _objects(one, other):
+        for slab in body.slabs:
+            yield name, slab, pose
+
+
 def drones_and_objects(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones of one team and objects of the other."""
     for one, other in run.both:
         drones = one.drones
-        for name, body, pose in _objects(other, one):
-            for slab in body.slabs:
-                yield run.around(drones.corners, drones.names, name, Solid(slab), pose)
+        for name, slab, pose in _slabs(other, one):
+            yield run.around(drones.corners, drones.names, name, Solid(slab), pose)
 
 
 def taut_or_laid(side: Side) -> Bodies | None:
@@ -210,15 +217,17 @@ def taut_or_laid(side: Side) -> Bodies | None:
 
 def drones_above_cables(
     run: Run,
-    scale: Array,
+    scale: Array | None = None,
     *,
     formula: Callable[..., Bound] = below,
     shape: Callable[[Slab | None], Shape] | None = None,
 ) -> Iterator[Moving]:
     """Yield the pairs of drones of one team and taut cables of the other, in scaled coordinates.
 
-    Options are those of ``pairs_with_slab``; the shape is that without a slab.
+    Options are those of ``pairs_with_slab``; the shape is that without a slab. By default,
+    ellipsoids have the radius 1.
     """
+    scale = half_axes(run.separation) if scale is None else scale
     for one, other in run.both:
         if (cables := taut_or_laid(other)) is not None:
             margin = run.margin * float(np.max(scale))
@@ -227,43 +236,41 @@ def drones_above_cables(
             yield run.moving(*bodies, margin=margin, formula=formula, **options)
 
 
-def drones_above(run: Run, scale: Array, **options: Any) -> Iterator[Moving]:
-    """Yield the pairs of drones of one team and what their downwash would move of the other.
+def drones_above_objects(run: Run, scale: Array | None = None, **options: Any) -> Iterator[Moving]:
+    """Yield the pairs of drones of one team and objects of the other that they would move.
 
-    Coordinates are scaled; ``options`` are those of ``pairs_with_slab``.
+    Coordinates and options are those of ``drones_above_cables``.
     """
-    yield from drones_above_cables(run, scale, **options)
+    scale = half_axes(run.separation) if scale is None else scale
     for one, other in run.both:
         drones, breaks = one.drones, one.motion.drones.breaks
         for name, body, pose in _objects(other, one):
-            counts = name in other.carried or moves(body, one.motion.team)
+            if name not in other.carried and not moves(body, one.motion.team):
+                continue
             placed: dict[str, Any] = {
                 "margin": run.margin,
                 "breaks": breaks,
                 "names": (drones.names, (name,)),
             }
-            for slab in body.slabs if counts else ():
+            for slab in body.slabs:
                 yield pairs_with_slab(drones.corners, pose, slab, scale, **placed, **options)
 
 
-def _drones_above(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of ``drones_above`` in coordinates in which ellipsoids have the radius 1."""
-    yield from drones_above(run, half_axes(run.separation))
-
-
 def cables_and_objects(run: Run) -> Iterator[Moving]:
-    """Yield the pairs of objects of one team and cables or objects of the other."""
+    """Yield the pairs of cables of one team and objects of the other."""
     for one, other in run.both:
-        for name, body, pose in _objects(other, one):
-            for slab in body.slabs:
-                if (cables := cables_of(one)) is not None:
-                    yield _pairs_with_cables(run, one, cables, name, slab, pose)
-                if one is run.first:
-                    for label, other_body, other_pose in _objects(one, other):
-                        for block in other_body.slabs:
-                            corners = placed_corners(other_pose, block)
-                            solid = Solid(slab, block.section.rounding)
-                            yield run.around(corners, (label,), name, solid, pose)
+        if (cables := cables_of(one)) is not None:
+            for name, slab, pose in _slabs(other, one):
+                yield _pairs_with_cables(run, one, cables, name, slab, pose)
+
+
+def object_pairs(run: Run) -> Iterator[Moving]:
+    """Yield the pairs of objects."""
+    for name, slab, pose in _slabs(run.second, run.first):
+        for other_name, other_slab, other_pose in _slabs(run.first, run.second):
+            corners = placed_corners(other_pose, other_slab)
+            solid = Solid(slab, other_slab.section.rounding)
+            yield run.around(corners, (other_name,), name, solid, pose)
 
 
 def _pairs_with_cables(
@@ -282,15 +289,24 @@ def _pairs_with_cables(
     return run.around(sheets.prisms, cables.names, label, Solid(slab, 0.0), pose)
 
 
-ACROSS: dict[str, Callable[[Run], Iterable[Moving]]] = {
-    "separation": drone_pairs,
-    "cable_clearance": drones_and_cables,
-    "crossing": cable_pairs,
-    "keep_out": drones_and_objects,
-    "downwash": _drones_above,
-    "object_clearance": cables_and_objects,
+PAIRS: dict[tuple[str, str], Callable[[Run], Iterator[Moving]]] = {
+    ("drones", "drones"): drone_pairs,
+    ("drones", "cables"): drones_and_cables,
+    ("drones", "objects"): drones_and_objects,
+    ("drones", "taut"): drones_above_cables,
+    ("drones", "movable"): drones_above_objects,
+    ("cables", "cables"): cable_pairs,
+    ("cables", "objects"): cables_and_objects,
+    ("objects", "objects"): object_pairs,
 }
-"""Pairs between teams, by check of DISTANCES."""
+"""Pairs of bodies of two teams, by their kinds in DISTANCES."""
+
+
+def pairs_between(flight: Flight, rule: DistanceRule) -> Iterator[Moving]:
+    """Yield the pairs of bodies of all pairs of teams that keep a distance."""
+    for run in runs(flight):
+        for kinds in rule.kinds:
+            yield from PAIRS[kinds](run)
 
 
 def check_across(
@@ -300,12 +316,13 @@ def check_across(
 
     ``requirements`` are the flight's own by default, or these with another ``height_ratio``.
     """
-    if rule.name not in ACROSS:
+    if rule.name not in DISTANCES:
         return None
     requirements = requirements or flight.requirements
-    limit = DISTANCES[rule.name].limit(requirements.separation)
+    between_teams = DISTANCES[rule.name]
+    limit = between_teams.limit(requirements.separation)
     ratio = requirements.height_ratio if rule.unit == "m" else 1.0
-    cases = (each.flattened(ratio) for run in runs(flight) for each in ACROSS[rule.name](run))
+    cases = (moving.flattened(ratio) for moving in pairs_between(flight, between_teams))
     worst = nearest_of(cases, limit, flight_magnitude(flight))
     return None if math.isinf(worst.worst) else worst.check(rule, limit)
 
@@ -331,7 +348,8 @@ def radius_across(
     def above(scale: Array, **options: Any) -> Iterator[Moving]:
         """Yield what is below drones of all pairs of teams."""
         for run in runs(flight):
-            yield from drones_above(run, scale, **options)
+            yield from drones_above_cables(run, scale, **options)
+            yield from drones_above_objects(run, scale, **options)
 
     factor = DISTANCES["downwash"].approach(ratio)
     terms.append(downwash_radius(above, requirements, factor))

@@ -47,8 +47,8 @@ class DistanceRule:
     Parameters
     ----------
     check: name of the check.
-    kinds: kinds of bodies that keep it; ``taut`` are parts of taut cables, ``objects`` those that a
-        team moves.
+    kinds: kinds of bodies that keep it; ``taut`` are parts of taut cables, ``objects`` those of a
+        team, ``movable`` those of them that downwash would move.
     limit: minimum distance [m], or ratio.
     approach: approach of two bodies of different teams per radius of tracking errors, by the larger
         one of 1 and γ.
@@ -81,7 +81,7 @@ DISTANCES = {
         ),
         DistanceRule(
             "downwash",
-            (("drones", "taut"), ("drones", "objects")),
+            (("drones", "taut"), ("drones", "movable")),
             lambda _: 1.0,
             lambda ratio: 1.0 + ratio,
         ),
@@ -93,7 +93,7 @@ DISTANCES = {
         ),
     )
 }
-"""All distances, by check. Checks read limits here, start times also the kinds of bodies."""
+"""All distances, by check. Checks and start times read limits and kinds of bodies here."""
 
 
 def limits_of(separation: Separation) -> Array:

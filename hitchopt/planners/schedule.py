@@ -126,6 +126,11 @@ class SampledPath:
         heights = bases[..., 2] + np.array(ends).reshape(-1, 2)
         return SampledBodies(bases, heights, np.array(radii), np.ones(len(self), np.bool_))
 
+    @property
+    def movable(self) -> SampledBodies:
+        """Objects that downwash would move: all that the team moves."""
+        return self.objects
+
     @cached_property
     def box(self) -> tuple[Array, Array]:
         """Corners (samples, 3) [m] of boxes around all bodies."""

@@ -13,7 +13,7 @@ from motions import free_motion, lines, random_flight, random_motion
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify
-from hitchopt.checks.across import ACROSS
+from hitchopt.checks.across import PAIRS
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
@@ -253,7 +253,8 @@ def test_tracking_radius_is_half_of_the_slack_between_groups(
 
 
 def test_start_times_and_certificates_keep_the_same_distances() -> None:
-    assert ACROSS.keys() == DISTANCES.keys() <= RULE_OF.keys()
+    assert DISTANCES.keys() <= RULE_OF.keys()
+    assert {kinds for rule in DISTANCES.values() for kinds in rule.kinds} == PAIRS.keys()
 
 
 @pytest.mark.parametrize("several", [False, True])

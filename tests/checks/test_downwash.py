@@ -15,8 +15,9 @@ from plans import planned
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.checks import Check, certify
-from hitchopt.checks.across import ACROSS, check_across, radius_across
+from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects
 from hitchopt.motion.motion import Motion
@@ -202,7 +203,7 @@ def group_radius(below: Motion, place: Array) -> float:
     """Return the tracking radius of what is between a group and a drone that hovers."""
     drone = lines(place[None], place[None], seconds=below.duration)
     flight = Flight((TeamMotion("a", below), TeamMotion("s", drone)))
-    checks = [check_across(RULE_OF[name], flight) for name in ACROSS]
+    checks = [check_across(RULE_OF[name], flight) for name in DISTANCES]
     return radius_across(flight, flight.requirements, checks, 1.0).worst
 
 

@@ -22,11 +22,12 @@ from second_opinions import opinion, violated
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.checks import certify
-from hitchopt.checks.across import ACROSS, check_across
+from hitchopt.checks.across import check_across
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.checks.spans import magnitude
 from hitchopt.cli import main
 from hitchopt.errors import FileError, InputError
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan, write_plan
@@ -78,7 +79,7 @@ def test_distances_across_agree(name: str, tmp_path: Path) -> None:
             for row in (*teams.between_plans(pair), *teams.object_distances(pair)):
                 if row.samples:
                     found[row.name] = min(found.get(row.name, np.inf), row.worst)
-    checks = {rule: check_across(RULE_OF[rule], flight) for rule in ACROSS}
+    checks = {rule: check_across(RULE_OF[rule], flight) for rule in DISTANCES}
     worst = {rule: check.worst for rule, check in checks.items() if check is not None}
     assert found.keys() == worst.keys()
     assert len(worst) == (3 if name == "swarm" else 5 if name in OBJECTS else 4)
