@@ -268,8 +268,8 @@ class InfeasibleError(HitchoptError):
         lines = [str(v) for v in self.violations] + ([note] if note else [])
         super().__init__("\n".join(lines))
 
-    def of_group(self, name: str) -> InfeasibleError:
-        """Return the error with a group's name before its drones; itself if the name is empty."""
+    def of_team(self, name: str) -> InfeasibleError:
+        """Return the error with a team's name before its drones; itself if the name is empty."""
         if not name:
             return self
         violations = [

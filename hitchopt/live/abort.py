@@ -246,7 +246,7 @@ class Aborts:
             try:
                 return _with_landing(motion, untie=how == "release_and_land")
             except InfeasibleError as error:
-                raise error.of_group(planned.name) from None
+                raise error.of_team(planned.name) from None
 
         pairs = zip(whole.teams, self.flight.teams, strict=True)
         return Flight(

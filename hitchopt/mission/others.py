@@ -18,7 +18,7 @@ from hitchopt.values import ByValue, path
 from hitchopt.values.fields import Key, dict_of, documented, mapping_of, store, strings
 from hitchopt.values.units import START_TIME
 
-MAX_GROUPS = 20  # Maximum number of teams, and of other plans, in a file
+MAX_TEAMS = 20  # Maximum number of teams, and of other plans, in a file
 
 NAME = strings(20, 1, "[A-Za-z_][A-Za-z0-9_]*", "of letters, digits and _, a letter first")
 """Names of teams and of other plans."""
@@ -70,4 +70,4 @@ class Other(ByValue):
         return named_teams(name, self._teams)
 
 
-OTHERS = dict_of(mapping_of(Other), NAME, MAX_GROUPS)
+OTHERS = dict_of(mapping_of(Other), NAME, MAX_TEAMS)

@@ -25,7 +25,7 @@ from hitchopt.hitch.requirements import (
 )
 from hitchopt.hitch.team import MAX_DRONES, MAX_ROBOTS, Assignment
 from hitchopt.mission.objects import OBJECTS
-from hitchopt.mission.others import MAX_GROUPS, NAME, OTHERS, Other
+from hitchopt.mission.others import MAX_TEAMS, NAME, OTHERS, Other
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
@@ -407,9 +407,9 @@ OF_QUADROTORS = {
 """Remedies for keys of drones that are written into the team."""
 
 TEAM = mapping_of(Team, remedies=OF_QUADROTORS)
-TEAMS = dict_of(by_key({"robots": TEAM, "drones": SWARM_TEAM}), NAME, MAX_GROUPS)
-STARTS = dict_of(either(START, SWARM_PLACES), NAME, MAX_GROUPS)
-ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_GROUPS), 1, MAX_STEPS)
+TEAMS = dict_of(by_key({"robots": TEAM, "drones": SWARM_TEAM}), NAME, MAX_TEAMS)
+STARTS = dict_of(either(START, SWARM_PLACES), NAME, MAX_TEAMS)
+ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_TEAMS), 1, MAX_STEPS)
 """Teams, their starts, and the items of their mission, by the names of teams."""
 
 

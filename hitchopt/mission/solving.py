@@ -143,7 +143,7 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         raise
     except InfeasibleError as error:
         advised = _with_tracking_advice(error, mission.requirements, mission.team)
-        raise advised.of_group(mission.name) from None
+        raise advised.of_team(mission.name) from None
 
 
 def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:

@@ -328,7 +328,7 @@ def optimised_plan(
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
     from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
-    from hitchopt.planners.timing.flight import check_duration, fly, in_duration
+    from hitchopt.planners.timing.timed_motion import check_duration, fly, in_duration
 
     start, requirements = task.hitch, task.requirements
     climb = end.altitude - start.altitude
@@ -387,7 +387,7 @@ def _flown_along(
     Raises InfeasibleError with the limits that it breaks, and where along the route.
     """
     from hitchopt.planners.morph.morph import check_loads, check_shapes
-    from hitchopt.planners.timing.flight import fly
+    from hitchopt.planners.timing.timed_motion import fly
 
     route = f"along {BEST_ROUTE} ({name})"
     try:
@@ -536,7 +536,7 @@ def settling_plan(
     limits need that. Raises InfeasibleError if limits bind and the swing is ``required``.
     """
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling_swings
-    from hitchopt.planners.timing.flight import needed_stretch
+    from hitchopt.planners.timing.timed_motion import needed_stretch
 
     hitch, requirements, plan = task.hitch, task.requirements, None
     rest_duration = SWINGS * SWING if duration is None else duration

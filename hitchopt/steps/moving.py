@@ -637,7 +637,7 @@ class Transport(HitchStep):
         """Return the plan of a rigid motion."""
         from hitchopt.planners.morph.morph import check_loads
         from hitchopt.planners.morph.path import RigidPath
-        from hitchopt.planners.timing.flight import fly
+        from hitchopt.planners.timing.timed_motion import fly
 
         start = task.hitch
         path = RigidPath(start, self.to, self.yaw)

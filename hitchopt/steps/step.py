@@ -591,7 +591,7 @@ class Step(Record, ABC):
 
     def with_duration(self, task: StepTask, motion: Motion) -> Motion:
         """Return the motion slowed down to the prescribed duration, if there is one."""
-        from hitchopt.planners.timing.flight import check_duration
+        from hitchopt.planners.timing.timed_motion import check_duration
 
         if (duration := self.prescribed_duration) is None:
             return motion

@@ -394,7 +394,7 @@ def vertical_motion(
 ) -> Motion:
     """Return the motion of a hitch straight up or down, in a phase whose end it sets."""
     from hitchopt.planners.morph.path import RigidPath
-    from hitchopt.planners.timing.flight import fly
+    from hitchopt.planners.timing.timed_motion import fly
 
     path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
     motion = fly(path, requirements)
@@ -422,10 +422,6 @@ class RollStep(Step):
         """Whether pairs of drones roll: always."""
         return True
 
-    def rolls(self, task: StepTask) -> Array:
-        """Return the roll (clasps,) [rad] after the step."""
-        raise NotImplementedError
-
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team, or raise InputError for a missing vertex."""
         if not self.vertex < team.robots:
@@ -433,13 +429,12 @@ class RollStep(Step):
             raise InputError("vertex", self.vertex, bound, "name a vertex of the polygon")
         return super().resolved_for(team)
 
-    def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan of the roll."""
+    def rolled(self, task: StepTask, end: Array) -> StepPlan:
+        """Return the plan that rolls pairs to the angles ``end`` (clasps,) [rad]."""
         from hitchopt.planners.forming.laying import RollPath, roll_motion
 
         before, hitch = task.before, task.hitch
         start = hitch.roll if before.open_roll is None else before.open_roll
-        end = self.rolls(task)
         phase = Phase(self.name, task.index, 0.0, 0.0)
         motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
         open_roll = None if np.array_equal(end, hitch.roll) else end
@@ -460,11 +455,12 @@ class OpenVertex(RollStep):
     vertex: WhichPoint
     duration: Seconds = None
 
-    def rolls(self, task: StepTask) -> Array:
-        """Return the roll after the step, with the vertex's pair rolled back."""
-        senses, end = task.before.senses, task.hitch.roll.copy()
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan that rolls the vertex's pair back by half a turn."""
+        senses = task.before.senses
+        end = task.hitch.roll.copy()
         end[self.vertex] = -np.pi * (1.0 if senses is None else senses[self.vertex])
-        return end
+        return self.rolled(task, end)
 
 
 @documented
@@ -476,14 +472,14 @@ class CloseVertex(RollStep):
     vertex: WhichPoint
     duration: Seconds = None
 
-    def rolls(self, task: StepTask) -> Array:
-        """Return the roll of the closed hitch."""
+    def plan(self, task: StepTask) -> StepPlan:
+        """Return the plan that rolls the pair to where the hitch has it."""
         open_roll = task.before.open_roll
         rolled = np.flatnonzero(task.hitch.roll - (0.0 if open_roll is None else open_roll))
         if self.vertex not in rolled:
             bound = f"the open one, {', '.join(map(str, rolled.tolist()))}"
             raise InputError("vertex", self.vertex, bound, "close the vertex that was opened")
-        return task.hitch.roll
+        return self.rolled(task, task.hitch.roll)
 
 
 @documented

@@ -485,7 +485,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
             check_members([x.orig_filename for x in file.zip.infolist()])
             if form != "hitchopt-flight/1":
                 raise ValueError(f"format is {form!r:.60}, not hitchopt-flight/1")
-            return plans_of_groups(file, s)
+            return plans_of_teams(file, s)
     except Exception as error:  # malformed files raise many kinds
         words = " ".join(f"{type(error).__name__}: {error}".split())
         raise UnreadableError(words[:300]) from error
@@ -529,7 +529,7 @@ def asked_of(problem: Any, name: str) -> dict[str, Any]:
     return {**problem, **own_parts}
 
 
-def plans_of_groups(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
+def plans_of_teams(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
     """Return the plans of teams and other plans."""
     check_type("settings", s, "settings")
     plans, seen = list[Plan](), {"others"}

@@ -26,7 +26,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState
 from hitchopt.values import Array
 from hitchopt.view import style
-from hitchopt.view.scene import SEGMENTS, GroupName, Moment, Scene, normals, scene_at, subdivide
+from hitchopt.view.scene import SEGMENTS, Moment, Scene, TeamLabel, normals, scene_at, subdivide
 
 CASING_WIDTH = 1.8  # Width of a cable with its pale edges, in half widths of the cable
 OVERLAP = 0.5  # Overlap of a cable's segments to avoid gaps in bends, in half widths of the cable
@@ -292,7 +292,7 @@ def draw_storyboard(
         axes.autoscale_view()
         axes.spines[:].set_color("0.85")
         places = camera.project(scene.drones[i])[:, :2]
-        write_groups(axes, scene.appearance.groups, places, size * radius)
+        write_labels(axes, scene.appearance.labels, places, size * radius)
         axes.set_title(f"{shot.words}, {shot.time:.1f} s", fontsize="small", parse_math=False)
     length = 10.0 ** math.floor(math.log10(float(half[0])))
     words: Any = {"loc": "lower right", "frameon": False, "borderpad": 0.7}
@@ -338,8 +338,8 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
     return shapes
 
 
-def write_groups(axes: Axes, groups: Sequence[GroupName], drones: Array, radius: float) -> None:
-    """Write the names of groups above or below one of their drones, off all other drones.
+def write_labels(axes: Axes, labels: Sequence[TeamLabel], drones: Array, radius: float) -> None:
+    """Write the names of teams above or below one of their drones, off all other drones.
 
     ``drones`` (N, 2) are projected places of all drones, of a radius [m].
     """
@@ -348,15 +348,15 @@ def write_groups(axes: Axes, groups: Sequence[GroupName], drones: Array, radius:
     occupied = to_pixels.transform(drones)
     disc = radius * (to_pixels.transform([1.0, 0.0]) - to_pixels.transform([0.0, 0.0]))[0]
     middle, reach = np.mean(axes.bbox, axis=0), 0.5 * np.ptp(axes.bbox, axis=0)
-    for group in groups:
-        half_text = 0.5 * pixels * np.array([LETTER_WIDTH * len(group.name), LINE_HEIGHT])
+    for label in labels:
+        half_text = 0.5 * pixels * np.array([LETTER_WIDTH * len(label.name), LINE_HEIGHT])
         space = half_text + disc + pixels
-        spots = np.concatenate([occupied[group.drones] + [0.0, y] for y in (space[1], -space[1])])
+        spots = np.concatenate([occupied[label.drones] + [0.0, y] for y in (space[1], -space[1])])
         is_inside = np.all(np.abs(spots - middle) < reach - half_text, axis=1)
         clearance = np.min(np.max(np.abs(spots[:, None] - occupied) / space, axis=-1), axis=1)
         distance = np.abs(spots[:, 1] - np.mean(occupied[:, 1]))
         best = np.lexsort([-distance, -np.minimum(clearance, 1.0).round(6) * is_inside])[0]
         occupied = np.vstack([occupied, spots[best]])
-        look: Any = {"color": group.colour, "weight": "bold", "zorder": 7, "va": "center"}
+        look: Any = {"color": label.colour, "weight": "bold", "zorder": 7, "va": "center"}
         look |= {"clip_on": True, "path_effects": [withStroke(linewidth=2.0, foreground="white")]}
-        style.write(axes, group.name, to_pixels.inverted().transform(spots[best]), (0, 0), **look)
+        style.write(axes, label.name, to_pixels.inverted().transform(spots[best]), (0, 0), **look)

@@ -31,7 +31,7 @@ from hitchopt.motion.states import States, flight_states_at
 from hitchopt.values import Array
 from hitchopt.view import painter, style
 from hitchopt.view.painter import PATH_OPACITY
-from hitchopt.view.scene import Appearance, GroupName, scene_at
+from hitchopt.view.scene import Appearance, TeamLabel, scene_at
 from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, write
 
 SIZE = (13.0, 7.2)  # Width and height of the picture [inch]
@@ -407,16 +407,16 @@ def _draw_ellipsoids(axes: Axes, radius: float, points: Array, fill: Any, edge: 
 
 
 def _write_names(axes: Axes, flight: Flight, ends: Array) -> None:
-    """Write names of groups or single drones next to ``ends`` (N, 2), or of vertices."""
+    """Write names of teams or single drones next to ``ends`` (N, 2), or of vertices."""
     team, drawn = flight.team, Appearance.of(flight)
-    groups = drawn.groups
-    if not (groups or team.has_cables) and len(ends) <= MAX_NAMED:
+    labels = drawn.labels
+    if not (labels or team.has_cables) and len(ends) <= MAX_NAMED:
         each = zip(drawn.drones, drawn.drone_colours, range(len(ends)), strict=True)
-        groups = tuple(GroupName(name, colour, slice(i, i + 1)) for name, colour, i in each)
-    painter.write_groups(axes, groups, ends, flight.requirements.separation.radius)
+        labels = tuple(TeamLabel(name, colour, slice(i, i + 1)) for name, colour, i in each)
+    painter.write_labels(axes, labels, ends, flight.requirements.separation.radius)
     names = team.point_names
     motion = flight.alone
-    if groups or motion is None or len(names) > MAX_NAMED:
+    if labels or motion is None or len(names) > MAX_NAMED:
         return
     if not (team.has_cables and motion.formed[-1]):
         return

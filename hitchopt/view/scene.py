@@ -32,7 +32,7 @@ from hitchopt.view.style import (
     KEEP_OUT_COLOUR,
     OBJECT_COLOUR,
     TABLE_COLOUR,
-    group_colours,
+    team_colours,
 )
 
 MAX_SAMPLES = 1_000_000  # Maximum number of coordinates in a scene
@@ -243,7 +243,7 @@ class Clasp(NamedTuple):
     cable: int
 
 
-class GroupName(NamedTuple):
+class TeamLabel(NamedTuple):
     """Name, colour and drones of a team."""
 
     name: str
@@ -263,7 +263,7 @@ class Appearance:
     hollow: tuple[bool, ...]  # whether a drone's rotors are drawn hollow, as for drones r
     cable_colours: tuple[str, ...]
     clasps: tuple[Clasp, ...]  # empty for a hitch that changes its robots
-    groups: tuple[GroupName, ...]  # empty for a single team
+    labels: tuple[TeamLabel, ...]  # empty for a single team
     ellipsoid: tuple[float, float, float]  # semi-axes of a drone's ellipsoid [m]
     objects: tuple[RigidSurface, ...]
     keep_outs: tuple[RigidSurface, ...]  # in world coordinates, as the arena
@@ -273,8 +273,8 @@ class Appearance:
     def of(cls, flight: Flight) -> Appearance:
         """Return the appearance of a plan's teams, and of other plans."""
         requirements, clasps, vertices, cables = flight.requirements, list[Clasp](), 0, 0
-        names, hollow, groups = list[str](), list[bool](), list[GroupName]()
-        looks = group_colours(flight)
+        names, hollow, labels = list[str](), list[bool](), list[TeamLabel]()
+        looks = team_colours(flight)
         bodies = list(requirements.objects.items())
         for each in flight.all_teams:
             team, layout = each.motion.team, each.motion.team.layout
@@ -282,7 +282,7 @@ class Appearance:
             names += map(each.label, team.drone_names)
             hollow += [name[0] == "r" for name in team.drone_names]
             pairs = zip(layout.clasps.tolist(), layout.ahead.tolist(), strict=True)
-            groups.append(GroupName(each.name, looks[len(groups)][0][0], slice(first, len(names))))
+            labels.append(TeamLabel(each.name, looks[len(labels)][0][0], slice(first, len(names))))
             clasps += [
                 Clasp(each.label(team.point_names[p]), vertices + p, cables + k) for p, k in pairs
             ]
@@ -312,7 +312,7 @@ class Appearance:
             tuple(hollow),
             cable_shades,
             tuple(clasps),
-            tuple(each for each in groups if each.name),
+            tuple(label for label in labels if label.name),
             (radius, radius, height),
             tuple(objects),
             tuple(keep_outs),

@@ -73,7 +73,7 @@ def drone_colours(team: Team) -> tuple[str, ...]:
     return tuple(COLOURS[i % len(COLOURS)] for i in range(len(team.drone_names)))
 
 
-def group_colours(flight: Flight) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
+def team_colours(flight: Flight) -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     """Return the colours of the drones and cables of each team.
 
     Several teams have one colour each; other plans are grey.

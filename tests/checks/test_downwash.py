@@ -170,7 +170,7 @@ def test_errors_up_to_the_radius_bring_no_drone_over_a_cable(laid: bool, height:
     below = held(turned(below, 0.7, np.array([3.0, -7.0, 0.4])))
     q, r = below.drones.at(0.0)[2:4] if laid else below.vertices.at(0.0)[:2]
     place = 0.45 * q + 0.55 * r + [0.0, 0.0, height]
-    radius = group_radius(below, place)
+    radius = team_radius(below, place)
     assert (radius > 0.0) is (height > 0.3)
     rng = np.random.default_rng(0)
     ways = rng.normal(size=(30, 2, 3)) + [[0.0, 0.0, -2.0], [0.0, 0.0, 2.0]]
@@ -199,7 +199,7 @@ def across_check(below: Motion, place: Array, name: str) -> Check | None:
     return check_across(RULE_OF[name], Flight((TeamMotion("a", below), TeamMotion("s", drone))))
 
 
-def group_radius(below: Motion, place: Array) -> float:
+def team_radius(below: Motion, place: Array) -> float:
     """Return the tracking radius of what is between a group and a drone that hovers."""
     drone = lines(place[None], place[None], seconds=below.duration)
     flight = Flight((TeamMotion("a", below), TeamMotion("s", drone)))

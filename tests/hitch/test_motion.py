@@ -17,7 +17,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import FREE_STATES, HITCHED_STATE, CableState, Motion, Phase
 from hitchopt.motion.retiming import cut
 from hitchopt.motion.states import states_at
-from hitchopt.planners.timing.flight import in_duration
+from hitchopt.planners.timing.timed_motion import in_duration
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -24,7 +24,7 @@ from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.planners.optimise.times import acceleration_rows, speed_rows, step_times
-from hitchopt.planners.timing.flight import fly
+from hitchopt.planners.timing.timed_motion import fly
 from hitchopt.values import Array
 
 FREE = Requirements()

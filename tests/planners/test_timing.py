@@ -19,7 +19,6 @@ from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
 from hitchopt.planners.morph.path import ShapePath
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
-from hitchopt.planners.timing.flight import GRID, fly, needed_stretch, turning_stretch
 from hitchopt.planners.timing.profile import (
     Demands,
     fastest_profile,
@@ -28,6 +27,7 @@ from hitchopt.planners.timing.profile import (
     path_grid,
 )
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
+from hitchopt.planners.timing.timed_motion import GRID, fly, needed_stretch, turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 

@@ -309,15 +309,15 @@ def test_a_scene_has_what_each_group_has_alone() -> None:
         assert np.allclose(scene.drones[0, 6:], scene.drones[1, 6:])
 
 
-def test_groups_differ_by_colour_and_name() -> None:
+def test_teams_differ_by_colour_and_name() -> None:
     look, beside = (scene_at(pair(others=each), np.zeros(1)).appearance for each in (False, True))
-    assert [group.name for group in look.groups] == ["a", "b"]
+    assert [label.name for label in look.labels] == ["a", "b"]
     assert len(set(look.drone_colours[:6])) == len(set(look.drone_colours[6:])) == 1
     assert look.drone_colours[0] != look.drone_colours[-1]
     assert look.drones[:2] + look.drones[-1:] == ("a.q0", "a.r0", "b.r3")
     assert look.hollow[:2] == (False, True)
     assert [clasp.name for clasp in look.clasps][3] == "b.p0"
-    assert [group.name for group in beside.groups] == ["show"]
+    assert [label.name for label in beside.labels] == ["show"]
     assert set(beside.cable_colours[3:]) == {OTHERS_COLOUR}
 
 
@@ -347,13 +347,13 @@ def test_eight_colours_stay_apart(seen: object, apart: float) -> None:
     assert np.min(distances[np.triu_indices(8, 1)]) > apart
 
 
-def test_names_of_checks_are_found_in_their_group() -> None:
+def test_names_of_checks_are_found_in_their_team() -> None:
     parts = highlight_of(pair(), ["b.q1", "a.cable 2", "b.edge 1", "b.p0", "q0"])
     assert (parts.drones, parts.cables, parts.vertices) == ((8,), (2, 4), (3,))
 
 
 @pytest.mark.parametrize("before", ["", "northern_"])
-def test_names_of_groups_are_apart_and_on_no_drone(before: str) -> None:
+def test_names_of_teams_are_apart_and_on_no_drone(before: str) -> None:
     plan = planned("hitch_and_swarm")
     renamed = [dataclasses.replace(x, name=f"{before}{x.name}") for x in plan.flight.teams]
     flight, camera = Flight(tuple(renamed)), Camera.at_angles(AZIMUTH, ELEVATION)
@@ -393,7 +393,7 @@ def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
     assert all(figure.axes[1].bbox.contains(*place) for place in pixels)
 
 
-def test_reports_and_pictures_show_all_groups(tmp_path: Path) -> None:
+def test_reports_and_pictures_show_all_teams(tmp_path: Path) -> None:
     flight = pair(others=True)
     plan = ho.Plan(flight, certify(flight), "Beside a show")
     plan.view(save=tmp_path / "plan.html")

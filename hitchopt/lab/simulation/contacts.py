@@ -158,7 +158,7 @@ def touching(
 
     These contacts have no forces, so that every flight is simulated to its end. ``passing`` (m, 3)
     [m] are drones with ``names`` that are not simulated. Drones are ellipsoids, cables points:
-    between two nodes a cable is at most 2 mm closer. Cables of different groups do collide.
+    between two nodes a cable is at most 2 mm closer. Cables of different teams do collide.
     """
     scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     count, names = len(world.drones), [*world.drone_names, *names]
@@ -173,7 +173,7 @@ def touching(
     pairs = sorted({*zip(drone[foreign].tolist(), cable[foreign].tolist(), strict=True)})
     flexes = world.data.contact.flex
     between = flexes[np.all(flexes >= 0, axis=1)]
-    across = between[world.groups[between[:, 0]] != world.groups[between[:, 1]]]
+    across = between[world.teams[between[:, 0]] != world.teams[between[:, 1]]]
     crossings = sorted({(i, k) for i, k in across.tolist()})
     close = np.argwhere(cdist(drones[:count], drones) <= 2.0).tolist()  # two ellipsoids
     return [
@@ -199,8 +199,8 @@ class ObjectContacts:
         ):
             self._kind[chosen], self._names[chosen] = kind, names
         self._rank[objects] = np.arange(len(objects))
-        self._group = np.full(bodies, "", dtype=object)
-        self._group[world.model.flex_vertbodyid] = np.repeat(world.groups, counts)
+        self._team = np.full(bodies, "", dtype=object)
+        self._team[world.model.flex_vertbodyid] = np.repeat(world.teams, counts)
         self._untouched = np.zeros(len(objects), dtype=np.bool_)
         self._holder = np.array([cargo.holders.get(name, "") for name in cargo.names], dtype=object)
 
@@ -214,7 +214,7 @@ class ObjectContacts:
         item, body = self._pairs()
         held, is_lifted = self._cargo.held[index], np.append(self._lifted[index], False)
         kind, lifted = self._kind[body], is_lifted[item] | is_lifted[self._rank[body]]
-        held = held[item] & (self._holder[item] == self._group[body])
+        held = held[item] & (self._holder[item] == self._team[body])
         forbidden = np.where(kind == CABLE, ~held, (kind == DRONE) | lifted)
         named = zip(self._names[body[forbidden]], item[forbidden], strict=True)
         return sorted({(str(other), self._cargo.names[i]) for other, i in named})

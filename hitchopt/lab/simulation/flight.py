@@ -109,7 +109,7 @@ class SimulatedFlight:
     rested: float  # time at which the rest ended [s]; nan if not reached
     pulled: float  # time at which the pull test ended [s]; nan if not reached
     gains: control.PositionGains  # of the drones' position loops
-    density: Array | float  # of the simulated cables [kg/m], of each (n,) for several groups
+    density: Array | float  # of the simulated cables [kg/m], of each (n,) for several teams
     extra_length: float  # largest additional length of a rope [m], for the bends of thick ropes
     # largest distance of a rope's end from its drone [m], which aligns the legs of thick ropes with
     # those of thin cables
@@ -119,7 +119,7 @@ class SimulatedFlight:
 
     @property
     def cable_names(self) -> list[str]:
-        """Names of cables (n,): cable 0, cable 1, …, or a.cable 0, … for several groups."""
+        """Names of cables (n,): cable 0, cable 1, …, or a.cable 0, … for several teams."""
         return cable_names(self.task.team.drone_names)
 
 
@@ -148,7 +148,7 @@ class FlightInProgress:
     It begins with a hitch if the plan has one at the first setpoint, else with hanging cables.
     Controllers receive only setpoints, including planned cable forces. Raises InputError for a
     density too small for the team's tension or an unstable position loop, ShapeError for cables too
-    short for the first setpoints, and UnsupportedError without mujoco, or for several groups with
+    short for the first setpoints, and UnsupportedError without mujoco, or for several teams with
     feedback or a lost drone.
     """
 

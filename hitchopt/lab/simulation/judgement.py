@@ -20,7 +20,7 @@ from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
-from hitchopt.lab.simulation.task import Task, group_of
+from hitchopt.lab.simulation.task import Task, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.values import Array
 
@@ -89,7 +89,7 @@ class VertexErrors:
 
     t: Array  # times (samples,) [s]
     rows: NDArray[np.intp]  # indices into the flight's record (samples,)
-    # planned vertices (samples, clasps, 3) [m]; nan if the group's hitch is not taut
+    # planned vertices (samples, clasps, 3) [m]; nan if the team's hitch is not taut
     planned: Array
     offsets: Array  # from planned vertices (samples, clasps, 3) [m]; nan if cables do not bear
     moving: NDArray[np.bool_]  # whether the plan moves any vertex or changes any tension (samples,)
@@ -381,7 +381,7 @@ def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failur
 
 
 def allowed_errors(flight: SimulatedFlight) -> Tube:
-    """Return the largest tracking errors of any group that the plan allows for.
+    """Return the largest tracking errors of any team that the plan allows for.
 
     Distances of a carried object are certified for errors of its place as large as those of the
     drones (see ``hitchopt.checks.tracking``): a ring of displaced drones stands beside its plan,
@@ -412,10 +412,10 @@ def object_states(
     yaws, tube = np.arctan2(plan[-1, :, 4], plan[-1, :, 3]), allowed_errors(flight)
     offsets = poses[..., :3] - plan[..., :3]
     vertices, states = record.vertices[: len(t)], list[ObjectState]()
-    groups = np.array([group_of(task.team.point_names[p]) for p in task.team.layout.clasps])
+    teams = np.array([team_of(task.team.point_names[p]) for p in task.team.layout.clasps])
     for i in np.flatnonzero(cargo.movable):
         name, carried = cargo.names[i], cargo.carried[rows, i]
-        hitch = np.mean(vertices[:, groups == cargo.holders.get(name, "")], axis=1)
+        hitch = np.mean(vertices[:, teams == cargo.holders.get(name, "")], axis=1)
         attitudes = Rotation.from_quat(poses[:, i, 3:], scalar_first=True)
         middles = attitudes.apply(hitch - poses[:, i, :3], inverse=True)
         turned = Rotation.from_quat(poses[at_end, i, 3:], scalar_first=True).mean()
@@ -565,6 +565,6 @@ def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
     if settings.controller is None and len(controllers) > 1:
         messages.append(f"{', '.join(controllers)}: {SEVERAL}")
     if task.passing.names:
-        names = dict.fromkeys(map(group_of, task.passing.names))
+        names = dict.fromkeys(map(team_of, task.passing.names))
         messages.append(f"{', '.join(names)}: {NOT_FLOWN}")
     return tuple(messages)

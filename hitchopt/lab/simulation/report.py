@@ -400,7 +400,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     flight, errors = simulation.flight, simulation.errors
     record, task = flight.record, flight.task
     team, end = task.team, float(record.t[-1]) or 1.0
-    looks = style.group_colours(plan)[: len(plan.teams)]
+    looks = style.team_colours(plan)[: len(plan.teams)]
     colours = [colour for _, cables in looks for colour in cables]
     top, middle, bottom = plots
     for c, (point, k) in enumerate(zip(team.layout.clasps, team.layout.ahead, strict=True)):

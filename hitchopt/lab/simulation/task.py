@@ -154,7 +154,7 @@ class Received:
     flown_by: str  # upload or stream
 
 
-def group_of(name: str) -> str:
+def team_of(name: str) -> str:
     """Return the team in the name of a drone, point or cable; empty for a single team."""
     return name.rpartition(".")[0]
 

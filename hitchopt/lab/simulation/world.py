@@ -20,7 +20,7 @@ from hitchopt.errors import HitchoptError, optional_module
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.ropes import ROUNDING, Ropes
-from hitchopt.lab.simulation.task import group_of
+from hitchopt.lab.simulation.task import team_of
 from hitchopt.objects import Section, SolidObject
 from hitchopt.values import Array
 
@@ -118,7 +118,7 @@ class World:
         self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
         count = len(ropes.lengths)
         self.drone_names = list(names) or [f"{end}{k}" for k in range(count) for end in "qr"]
-        self.groups = np.array([group_of(name) for name in self.drone_names[::2]])
+        self.teams = np.array([team_of(name) for name in self.drone_names[::2]])
         self.cable_names = cable_names(self.drone_names)
         self.model = model = mujoco.MjModel.from_xml_string(_describe(self))
         self.data = mujoco.MjData(model)

@@ -188,7 +188,7 @@ class MovePlanner:
 
     def within_limits(self, move: Move, *checks: str) -> Move:
         """Return a move slowed down to the limits of motion and to some checks, by name."""
-        from hitchopt.planners.timing.flight import needed_stretch
+        from hitchopt.planners.timing.timed_motion import needed_stretch
 
         for _ in range(MAX_SLOWINGS):
             try:

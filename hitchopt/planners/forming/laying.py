@@ -41,7 +41,7 @@ from hitchopt.planners.forming.stages import (
 )
 from hitchopt.planners.morph.morph import check_loads
 from hitchopt.planners.morph.path import drones_along
-from hitchopt.planners.timing.flight import fly
+from hitchopt.planners.timing.timed_motion import fly
 from hitchopt.values import Array, Indices
 
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))

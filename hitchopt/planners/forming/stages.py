@@ -16,9 +16,9 @@ from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.planners.timing.timed_motion import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -28,7 +28,7 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
-from hitchopt.planners.timing.flight import (
+from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,
     cable_error,

@@ -17,8 +17,8 @@ from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, drones_along, shapes_along
-from hitchopt.planners.timing.flight import GRID, fly
 from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
+from hitchopt.planners.timing.timed_motion import GRID, fly
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array

@@ -28,8 +28,8 @@ from hitchopt.planners.separation.program import (
     planes_to_prism,
 )
 from hitchopt.planners.separation.task import SeparationResult, SeparationTask, Setting
-from hitchopt.planners.timing.flight import turning_stretch
 from hitchopt.planners.timing.profile import LIMIT_SHARE
+from hitchopt.planners.timing.timed_motion import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 

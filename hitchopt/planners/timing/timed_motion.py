@@ -1,4 +1,4 @@
-"""Flights along paths: piecewise polynomials of time, from rest to rest within all limits.
+"""Timed motions along paths: piecewise polynomials of time, from rest to rest within all limits.
 
 The clock speeds up toppra's smoothed profile until limits bind at samples. Polynomials with the
 path's jets at every breakpoint are then slowed down until limits also hold between samples.
