@@ -103,15 +103,18 @@ $(VENV)/.documented: pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[docs]"
 	touch $(VENV)/.installed $@
 
-# Builds sdist and wheel, checks their metadata, and uses the wheel in an environment of its own.
+# Builds sdist and wheel, checks their metadata, and uses each in an environment of its own.
 package: $(VENV)/.tested
-	rm -rf dist $(VENV)-package
+	rm -rf dist
 	$(BIN)/python -m build -o dist
 	$(BIN)/twine check --strict dist/*
-	$(PYTHON) -m venv $(VENV)-package
-	$(VENV)-package/bin/python -m pip install --quiet --disable-pip-version-check dist/*.whl
-	cd dist && ../$(VENV)-package/bin/hitchopt init --example tie_carry_untie
-	cd dist && ../$(VENV)-package/bin/hitchopt solve -q tie_carry_untie.yaml
+	set -e; for archive in dist/*.whl dist/*.tar.gz; do \
+		rm -rf $(VENV)-package dist/tie_carry_untie*; \
+		$(PYTHON) -m venv $(VENV)-package; \
+		$(VENV)-package/bin/python -m pip install --quiet --disable-pip-version-check "$$archive"; \
+		(cd dist && ../$(VENV)-package/bin/hitchopt init --example tie_carry_untie \
+			&& ../$(VENV)-package/bin/hitchopt solve -q tie_carry_untie.yaml); \
+	done
 	rm -rf $(VENV)-package dist/tie_carry_untie*
 
 # Installs the package on the newest Python that runs here, with the newest of all that it needs, and uses it once.

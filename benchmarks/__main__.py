@@ -9,6 +9,7 @@ from pathlib import Path
 
 NAMES = (
     "corpus",
+    "page",
     "morphs",
     "families",
     "forming",

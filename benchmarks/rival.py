@@ -1,10 +1,11 @@
 """A rival of optimised morphs: a minimal formulation in plain casadi and IPOPT.
 
 Vertices are uniform B-splines of degree 5 in s = t/T with 10 coefficients each and free final time;
-q-legs go evenly along a smooth step. Speeds, accelerations, thrust, tilt, legs, convexity and the
-distances of all pairs of drones are kept at 24 samples. There are no limits of jerk, no clearances
-of cables, no certificate. Written in SX throughout, so that casadi differentiates one flat graph of
-``hitchopt.model``. It is built once for a team: start, end and cable lengths are parameters.
+q-legs and roll go evenly along a smooth step, and the roll also has such coefficients. Speeds,
+accelerations, thrust, tilt, legs, convexity and the distances of all pairs of drones are kept at 24
+samples. There are no limits of jerk, no clearances of cables, no certificate. Written in SX
+throughout, so that casadi differentiates one flat graph of ``hitchopt.model``. It is built once for
+a team: start, end and cable lengths are parameters.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,7 +28,7 @@ FIXED = 3
 
 MIN_ANGLE = 1e-3  # [rad] Smallest exterior angle
 
-Symbols = ca.SX | ca.DM  # expressions, or numbers
+Symbols = Any  # SX, MX or DM of casadi, whose types have no common arithmetic
 
 LEG_STEP = BSpline(np.repeat([0.0, 1.0], 8), np.repeat([0.0, 1.0], 4), 7)
 """The q-legs' share of their change."""
@@ -61,7 +63,7 @@ class Rival:
 
         Parameters
         ----------
-        control: (COEFFICIENTS, 2n) [m], of the vertices.
+        control: (COEFFICIENTS, 3n) [m, rad], of the vertices and the roll.
         T: duration [s].
         q: (n, 2) [m], the q-legs at start and end.
         cables: (n, 1) [m], cable lengths.
@@ -71,37 +73,41 @@ class Rival:
         knots = np.concatenate([ends, np.linspace(0.0, 1.0, inner + 1), ends + 1.0])
         basis = BSpline(knots, np.eye(COEFFICIENTS), DEGREE)
         level = ca.DM(np.kron(np.eye(n), np.eye(3, 2)))  # coordinates x, y, 0 from x, y
-        vertices, q_legs = [], []
+        vertices, rolls, q_legs = [], [], []
         for order in range(3):
-            plan_view = ca.mtimes(ca.DM(basis(s, order)), control) / T**order
-            vertices.append(ca.mtimes(level, plan_view.T))
+            splines = ca.mtimes(ca.DM(basis(s, order)), control) / T**order
+            vertices.append(ca.mtimes(level, splines[:, : 2 * n].T))
+            rolls.append(splines[:, 2 * n :].T)
             share = ca.DM(LEG_STEP(s, order)[None])
             q_legs.append(ca.mtimes(q[:, 1] - q[:, 0], share) / T**order)
         q_legs[0] += ca.repmat(q[:, 0], 1, len(s))
-        hitch = ho.model(self.team, self.separation, cables=True).map(len(s))
+        hitch = ho.model(self.team, self.separation, roll=True, cables=True).map(len(s))
         outputs = hitch(
             vertices=vertices[0],
             vertex_velocities=vertices[1],
             vertex_accelerations=vertices[2],
+            roll=rolls[0],
+            roll_velocities=rolls[1],
+            roll_accelerations=rolls[2],
             q_legs=q_legs[0],
             q_leg_velocities=q_legs[1],
             q_leg_accelerations=q_legs[2],
             cable_lengths=ca.repmat(cables, 1, len(s)),
         )
-        return outputs, _squares(vertices[1])
+        return outputs, squares(vertices[1])
 
     def rows(self, outputs: Mapping[str, Symbols], vertex_speeds: Symbols) -> Symbols:
-        """Return the constraints' rows (≤ 0) from the results of ``flight``."""
+        """Return the constraints' rows (≤ 0) of outputs of the model and squared vertex speeds."""
         limits = self.limits
-        thrusts = ca.reshape(outputs["thrusts"], 3, -1)
+        thrusts: Symbols = ca.reshape(outputs["thrusts"], 3, -1)
         level = thrusts[0, :] ** 2 + thrusts[1, :] ** 2
         steepest = float(np.tan(limits.tilt))
         rows = [
             limits.leg - outputs["legs"],
             MIN_ANGLE - outputs["exterior_angles"],
             vertex_speeds - limits.vertex_speed**2,
-            _squares(outputs["velocities"]) - limits.speed**2,
-            _squares(outputs["accelerations"]) - limits.acceleration**2,
+            squares(outputs["velocities"]) - limits.speed**2,
+            squares(outputs["accelerations"]) - limits.acceleration**2,
             level + thrusts[2, :] ** 2 - float(self.team.max_thrust[0]) ** 2,
             level - (steepest * thrusts[2, :]) ** 2,
             1.0 - outputs["separations"] ** 2,
@@ -112,8 +118,8 @@ class Rival:
     def solver(self) -> ca.Function:
         """IPOPT for all starts and ends of teams of this size."""
         n = self.team.robots
-        free, T = ca.SX.sym("c", COEFFICIENTS - 2 * FIXED, 2 * n), ca.SX.sym("T")
-        ends, q, cables = ca.SX.sym("ends", 2 * n, 2), ca.SX.sym("q", n, 2), ca.SX.sym("L", n)
+        free, T = ca.SX.sym("c", COEFFICIENTS - 2 * FIXED, 3 * n), ca.SX.sym("T")
+        ends, q, cables = ca.SX.sym("ends", 3 * n, 2), ca.SX.sym("q", n, 2), ca.SX.sym("L", n)
         first, last = (ca.repmat(ends[:, i].T, FIXED, 1) for i in range(2))
         samples = np.linspace(0.0, 1.0, SAMPLES)
         g = self.rows(*self.flight(samples, ca.vertcat(first, free, last), T, q, cables))
@@ -134,7 +140,7 @@ class Rival:
         RivalError: IPOPT fails or runs out of time.
         """
         n, cables = start.team.robots, start.team.cable_length
-        first, last = (hitch.vertices[:, :2].ravel() for hitch in (start, end))
+        first, last = (np.append(hitch.vertices[:, :2], hitch.roll) for hitch in (start, end))
         q = np.column_stack([start.q_legs, end.q_legs])
         share = np.linspace(0.0, 1.0, COEFFICIENTS - 2 * FIXED + 2)[1:-1, None]
         guess = first + share * (last - first)
@@ -150,20 +156,24 @@ class Rival:
         if not self.solver.stats()["success"]:
             raise RivalError(str(self.solver.stats()["return_status"]))
         values = np.asarray(solution["x"], dtype=np.float64).ravel()
-        duration, middle = float(values[-1]), values[:-1].reshape(2 * n, -1).T
+        duration, middle = float(values[-1]), values[:-1].reshape(3 * n, -1).T
         whole = np.concatenate([np.tile(first, (FIXED, 1)), middle, np.tile(last, (FIXED, 1))])
         fine = np.linspace(0.0, 1.0, 2001)
         given = (ca.DM(whole), ca.DM(duration), ca.DM(q), ca.DM(cables))
         outputs, _ = self.flight(fine, *given)
+        return RivalFlight(duration, self.excess(outputs))
+
+    def excess(self, outputs: Mapping[str, Symbols]) -> float:
+        """Return the largest relative excess over the limits of speed and acceleration."""
         speed, acceleration = (
-            float(np.sqrt(np.max(np.asarray(_squares(outputs[name])))))
+            float(np.sqrt(np.max(np.asarray(squares(outputs[name])))))
             for name in ("velocities", "accelerations")
         )
-        excess = max(speed / self.limits.speed, acceleration / self.limits.acceleration) - 1.0
-        return RivalFlight(duration, excess)
+        return max(speed / self.limits.speed, acceleration / self.limits.acceleration) - 1.0
 
 
-def _squares(columns: Symbols) -> Symbols:
+def squares(columns: Symbols) -> Symbols:
     """Return the squared lengths (m, J) of vectors in columns (3 m, J)."""
     count = columns.size2()
-    return ca.reshape(ca.sum1(ca.reshape(columns, 3, -1) ** 2), -1, count)
+    vectors: Symbols = ca.reshape(columns, 3, -1)
+    return ca.reshape(ca.sum1(vectors**2), -1, count)

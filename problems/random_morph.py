@@ -5,8 +5,10 @@ Usage: python -m problems.random_morph ROBOTS SEED [--wild] > problem.yaml
 
 from __future__ import annotations
 
+import json
 import math
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -120,6 +122,16 @@ def wild_polygon(n: int, edge: float, rng: np.random.Generator) -> ConvexPolygon
     lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
     corners = edge / np.mean(lengths) * (corners - np.mean(corners, axis=0))
     return ConvexPolygon(corners).rotated(rng.uniform(0.0, 2.0 * math.pi))
+
+
+def irregular_pairs() -> list[dict[str, Any]]:
+    """Return pairs of irregular polygons with n and cable length, whose hitches are certified.
+
+    The hitches have spread legs: fair pairs without roll, wild ones with automatic roll.
+    """
+    path = Path(__file__).with_name("irregular_pairs.json")
+    pairs: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+    return pairs
 
 
 def wild_morph(n: int, seed: int, *, heavy: bool = False) -> dict[str, Any]:

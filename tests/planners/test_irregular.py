@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,12 +12,9 @@ import pytest
 import hitchopt as ho
 from hitchopt import verify
 from hitchopt.planners.optimise.guesses import MIN_EDGE_SHARE, turning_edges, turns
-from problems.random_morph import HEAVY, random_morph, wild_morph
+from problems.random_morph import HEAVY, irregular_pairs, random_morph, wild_morph
 
-PAIRS: list[dict[str, Any]] = json.loads(
-    Path(__file__).with_name("irregular_pairs.json").read_text(encoding="utf-8")
-)
-"""Polygons whose hitches are certified: fair ones without roll, wild ones with automatic roll."""
+PAIRS = irregular_pairs()
 
 EXAMPLE = {
     "n": 4,

@@ -1,0 +1,404 @@
+"""The documentation's page of benchmarks: success and solve times, in tables and two figures.
+
+Usage: python -m benchmarks page [--problems N] [--limit SECONDS] [--again]
+
+Morphs are the pairs of ``problems/irregular_pairs.json``, planned with their ends; rivals get the
+ends and the same processor time at most. Families are those of ``benchmarks.families``. Results are
+stored as they come, in page.jsonl beside the tables: an interrupted run goes on from there, and
+``--again`` begins anew. Failures count as failures and have no times.
+"""
+
+from __future__ import annotations
+
+import datetime
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+
+import hitchopt as ho
+from benchmarks.families import FAMILIES, outcome
+from benchmarks.measuring import ROOT, environment, parser, timed
+from benchmarks.rival import Rival, RivalError
+from hitchopt import verify
+from problems.random_morph import irregular_pairs
+
+if TYPE_CHECKING:
+    from benchmarks.rockit_rival import RockitRival
+
+PAGE = ROOT / "docs" / "benchmarks"
+
+METHODS = {
+    "straight": "`ho.morph`, straight path kept",
+    "routed": "`ho.morph`, routed",
+    "optimised": "`ho.morph(optimize=True)`",
+    "ipopt": "plain casadi and IPOPT, by us, warm",
+    "rockit": "rockit-meco and IPOPT, warm",
+}
+"""Methods and their names on the page."""
+
+SHORT_METHODS = {
+    "straight": "straight",
+    "routed": "routed",
+    "optimised": "optimised",
+    "ipopt": "casadi, IPOPT",
+    "rockit": "rockit, IPOPT",
+}
+"""Names of methods in figures."""
+
+OURS = ("straight", "routed", "optimised")
+
+SHARES = {
+    "C1": ("straight", "routed"),
+    "C2": ("optimised",),
+    "C3": ("ipopt",),
+    "C4": ("rockit",),
+}
+"""Methods by the colours of shares of solved pairs; a pair is flown straight or routed."""
+
+SHIFT = 0.08
+"""Shift of a method's marks from another one's along the axis of robots."""
+
+LABELS = {"solved": "planned and certified", "proven": "also proven by verify"}
+"""Names of shares in figures."""
+
+MAX_RIVAL_ROBOTS = 6
+"""Largest number of robots that rivals get: most larger ones reach the limit of time."""
+
+COLUMNS = [range(3, 5), range(5, 7), range(7, 9), range(9, 13)]
+"""Numbers of robots of the tables' columns."""
+
+SIZES = [*(range(n, n + 1) for n in range(3, 9)), range(9, 13)]
+"""Numbers of robots of the figure's marks."""
+
+MAX_SIZES = 8
+"""Most numbers of robots that a family's row lists."""
+
+SHOWN_FAMILIES = ("form", "carry", "morph", "heavy_morph", "box", "door", "corridor")
+
+LIMITS = (
+    "Limits and tolerances are the defaults; plans are certified for all times. Rivals know no jerk limits or cable clearances, exceed "
+    "limits between their samples by up to {excess:.1f} %, and get {limit:g} s per pair, their programs built before. Failures have no times."
+)
+
+FAMILIES_TEXT = (
+    "Both ends of each problem are certified before it is planned, and none is left out. `form` ties irregular hitches of scattered robots, "
+    "`carry` holds objects by rims or grips, `box`, `door` and `corridor` move single drones; `python -m benchmarks families` draws more."
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of one problem by one method."""
+
+    group: str  # "morph" or "family"
+    method: str  # method, or name of the family
+    index: int  # pair or seed
+    size: int  # number of robots, or of single drones
+    seconds: float  # processor time [s]
+    solved: bool
+    proven: bool = False  # also by ``hitchopt verify``
+    certify: float | None = None  # processor time of the certificate [s]
+    verify: float | None = None  # processor time of ``hitchopt verify`` [s]
+    excess: float | None = None  # of limits between a rival's samples, relative
+    remark: str = ""
+
+
+@dataclass
+class Store:
+    """Results in a file of lines, which is read again by the next run."""
+
+    path: Path
+    results: list[Result] = field(default_factory=list)
+
+    @classmethod
+    def opened(cls, path: Path, *, again: bool) -> Store:
+        """Return the store with the results of earlier runs, or empty."""
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if again or not path.exists():
+            path.write_text("", encoding="utf-8")
+        lines = path.read_text(encoding="utf-8").splitlines()
+        return cls(path, [Result(**json.loads(line)) for line in lines])
+
+    def has(self, method: str, index: int) -> bool:
+        """Return whether a problem has a result by a method."""
+        return any(each.method == method and each.index == index for each in self.results)
+
+    def add(self, result: Result) -> None:
+        """Store and print a result."""
+        self.results.append(result)
+        line = json.dumps(asdict(result))
+        with self.path.open("a", encoding="utf-8") as file:
+            file.write(f"{line}\n")
+        print(line, file=sys.stderr, flush=True)
+
+    def of(self, *methods: str, sizes: Collection[int] | None = None) -> list[Result]:
+        """Return the results of methods, or of their problems of some sizes."""
+        return [
+            each
+            for each in self.results
+            if each.method in methods and (sizes is None or each.size in sizes)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A pair of irregular polygons."""
+
+    data: dict[str, Any]
+
+    def hitch(self, key: str) -> ho.Hitch:
+        """Return the hitch with spread legs at the pair's start or goal."""
+        team = ho.Team(self.data["n"], self.data["cable_length"])
+        return ho.Hitch.spread(team, self.data[key], self.data["altitude"])
+
+    def plan(self, optimize: bool) -> ho.Plan:
+        """Return the plan of the morph, without anything remembered."""
+        ho.forget()
+        return ho.morph(self.hitch("start"), self.data["goal"], optimize=optimize)
+
+    @cached_property
+    def ends(self) -> tuple[ho.Hitch, ho.Hitch]:
+        """Hitches at start and goal, for rivals."""
+        return self.hitch("start"), self.hitch("goal")
+
+
+def planned(pair: Pair, index: int, *, optimize: bool) -> Result:
+    """Return the result of a morph by this package."""
+    n, start_time = pair.data["n"], time.process_time()
+    try:
+        plan = pair.plan(optimize)
+    except ho.InfeasibleError as error:
+        seconds = time.process_time() - start_time
+        method = "optimised" if optimize else "routed"
+        return Result("morph", method, index, n, seconds, False, remark=str(error).splitlines()[0])
+    seconds = time.process_time() - start_time
+    method = "optimised" if optimize else "routed" if plan.phases[0].remark else "straight"
+    certificate, certify_time = timed(lambda: ho.certify(plan.motion))
+    proven, verify_time = proof(plan)
+    return Result(
+        "morph", method, index, n, seconds, certificate.certified, proven, certify_time, verify_time
+    )
+
+
+def proof(plan: ho.Plan) -> tuple[bool, float]:
+    """Return whether ``hitchopt verify`` proves a plan, and its processor time [s]."""
+    with tempfile.TemporaryDirectory() as folder:
+        plan.save(folder, picture=False)
+        rows, seconds = timed(lambda: list(verify.verify(folder)))
+    return all(row.verdict in verify.PASSING for row in rows), seconds
+
+
+@dataclass
+class Rivals:
+    """Rivals by number of robots; the first problem of a size builds its program."""
+
+    limit: float  # [s] Processor time
+    warm: dict[tuple[str, int], Rival | RockitRival] = field(default_factory=dict)
+
+    def of(self, method: str, team: ho.Team) -> Rival | RockitRival:
+        """Return the rival for teams of a size, with its program built."""
+        key = method, team.robots
+        if key not in self.warm:
+            from benchmarks.rockit_rival import RockitRival
+
+            rival = Rival(team, ho.Limits(), ho.Separation(), self.limit)
+            self.warm[key] = rival if method == "ipopt" else RockitRival(rival)
+        return self.warm[key]
+
+    def result(self, method: str, pair: Pair, index: int) -> Result:
+        """Return the result of a rival, solved twice if its program is new."""
+        start, end = pair.ends
+        is_new = (method, start.team.robots) not in self.warm
+        rival, n = self.of(method, start.team), start.team.robots
+        for _ in range(2 if is_new else 1):
+            start_time = time.process_time()
+            try:
+                excess, remark = rival.solve(start, end).excess, ""
+            except RivalError as error:
+                excess, remark = None, str(error)
+            seconds = time.process_time() - start_time
+        solved = excess is not None
+        return Result("morph", method, index, n, seconds, solved, excess=excess, remark=remark)
+
+
+def measure(store: Store, problems: int, limit: float) -> None:
+    """Measure everything that the store lacks."""
+    pairs, rivals = [Pair(data) for data in irregular_pairs()], Rivals(limit)
+    pairs[0].plan(optimize=True)  # imports are not measured
+    for index, pair in enumerate(pairs):
+        if not (store.has("straight", index) or store.has("routed", index)):
+            store.add(planned(pair, index, optimize=False))
+        if not store.has("optimised", index):
+            store.add(planned(pair, index, optimize=True))
+    for method in ("ipopt", "rockit"):
+        for index, pair in enumerate(pairs):
+            if pair.data["n"] <= MAX_RIVAL_ROBOTS and not store.has(method, index):
+                store.add(rivals.result(method, pair, index))
+    for family in SHOWN_FAMILIES:
+        for seed in range(problems):
+            if not store.has(family, seed):
+                store.add(drawn(family, seed))
+
+
+def drawn(family: str, seed: int) -> Result:
+    """Return the result of a problem of a family."""
+    one = outcome(FAMILIES[family](seed), seed)
+    counts = one.size, one.seconds, one.duration is not None, one.proven
+    return Result("family", family, seed, *counts, remark=one.refusal)
+
+
+def count(results: Sequence[Result]) -> str:
+    """Return how many problems were solved, of how many."""
+    return f"{sum(each.solved for each in results)}/{len(results)}"
+
+
+def times(results: Sequence[Result]) -> str:
+    """Return median and 95th percentile of the processor times of solved problems [s]."""
+    seconds = [each.seconds for each in results if each.solved]
+    return quantiles(seconds) if seconds else "–"
+
+
+def quantiles(seconds: Sequence[float]) -> str:
+    """Return the median and the 95th percentile."""
+    return "{:.2g}–{:.2g}".format(*np.percentile(seconds, [50, 95]))
+
+
+def cell(results: Sequence[Result]) -> str:
+    """Return the cell of a method and a number of robots."""
+    return f"{count(results)}: {times(results)}" if results else "–"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a table between empty ones."""
+    lines = [f"| {' | '.join(line)} |" for line in (head, *rows)]
+    return ["", lines[0], "|---" * len(head) + "|", *lines[1:], ""]
+
+
+def morph_rows(store: Store) -> Iterator[Sequence[str]]:
+    """Yield the rows of morphs: methods by number of robots."""
+    for method, name in METHODS.items():
+        by_size = (cell(store.of(method, sizes=sizes)) for sizes in COLUMNS)
+        yield [name, *by_size, cell(store.of(method))]
+
+
+def proof_rows(store: Store) -> Iterator[Sequence[str]]:
+    """Yield the rows of certificates and of ``verify``: processor times by number of robots."""
+    for name in ("certify", "verify"):
+        cells = []
+        for sizes in (*COLUMNS, None):
+            plans = [each for each in store.of(*OURS, sizes=sizes) if each.solved]
+            seconds = [getattr(each, name) for each in plans]
+            cells.append(quantiles(seconds))
+        yield [f"`{name}`", *cells]
+
+
+def family_rows(store: Store) -> Iterator[Sequence[str]]:
+    """Yield the rows of families."""
+    for family in SHOWN_FAMILIES:
+        results = store.of(family)
+        if not results:
+            continue
+        sizes = sorted({each.size for each in results})
+        by_size = [f"{n}:{count(store.of(family, sizes=[n]))}" for n in sizes]
+        proven = sum(each.proven for each in results)
+        cells = [f"`{family}`", count(results), str(proven), times(results)]
+        yield [*cells, " ".join(by_size) if len(sizes) <= MAX_SIZES else "many"]
+
+
+def page(store: Store, limit: float) -> str:
+    """Return the page."""
+    heads = [f"{sizes[0]}–{sizes[-1]}" for sizes in COLUMNS]
+    excesses = [each.excess for each in store.results if each.excess is not None]
+    return "\n".join(
+        [
+            "# Benchmarks",
+            "",
+            f"`python -m benchmarks page` wrote this page on {datetime.date.today()}: {environment(['rockit-meco'])}.",
+            LIMITS.format(limit=limit, excess=100.0 * max(excesses, default=0.0)),
+            "",
+            "## Morphs of irregular pairs",
+            "",
+            "Solved pairs of all: median–95th percentile of the solved ones' processor time [s].",
+            *table(["method \\ n", *heads, "all"], morph_rows(store)),
+            "![Processor time and share of solved pairs over the number of robots, by method](solve_times.png)",
+            "",
+            "Proofs of these plans, likewise [s].",
+            *table(["proof \\ n", *heads, "all"], proof_rows(store)),
+            "(success-rates)=",
+            "## Success rates",
+            "",
+            FAMILIES_TEXT,
+            *table(
+                ["family", "planned", "proven", "time [s]", "planned by n"],
+                family_rows(store),
+            ),
+            "![Shares of planned and proven problems by family](families.png)",
+            "",
+        ]
+    )
+
+
+def draw(store: Store) -> None:
+    """Draw both figures."""
+    mpl.use("agg")
+    from matplotlib import pyplot as plt
+
+    middles = np.array([np.mean(sizes) for sizes in SIZES])
+    figure, (time_axes, share_axes) = plt.subplots(
+        1, 2, figsize=(9.0, 3.4), layout="constrained", width_ratios=(3, 2)
+    )
+    for number, (method, name) in enumerate(SHORT_METHODS.items()):
+        colour, places = f"C{number}", middles + SHIFT * (number - 2)
+        groups = [store.of(method, sizes=sizes) for sizes in SIZES]
+        seconds = [[each.seconds for each in group if each.solved] for group in groups]
+        solved = [k for k, group in enumerate(seconds) if group]
+        medians = np.array([np.median(seconds[k]) for k in solved])
+        highest = np.array([np.percentile(seconds[k], 95) for k in solved])
+        spread = np.stack([np.zeros(len(solved)), highest - medians])
+        style = {"color": colour, "fmt": "o", "capsize": 2}
+        time_axes.errorbar(places[solved], medians, spread, label=name, **style)
+    for colour, methods in SHARES.items():
+        groups = [store.of(*methods, sizes=sizes) for sizes in SIZES]
+        tried = [k for k, group in enumerate(groups) if group]
+        shares = [100.0 * np.mean([each.solved for each in groups[k]]) for k in tried]
+        share_axes.plot(middles[tried], shares, "o-", color=colour)
+    time_axes.set(yscale="log", xlabel="robots n", ylabel="processor time [s]: median, 95 %")
+    share_axes.set(ylim=(0.0, 105.0), xlabel="robots n", ylabel="solved pairs [%]")
+    for axes in (time_axes, share_axes):
+        axes.grid(visible=True, alpha=0.3)
+    figure.legend(loc="outside upper center", ncols=len(METHODS))
+    figure.savefig(PAGE / "solve_times.png", dpi=110)
+    plt.close(figure)
+
+    names = [family for family in SHOWN_FAMILIES if store.of(family)]
+    figure, axes = plt.subplots(figsize=(7.0, 0.5 + 0.4 * len(names)), layout="constrained")
+    for shift, label in ((-0.2, "solved"), (0.2, "proven")):
+        groups = [store.of(family) for family in names]
+        shares = [100.0 * np.mean([getattr(each, label) for each in group]) for group in groups]
+        bars = axes.barh(np.arange(len(names)) + shift, shares, height=0.38, label=LABELS[label])
+        axes.bar_label(bars, fmt="%.0f", padding=2)
+    axes.set(yticks=range(len(names)), yticklabels=names, xlabel="problems [%]", xlim=(0.0, 110.0))
+    axes.invert_yaxis()
+    figure.legend(loc="outside upper center", ncols=2)
+    figure.savefig(PAGE / "families.png", dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Measure what is missing, and write page and figures."""
+    cli = parser(__doc__, problems=40, limit=10.0)
+    cli.add_argument("--again", action="store_true", help="forget results of earlier runs")
+    options = cli.parse_args()
+    store = Store.opened(options.output / "page.jsonl", again=options.again)
+    measure(store, options.problems, options.limit)
+    (PAGE / "index.md").write_text(page(store, options.limit), encoding="utf-8")
+    draw(store)
