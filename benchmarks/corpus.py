@@ -25,7 +25,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from fnmatch import fnmatch
 from functools import partial
@@ -64,8 +64,8 @@ MAX_LISTED = 10
 """Maximum number of differences that are printed for a problem."""
 
 
-def main() -> int:
-    """Plan or compare; return the exit code."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Plan or compare; return the exit code. Arguments are those of the process by default."""
     cli = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -76,7 +76,7 @@ def main() -> int:
     cli.add_argument("--only", nargs="*", default=["*"], help="names such as triangle, 'swarms/*'")
     cli.add_argument("--workers", type=int, default=1, help="problems planned at once")
     cli.add_argument("--tolerance", type=float, default=1e-6, help="largest difference [m], [N]")
-    options = cli.parse_args()
+    options = cli.parse_args(arguments)
     if options.compare is not None:
         a, b = options.compare
         return compare(a, b, options.only, options.tolerance)

@@ -271,13 +271,13 @@ def _trims(flight: ho.RecordedFlight, gains: dict[str, float]) -> dict[str, ho.D
     return {name: drone for name, drone in drones.items() if math.isfinite(drone.trim[0])}
 
 
-def main() -> None:
-    """Print and write the table."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print and write the table. Arguments are those of the process by default."""
     cli = parser(__doc__)
     cli.add_argument("--flights", type=Path, required=True, help="folder of the flights")
     cli.add_argument("--fit", type=Path, help="folder of the flights to fit on")
     cli.add_argument("--json", type=Path, help="file for the figures")
-    options = cli.parse_args()
+    options = cli.parse_args(arguments)
     flights = flights_in(options.flights)
     if not flights:
         cli.error(f"--flights: {options.flights} holds no bag and no uSD log")

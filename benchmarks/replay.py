@@ -17,7 +17,7 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -53,13 +53,16 @@ FILTERS: Mapping[str, EstimatorParameters] = {
 }
 
 
-def main() -> None:
-    """Print the rms tilt of replayed filters from logged and captured attitudes."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the rms tilt of replayed filters from logged and captured attitudes.
+
+    Arguments are those of the process by default.
+    """
     cli = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     cli.add_argument("recording", type=Path, help="logs, in a format of read_flight")
-    flight = read_flight(cli.parse_args().recording)
+    flight = read_flight(cli.parse_args(arguments).recording)
     rows, remarks = list[dict[str, object]](), dict[str, None]()
     for each in replay_filters(flight):
         share = f"{100.0 * each.pull_seen:.0f}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -104,28 +103,27 @@ def test_elevated_coefficients_are_those_of_the_same_polynomial() -> None:
     assert bernstein.evaluate(corpus.elevated(c, 9)[:, None], t) == pytest.approx(values)
 
 
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["corpus", *map(str, arguments)])
-    return corpus.main()
+def run(*arguments: object) -> int:
+    return corpus.main([*map(str, arguments)])
 
 
 @pytest.mark.slow
 def test_problems_are_planned_and_compared(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     names = ("move_vertex", "infeasible/tilt_too_small", "bad/two_robots")
     for folder in "ab":
-        assert run(monkeypatch, "-o", tmp_path / folder, "--only", *names) == 0
+        assert run("-o", tmp_path / folder, "--only", *names) == 0
     assert "move_vertex: exit code 0" in capsys.readouterr().out
     codes = [json.loads((tmp_path / "a" / f"{name}.json").read_text())["exit"] for name in names]
     assert codes == [0, 3, 2]
     with np.load(tmp_path / "a" / "move_vertex.npz") as arrays:
         drones = planned("move_vertex").motion.drones.coefficients
         assert arrays["team/drones"].reshape(drones.shape) == pytest.approx(drones, abs=1e-9)
-    assert run(monkeypatch, "--compare", tmp_path / "a", tmp_path / "b") == 0
+    assert run("--compare", tmp_path / "a", tmp_path / "b") == 0
     assert "equal: 3, within: 0, differs: 0" in capsys.readouterr().out
     (tmp_path / "b" / "bad" / "two_robots.json").unlink()
-    assert run(monkeypatch, "--compare", tmp_path / "a", tmp_path / "b") == 1
-    assert run(monkeypatch, "--compare", tmp_path / "a", tmp_path / "b", "--only", "move*") == 0
+    assert run("--compare", tmp_path / "a", tmp_path / "b") == 1
+    assert run("--compare", tmp_path / "a", tmp_path / "b", "--only", "move*") == 0
     with pytest.raises(SystemExit):
-        run(monkeypatch, "-o", tmp_path / "c", "--package", PROBLEMS)
+        run("-o", tmp_path / "c", "--package", PROBLEMS)

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from refusals import Refusal, assert_refused
 
 import hitchopt as ho
-from hitchopt import api, single_steps
+from hitchopt import single_steps
 from hitchopt.cli import main
 from hitchopt.mission.loading import parse_problem
 from hitchopt.steps import STEPS, Step
@@ -160,19 +160,7 @@ SYNONYMS = {
 }
 
 
-class PlannedError(Exception):
-    """All arguments were accepted."""
-
-
-@pytest.fixture
-def _no_planning(monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object, **__: object) -> None:
-        raise PlannedError
-
-    monkeypatch.setattr(api, "solve_problem", stop)
-
-
-@pytest.mark.usefixtures("place", "_no_planning")
+@pytest.mark.usefixtures("place")
 @pytest.mark.parametrize(
     ("function", "values", "name"),
     ARGUMENTS,

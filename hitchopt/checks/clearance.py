@@ -203,8 +203,10 @@ def pairs_with_shape(
 
 def _obstacles(motion: Motion) -> list[Slab]:
     """Return the slabs of all prisms and objects."""
-    prisms, objects = motion.requirements.keep_out, motion.requirements.objects.values()
-    return [prism.slab for prism in prisms] + [slab for each in objects for slab in each.slabs]
+    slabs = [prism.slab for prism in motion.requirements.keep_out]
+    for body in motion.requirements.objects.values():
+        slabs.extend(body.slabs)
+    return slabs
 
 
 def _objects(motion: Motion) -> Iterator[tuple[str, SolidObject, Enclosed]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import json
 import os
@@ -500,8 +501,8 @@ def test_errors_are_red_and_wrapped_on_a_terminal_only(monkeypatch: pytest.Monke
     monkeypatch.setenv("COLUMNS", "40")
     words = "error: one = 3: must be below 2 at q-leg 0 and at all times; give another"
     for stream in (Terminal(), io.StringIO()):
-        monkeypatch.setattr("sys.stderr", stream)
-        say(words, err=True)
+        with contextlib.redirect_stderr(stream):
+            say(words, err=True)
         assert ("\x1b[31m" in stream.getvalue()) is stream.isatty()
         first, *others = click.unstyle(stream.getvalue()).splitlines()
         assert (len(first) <= 40 and bool(others)) is stream.isatty()
@@ -526,8 +527,8 @@ def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
     long = "transport_object.via none -> [3.5, -2.72, 0.3]"
     messages = (("timing [step 1]",) * 2, (long, "transport_object.via none -> [3…"))
     for stream, (message, words) in product((Terminal, io.StringIO), messages):
-        monkeypatch.setattr("sys.stderr", written := stream())
-        with ProgressBar("planning", 600.0) as progress:
+        written = stream()
+        with contextlib.redirect_stderr(written), ProgressBar("planning", 600.0) as progress:
             progress(message)
         shown = re.sub(r"\x1b\[[\d;]*m", "", written.getvalue())
         for part in (f"{words} ", "0:00:00 of at most 600 s\n"):

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.checks import Certificate, certify, registry
+from hitchopt.checks import registry
 from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, InputError
@@ -59,7 +59,7 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], 
 
 
 def test_a_motion_is_certified_once_and_another_one_again(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
     """Exports ask for the certificate of the very motion, whatever a plan says of it."""
     solved = ho.solve(ho.problem_from_dict(PROBLEM))
@@ -69,18 +69,14 @@ def test_a_motion_is_certified_once_and_another_one_again(
     moved = solved.motion.replaced(vertices=solved.motion.vertices.replaced(late))
     with pytest.raises(CertificateError, match=r"continuity|cable_length|equilibrium"):
         replace(solved, flight=ho.Flight.of(moved)).export("csv", tmp_path / "moved")
-    read, certified = read_plan(tmp_path / "plan" / "plan.npz"), list[ho.Flight]()
-
-    def counting(flight: ho.Flight, *_: object, **__: object) -> Certificate:
-        certified.append(flight)
-        return certify(flight)
-
-    monkeypatch.setattr(registry, "certify", counting)
-    for flight in (solved.flight, read, read):
-        exported(flight, "csv", tmp_path / "files")
-    assert certified == [read]
-    solved.export("csv", tmp_path / "files", stretch=1.1)
-    assert [flight.duration for flight in certified] == [read.duration, 1.1 * read.duration]
+    read = read_plan(tmp_path / "plan" / "plan.npz")
+    exported(read, "csv", tmp_path / "files")
+    evaluated = list[str]()
+    for flight in (solved.flight, read):
+        assert registry.certificate_of(flight, evaluated.append).certified
+    assert evaluated == []
+    registry.certificate_of(read.stretched(1.1), evaluated.append)
+    assert evaluated
 
 
 @pytest.mark.slow

@@ -704,22 +704,18 @@ def test_the_contents_of_a_recording_are_listed(tmp_path: Path) -> None:
     assert list(result.clock_shifts.values()) == pytest.approx(shifts, abs=5e-3)
 
 
-def test_clocks_that_are_minutes_apart_are_set_by_positions(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_clocks_that_are_minutes_apart_are_set_by_positions(tmp_path: Path) -> None:
     """Also if the clock of the recording begins at a boot, as those of logs do."""
-    monkeypatch.setattr(w, "EPOCH", 450.0)
-    result = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", w.rich_sample()))
+    bag = w.write_crazyswarm(tmp_path / "b.bag", w.rich_sample(), epoch=450.0)
+    result = ho.read_flight(bag)
     assert list(result.clock_shifts.values()) == pytest.approx([350.0, 250.0, 150.0], abs=5e-3)
 
 
-def test_all_logs_of_a_drone_are_on_the_clock_that_positions_set(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_logs_of_a_drone_are_on_the_clock_that_positions_set(tmp_path: Path) -> None:
     """Also those whose topics come before the one with positions."""
-    monkeypatch.setattr(w, "LOGS", w.LOGS[::-1])
     flight = w.rich_sample(1)
-    result = ho.read_flight(w.write_crazyswarm(tmp_path / "b.bag", flight))
+    bag = w.write_crazyswarm(tmp_path / "b.bag", flight, logs=w.LOGS[::-1])
+    result = ho.read_flight(bag)
     own, motors = flight.signals["cf3"]["motors"], result.signals["cf3"]["motors"]
     start = result.tracks["cf3"].t[0] - flight.tracks["cf3"].t[0]
     np.testing.assert_allclose(motors.t - start, own.t, atol=5e-3)

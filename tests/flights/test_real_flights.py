@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,22 +38,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def figures(monkeypatch: pytest.MonkeyPatch, folder: Path, *options: str) -> dict[str, Any]:
+def figures(folder: Path, *options: str) -> dict[str, Any]:
     file = folder.parent / "figures.json"
-    arguments = ["real", "--flights", str(folder), "--json", str(file), *options]
-    monkeypatch.setattr(sys, "argv", [*arguments, "-o", str(folder.parent / "results")])
-    real.main()
+    arguments = ["--flights", str(folder), "--json", str(file), *options]
+    real.main([*arguments, "-o", str(folder.parent / "results")])
     content: dict[str, Any] = json.loads(file.read_text("utf-8"))
     return content
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fit", [False, True])
-def test_models_predict_simulated_flights(
-    fit: bool, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_models_predict_simulated_flights(fit: bool, folder: Path) -> None:
     """Flights of a folder are predicted from its others, also if it is named to fit on."""
-    found = figures(monkeypatch, folder, *(["--fit", str(folder)] if fit else []))
+    found = figures(folder, *(["--fit", str(folder)] if fit else []))
     assert found["filter_rms_deg"]["value"] < 0.3
     assert found["filter_rms_deg"]["n"] == 4
     share, replayed = (found[key]["value"] for key in ("pull_seen", "pull_seen_replayed"))
@@ -73,9 +69,9 @@ def test_models_predict_simulated_flights(
 
 @pytest.mark.slow
 def test_what_other_flights_do_not_tell_is_counted(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path,
 ) -> None:
-    found = figures(monkeypatch, folder / "load-0", "--fit", str(folder / "load-0"))
+    found = figures(folder / "load-0", "--fit", str(folder / "load-0"))
     assert found["thrust_without_factors"]["n"] == 2
     assert found["thrust_error"]["value"] == pytest.approx(0.1, abs=0.02)
     assert found["cable_length_rms_mm"] == {"value": None, "standard_error": None, "n": 0}

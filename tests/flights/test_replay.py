@@ -96,8 +96,7 @@ def test_the_command_prints_filters(
 ) -> None:
     logs = w.write_rich_usd(tmp_path / "logs", carried(4.0))
     monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setattr("sys.argv", ["replay", str(logs)])
-    main()
+    main([str(logs)])
     printed = capsys.readouterr().out
     for name in ("stock, one marker", "stock, rigid body", "exported"):
         assert name in printed

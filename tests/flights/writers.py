@@ -401,12 +401,18 @@ LOGS: Any = (("pos", "estimated_position", 1.0), ("pwm", "motors", 65535.0))
 
 
 def write_crazyswarm(
-    path: Path, flight: ho.RecordedFlight, kind: str = "ros1", delay: float = 1.65
+    path: Path,
+    flight: ho.RecordedFlight,
+    kind: str = "ros1",
+    delay: float = 1.65,
+    *,
+    epoch: float = EPOCH,
+    logs: Any = LOGS,
 ) -> Path:
     """Write a bag of crazyswarm or, for sqlite3, crazyswarm2, with what ``flight`` holds.
 
     Logs of position and motors are stamped by a clock of each drone and arrive after ``delay`` [s].
-    Commands are full states if there are commanded velocities.
+    Commands are full states if there are commanded velocities. The bag starts at ``epoch`` [s].
     """
     ros1 = kind == "ros1"
     store = typesys.get_typestore(typesys.Stores["ROS1_NOETIC" if ros1 else "ROS2_HUMBLE"])
@@ -439,7 +445,7 @@ def write_crazyswarm(
                 rest = ros("Vector3", 0.0, 0.0, 0.0)
                 values = pose, ros("Twist", velocity, rest), acceleration
                 topic, type_ = f"/{name}/cmd_full_state", "FullState"
-            yield t, topic, ros(f"{package}/msg/{type_}", header(EPOCH + t), *values)
+            yield t, topic, ros(f"{package}/msg/{type_}", header(epoch + t), *values)
 
     messages = list[tuple[float, str, Any]]()
     for k, (name, track) in enumerate(flight.tracks.items()):
@@ -447,11 +453,11 @@ def write_crazyswarm(
         turned = own["attitude"].at(track.t) if "attitude" in own else [(0.0, 0.0, 0.0, 1.0)] * 9999
         for t, place, turn in zip(track.t.tolist(), track.positions.tolist(), turned, strict=False):
             pose = ros("Transform", ros("Vector3", *place), ros("Quaternion", *map(float, turn)))
-            stamped = ros("TransformStamped", header(EPOCH + t), name, pose)
+            stamped = ros("TransformStamped", header(epoch + t), name, pose)
             messages.append((t, "/tf", ros(TRANSFORMS, [stamped])))
-        for topic, quantity, scale in LOGS:
+        for topic, quantity, scale in logs:
             for t, values in _samples(own.get(quantity)):
-                stamp = header(boot + t) if ros1 else header(EPOCH + t + delay)
+                stamp = header(boot + t) if ros1 else header(epoch + t + delay)
                 clock = [] if ros1 else [round(1e3 * (boot + t))]
                 numbers: Any = np.array(values, np.float64 if ros1 else np.float32) * scale
                 message = ros(f"{package}/msg/{log}", stamp, *clock, numbers)
@@ -461,7 +467,7 @@ def write_crazyswarm(
     for name, track in flight.loads.items():
         for t, place in _samples(ho.Signal(track.t, track.positions)):
             pose = ros("Pose", ros("Point", *place), ros("Quaternion", 0.0, 0.0, 0.0, 1.0))
-            messages.append((t, f"/{name}/pose", ros("PoseStamped", header(EPOCH + t), pose)))
+            messages.append((t, f"/{name}/pose", ros("PoseStamped", header(epoch + t), pose)))
     return write_messages(path, messages, kind, store)
 
 

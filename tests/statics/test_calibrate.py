@@ -72,9 +72,16 @@ def balance_clasps(
 
 
 def flight_between(
-    pair: Pair, density: float, friction: float = 0.0, wind: Wind = (0.0, 0.0)
+    pair: Pair,
+    density: float,
+    friction: float = 0.0,
+    wind: Wind = (0.0, 0.0),
+    stiffness: Array = K,
 ) -> tuple[Task, Recording]:
-    """Return a plan from one hitch to another that neglects the cables' weight, and its flight."""
+    """Return a plan from one hitch to another that neglects the cables' weight, and its flight.
+
+    Drones have a ``stiffness`` (2n,) [N/m].
+    """
     (first, second), team, layout = pair, pair[0].team, pair[0].team.layout
     t = np.arange(round((2.0 * REST_TIME + MOVE_TIME) * RATE) + 1) / RATE
     s = np.clip((t - REST_TIME) / MOVE_TIME, 0.0, 1.0)
@@ -93,7 +100,7 @@ def flight_between(
         rates = np.gradient(np.linalg.norm(drones - points[:, layout.anchors], axis=-1), t, axis=0)
         rates = rates[np.clip(np.arange(len(t)), moving[0], moving[-1])]
     fed_forward = -np.repeat(team.tension, 2)[:, None] * unit(drones - points[:, layout.pulled_to])
-    commanded = drones - (forces + [*wind, 0.0] - fed_forward) / K[:, None]
+    commanded = drones - (forces + [*wind, 0.0] - fed_forward) / stiffness[:, None]
     values: Any = dict.fromkeys((each.name for each in fields(States)), 0.0 * drones)
     values |= {"t": t, "positions": commanded, "cable_forces": fed_forward, "vertices": points}
     values |= {"formed": np.ones(len(t), np.bool_), "tensions": np.tile(team.tension, (len(t), 1))}
@@ -189,8 +196,8 @@ def test_standard_errors_cover_plans_that_know_the_weight(
     corners = 0.8 * np.column_stack([np.cos(angles), np.sin(angles)])
     tensions, k = 0.5 * (1.0 + np.array([0.08, -0.1, -0.06, 0.07, 0.05])), 4.75
     hitch = ho.Hitch.balanced(ho.Team(5, 3.0, tension=tensions), corners, 1.5)
-    monkeypatch.setattr("test_calibrate.K", np.full(10, k))
-    (task, recording), scores = flight_between((hitch, hitch), DENSITY), []
+    flown = flight_between((hitch, hitch), DENSITY, stiffness=np.full(10, k))
+    (task, recording), scores = flown, []
     drones, vertices = recording.drones, recording.vertices
     fed_forward = task.states.cable_forces
     uniform = -0.5 * unit(drones - vertices[:, task.team.layout.pulled_to])  # tensions, to the plan
