@@ -15,8 +15,10 @@ import numpy as np
 import pytest
 from plans import INFEASIBLE, PROBLEMS
 from problem_cases import hitch_start, triangle
+from refusing_steps import problem_of, refusal
 
 import hitchopt as ho
+from hitchopt.errors import UnitWarning
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.changes import (
     change_of,
@@ -29,7 +31,7 @@ from hitchopt.mission.changes import (
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import find_suggestions, fitting_cables
 from hitchopt.mission.solving import contents, solve_problem
-from hitchopt.steps.step import Edit
+from hitchopt.steps.step import Edit, StepPlan, StepTask
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
 
@@ -445,28 +447,25 @@ def test_a_slipping_grip_gets_a_lighter_or_rougher_object(monkeypatch: pytest.Mo
 
 
 def test_searches_end_where_each_change_breaks_another_limit_and_warn_of_no_trial(
-    monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder
+    recwarn: pytest.WarningsRecorder,
 ) -> None:
-    faults, limits = (
-        itertools.cycle(("thrust", "tilt", "load")),
-        {"thrust": 2.6, "tilt": 45.0, "load": 0.4},
-    )
+    broken, speeds = itertools.cycle(("speed", "tilt", "acceleration")), list[float]()
 
-    def refuse(*_: object, **__: object) -> None:
-        name = next(faults)
-        limit = limits[name]
-        fault = ho.Violation(
-            name, 2.0 * limit, limit, "max", "N", ("q0",), "at the start", "lower it"
-        )
-        raise ho.InfeasibleError([fault])
+    class Refused(ho.Hold):
+        """A step that breaks one limit after the other."""
 
-    data = small(mission=[{"hold": {"seconds": 1.0}}], team={"robots": 3, "cable_length": 90.0})
-    problem = problem_from_dict(data)
-    monkeypatch.setattr("hitchopt.mission.repair.solve_problem", refuse)
+        def plan(self, task: StepTask) -> StepPlan:
+            name, limits = next(broken), task.requirements.limits
+            speeds.append(limits.speed)
+            raise refusal(name, getattr(limits, name))
+
+    problem = problem_of(Refused(1.0), speed=60.0)
     with pytest.raises(ho.InfeasibleError) as refused:
-        refuse()
+        ho.solve(problem)
     assert find_suggestions(problem, refused.value, PATIENCE) == ()
     assert not recwarn.list
+    with pytest.warns(UnitWarning):
+        ho.Limits(speed=max(speeds))
 
 
 def test_scaled_outlines_stay_similar_through_all_kinds_of_steps() -> None:
