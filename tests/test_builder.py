@@ -275,7 +275,7 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
             ho.Team,
             "mass",
             "Team() has no argument 'mass'; use one of robots, cable_length, topology, "
-            "cable_density, cable_friction, tension, quadrotor, load, assignment",
+            "cable_density, cable_friction, tension, quadrotor, load, errors, assignment",
         ),
         (ho.Team, "tensoin", "Team() has no argument 'tensoin'; did you mean tension?"),
         (

@@ -22,7 +22,7 @@ TOLERANCE = 1e-9
 GROUPS = {
     "distances": (
         "separation", "cable_clearance", "crossing", "keep_out", "downwash", "object_clearance",
-        "arena", "tracking_radius",
+        "arena", "tracking_radius", "vertex_error",
     ),
     "motion": ("speed", "acceleration", "jerk", "vertex_speed", "body_rate"),
     "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "hinge", "support"),

@@ -15,7 +15,8 @@ from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
 from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
-from hitchopt.checks.tracking import GAMMA
+from hitchopt.checks.tracking import GAMMA, TRACKING_RADIUS
+from hitchopt.checks.vertex_errors import VERTEX_ERROR
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
@@ -53,8 +54,11 @@ RULES = (
 )
 """One rule per check; a new check needs one record and one line here."""
 
-TEAM_REPORTS = (tracking.TRACKING_RADIUS,)
-"""Reports of each team; those of a joined motion follow from those of its parts."""
+PART_REPORTS = (TRACKING_RADIUS,)
+"""Reports of each team whose values of a joined motion follow from those of its parts."""
+
+TEAM_REPORTS = (*PART_REPORTS, VERTEX_ERROR)
+"""Reports of each team."""
 
 FLIGHT_REPORTS = (stops.STOPPABLE,)
 """Reports of whole flights."""
@@ -93,7 +97,7 @@ def certify(
     progress: called with the name of every check at its start, and the number of finished ones.
         With it, reports are evaluated at once, otherwise when they are first read.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
-    reports: reports of the certificate, in addition to those with a limit. Pass TEAM_REPORTS if
+    reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
         ``merged`` computes the others.
 
     Raises
@@ -149,7 +153,7 @@ def certify(
             for flown, results in of_teams:
                 announce(flown, report)
                 checks.append(_label(report.check(flown.motion, results, gamma), flown))
-            if several:
+            if several and report is TRACKING_RADIUS:
                 checks.append(_radius_between_teams(report, flight, between, gamma))
         return worst_of(checks)
 
@@ -266,8 +270,9 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
     def reported() -> Iterator[Check | None]:
         """Yield the checks of all reports."""
         by_name = _by_name(motion, parts, [part.checks for part in parts])
-        for report in TEAM_REPORTS:
+        for report in PART_REPORTS:
             yield worst_of(by_name[report.name])
+        yield VERTEX_ERROR.check(motion, {}, GAMMA)
         for whole in FLIGHT_REPORTS:
             yield whole.check(flight)
 

@@ -213,16 +213,20 @@ class ReportRule:
     name: str
     unit: str
     sense: str
-    evaluate: Callable[[Motion, SpanResults, float], WorstCase]
+    evaluate: Callable[[Motion, SpanResults, float], WorstCase | None]
     limit: Callable[[Requirements], float | None]
     remedy: str
     free_remedy: str
+    assumes_gamma: bool = True
 
-    def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check:
-        """Return the value of one team as a check, which holds without a limit."""
+    def check(self, motion: Motion, results: SpanResults, gamma: float) -> Check | None:
+        """Return the value of one team as a check, which holds without a limit, or None."""
         with np.errstate(all="ignore"):
             worst_case = self.evaluate(motion, results, gamma)
-        return worst_case.check(self, self.limit(motion.requirements), gamma)
+        if worst_case is None:
+            return None
+        assumed = gamma if self.assumes_gamma else None
+        return worst_case.check(self, self.limit(motion.requirements), assumed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -156,6 +156,7 @@ def _plan(
     problem: ho.Problem, text: str, folder: Path, rate: float, limit: float, *, report: bool
 ) -> ho.Plan:
     """Plan, show and write a problem; return its plan."""
+    from hitchopt.checks.vertex_errors import error_in_words
     from hitchopt.exports.directory import certificate_content
     from hitchopt.exports.exporting import tracking_notes
     from hitchopt.storage.archive import PLAN
@@ -166,6 +167,8 @@ def _plan(
     show_places(plan.flight)
     for each in plan.flight.teams:
         _show_models(each.motion.team)
+        if error := error_in_words(each.motion):
+            say(f"{each.name}: {error}" if each.name else error)
     with contained("a note on tracking"):
         for note in tracking_notes(plan.flight):
             say(f"note: {note}")

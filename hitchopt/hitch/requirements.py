@@ -83,6 +83,14 @@ class Limits(OneLine):
             "controllers",
         ),
     ] = None
+    vertex_error: Annotated[
+        float | None,
+        Key(
+            units.VERTEX_ERROR,
+            "Largest error of every vertex at rest, for the worst case of team.errors; null: any, "
+            "which is reported",
+        ),
+    ] = None
     tilt_deg: InitVar[float | None] = field(default=None, kw_only=True)
     body_rate_deg: InitVar[float | None] = field(default=None, kw_only=True)
 

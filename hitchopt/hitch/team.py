@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch.flight_controller import (
+    TRACKING,
     Tube,
 )
 from hitchopt.hitch.quadrotor import GRAVITY, Quadrotor, Quadrotors, kinds_of, quadrotors
@@ -29,8 +30,10 @@ from hitchopt.values import (
 )
 from hitchopt.values.fields import (
     Key,
+    Record,
     documented,
     integers,
+    mapping_of,
     one_or_each,
     store,
     words,
@@ -211,6 +214,32 @@ class Assignment(OneLine):
         )
 
 
+@documented
+@dataclass(frozen=True)
+class Errors(Record):
+    """Largest errors of a team at rest, for the check ``vertex_error``: worst cases.
+
+    Raises
+    ------
+    InputError: a number out of its range.
+    """
+
+    cable_length: Annotated[
+        float, Key(units.LENGTH_ERROR, "Largest error of every cable's length")
+    ] = 0.01
+    drone: Annotated[
+        float | Tube | None,
+        Key(
+            TRACKING,
+            "Largest error of every drone's place, a number, or level and height; null: "
+            "limits.tracking, or that of the drones, or 0.02",
+        ),
+    ] = None
+    friction: Annotated[
+        float, Key(units.FRICTION, "Coefficient of friction that still acts at clasps at rest")
+    ] = 0.0
+
+
 MAX_ROBOTS = 10_000  # Largest number of robots, checked before any memory is allocated
 
 
@@ -283,6 +312,10 @@ class Team(ByValue):
             "closed hitch, the inner points of a chain",
         ),
     ] = field(repr=False)
+    errors: Annotated[
+        Errors | None,
+        Key(mapping_of(Errors), "Largest errors at rest, for ``vertex_error``; null: defaults"),
+    ] = field(repr=False)
     assignment: Assignment | None = field(repr=False, default=None)
 
     def __init__(
@@ -296,9 +329,11 @@ class Team(ByValue):
         tension: float | Sequence[float] | ArrayLike | None = None,
         quadrotor: Quadrotors | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
+        errors: Errors | Mapping[str, Any] | None = None,
         assignment: Assignment | None = None,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
+        store(self, errors=errors)
         n = integer("robots", robots, 2, MAX_ROBOTS)
         length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot", _names("qr", n))
@@ -501,7 +536,10 @@ class Swarm(Team):
         empty.setflags(write=False)
         values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), empty)
         values |= {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
-        values |= {"quadrotor": kinds_of(quadrotor, count, "drone", _names("d", count))}
+        values |= {
+            "quadrotor": kinds_of(quadrotor, count, "drone", _names("d", count)),
+            "errors": None,
+        }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 

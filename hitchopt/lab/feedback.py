@@ -26,9 +26,10 @@ from numpy.typing import ArrayLike
 from hitchopt.checks.spans import positions
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import differences, shortest_offset
+from hitchopt.hitch.energy import energy_of
 from hitchopt.hitch.pairs import SEPARATION, TautBodies, end_combinations, limits_of, scales_of
-from hitchopt.lab.statics.equilibrium import conditions_of, energy_of, samples_of
-from hitchopt.lab.statics.tolerance import responses
+from hitchopt.hitch.rest_errors import responses
+from hitchopt.lab.statics.equilibrium import conditions_of, samples_of
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import HITCHED_STATE, Motion

@@ -22,7 +22,7 @@ from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.quadrotor import MEASURED, Quadrotor
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
@@ -42,6 +42,13 @@ TOLERANCE = 1e-9
 POSITION_TOLERANCE = 1e-6
 """[m] Largest difference of a plan's start, and of the ends of its steps, from the request."""
 
+OMITTED: dict[type, tuple[str, ...]] = {
+    Quadrotor: MEASURED,
+    Team: ("errors",),
+    Limits: ("vertex_error",),
+}
+"""Fields of records that plan files leave out where they are None."""
+
 SLACK = {"request.start": POSITION_TOLERANCE, "request.mission": POSITION_TOLERANCE}
 
 TENSION_SLACK = 1e-4  # [N] Largest excess over a range of tensions, as in the check ``tension``
@@ -57,10 +64,9 @@ def encoded(value: Any) -> Any:
         values = {each.name: getattr(value, each.name) for each in fields(value)}
         if isinstance(value, Team):
             del values["assignment"]  # records of plans have it beside the team
-        if isinstance(value, Quadrotor):
-            absent = [name for name in MEASURED if values[name] is None]
-            values = {name: each for name, each in values.items() if name not in absent}
-        value = values
+        omitted = OMITTED.get(type(value), ())
+        absent = [name for name in omitted if values[name] is None]
+        value = {name: each for name, each in values.items() if name not in absent}
     elif isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):

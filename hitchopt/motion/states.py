@@ -96,8 +96,8 @@ class States(OneLine):
     load_share: Array
     masses: Array
 
-    def __getitem__(self, index: int) -> States:
-        """Return the states of one sample."""
+    def __getitem__(self, index: int | list[int]) -> States:
+        """Return the states of one sample, or of some."""
         return States(*(getattr(self, each.name)[index] for each in fields(self)))
 
     def listed(self, team: Team) -> States:

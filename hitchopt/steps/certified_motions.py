@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import RULE_OF, TEAM_REPORTS
 from hitchopt.checks.rule import CheckRule
-from hitchopt.checks.tracking import TRACKING_RADIUS
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -132,7 +131,7 @@ def infeasible_error(
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
             time_and_step = f"at t = {check.time:.4g} s{step}"
-        rule = RULE_OF.get(check.name, TRACKING_RADIUS)
+        rule = RULE_OF.get(check.name) or next(x for x in TEAM_REPORTS if x.name == check.name)
         is_free = phases and not any(phase.formed for phase in phases)
         remedy = rule.free_remedy if is_free else ""
         if not is_free and isinstance(rule, CheckRule) and len(flight.teams) == 1:

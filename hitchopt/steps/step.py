@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.registry import RULES, TEAM_REPORTS
+from hitchopt.checks.registry import PART_REPORTS, RULES
 from hitchopt.errors import InputError, OneLine, Progress, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -298,7 +298,7 @@ class StepPlan:
     @cached_property
     def certificate(self) -> Certificate:
         """Certificate of the motion alone, without the plan's limit of duration."""
-        return certify(self.motion.untimed, reports=TEAM_REPORTS)
+        return certify(self.motion.untimed, reports=PART_REPORTS)
 
     def replaced(self, motion: Motion, after: RestState) -> StepPlan:
         """Return the plan with another motion and state; the same motion keeps its certificate."""

@@ -157,6 +157,8 @@ DISTANCE = quantity("m", (0.0, 10.0), (0.0, 1e4), LENGTHS)
 OBJECT_RADIUS = quantity("m", (1e-3, 10.0), (TINY, HUGE), LENGTHS, typical=0.2)
 OBJECT_HEIGHT = quantity("m", (-20.0, 20.0), (-HUGE, HUGE), LENGTHS, typical=0.3)
 OBJECT_MASS = quantity("kg", (1e-4, 20.0), (TINY, HUGE), GRAMS)
+VERTEX_ERROR = quantity("m", (1e-3, 2.0), (TINY, 1e4), LENGTHS, typical=0.1)
+LENGTH_ERROR = quantity("m", (0.0, 0.5), (0.0, 1e4), LENGTHS, typical=0.01)
 TRACKING_ERROR = quantity("m", (0.0, 2.0), (0.0, 1e4), LENGTHS, typical=0.05)
 USUAL_OUTLINE = 30.0  # [m] Largest usual coordinate of a polygon of clasps, or of an object
 LENGTH = quantity("m", UNBOUNDED)

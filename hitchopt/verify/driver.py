@@ -21,6 +21,7 @@ from .reading import CONTACT_TOL, DRAWN, LAID, ROLLING, Plan, UnreadableError, r
 from .request import requested
 from .shapes import to_frame
 from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Worst, fault_row, prove, worst_row
+from .statics import vertex_errors
 from .teams import Pair, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
@@ -187,7 +188,7 @@ def plan_rows(p: Plan) -> Iterator[Row]:
     of_bodies = resting, gripped, hinged, clear_objects, clear_held
     for check_of, b in product(of_bodies, range(len(p.bodies))):
         yield from check_of(p, b)
-    yield from (*jumps(p), *interlacing(p))
+    yield from (*jumps(p), *interlacing(p), *vertex_errors(p))
 
 
 def verify(path: str | Path) -> Iterator[Row]:

@@ -63,6 +63,7 @@ TABLE: dict[str, tuple[str, float | None]] = {
     "continuity": ("max", 1e-6),
     "duration": ("max", 9.0),
     "tracking_radius": ("min", None),
+    "vertex_error": ("max", None),
     "stoppable": ("max", None),
 }
 """Checks in their order, with senses and limits."""

@@ -28,6 +28,7 @@ from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import FileError
+from hitchopt.hitch.team import Errors
 from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import CURVES, Motion
 from hitchopt.motion.plan_file import read_plan, read_saved_plan, write_plan
@@ -121,7 +122,10 @@ def controlled() -> Motion:
         for k, kind in enumerate(motion.team.quadrotor)
     )
     load = np.array([0.001, 0.002, 0.003])
-    team = dataclasses.replace(motion.team, cable_friction=0.2, load=load, quadrotor=kinds)
+    errors = Errors(cable_length=0.004, drone=ho.Tube(0.01, 0.02), friction=0.1)
+    team = dataclasses.replace(
+        motion.team, cable_friction=0.2, load=load, quadrotor=kinds, errors=errors
+    )
     team = ho.Assignment((1, 2, 0), (False, True, True)).team(team)
     for field in dataclasses.fields(ho.Team):
         value, default = getattr(team, field.name), getattr(plain, field.name)

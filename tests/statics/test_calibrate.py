@@ -17,11 +17,12 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.energy import energy_of
 from hitchopt.lab.flights.readers import HEADER
 from hitchopt.lab.flights.recordings import Recording, windows_of
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
-from hitchopt.lab.statics.equilibrium import conditions_of, energy_of
+from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.motion.states import States
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array

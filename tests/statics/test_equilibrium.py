@@ -16,10 +16,11 @@ from scipy.optimize import brentq, root
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.energy import INTEGRAL_ERROR, HitchEnergy, energy_of
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.lab.statics.energy import INTEGRAL_ERROR, HitchEnergy
-from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, energy_of, samples_of
-from hitchopt.lab.statics.tolerance import Tolerance, responses, taut_times
+from hitchopt.hitch.rest_errors import responses
+from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, samples_of
+from hitchopt.lab.statics.tolerance import Tolerance, taut_times
 from hitchopt.motion.loads import sags
 from hitchopt.motion.motion import CableState
 from hitchopt.steps.certified_motions import rest_motion
@@ -361,7 +362,7 @@ def gradients(hitch: ho.Hitch, **conditions: Any) -> list[np.ndarray]:
     """Return derivatives of tensions and points by lengths, setpoints and forces."""
     rest, n = settle_hitch(hitch, **conditions), hitch.team.robots
     positions = np.concatenate([rest.drones, rest.vertices[hitch.team.layout.clasps]])
-    matrix = responses(resting_energy(hitch, **conditions), positions[None])
+    matrix = responses(resting_energy(hitch, **conditions), positions[None])[:, : 5 * n]
     return np.split(matrix, [n, 3 * n], axis=1)
 
 

@@ -37,6 +37,7 @@ from scipy.sparse.linalg import splu
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
+from hitchopt.hitch.energy import HitchEnergy, bends_of, energy_of
 from hitchopt.lab.flights.evaluation import evaluate
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import (
@@ -49,8 +50,7 @@ from hitchopt.lab.flights.recordings import (
 )
 from hitchopt.lab.simulation.judgement import TAUT_RATIO
 from hitchopt.lab.simulation.task import Task, read_task
-from hitchopt.lab.statics.energy import HitchEnergy, bends_of
-from hitchopt.lab.statics.equilibrium import conditions_of, energy_of
+from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.storage.archive import PLAN, reading
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path

@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError, Violation
 from hitchopt.geometry.vectors import dot, length, unit
-from hitchopt.hitch import GRAVITY, Quadrotor, Team
-from hitchopt.lab.statics.energy import HitchEnergy
+from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.energy import AXIAL_STIFFNESS, HitchEnergy, energy_of
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
@@ -40,16 +40,9 @@ SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
 # Conditions of position loops by axis; one value per drone is broadcast
 LOOP = ("stiffness", "integral")
 
-# EA of a braided polyethylene line of 1 mm [N]. Without stretch, tensions of rigid drones would be
-# undetermined
-AXIAL_STIFFNESS = 1e4
-
 MAX_RESIDUAL = 1e-6  # Largest force residual of a solution [N]
 BLOCK = 4000  # Cables of all samples that are solved at once, to bound memory
 
-# A cable is slack if a level span of its largest length would sag by more than the chord over
-# this
-SAG_RATIO = 4.0
 SLACK_RATIO = 1e-6  # A cable is slack if its tension over the planned one is below this
 
 
@@ -268,45 +261,6 @@ def samples_of(
         name: np.broadcast_to(v, (*shape, *item_shapes[name])).reshape((-1, *item_shapes[name]))
         for name, v in values.items()
     }
-
-
-def energy_of(
-    team: Team, conditions: Mapping[str, Any], samples: Mapping[str, Array]
-) -> HitchEnergy:
-    """Return the energy of samples, see ``samples_of``."""
-    layout = team.layout
-    clasps = team.drones + np.arange(len(layout.clasps))
-    points = np.zeros(layout.points, dtype=np.intp)
-    points[-1] = team.drones - 1  # ends of a chain are its outer drones
-    points[layout.clasps] = clasps
-    nodes = np.append(points, np.arange(team.drones))[layout.routes]
-    drones, vertices = samples["positions"], samples["vertices"][:, layout.clasps]
-    ends = np.concatenate([drones, vertices], axis=1)[:, nodes]
-    longest = np.max(length(np.diff(ends, axis=2)), axis=-1)
-    weight = GRAVITY * float(conditions["cable_density"])
-    rigid = np.isinf(conditions["stiffness"])
-    loads = np.zeros((len(ends), team.drones + len(clasps), 3))
-    feed_forward = conditions["feed_forward"][:, None] * samples["cable_forces"]
-    loads[:, : team.drones] = samples["forces"] - feed_forward
-    loads[:, team.drones :, 2] = -GRAVITY * conditions["load"]
-    free = np.ones((team.drones + len(clasps), 3), dtype=np.bool_)
-    free[: team.drones] = ~rigid
-    return HitchEnergy(
-        nodes,
-        exist=layout.exists,
-        points=points,
-        free=free,
-        start=np.concatenate([drones + samples["offsets"], vertices], axis=1),
-        stiffness=np.where(rigid, 0.0, conditions["stiffness"]),
-        integral=np.where(rigid, 0.0, conditions["integral"]),
-        loads=loads,
-        lengths=samples["cable_length"],
-        weight=weight,
-        compliance=team.cable_length / conditions["axial_stiffness"],
-        reference=samples["tensions"],
-        heights=0.5 * (ends[:, :, 1, 2] + ends[:, :, 2, 2]),
-        slack_tension=weight * SAG_RATIO / 8.0 * longest,
-    )
 
 
 def _rest(

@@ -1,10 +1,7 @@
 """Ranges of tensions and vertices for unknown errors, over a plan.
 
-Sensitivities need one linear solve with the Hessian each. At rest the gradient of the energy is
-zero for any error p, so ``H dx = -∂gradient/∂p dp``. The derivatives ``A_k`` of a tension by the
-nodes are minus those of the gradient by the length of cable k: ``dx = H⁻¹ A_k dL_k``. Sensitivities
-of outputs follow from the adjoint, ``Y = H⁻¹ B`` for derivatives B of the outputs by the nodes.
-Every output depends on every error, so that time and memory grow with n².
+Sensitivities are those of ``hitchopt.hitch.rest_errors``. Every output depends on every error, so
+that time and memory grow with n².
 
 To first order, tensions and coordinates are linear in the errors: bounds add, standard deviations
 add in squares and count three times. The remainder is estimated: the hitch settles with the errors
@@ -22,12 +19,12 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.lab.statics.energy import HitchEnergy
+from hitchopt.hitch.energy import energy_of
+from hitchopt.hitch.rest_errors import REMAINDER_FACTOR, enclosing_ellipsoids, responses
 from hitchopt.lab.statics.equilibrium import (
     SAMPLED,
     Equilibrium,
     conditions_of,
-    energy_of,
     equilibrium,
     motion_of,
     samples_of,
@@ -46,9 +43,6 @@ CANDIDATES = 20  # Number of candidate times for each of these
 
 TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
 CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are evaluated
-
-# Factor of the largest difference to first order, as errors are worst cases to first order only
-REMAINDER_FACTOR = 2.0
 
 
 @dataclass(frozen=True)
@@ -98,35 +92,6 @@ ERROR_KEYS = {
     "force": Key(ERROR_SIZE, "Error of the force feed-forward [N]", default=0.0),
 }
 """Kinds of errors; defaults are bounds for cables cut to a centimetre, and motion capture."""
-
-
-def responses(energy: HitchEnergy, x: Array) -> Array:
-    """Return derivatives (o, 5n, 3) of tensions and points, o = n + 3 points, by the errors.
-
-    Errors are n lengths, as first components, 2n setpoints, and 2n forces on drones. Nodes x (1,
-    nodes, 3) [m] are those of one sample at rest.
-    """
-    nodes, cables = energy.nodes, np.arange(len(energy.nodes))
-    blocks, tensions, softness = energy.linear(x)
-    count = len(cables) + 3 * len(energy.points)
-    seeds = np.zeros((*x.shape, count))  # outputs by nodes
-    slopes = tensions[0].reshape(-1, 4, 3)
-    slopes[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
-    for k in range(4):  # one by one, as the end of a chain occurs twice
-        seeds[0, nodes[:, k], :, cables] += slopes[:, k]
-    for axis in range(3):
-        seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
-    matrix = energy.matrix(x, blocks)
-    y = energy.solved(matrix, seeds)
-    direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
-    y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
-    pulls = softness[0, :, None] * blocks[0, ..., 12]
-    cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
-    cable[cables, cables] -= softness[0]
-    force, curvature = y[:, : energy.drones], energy.springs(x)[2][0]
-    position = np.where(curvature > 0.0, curvature * force, direct[:, : energy.drones])
-    lengths = np.pad(cable[..., None], ((0, 0), (0, 0), (0, 2)))
-    return np.concatenate([lengths, position, force], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,20 +205,17 @@ def _range(
     n, resolved = motion.team.robots, conditions_of(motion.team, **conditions)
     energy = energy_of(motion.team, resolved, samples_of(motion, rest.t[i], resolved)[1])
     clasps = rest.vertices[i, motion.team.layout.clasps]
-    rows = responses(energy, np.concatenate([rest.drones[i], clasps])[None])
+    rows = responses(energy, np.concatenate([rest.drones[i], clasps])[None])[:, : 5 * n]
     sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
     bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
     spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
     halves = length(rows) @ bound + spread
-    # The sum of ellipsoids E_j lies within (Σ √tr E_j) Σ E_j/√tr E_j, which has the least sum of
-    # squared axes among such bounds. Every bound is one ellipsoid, all deviations are another.
+    # Every bound is one ellipsoid, all deviations are another.
     J = rows[n:].reshape(-1, 3, 5 * n, 3)
     squares = np.einsum("pijc,pkjc->jpik", J, J)
     spreads = np.tensordot(three**2, squares, 1)[None]
     each = np.concatenate([bound[:, None, None, None] ** 2 * squares, spreads])
-    roots = np.sqrt(np.trace(each, axis1=-2, axis2=-1))[..., None, None]
-    shares = np.sum(roots, axis=0) / np.where(roots > 0.0, roots, np.inf)
-    ellipsoids = np.sum(shares * each, axis=0)
+    ellipsoids = enclosing_ellipsoids(each)
     # Worst-case errors of the widest ranges
     widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
     scale = np.where(spread > 0.0, spread, 1.0)[widest, None, None]

@@ -22,6 +22,7 @@ balance, but there is no energy.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,7 +31,18 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch.quadrotor import GRAVITY
+from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
+
+# EA of a braided polyethylene line of 1 mm [N]. Without stretch, tensions of rigid drones would be
+# undetermined
+AXIAL_STIFFNESS = 1e4
+
+# A cable is slack if a level span of its largest length would sag by more than the chord over
+# this
+SAG_RATIO = 4.0
 
 TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
 TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension
@@ -153,7 +165,7 @@ class HitchEnergy:
         energies += np.sum(self.springs(x)[0], axis=(1, 2))
         return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
 
-    def slopes(self, x: Array, friction: float = 0.0) -> Array:
+    def slopes(self, x: Array, friction: float | Array = 0.0) -> Array:
         """Return minus the force on every node (S, nodes, 3) [N], zero for rigid drones."""
         slopes = self.pulls(self.forces(x[:, self.nodes], self.tensions(x), friction)[0])
         slopes[:, : self.drones] += self.springs(x)[1]
@@ -170,13 +182,26 @@ class HitchEnergy:
         energies = 0.5 * k * errors * errors + b * (smoothed - INTEGRAL_ERROR)
         return energies, (k + b / smoothed) * errors, k + b * INTEGRAL_ERROR**2 / smoothed**3
 
+    def bends(self, x: Array) -> Array:
+        """Return angles (S, n, 2) [rad] between each edge and its legs, zero without a leg."""
+        chords, sizes, _ = self.spans(x[:, self.nodes])
+        angles = bends_of(chords / np.where(sizes > 0.0, sizes, 1.0)[..., None])
+        return np.where(self.exist[:, ::2], angles, 0.0)
+
+    def leg_pulls(self, x: Array) -> Array:
+        """Return tensions of legs along them (S, n, 2, 3) [N], toward the end of the cable."""
+        chords, sizes, heights = self.spans(x[:, self.nodes])
+        units = chords / np.where(sizes > 0.0, sizes, 1.0)[..., None]
+        m = self.tensions(x)[..., None] + self.weight * heights
+        return np.asarray((m[..., None] * units)[..., ::2, :])
+
     def pulls(self, at_ends: Any) -> Any:
         """Return minus the forces of cables and loads on nodes (S, nodes, 3) [N]."""
         pulls = -self.loads.astype(at_ends.dtype)
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
         return pulls
 
-    def linear(self, x: Array, friction: float = 0.0) -> tuple[Array, Array, Array]:
+    def linear(self, x: Array, friction: float | Array = 0.0) -> tuple[Array, Array, Array]:
         """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
 
         These are (S, n, 12, 13) of forces by a cable's nodes, with T varying, and by T; (S, n, 12)
@@ -221,7 +246,9 @@ class HitchEnergy:
         displacements[free] = factors.solve(forces.reshape(displacements.shape)[free])
         return displacements.reshape(forces.shape)
 
-    def steps(self, x: Array, damping: Array | float, max_length: float, friction: float) -> Any:
+    def steps(
+        self, x: Array, damping: Array | float, max_length: float, friction: float | Array
+    ) -> Any:
         """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes."""
         slopes = self.slopes(x, friction)
         steps = self.solved(self.matrix(x, self.linear(x, friction)[0], damping), -slopes)
@@ -258,15 +285,15 @@ class HitchEnergy:
             damping = np.where(failed, raised, np.maximum(0.1 * damping, MIN_DAMPING))
         return x
 
-    def rest_with_friction(self, rest: Array, friction: float) -> Array:
+    def rest_with_friction(self, rest: Array, friction: float | Array) -> Array:
         """Return the nodes (S, nodes, 3) [m] at an end of the band; nan without convergence.
 
         ``rest`` are the nodes without friction. A positive coefficient lets legs pull more than
-        edges, a negative one less.
+        edges, a negative one less; it is that of all legs, or of each (S, n, 2).
         """
         x, failed = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
         small = FRICTION_TOLERANCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
-        for share in FRICTION_LEVELS if friction else ():
+        for share in FRICTION_LEVELS if np.any(friction) else ():
             for _ in range(FRICTION_ITERATIONS):
                 steps, slopes = self.steps(x, MIN_DAMPING, MAX_FRICTION_STEP, share * friction)
                 moving = ~failed & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
@@ -277,6 +304,45 @@ class HitchEnergy:
                 failed = failed | moving
                 x = np.where(failed, rest, x)
         return np.where(failed, np.nan, x)
+
+
+def energy_of(
+    team: Team, conditions: Mapping[str, Any], samples: Mapping[str, Array]
+) -> HitchEnergy:
+    """Return the energy of samples, see ``samples_of``."""
+    layout = team.layout
+    clasps = team.drones + np.arange(len(layout.clasps))
+    points = np.zeros(layout.points, dtype=np.intp)
+    points[-1] = team.drones - 1  # ends of a chain are its outer drones
+    points[layout.clasps] = clasps
+    nodes = np.append(points, np.arange(team.drones))[layout.routes]
+    drones, vertices = samples["positions"], samples["vertices"][:, layout.clasps]
+    ends = np.concatenate([drones, vertices], axis=1)[:, nodes]
+    longest = np.max(length(np.diff(ends, axis=2)), axis=-1)
+    weight = GRAVITY * float(conditions["cable_density"])
+    rigid = np.isinf(conditions["stiffness"])
+    loads = np.zeros((len(ends), team.drones + len(clasps), 3))
+    feed_forward = conditions["feed_forward"][:, None] * samples["cable_forces"]
+    loads[:, : team.drones] = samples["forces"] - feed_forward
+    loads[:, team.drones :, 2] = -GRAVITY * conditions["load"]
+    free = np.ones((team.drones + len(clasps), 3), dtype=np.bool_)
+    free[: team.drones] = ~rigid
+    return HitchEnergy(
+        nodes,
+        exist=layout.exists,
+        points=points,
+        free=free,
+        start=np.concatenate([drones + samples["offsets"], vertices], axis=1),
+        stiffness=np.where(rigid, 0.0, conditions["stiffness"]),
+        integral=np.where(rigid, 0.0, conditions["integral"]),
+        loads=loads,
+        lengths=samples["cable_length"],
+        weight=weight,
+        compliance=team.cable_length / conditions["axial_stiffness"],
+        reference=samples["tensions"],
+        heights=0.5 * (ends[:, :, 1, 2] + ends[:, :, 2, 2]),
+        slack_tension=weight * SAG_RATIO / 8.0 * longest,
+    )
 
 
 def bends_of(units: Any) -> Any:

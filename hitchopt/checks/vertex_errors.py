@@ -1,0 +1,127 @@
+"""Check ``vertex_error``: the largest error of a vertex at any rest, for errors of a stated size.
+
+A rest is a time at which the hitch holds nothing, its cables have at least nine tenths of their
+team's tensions, and no drone has a velocity or an acceleration. Errors are the worst case of
+``team.errors``, as ``hitchopt.hitch.rest_errors`` bounds it: the position loops hold the planned
+pulls, and errors of cables, drones and friction are independent and as large as stated.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
+from hitchopt.hitch.rest_errors import KINDS, ErrorSizes, planned_rest, vertex_errors
+from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.states import States, states_at
+from hitchopt.values import Array
+
+AT_REST = 1e-6  # [m/s], [m/s²] Largest velocity and acceleration at rest
+TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
+BEFORE = 1e-9  # [s] Time before the end of a piece at which it is evaluated
+SAME_PLACE = 1e-6  # [m] Largest distance of drones at rests that are evaluated once
+
+
+class RestErrors(NamedTuple):
+    """Errors of vertices at a rest."""
+
+    time: float  # [s]
+    radii: Array  # (points,) [m], largest distances of vertices from their planned places
+    parts: Array  # (points, 3) [m], by cables, drones and friction, to first order
+
+
+def states_at_rests(motion: Motion) -> States | None:
+    """Return the states at all rests of a hitch that holds nothing, one for each of its places.
+
+    Rests are sought at the ends of pieces: motions from rest to rest are joined there. None without
+    a rest; times count from the motion's start.
+    """
+    if not motion.team.has_cables:
+        return None
+    holds = np.array([phase.hold is not None for phase in motion.phases])[motion.phase_of_piece]
+    loaded = np.any(motion.load_share.coefficients != 0.0, axis=(1, 2))
+    empty = motion.in_states(frozenset({CableState.HITCHED})) & ~holds & ~loaded
+    if not np.any(empty):
+        return None
+    start, breaks = motion.drones.breaks[0], motion.drones.breaks
+    ends = np.column_stack([breaks[:-1], breaks[1:] - BEFORE])[empty]
+    states = states_at(motion, ends.ravel() - start)
+    rates = np.stack([states.velocities, states.accelerations])
+    at_rest = np.max(np.abs(rates), axis=(0, 2, 3)) <= AT_REST
+    at_rest &= np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
+    rests = list[int]()
+    for k in np.flatnonzero(at_rest).tolist():
+        moved = np.abs(states.positions[rests] - states.positions[k])
+        if np.all(np.max(moved, axis=(1, 2)) > SAME_PLACE):
+            rests.append(k)
+    return states[rests] if rests else None
+
+
+_ERRORS: WeakKeyDictionary[Motion, list[RestErrors]] = WeakKeyDictionary()
+"""Errors that this process has computed."""
+
+
+def errors_at_rests(motion: Motion) -> list[RestErrors]:
+    """Return the errors of vertices at every rest, in order of time; computed only once."""
+    if motion not in _ERRORS:
+        _ERRORS[motion] = _errors_at_rests(motion)
+    return _ERRORS[motion]
+
+
+def _errors_at_rests(motion: Motion) -> list[RestErrors]:
+    states, team = states_at_rests(motion), motion.team
+    if states is None:
+        return []
+    samples = planned_rest(
+        team, states.positions, states.vertices, states.tensions, states.cable_forces
+    )
+    sizes = ErrorSizes.of(team, motion.requirements.limits.tracking)
+    errors = vertex_errors(team, samples, sizes)
+    times = (motion.drones.breaks[0] + states.t).tolist()
+    return [RestErrors(*each) for each in zip(times, errors.radii, errors.parts, strict=True)]
+
+
+def _worst(motion: Motion) -> tuple[RestErrors, int] | None:
+    """Return the rest with the largest error, and its vertex; None without a rest."""
+    rests = errors_at_rests(motion)
+    if not rests:
+        return None
+    worst = max(rests, key=lambda rest: float(np.max(rest.radii)))
+    return worst, int(np.argmax(worst.radii))
+
+
+def _largest_error(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
+    """Return the largest error [m]; None if the hitch never rests without a load."""
+    if (worst := _worst(motion)) is None:
+        return None
+    rest, vertex = worst
+    return WorstCase(float(rest.radii[vertex]), rest.time, (motion.team.point_names[vertex],))
+
+
+def error_in_words(motion: Motion) -> str:
+    """Return the largest error at rest with its contributions in words; empty without a rest."""
+    if (worst := _worst(motion)) is None:
+        return ""
+    rest, vertex = worst
+    name, radius = motion.team.point_names[vertex], 100.0 * float(rest.radii[vertex])
+    if not np.isfinite(radius):
+        return f"{name}: no rest is found with errors as large as team.errors"
+    parts = zip(KINDS, (100.0 * rest.parts[vertex]).tolist(), strict=True)
+    causes = ", ".join(f"{part:.2g} cm by {kind}" for kind, part in parts if part > 0.0)
+    return f"vertex error: at most {radius:.3g} cm, of {name} at t = {rest.time:.4g} s: {causes}"
+
+
+VERTEX_ERROR = ReportRule(
+    "vertex_error",
+    "m",
+    "max",
+    _largest_error,
+    limit=lambda requirements: requirements.limits.vertex_error,
+    remedy="place drones more accurately (hitchopt calibrate), choose polygons with wider angles, "
+    "or lower team.errors to what was measured",
+    free_remedy="",
+    assumes_gamma=False,
+)

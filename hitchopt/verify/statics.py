@@ -1,0 +1,228 @@
+"""Errors of vertices at rest, for the largest errors of cables, drones and friction."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from .arithmetic import Array, Items, norm
+from .reading import Plan, tube_of
+from .spans import G, Row, Worst, worst_row
+
+AXIAL = 1e4  # [N] stiffness EA of cables to stretch
+STIFFEST = 36.0  # [1/s²] stiffness over mass of a position loop that states none
+DEGREE_OF_TILT = 9.81 * math.pi / 180.0  # [m/s²]
+UNSTATED = 0.02  # [m] error of drones without any statement
+AT_REST = 1e-6  # [m/s], [m/s²]
+USUAL = {"cable_length": 0.01, "drone": None, "friction": 0.0}  # largest errors [m], [m], 1
+TAUT = 0.9  # fraction of the team's tension
+SAME = 1e-6  # [m] of drones at the same rest
+BEYOND = 2.0  # factor of the difference to first order
+LEVELS, ITERATIONS = np.linspace(0.1, 1.0, 10), 30  # of errors, and of Newton's method
+SOLVED = 1e-9  # [m] largest last step
+STEP = 1e-30  # of complex-step derivatives
+
+# Default gains kp of controllers over the mass [1/s²], level and upright; kd of px4 [1/s]
+PER_MASS = {"lee": (7.0, 7.0), "pid": (51.0 * DEGREE_OF_TILT,) * 2, "px4": (1.71, 4.0)}
+MELLINGER = 0.40, 1.25  # [N/m]
+PX4_DAMPING = 1.8, 4.0
+PX4_P, PX4_VELOCITY = ((0.0, 2.0), (0.0, 1.5)), ((1.2, 5.0), (2.0, 15.0))  # level, upright
+
+
+def loop_stiffness(kind: dict[str, Any]) -> Array:
+    """Return the stiffness (3,) [N/m] of a drone's position loop."""
+    name, mass, gains = kind["controller"], kind["mass"], kind["gains"] or {}
+    if name is None:
+        return np.full(3, kind["stiffness"] or STIFFEST * mass)
+    default = MELLINGER if name == "mellinger" else [mass * x for x in PER_MASS[name]]
+    kp = np.array(gains.get("kp") or default, dtype=float)
+    if name == "px4":
+        kd = np.array(gains.get("kd") or [mass * x for x in PX4_DAMPING], dtype=float)
+        kp = (
+            mass
+            * np.clip(kp / kd, *np.transpose(PX4_P))
+            * np.clip(kd / mass, *np.transpose(PX4_VELOCITY))
+        )
+    return np.array([kp[0], kp[0], kp[1]])
+
+
+class Rest:
+    """A hitch at rest as planned, and its balance with errors.
+
+    Unknowns are the places of drones, then of clasps, then the tensions of cables. Errors are n of
+    lengths [m], 3 N of setpoints [m], and 2 n coefficients μ of friction: a leg pulls ``e^{μθ}``
+    times as much as its edge, where the cable bends by θ.
+    """
+
+    def __init__(self, p: Plan, drones: Array, vertices: Array, tensions: Array) -> None:
+        n, N, clasps = p.n, p.N, p.clasps
+        node = np.full(len(vertices), -1)
+        node[clasps] = N + np.arange(len(clasps))
+        node[node < 0] = [0, N - 1][: int(np.sum(node < 0))]  # a chain's ends are drones
+        k = np.arange(n)
+        self.nodes: Items = np.stack([2 * k, node[p.begin - N], node[p.end - N], 2 * k + 1], axis=1)
+        self.exists = np.insert(p.leg.reshape(n, 2), 1, True, axis=1)
+        self.vertices, self.at, self.tensions = vertices, node, tensions
+        self.length, self.weight, self.load = p.length[:, 0], p.weight, G * p.load[:, 0]
+        kinds = p.settings["team"]["quadrotor"]
+        each = np.repeat([loop_stiffness(kind) for kind in kinds], N // len(kinds), axis=0)
+        self.stiffness, self.setpoints = each[p.drone], drones
+        self.planned = np.concatenate([drones, vertices[clasps]])
+        ends = self.planned[self.nodes]
+        self.heights = 0.5 * (ends[:, 1, 2] + ends[:, 2, 2])
+        self.held = np.zeros((N, 3))
+        unknowns = np.concatenate([self.planned.ravel(), tensions])
+        self.held = -self.balance(unknowns, np.zeros(n + 3 * N + 2 * n), np.zeros(2 * n))[
+            : 3 * N
+        ].reshape(N, 3)
+
+    def balance(self, unknowns: Array, errors: Array, bends: Array) -> Array:
+        """Return minus forces on nodes, and excess lengths of cables, for angles (2 n,) of bends.
+
+        Either unknowns or errors may have a leading axis.
+        """
+        n, N = len(self.length), len(self.setpoints)
+        head = unknowns.shape[:-1]
+        x, T = unknowns[..., :-n].reshape(*head, -1, 3), unknowns[..., -n:]
+        lengths = self.length + errors[..., :n]
+        offsets = errors[..., n : n + 3 * N].reshape(*errors.shape[:-1], N, 3)
+        ratios = np.exp(errors[..., n + 3 * N :] * bends).reshape(*errors.shape[:-1], n, 2)
+        ends, w = x[..., self.nodes, :], self.weight
+        chord = np.where(self.exists[..., None], ends[..., 1:, :] - ends[..., :-1, :], 0.0)
+        size = np.sqrt(np.sum(chord * chord, axis=-1))
+        level = chord[..., 0] ** 2 + chord[..., 1] ** 2
+        middle = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
+        m = T[..., None] + w * (middle - self.heights[:, None])
+        # A span's energy is m s - w² s h² / 24 m: its derivatives by the chord and by m
+        bulge = w**2 / (24.0 * m)
+        along = (m - bulge * level) / np.where(self.exists, size, 1.0)
+        pull = along[..., None] * chord
+        pull = pull - (2.0 * bulge * size)[..., None] * chord * np.array([1.0, 1.0, 0.0])
+        of_edges = np.ones(ratios.shape[:-1])
+        pull = pull * np.stack([ratios[..., 0], of_edges, ratios[..., 1]], -1)[..., None]
+        arc = size * (1.0 + bulge / m * level)
+        down = np.zeros(pull.shape, dtype=pull.dtype)
+        down[..., 2] = 0.5 * w * arc
+        shape = np.broadcast_shapes(head, errors.shape[:-1])
+        force = np.zeros((*shape, *x.shape[-2:]), dtype=np.result_type(unknowns, errors))
+        for part in range(3):
+            for end, sign in ((part, -1.0), (part + 1, 1.0)):
+                for k in range(n):
+                    force[..., self.nodes[k, end], :] += (sign * pull + down)[..., k, part, :]
+        force[..., :N, :] += self.stiffness * (x[..., :N, :] - self.setpoints - offsets) + self.held
+        force[..., N:, 2] += self.load
+        stretch = self.length / AXIAL * (T - self.tensions)
+        excess = np.sum(arc, axis=-1) - lengths - stretch
+        return np.concatenate([force.reshape(*shape, -1), excess + np.zeros((*shape, n))], axis=-1)
+
+    def slopes(self, unknowns: Array, errors: Array) -> tuple[Array, Array]:
+        """Return derivatives (unknowns, unknowns) and (unknowns, errors), at constant bends."""
+        bends = self.bends(unknowns)
+        by_unknowns = self.balance(unknowns + 1j * STEP * np.eye(len(unknowns)), errors, bends)
+        by_errors = self.balance(unknowns, errors + 1j * STEP * np.eye(len(errors)), bends)
+        return by_unknowns.imag.T / STEP, by_errors.imag.T / STEP
+
+    def settled(self, errors: Array) -> Array:
+        """Return the unknowns at rest with errors, by Newton's method; nan if it does not end."""
+        unknowns = np.concatenate([self.planned.ravel(), self.tensions])
+        for level in LEVELS:
+            for _ in range(ITERATIONS):
+                slopes = self.slopes(unknowns, level * errors)[0]
+                residual = self.balance(unknowns, level * errors, self.bends(unknowns))
+                try:
+                    step = np.linalg.solve(slopes, -residual)
+                except np.linalg.LinAlgError:
+                    return np.full(len(unknowns), np.nan)
+                moved = float(np.max(np.abs(step[: self.planned.size])))
+                unknowns = unknowns + step * min(1.0, 0.1 / max(moved, SOLVED))
+                if not moved > SOLVED:
+                    break
+            else:
+                return np.full(len(unknowns), np.nan)
+        return unknowns
+
+    def places(self, unknowns: Array) -> Array:
+        """Return the vertices (P, 3) [m]."""
+        return np.asarray(unknowns[: self.planned.size].reshape(-1, 3)[self.at])
+
+    def bends(self, unknowns: Array) -> Array:
+        """Return angles (2 n,) [rad] between legs and edges, 0 without a leg."""
+        chord = np.diff(unknowns[: self.planned.size].reshape(-1, 3)[self.nodes], axis=1)
+        u = chord / np.maximum(norm(chord), STEP)[..., None]
+        cosine = np.clip(np.sum(u[:, 1:] * u[:, :-1], axis=-1), -1.0, 1.0)
+        return np.asarray((np.arccos(cosine) * self.exists[:, ::2]).ravel())
+
+    def radii(self, errors: dict[str, Any], tube: tuple[float, float]) -> Array:
+        """Return bounds (P,) [m] of how far vertices are off, for the largest errors."""
+        n, N = len(self.length), len(self.setpoints)
+        none = np.zeros(n + 3 * N + 2 * n)
+        rest = self.settled(none)
+        by_unknowns, by_errors = self.slopes(rest, none)
+        moves = -np.linalg.solve(by_unknowns, by_errors)[: self.planned.size]
+        moves = moves.reshape(-1, 3, len(none))[self.at]
+        level, height = tube
+        size = np.concatenate(
+            [
+                np.full(n, errors["cable_length"]),
+                np.tile([level, level, max(level, height)], N),
+                np.full(2 * n, errors["friction"]),
+            ]
+        )
+        group = np.concatenate([np.arange(n), n + np.arange(3 * N) // 3, n + N + np.arange(2 * n)])
+        moves = moves * size
+        sums, total = np.zeros((len(moves), 3, 3)), np.zeros(len(moves))
+        for j in range(n + N + 2 * n):
+            part = moves[:, :, group == j]
+            trace = np.sqrt(np.sum(part**2, axis=(1, 2)))
+            scale = np.where(trace > 0.0, trace, 1.0)[:, None, None]
+            sums += part @ part.swapaxes(1, 2) / scale
+            total += trace
+        squares, axes = np.linalg.eigh(total[:, None, None] * sums)
+        first = np.sqrt(squares[:, -1])
+        worst = int(np.argmax(first))
+        push = axes[worst, :, -1] @ moves[worst]
+        sizes = np.sqrt(np.bincount(group, push**2))[group]
+        corner = push / np.where(sizes > 0.0, sizes, 1.0)
+        beyond = 0.0
+        for sign in (1.0, -1.0):
+            at = self.places(self.settled(sign * size * corner)) - self.places(rest)
+            beyond = max(beyond, float(np.max(norm(at - sign * moves @ corner), initial=0.0)))
+            if not np.all(np.isfinite(at)):
+                beyond = math.inf
+        return np.asarray(first + norm(self.places(rest) - self.vertices) + BEYOND * beyond)
+
+
+def rests(p: Plan) -> Iterator[tuple[float, Rest]]:
+    """Yield the times [s] of different rests of a hitch that holds nothing, and the hitches."""
+    places = list[Array]()
+    empty = (p.state == "hitched") & ~np.any(p.held, axis=0)
+    empty &= ~np.any(p.load_share.c[0] != 0.0, axis=(1, 2, 3))
+    for q in np.flatnonzero(empty):
+        for end in (0, -1):
+            drones, speed, rate = (p.points.c[k][q, : p.N, :, end] for k in range(3))
+            T = p.tensions.c[0][q, :, 0, end]
+            still = max(float(np.max(np.abs(speed))), float(np.max(np.abs(rate)))) <= AT_REST
+            if not still or not np.all(TAUT * p.team[:, 0] <= T):
+                continue
+            if all(np.max(np.abs(drones - other)) > SAME for other in places):
+                places.append(drones)
+                at = float(p.breaks[q - end])
+                yield at, Rest(p, drones, p.points.c[0][q, p.V, :, end], T)
+
+
+def vertex_errors(p: Plan) -> Iterator[Row]:
+    """Yield the row of the largest errors of vertices at rest, if they are limited."""
+    limit = p.limits.get("vertex_error")
+    if limit is None or not p.n:
+        return
+    errors: dict[str, Any] = USUAL | (p.settings["team"].get("errors") or {})
+    tracking = p.limits["tracking"] if errors["drone"] is None else errors["drone"]
+    tube = tube_of(UNSTATED if tracking is None else tracking)
+    values = list[Worst]()
+    for time, rest in rests(p):
+        radii = rest.radii(errors, tube)
+        values += zip(radii.tolist(), [time] * len(radii), p.labels[p.V], strict=True)
+    yield worst_row("vertex_error", "m", limit, values)
