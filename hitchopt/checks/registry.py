@@ -283,9 +283,10 @@ def _by_name(
     motion: Motion, parts: Sequence[Certificate], checks: Sequence[Sequence[Check]]
 ) -> dict[str, list[Check]]:
     """Return checks of the parts of a joined motion by name, with times of that motion."""
-    begin, by_name = float(motion.drones.breaks[0]), defaultdict[str, list[Check]](list)
-    for part, own in zip(parts, checks, strict=True):
-        for check in own:
+    begin = float(motion.drones.breaks[0])
+    by_name = defaultdict[str, list[Check]](list)
+    for part, checks_of_part in zip(parts, checks, strict=True):
+        for check in checks_of_part:
             by_name[check.name].append(replace(check, time=begin + check.time))
         begin += part.duration
     return by_name

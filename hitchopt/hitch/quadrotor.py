@@ -281,10 +281,9 @@ def _by_drone(key: str, value: Any) -> Quadrotor | dict[str, Quadrotor]:
     common = {name: each for name, each in value.items() if name not in named}
 
     def own_kind(name: str) -> tuple[str, Quadrotor]:
-        own = {"model": value[name]} if isinstance(value[name], str) else value[name]
-        return name, kind_of(
-            join_key(key, name), common | {**own} if isinstance(own, Mapping) else own
-        )
+        stated = {"model": value[name]} if isinstance(value[name], str) else value[name]
+        merged = common | {**stated} if isinstance(stated, Mapping) else stated
+        return name, kind_of(join_key(key, name), merged)
 
     return {"": kind_of(key, common), **dict(collect(own_kind, named))}
 
@@ -292,9 +291,9 @@ def _by_drone(key: str, value: Any) -> Quadrotor | dict[str, Quadrotor]:
 def _by_drone_schema(definitions: dict[str, Schema]) -> Schema:
     """Add the schema of kinds by drone to definitions; return a reference to it."""
     kind = record_schema(Quadrotor, definitions)
-    own = {"anyOf": [kind, MODEL_NAMES.schema]}
+    kind_or_model = {"anyOf": [kind, MODEL_NAMES.schema]}
     text, keys = "Quadrotors by drone; other keys are common.", definitions["Quadrotor"]
-    options = {"patternProperties": {f"^{DRONE_NAME}$": own}}
+    options = {"patternProperties": {f"^{DRONE_NAME}$": kind_or_model}}
     return mapping_schema("Quadrotors", text, keys["properties"], definitions, options)
 
 

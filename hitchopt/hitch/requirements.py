@@ -311,13 +311,13 @@ class Requirements(ByValue):
 
     def understated_tracking(self, team: Team) -> str:
         """Return a warning of ``limits.tracking`` below a team's own errors; empty without one."""
-        stated, own = self.limits.tube, Tube.of(team.tracking)
-        if stated.level >= own.level and max(stated.height, stated.level) >= own.height:
+        stated, expected = self.limits.tube, Tube.of(team.tracking)
+        if stated.level >= expected.level and max(stated.height, stated.level) >= expected.height:
             return ""
         names = sorted({kind.loop.name for kind in team.quadrotor if kind.loop.name})
         source = f"the gains of {', '.join(names)}" if names else "its drones' measurements"
         return (
-            f"limits.tracking is {stated}, but {source} lead to {own}: larger errors than "
+            f"limits.tracking is {stated}, but {source} lead to {expected}: larger errors than "
             f"limits.tracking are not certified; keep it only if it was measured"
         )
 

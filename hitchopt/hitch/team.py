@@ -127,7 +127,7 @@ def layout_of(robots: int, topology: str) -> Layout:
         points, following, clasps = robots + 1, k + 1, k[1:]
         neighbours = np.clip(k[:, None] + np.arange(-1, 2), 0, robots - 1)
         has_leg[0, 0] = has_leg[-1, 1] = False
-    own = np.column_stack([k, following])
+    edge_ends = np.column_stack([k, following])
     layout = Layout(
         robots=robots,
         points=points,
@@ -137,8 +137,8 @@ def layout_of(robots: int, topology: str) -> Layout:
         ahead=clasps,
         behind=(clasps - 1) % robots,
         has_leg=has_leg,
-        anchors=own.ravel(),
-        pulled_to=np.where(has_leg, own, own[:, ::-1]).ravel(),
+        anchors=edge_ends.ravel(),
+        pulled_to=np.where(has_leg, edge_ends, edge_ends[:, ::-1]).ravel(),
         neighbours=neighbours,
     )
     for value in vars(layout).values():

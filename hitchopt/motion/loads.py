@@ -72,16 +72,17 @@ def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
     """
     data = parse_yaml(problem) if problem else None
     for flown in flight.teams:
-        own, key = flown.motion, f"teams.{flown.name}" if flown.name else "team"
+        motion = flown.motion
+        key = f"teams.{flown.name}" if flown.name else "team"
         section: object = data
         for name in key.split("."):
             section = section.get(name) if isinstance(section, dict) else None
         is_stated = isinstance(section, dict) and "cable_density" in section
-        if is_stated or not np.any(own.formed) or own.team.cable_density > 0.0:
+        if is_stated or not np.any(motion.formed) or motion.team.cable_density > 0.0:
             continue
-        models = [MODELS[kind.model] if kind.model else None for kind in own.team.quadrotor]
-        density = max(USUAL_DENSITY if each is None else each.cable_density for each in models)
-        drop = float(np.max(sags(own, density)))
+        models = [MODELS[kind.model] if kind.model else None for kind in motion.team.quadrotor]
+        density = max(USUAL_DENSITY if model is None else model.cable_density for model in models)
+        drop = float(np.max(sags(motion, density)))
         cables = f"cables of {flown.name}" if flown.name else "cables"
         yield (
             f"{cables} count as weightless; at {1e3 * density:g} g/m vertices would hang "
@@ -96,11 +97,15 @@ def assumption_notes(flight: Flight, problem: str = "") -> Iterator[str]:
     if not isinstance(sections, dict):
         return
     for flown in flight.teams:
-        own = flown.motion
-        for name in dict.fromkeys(p.hold.object for p in own.phases if p.hold is not None):
-            section, body = sections.get(name), own.requirements.objects[name]
-            values = {"mass": f"a mass of {body.mass:g} kg", "friction": f"{body.friction:g}"}
-            values["friction"] = f"a coefficient of friction of {body.friction:g}"
+        motion = flown.motion
+        holds = [phase.hold for phase in motion.phases if phase.hold is not None]
+        for name in dict.fromkeys(hold.object for hold in holds):
+            section = sections.get(name)
+            body = motion.requirements.objects[name]
+            values = {
+                "mass": f"a mass of {body.mass:g} kg",
+                "friction": f"a coefficient of friction of {body.friction:g}",
+            }
             missing = [key for key in values if isinstance(section, dict) and key not in section]
             if missing:
                 assumed = " and ".join(values[key] for key in missing)

@@ -359,8 +359,8 @@ class Motion(OneLine):
     @property
     def untimed(self) -> Motion:
         """The motion without a limit on its duration."""
-        own, untimed = self.requirements, self.requirements.untimed
-        return self if untimed is own else self.replaced(requirements=untimed)
+        untimed = self.requirements.untimed
+        return self if untimed is self.requirements else self.replaced(requirements=untimed)
 
     @property
     def pulls(self) -> PiecewisePolynomial:
@@ -438,8 +438,9 @@ class Motion(OneLine):
         Curves that follow from their sources alone follow from the new ones. Only phases are
         checked: polynomials come from motions that were checked on construction.
         """
-        motion, own = object.__new__(type(self)), vars(self)
-        vars(motion).update({name: own[name] for name in self.__dataclass_fields__} | values)
+        motion = object.__new__(type(self))
+        old_values = {name: vars(self)[name] for name in self.__dataclass_fields__}
+        vars(motion).update(old_values | values)
         for name, sources in SOURCES.items():
             if name not in values and sources & values.keys() and self._is_plain(name):
                 vars(motion)[name] = motion._plain_curve(name)

@@ -95,10 +95,10 @@ def _settings(flight: Flight, title: str, problem: str) -> dict[str, Any]:
 
 def _head(flown: TeamMotion) -> dict[str, Any]:
     """Return a team, or one of an external plan, without its arrays, as JSON values."""
-    own = flown.motion
-    requirements = replace(own.requirements, objects=objects_at(own))
-    phases = with_cables(own.phases, own.team.labels)
-    records = encoded(Records(own.team.of_problem, requirements, phases, own.assignment))
+    motion = flown.motion
+    requirements = replace(motion.requirements, objects=objects_at(motion))
+    phases = with_cables(motion.phases, motion.team.labels)
+    records = encoded(Records(motion.team.of_problem, requirements, phases, motion.assignment))
     for name in PLANNER_ONLY:
         del records["requirements"][name]
     return {"name": flown.name, "plan": flown.plan, "digest": flown.digest, "records": records}

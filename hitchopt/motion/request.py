@@ -336,10 +336,11 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     names = [*motion.requirements.objects]
     pairs = zip(_steps(motion), steps, results, strict=True)
     for i, (phases, requested, result) in enumerate(pairs):
-        flown = [each for each in phases if each.name != WAIT]
-        own = [each for each in flown if not is_settling(each)] or flown
-        result["seconds"] = sum(each.end - each.start for each in own)
-        (low, high), used = requested.get("tension") or (0.0, 0.0), result.get("tension")
+        flown = [phase for phase in phases if phase.name != WAIT]
+        before_settling = [phase for phase in flown if not is_settling(phase)] or flown
+        result["seconds"] = sum(phase.end - phase.start for phase in before_settling)
+        low, high = requested.get("tension") or (0.0, 0.0)
+        used = result.get("tension")
         if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):
             result["tension"] = requested.get("tension")
         if (route := requested.get("route")) is not None:
