@@ -14,7 +14,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
-from hitchopt.hitch.rest_errors import KINDS, ErrorSizes, planned_rest, vertex_errors
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
@@ -72,6 +71,8 @@ def errors_at_rests(motion: Motion) -> list[RestErrors]:
 
 
 def _errors_at_rests(motion: Motion) -> list[RestErrors]:
+    from hitchopt.hitch.rest_errors import ErrorSizes, planned_rest, vertex_errors
+
     states, team = states_at_rests(motion), motion.team
     if states is None:
         return []
@@ -103,6 +104,8 @@ def _largest_error(motion: Motion, _results: SpanResults, _gamma: float) -> Wors
 
 def error_in_words(motion: Motion) -> str:
     """Return the largest error at rest with its contributions in words; empty without a rest."""
+    from hitchopt.hitch.rest_errors import KINDS
+
     if (worst := _worst(motion)) is None:
         return ""
     rest, vertex = worst

@@ -192,7 +192,7 @@ def test_larger_gammas_never_help_and_are_stated() -> None:
     radii = [radius_of(motion, gamma).worst for gamma in (0.0, 0.5, 1.0, 1.5, 3.0)]
     assert radii == sorted(radii, reverse=True)
     certificate = certify(motion, gamma=1.5)
-    *others, entry, _ = certificate.to_dict()["checks"]
+    *others, entry, _, _ = certificate.to_dict()["checks"]
     assert (entry["name"], entry["gamma"], entry["limit"]) == ("tracking_radius", 1.5, None)
     assert entry["holds"] is True
     assert all("gamma" not in other for other in others)
