@@ -2,7 +2,7 @@
 
 A key of a problem file is compared if the file states it and the curves, phases or settings of the
 plan can contradict it: ``STEP_KEYS`` is the table of the keys of steps. Not compared are planners'
-choices and preferences, such as ``optimize``, a word for ``legs``, and the tilt of swaps.
+choices and preferences, such as ``optimize`` and a word for ``legs``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 
 from .arithmetic import POS_TOL, Array, Items, norm, normalize
 from .reading import LAID, TAUT_TOL, Plan
-from .spans import CLASPING, Fault, Row, fault_row
+from .spans import CLASPING, Fault, Row, Spans, fault_row
 
 CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
 PATH_TOL = 1e-3  # [m] largest distance of a path from a point that it passes, between samples
@@ -79,15 +79,26 @@ class Step(NamedTuple):
         return float(self.phases[0]["start"])
 
     @property
-    def seconds(self) -> float:
-        """Duration [s] without swings of drones at its end, in which no vertex moves."""
-        p, own = self.p, list[dict[str, Any]]()
+    def swings(self) -> list[dict[str, Any]]:
+        """Phases in which drones swing and no vertex moves."""
+        p, found = self.p, list[dict[str, Any]]()
         for phase in self.phases:
             on = (p.breaks[:-1] > phase["start"] - CLOSE) & (p.breaks[1:] < phase["end"] + CLOSE)
             moved = np.ptp(p.points.c[0][on][:, p.V], axis=(0, -1)) if np.any(on) else 1.0
-            if phase["name"] != "settle" or np.any(moved > CLOSE):
-                own.append(phase)
-        return float(sum(x["end"] - x["start"] for x in own or self.phases))
+            if phase["name"] == "settle" and not np.any(moved > CLOSE):
+                found.append(phase)
+        return found
+
+    @property
+    def seconds(self) -> float:
+        """Duration [s] without swings of drones at its end."""
+        own = [phase for phase in self.phases if phase not in self.swings]
+        return duration_of(own or self.phases)
+
+
+def duration_of(phases: list[dict[str, Any]]) -> float:
+    """Return the sum of the phases' durations [s]."""
+    return float(sum(phase["end"] - phase["start"] for phase in phases))
 
 
 def unless(wrong: Any) -> float:
@@ -214,21 +225,45 @@ def legs(s: Step, value: Any, _: Mapping[str, Any], end: int = -1) -> Shown:
         chords, asked = p.legs.c[0][piece, ::2, 0, end], np.array(sharing, dtype=float)
         sag = (p.weight / p.team[:, 0]) ** 2 * asked**3 / 24.0  # lengths are longer than chords
         yield from np.maximum(np.abs(chords - asked) - 2.0 * sag, 0.0).tolist()
-    if roll in (None, "auto") or p.weight or np.any(p.load):
-        return
-    points = s.points(end, slice(0, p.V.stop))
-    edges = normalize(points[p.end] - points[p.begin])
-    before, pull = edges[p.behind], normalize(edges[p.behind] - edges[p.clasps])
-    leg = normalize(points[2 * p.clasps] - points[p.begin[p.clasps]])
-    flat, rolled = (x - np.sum(x * pull, 1, keepdims=True) * pull for x in (before, leg))
-    angle = np.arctan2(rolled[:, 2], np.sum(rolled * normalize(flat), axis=1))
-    yield from (angle - np.radians(roll)).tolist()
+    if roll not in (None, "auto"):
+        yield from (rolls(s, end) - np.radians(roll)).tolist()
+
+
+def rolls(s: Step, end: int) -> Array:
+    """Return the angles [rad] from the plane of a clasp's edges to its q-leg, positive upward.
+
+    They are about the sum of both legs' pulls.
+    """
+    p, count, zero = s.p, len(s.p.clasps), np.zeros(len(s.p.clasps))
+    ahead, behind = 2 * p.clasps, 2 * p.behind + 1
+    at = Spans(p, np.full(count, s.pieces[end]), ahead[:, None], zero - end, zero)
+    q, r = (normalize(at.leg_chord(i).v) for i in (ahead, behind))
+    axis = normalize(q * at.pull(ahead).v + r * at.pull(behind).v)
+    bisector = normalize(at.edge(p.clasps)[0].v) + normalize(at.edge(p.behind)[1].v)
+    level, leg = (x - np.sum(x * axis, 1, keepdims=True) * axis for x in (bisector, q))
+    rise = np.sum(leg * np.cross(level, axis), 1)
+    return np.asarray(np.arctan2(rise, np.sum(leg * level, 1)))
+
+
+def settled(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return the difference of the duration of swings, where drones swing [s]."""
+    return duration_of(s.swings) - float(value) if s.swings else 0.0
+
+
+SENSES = {"up": 1, "down": -1, "auto": 0}
+"""Words for which drone of a pair goes up first: q, r or any."""
 
 
 def swap(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Yield by how much pairs turn faster [s], or closer to each other [m], than asked for."""
+    """Yield by how much pairs turn faster [s], or closer [m], or about other axes, than asked for.
+
+    The axis of a pair is normal to the chord of its drones, and tilted upward from the level so
+    that the upper drone passes inside.
+    """
     p, phases = s.p, [x for x in s.phases if x["state"] == CLASPING]
     seconds, radius = value.get("seconds") or 0.0, value.get("radius") or 0.0
+    tilt, stated = value.get("tilt_deg"), value.get("sense", 0)
+    sense = int(SENSES.get(stated, stated))
     yield from (max(seconds - (x["end"] - x["start"]), 0.0) for x in phases)
     on = s.pieces[p.state[s.pieces] == CLASPING]
     c = p.points.c[0][on]
@@ -237,6 +272,15 @@ def swap(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
         turns = np.any(np.ptp(apart, axis=-1) > CLOSE, axis=1)
         nearest = float(np.min(norm(apart[turns, :, 0]), initial=math.inf))
         yield max(radius - nearest, 0.0)
+        chord = normalize(apart[0, :, 0])
+        beside = apart[:, :, -1] - np.outer(apart[:, :, -1] @ chord, chord)
+        highest = beside[np.argmax(norm(beside))]
+        first = beside[np.argmax(norm(beside) > 0.5 * norm(highest))]
+        yield unless(sense * first[2] < 0.0)
+        if tilt is not None:
+            inward = highest[0] * chord[1] - highest[1] * chord[0]
+            up = math.copysign(1.0, highest[2])
+            yield math.atan2(up * inward, up * highest[2]) - math.radians(tilt)
 
 
 def pair(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
@@ -313,6 +357,7 @@ STEP_KEYS: dict[str, Shows] = {
     "assign": assigned,
     "order": order,
     "swap": swap,
+    "settle": settled,
     "form.by": tied_by,
     "move_vertex.to": partial(moved_to, key="vertex", by=0.0),
     "move_vertex.by": partial(moved_to, key="vertex", by=1.0),

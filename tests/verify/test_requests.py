@@ -34,7 +34,27 @@ start:
     q: [[-0.5, -1.2, 0], [-0.5, 0, 0], [-0.5, 1.2, 0]]
     r: [[0.5, -1.2, 0], [0.5, 0, 0], [0.5, 1.2, 0]]
 mission:
-  - form: {polygon: [[0, 0.58], [0.5, -0.29], [-0.5, -0.29]], altitude: 1.2, swap: {radius: 0.15}}
+  - form:
+      polygon: [[0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
+      altitude: 1.2
+      swap: {radius: 0.15, tilt_deg: 50, sense: down}
+"""
+SWUNG = """
+team:
+  robots: 4
+  cable_length: [2.4, 2.5, 2.4, 2.5]
+  cable_density: 0.01
+  cable_friction: 0.15
+  tension: [0.8, 0.8, 0.8, 0.9]
+  quadrotor: paper_132g
+start:
+  hitch:
+    polygon: [[1.5, 1.1], [2.6, 1.0], [2.5, -0.1], [1.5, -0.1]]
+    altitude: 1.5
+    legs: {sharing: [0.65, 0.6, 0.65, 0.6], roll_deg: [8, 5, -3, 8]}
+mission:
+  - adjust: {legs: {sharing: [0.6, 0.6, 0.65, 0.6], roll_deg: [9, 4, -3, 8]}, settle: 6}
+  - adjust: {legs: {sharing: [0.65, 0.6, 0.65, 0.6], roll_deg: 7}, settle: false}
 """
 MOVED = """
 team: {robots: 3, cable_length: [2.4, 2.3, 2.4], tension: 0.5}
@@ -64,14 +84,14 @@ ROLLED, DRUM, BOX = "roll_square", "two_robots_drum", "carry_box"
 
 
 def text_of(name: str) -> str:
-    given = {"tied": TIED, "moved": MOVED}.get(name)
+    given = {"tied": TIED, "moved": MOVED, "swung": SWUNG}.get(name)
     return given or (PROBLEMS / f"{name}.yaml").read_text("utf-8")
 
 
 @cache
 def motion_of(name: str) -> ho.Motion:
     data: Any = parse_yaml(text_of(name))
-    plan: ho.Plan = planned_of(data) if name in ("tied", "moved") else planned(name)
+    plan: ho.Plan = planned_of(data) if name in ("tied", "moved", "swung") else planned(name)
     return plan.motion
 
 
@@ -143,6 +163,17 @@ LIES = [
     lie("tied", "mission 0 form by", "laying"),
     lie("tied", "mission 0 form swap radius", 0.5),
     lie("tied", "mission 0 form swap seconds", 30.0),
+    lie("tied", "mission 0 form swap tilt_deg", 51),
+    lie("tied", "mission 0 form swap tilt_deg", 40),
+    lie("tied", "mission 0 form swap sense", "up"),
+    lie("tied", "mission 0 form swap sense", 1),
+    lie("swung", "start hitch legs roll_deg", [8, 5, -2.99, 8]),
+    lie("swung", "start hitch legs roll_deg", 8),
+    lie("swung", "mission 0 adjust legs roll_deg 0", 9.01),
+    lie("swung", "mission 0 adjust legs roll_deg 2", 3),
+    lie("swung", "mission 0 adjust settle", 5),
+    lie("swung", "mission 0 adjust settle", False),
+    lie("swung", "mission 1 adjust legs roll_deg", -7),
     lie("tied", "mission 0 form legs", [0.5, 0.5, 0.5]),
     lie("lay_hexagon", "mission 1 open_vertex vertex", 0),
     lie("lay_hexagon", "mission 3 close_vertex vertex", 0),
@@ -186,7 +217,7 @@ def test_keys_that_the_plan_contradicts_are_found(
 
 
 @pytest.mark.parametrize(
-    "name", ["moved", "tied", ROLLED, DRUM, "swarms/circle_6", "beside_a_show"]
+    "name", ["moved", "tied", "swung", ROLLED, DRUM, "swarms/circle_6", "beside_a_show"]
 )
 def test_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
     assert found(name, (), None, tmp_path) == []
