@@ -10,10 +10,12 @@ import click
 
 from hitchopt.cli import main
 from hitchopt.cli.output import output
-from hitchopt.errors import InputError
+from hitchopt.errors import FileError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.values.fields import Key
+
+SUFFIXES = (".yaml", ".yml")  # Suffixes of problem files
 
 
 class NonEmptyPath(click.Path):
@@ -182,8 +184,14 @@ def completing(names: Callable[[], Iterable[str]]) -> dict[str, Any]:
 
 
 def plan_path(path: Path) -> Path:
-    """Return the path of the plan in a directory; the path of a plan is returned unchanged."""
+    """Return the path of the plan in a directory; the path of a plan is returned unchanged.
+
+    Raises FileError for a problem file.
+    """
     from hitchopt.storage.archive import PLAN
 
+    if path.suffix in SUFFIXES and path.is_file():
+        remedy = "run hitchopt solve on it, and name the directory that it wrote"
+        raise FileError(f"{path}: a problem, not a plan: {remedy}")
     is_plan = path.is_file() or (path.name == PLAN and not path.is_dir())
     return path if is_plan else path / PLAN

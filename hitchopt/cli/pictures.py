@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import PATH, command, option, plan_path, width_option
+from hitchopt.cli.options import PATH, SUFFIXES, command, option, plan_path, width_option
 from hitchopt.cli.output import ProgressBar, say
-from hitchopt.cli.planning import SUFFIXES
 from hitchopt.errors import FileError, HitchoptError, InputError
 
 if TYPE_CHECKING:

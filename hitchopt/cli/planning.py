@@ -18,7 +18,15 @@ import click
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_code, exit_infeasible, report_error
-from hitchopt.cli.options import PATH, command, completing, option, plan_path, width_option
+from hitchopt.cli.options import (
+    PATH,
+    SUFFIXES,
+    command,
+    completing,
+    option,
+    plan_path,
+    width_option,
+)
 from hitchopt.cli.output import (
     ProgressBar,
     output,
@@ -43,7 +51,6 @@ if TYPE_CHECKING:
     from hitchopt.live.lost import UnsurvivableSpan
     from hitchopt.motion.flight import Flight
 
-SUFFIXES = (".yaml", ".yml")  # Suffixes of problem files
 MIN_SEARCH_TIME = 1e-3  # Minimum time limit of the search for changes [s]
 SEARCH_ENDED = "the search for changes ended at the time limit (--limit)"
 

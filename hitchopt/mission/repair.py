@@ -475,6 +475,6 @@ def _cables_around(problem: Problem, name: str) -> tuple[list[Outline], list[flo
         kind, section, tension = team.quadrotor[0], body.section, float(np.min(team.tension))
         cable = shortest_cable([enclosing_polygon(section, n, gap)], requirements)
         task = GripTask(section, n, cable, tension, team.cable_friction, requirements, kind)
-        return [], [grip_and_cable(task, gap)[1]]
+        return [], [grip_and_cable(task, requirements.separation.object)[1]]
     except HitchoptError:  # nothing is known of the object's polygons
         return [], []

@@ -135,7 +135,8 @@ def _tables(evaluation: ho.Evaluation) -> str:
             "a flight, so averaging over time does not reduce it"
         )
     if fit.names != drones:
-        parts.append("names: " + ", ".join(map("=".join, zip(fit.names, drones, strict=True))))
+        listed = ((fit.names[place], drones[place]) for place in evaluation.task.team.listed)
+        parts.append("names: " + ", ".join(map("=".join, listed)))
     return "\n\n".join(parts)
 
 

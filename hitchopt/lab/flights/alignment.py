@@ -163,9 +163,8 @@ class _Trial:
             if name not in bodies:
                 raise InputError("names", name, f"one of {', '.join(bodies)}", remedy)
             if drone not in drones or list(requested.values()).count(drone) > 1:
-                raise InputError(
-                    f"names.{name}", drone, f"one of {', '.join(drones)}, once", remedy
-                )
+                listed = ", ".join(task.team.listed_names)
+                raise InputError(f"names.{name}", drone, f"one of {listed}, once", remedy)
             b, i = bodies.index(name), drones.index(drone)
             self._allowed[b], self._allowed[:, i] = False, False
             self._allowed[b, i] = True

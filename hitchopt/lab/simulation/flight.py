@@ -562,7 +562,8 @@ def _lost_drone(task: Task, settings: Settings) -> tuple[int, float] | None:
     if lost is None:
         return None
     if lost.drone not in names:
-        raise InputError("lose", lost.drone, f"one of {', '.join(names)}", "name a drone")
+        listed = ", ".join(task.team.listed_names)
+        raise InputError("lose", lost.drone, f"one of {listed}", "name a drone")
     if lost.time >= end:
         raise InputError("lose", lost.time, f"before the flight ends at {end:g} s", "lower it")
     return names.index(lost.drone), lost.time
