@@ -75,7 +75,7 @@ from hitchopt.hitch.catenary import (
     level_length,
 )
 from hitchopt.hitch.pairs import CABLE, DISTANCES, TautBodies
-from hitchopt.motion.loads import held_pieces
+from hitchopt.motion.loads import RIM_CUT, held_pieces
 from hitchopt.motion.motion import (
     CLASPED_STATES,
     FREE_STATES,
@@ -628,8 +628,9 @@ KEEP_OUT = CheckRule(
 def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of taut cables and objects that they do not hold.
 
-    The distance is zero where a cable enters an object that it holds, or the ground. A rim above
-    edges that grip a body bears on no cable.
+    The distance is zero where a cable enters an object that it holds, or the ground, and where it
+    cuts a rim that rests on it higher than RIM_CUT. A rim above edges that grip a body bears on no
+    cable.
     """
     taut = taut_cables(motion)
     part, names, points = taut.part, taut.names, Enclosed(taut.corners)
@@ -651,6 +652,13 @@ def _taut_and_objects(motion: Motion) -> Iterator[Moving]:
             shape = Solid(slab)
             yield pairs_with_shape(
                 motion, points, names, name, shape, pose, active=holding, formula=entry
+            )
+        if each.rim is not None:
+            height = each.rim.height + RIM_CUT
+            bent = held_pieces(motion, name, HoldBy.REST)[:, None] & ~active
+            cut = Solid(Slab(each.rim.section, height, height))
+            yield pairs_with_shape(
+                motion, points, names, name, cut, pose, active=bent, formula=entry
             )
         for slab in each.slabs:
             yield pairs_with_shape(motion, points, names, name, Solid(slab), pose, active=active)
@@ -694,6 +702,22 @@ def beside_or_above(spans: PairSpans, top: float) -> Bound:
     return largest_of([gap(spans), chain_distance(spans, Ground(top))])
 
 
+RIM_REMEDY = (
+    f"keep legs below the rim: they leave it more than {1e3 * RIM_CUT:g} mm above its edge, "
+    "where they bend"
+)
+
+
+def _rim_remedy(motion: Motion, check: Check) -> str:
+    """Return what to do about legs that cut a rim which rests on them; empty for others."""
+    piece = int(np.searchsorted(motion.drones.breaks, check.time, side="right")) - 1
+    piece = min(max(piece, 0), motion.drones.pieces - 1)
+    hold = motion.phases[motion.phase_of_piece[piece]].hold
+    is_rest = hold is not None and hold.by is HoldBy.REST and hold.object in check.where
+    is_holding = any(name in check.where for name in cable_names(motion))
+    return RIM_REMEDY if check.worst == 0.0 and is_rest and is_holding else ""
+
+
 OBJECT_CLEARANCE = CheckRule(
     "object_clearance",
     "m",
@@ -719,6 +743,7 @@ OBJECT_CLEARANCE = CheckRule(
     "it higher, or allow a smaller separation.object",
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
+    remedy_at=_rim_remedy,
     approach=Approach(largest_error, largest_error),
 )
 """Distance of cables and held objects from other objects.

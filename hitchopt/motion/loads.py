@@ -61,6 +61,12 @@ def stated_tensions(motion: Motion) -> Array:
     return stated
 
 
+RIM_CUT = 0.005
+"""[m] Largest height above a rim at which straight legs below it leave its outline.
+
+Legs bend at the rim's edge, by angles of their own; vertices are below it for their mean.
+"""
+
 USUAL_DENSITY = 0.01  # Density of a cord of 4 mm [kg/m], of drones without a model
 
 

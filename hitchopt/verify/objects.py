@@ -28,6 +28,7 @@ from .reading import CONTACT_TOL, DRAWN, EXACT_RANGE, WRAP_TOL, Plan
 from .shapes import Slab, to_frame
 from .spans import MIN_TENSION, G, Row, Spans, prove
 
+RIM_CUT = 0.005  # [m] largest height above a rim at which legs that it bends leave its outline
 HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
 
 
@@ -95,7 +96,8 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
 def clear_held(p: Plan, b: int) -> Iterator[Row]:
     """Prove that cables which hold a body do not enter it, nor the ground.
 
-    Edges touch a body that they grip: ``gripped`` proves how. A rim rests on cables only below it.
+    Edges touch a body that they grip: ``gripped`` proves how. A rim rests on cables only below it,
+    up to RIM_CUT at its edge, which bends their legs.
     """
     body, header = p.bodies[b], "penetration m min"
     held, items = p.holding[b][:, p.segments[:, 2]] & p.taut[:, None], range(len(p.segments))
@@ -105,6 +107,10 @@ def clear_held(p: Plan, b: int) -> Iterator[Row]:
     for slab, on in zip(body.slabs, masks, strict=False):
         s = p.spans(on, items, p.segment_names)
         yield prove(header, WRAP_TOL, s, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
+    if body.rim is not None:
+        s = p.spans(held & p.rest[b][:, None], items, p.segment_names)
+        cut = body.rim.enlarged(0.0, body.height + RIM_CUT, body.height + RIM_CUT)
+        yield prove(header, WRAP_TOL, s, lambda s, j: cut.gap(*s.segment(j, b)))
     s = p.spans(p.held[b], range(len(p.labels)), p.labels)
     yield prove(header, -WRAP_TOL, s, lambda s, i: s.point(i)[2] - p.floor)
 
