@@ -97,6 +97,8 @@ def wild_form(seed: int) -> dict[str, Any]:
             cables = lengths + rng.uniform(WILD_SLACK[0], max(slack, 0.8), n)
         cables = np.round(cables, 2)
         corners = np.round(polygon.vertices, 3).tolist()
+        if not _is_convex(corners):
+            continue
         hitch = {"polygon": corners, "altitude": altitude, "legs": "spread"}
         if is_certified(_team(cables), {"hitch": hitch}):
             order = np.arange(n) if fixed or equal else rng.permutation(n)
@@ -108,6 +110,15 @@ def wild_form(seed: int) -> dict[str, Any]:
         "start": {"drones": start},
         "mission": [{"form": form}],
     }
+
+
+def _is_convex(corners: list[list[float]]) -> bool:
+    """Return whether rounded corners of a polygon are still those of a convex one."""
+    try:
+        ho.ConvexPolygon(corners)
+    except ho.HitchoptError:
+        return False
+    return True
 
 
 def _robots(seed: int, numbers: range) -> int:

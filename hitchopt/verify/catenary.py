@@ -70,6 +70,15 @@ def catenary_depth(L: Array, h: Array, sigma: Array, mu: Array) -> Array:
     return np.asarray((arch - 0.5 * h * np.sinh(mu * sigma)) / np.sinh(sigma) + 0.5 * h * mu)
 
 
+def depth_rate(s: Spans, k: Index, span: Line, sigma: Line) -> Array:
+    """Return bounds (m,) of the rates at which points of cables k move below their chords.
+
+    Points are at fixed μ: depths change by at most ``(L + |h|) / 4`` by σ and ½ by h.
+    """
+    longest = s.plan.length[k, 0] + np.abs(span.v[:, 2]) + span.deviation
+    return np.asarray(0.25 * longest * sigma.rate + 0.5 * span[2].rate)
+
+
 class Links(NamedTuple):
     """A chain that replaces hanging cables: points at fractions of lengths and positions μ.
 
@@ -103,7 +112,7 @@ def catenary_links(s: Spans, k: Index, *distances: float) -> Links:
     low, high = np.sinh(tilt - g), np.sinh(tilt + g)
     slopes = low + shares * (high - low)  # proportional to the length
     places = np.clip((np.arcsinh(slopes) - tilt) / g, -1.0, 1.0)
-    rate = 0.25 * (L + np.abs(h) + span.deviation) * sigma.rate + 0.5 * span[2].rate
+    rate = depth_rate(s, k, span, sigma)
     cable, chord = [], []
     for mu in places:
         depth = catenary_depth(L, h, g, mu)[:, None]
@@ -175,9 +184,19 @@ def shift(s: Spans, k: Index) -> Line:
 
 
 def lowest_height(s: Spans, k: Index) -> Line:
-    """Return heights of the lowest points of hanging cables."""
-    links = catenary_links(s, k)
-    return minimum(*(x[2] for x in links.cable)) - links.sag
+    """Return heights of the lowest points of hanging cables.
+
+    Slopes are ``sinh(μσ + artanh(h / L))``: at the middle of a span the lowest point is where they
+    vanish, or an end. No point at a fixed μ moves faster than the ends of its chord and its depth.
+    """
+    q, r = s.ends(k)
+    span, sigma = catenary(s, 2 * k)
+    L, h, g = s.plan.length[k, 0], span.v[:, 2], sigma.v[:, 0]
+    lowest_place = np.clip(-np.arctanh(h / L) / g, -1.0, 1.0)
+    chord_height = q.v[:, 2] + 0.5 * (1.0 + lowest_place) * h
+    height = chord_height - catenary_depth(L, h, g, lowest_place)
+    rate = np.maximum(q[2].rate, r[2].rate) + depth_rate(s, k, span, sigma)
+    return Line(height[:, None], s.zero.g, rate, s.t)
 
 
 def above_floor(s: Spans, k: Index) -> Line:

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from plans import PROBLEMS, planned
+from scipy.optimize import brentq
 
 import hitchopt as ho
 from hitchopt import verify as second
@@ -209,6 +210,37 @@ def test_values_and_slopes_stay_within_their_bounds(formula: str, width: float) 
         assert not np.any(far > found.deviation * (1.0 + 1e-9) + 1e-12)
         if width == 0.001:  # and they are of use
             assert np.median(found.deviation / np.maximum(far, 1e-9)) < 1.5
+
+
+@pytest.mark.parametrize("length", [0.2, 1.05, 4.6])
+def test_lowest_points_of_hanging_cables_are_found_exactly(length: float) -> None:
+    """Short spans are compared with ``y = a cosh(x / a)``, whose length sets ``a``."""
+
+    def surplus(a: float, width: float, arc: float) -> float:
+        return float(2.0 * a * np.sinh(0.5 * width / a) - arc)
+
+    rng = np.random.default_rng(7)
+    tried = rng.uniform([0.02, -0.9, -3.0], [0.9, 0.9, 3.0], (12, 3))
+    for share, steepness, bottom in tried:
+        height = steepness * length  # of the end r over the end q
+        width = share * np.sqrt(length**2 - height**2)
+        points = np.zeros((1, 2, 3, 6))
+        points[0, 0] = np.array([1.3, -0.4, bottom])[:, None]
+        points[0, 1] = points[0, 0] + np.array([0.8 * width, -0.6 * width, height])[:, None]
+        plan: Any = SimpleNamespace(
+            h=np.ones(1), breaks=np.arange(2.0), length=np.full((1, 1), length)
+        )
+        plan.points = Curve(points, plan.h)
+        first = np.zeros(1, dtype=int)
+        s = Spans(plan, first, first[:, None], np.full(1, 0.5), np.full(1, 1e-3))
+        arc = np.sqrt(length**2 - height**2)
+        a = brentq(surplus, width / 60.0, 1e3 * width, args=(width, arc))
+        middle = a * np.arctanh(height / length)  # of both ends, from the lowest point
+        ends = middle + 0.5 * width * np.array([-1.0, 1.0])
+        drop = a * np.cosh(ends[0] / a) - a * np.cosh(np.clip(0.0, *ends) / a)
+        lowest = catenary.lowest_height(s, first)
+        assert lowest.v[0, 0] == pytest.approx(bottom - drop, abs=1e-6)
+        assert lowest.low[0] == pytest.approx(bottom - drop, abs=1e-5)
 
 
 @WIDE
