@@ -4,7 +4,9 @@ Usage: python -m benchmarks families [FAMILY ...] [--problems N] [--first SEED]
 
 Families: ``form``, irregular hitches tied from scattered robots; ``carry``, objects held by rims or
 grips, half of them beside a table; ``morph`` and ``heavy_morph``, irregular hitches into each
-other; ``box``, ``door`` and ``corridor``, single drones in tight boxes, through doors and past each
+other; ``past_post``, ``past_team`` and ``tube``, such morphs past a post, past another team that
+stays or crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of two cables;
+``box``, ``door`` and ``corridor``, single drones in tight boxes, through doors and past each
 other. Both ends of every problem are certified at rest before it is planned, and none is left out
 afterwards.
 """
@@ -18,6 +20,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +33,14 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Rim, Section
 from hitchopt.planners.carrying.polygons import EDGE_MARGIN, GripTask, rest_polygons
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
-from problems.random_morph import WILD_EDGE, WILD_SLACK, is_certified, wild_morph, wild_polygon
+from problems.random_morph import (
+    WILD_EDGE,
+    WILD_SLACK,
+    is_certified,
+    random_convex_polygon,
+    wild_morph,
+    wild_polygon,
+)
 from problems.swarm import random_box, random_corridor, random_door
 
 LIMITATIONS = (
@@ -344,11 +354,155 @@ def wild_pair(seed: int, *, heavy: bool = False) -> dict[str, Any]:
     return wild_morph(_robots(seed, FORM_ROBOTS), seed, heavy=heavy)
 
 
+TRAVEL_GAP = 0.4
+"""Gap between a post or another team midway and the hitch at its ends [m]."""
+
+POST_HALF_WIDTH = 0.1
+"""Half the width of a post in the way of a morph [m]."""
+
+MAX_POST_OFFSET = 0.3
+"""Largest distance of a post from the line between the centres of both polygons [m]."""
+
+WAITING = {"polygon": [[0.0, 0.75], [0.65, -0.375], [-0.65, -0.375]], "altitude": 1.5}
+"""Hitch of the team that stays or crosses."""
+
+WAITING_TEAM = {"robots": 3, "cable_length": 2.0}
+"""The team that stays or crosses."""
+
+WAITING_REACH = 1.5
+"""Reach of that team from its middle [m]."""
+
+LEVEL_ERRORS, HEIGHT_ERRORS = (0.005, 0.03), (0.005, 0.06)
+"""Tracking errors of a tube, horizontal and vertical, least and most [m]."""
+
+
+def travelling(seed: int, half_width: float) -> dict[str, Any]:
+    """Return a wild morph eastwards past the origin, where something is about so wide [m]."""
+    problem = wild_pair(seed)
+    start, morph = problem["start"]["hitch"], problem["mission"][0]["morph"]
+    cable = problem["team"]["cable_length"]
+    for outline, side in ((start, -1.0), (morph, 1.0)):
+        polygon = ho.ConvexPolygon(outline["polygon"])
+        corners = polygon.vertices - polygon.centroid
+        reach = float(np.max(np.linalg.norm(corners, axis=1)))
+        reach += cable - float(np.min(polygon.edge_lengths))
+        away = reach + half_width + TRAVEL_GAP
+        outline["polygon"] = np.round(corners + [side * away, 0.0], 3).tolist()
+    return problem
+
+
+def past_post(seed: int) -> dict[str, Any]:
+    """Return a wild morph past a post on its way."""
+    offset = np.random.default_rng([seed, 3]).uniform(-MAX_POST_OFFSET, MAX_POST_OFFSET)
+    post = {
+        "outline": (POST_HALF_WIDTH * RECTANGLE).tolist(),
+        "to": 4.0,
+        "at": [0.0, round(float(offset), 3), 0.0],
+        "fixed": True,
+    }
+    return {**travelling(seed, POST_HALF_WIDTH), "objects": {"post": post}}
+
+
+def past_team(seed: int) -> dict[str, Any]:
+    """Return a wild morph past another team, which stays, or crosses from south to north."""
+    problem = travelling(seed, WAITING_REACH)
+    step = {"a": problem["mission"][0], "b": {"hold": {"seconds": 1.0}}}
+    waiting = np.array(WAITING["polygon"])
+    if seed % 2:
+        away = np.array([0.0, 3.0])
+        waiting, goal = waiting - away, waiting + away
+        step["b"] = {"morph": {"polygon": goal.tolist()}}
+    hitch = {**WAITING, "polygon": waiting.tolist()}
+    return {
+        "teams": {"a": problem["team"], "b": WAITING_TEAM},
+        "start": {"a": problem["start"], "b": {"hitch": hitch}},
+        "mission": [step],
+    }
+
+
+def wild_tube(seed: int) -> dict[str, Any]:
+    """Return a wild morph of drones that track their places within a tube."""
+    rng = np.random.default_rng([seed, 4])
+    level = round(float(rng.uniform(*LEVEL_ERRORS)), 3)
+    height = round(max(level, float(rng.uniform(*HEIGHT_ERRORS))), 3)
+    limits = {"limits": {"tracking": {"level": level, "height": height}}}
+    while True:
+        problem = {**wild_morph(_robots(seed, FORM_ROBOTS), seed), **limits}
+        goal = {**problem["start"]["hitch"], "polygon": problem["mission"][0]["morph"]["polygon"]}
+        ends = problem["start"], {"hitch": goal}
+        if all(is_certified(problem["team"], end, limits) for end in ends):
+            return problem
+        seed += len(FORM_ROBOTS) * 1000
+
+
+def many(seed: int) -> dict[str, Any]:
+    """Return a morph between irregular polygons of 20 or 24 robots, with evened angles."""
+    n = MANY_ROBOTS[seed % len(MANY_ROBOTS)]
+    rng = np.random.default_rng([n, seed, 5])
+    while True:
+        edges = rng.uniform(*MANY_EDGE, 2)
+        polygons = [random_convex_polygon(n, edge, rng, MANY_JITTER) for edge in edges]
+        longest = max(float(np.max(polygon.edge_lengths)) for polygon in polygons)
+        team = {"robots": n, "cable_length": round(longest + float(rng.uniform(0.45, 1.0)), 2)}
+        start, goal = (
+            {"polygon": np.round(polygon.vertices, 6).tolist(), "altitude": 1.5, "legs": "spread"}
+            for polygon in polygons
+        )
+        if is_certified(team, {"hitch": start}) and is_certified(team, {"hitch": goal}):
+            return {
+                "team": team,
+                "start": {"hitch": start},
+                "mission": [{"morph": {"polygon": goal["polygon"]}}],
+            }
+
+
+MANY_ROBOTS = (20, 24)
+"""Numbers of robots of large hitches."""
+
+MANY_EDGE = (1.1, 1.6)
+"""Mean edge of a large hitch, least and most [m]."""
+
+MANY_JITTER = 0.2
+"""Jitter of the vertices of a large hitch."""
+
+
+def wild_chain(seed: int) -> dict[str, Any]:
+    """Return a morph of two cables with one clasp, from any bend to any other by any turn."""
+    rng = np.random.default_rng([seed, 6])
+    while True:
+        ends = list[list[list[float]]]()
+        for _ in range(2):
+            arms, heading = rng.uniform(0.6, 1.6, 2), rng.uniform(0.0, 2.0 * math.pi)
+            bend = rng.uniform(math.radians(15.0), math.radians(150.0))
+            first = arms[0] * np.array([math.cos(heading), math.sin(heading)])
+            second = arms[1] * np.array([math.cos(heading - bend), math.sin(heading - bend)])
+            clasp = rng.uniform(-MAX_CHAIN_SHIFT, MAX_CHAIN_SHIFT, 2)
+            ends.append(np.round([clasp - first, clasp, clasp + second], 3).tolist())
+        longest = max(math.dist(*edge) for outline in ends for edge in pairwise(outline))
+        cable = round(longest + float(rng.uniform(0.45, 1.2)), 2)
+        team = {"robots": 2, "topology": "open", "cable_length": cable}
+        hitches = [{"polygon": each, "altitude": 1.5, "legs": "spread"} for each in ends]
+        if all(is_certified(team, {"hitch": hitch}) for hitch in hitches):
+            return {
+                "team": team,
+                "start": {"hitch": hitches[0]},
+                "mission": [{"morph": {"polygon": ends[1]}}],
+            }
+
+
+MAX_CHAIN_SHIFT = 0.5
+"""Largest coordinate of the clasp of two cables [m]."""
+
 FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "form": wild_form,
     "carry": wild_carry,
     "morph": wild_pair,
     "heavy_morph": partial(wild_pair, heavy=True),
+    "past_post": past_post,
+    "past_team": past_team,
+    "tube": wild_tube,
+    "many": many,
+    "chain": wild_chain,
     "box": random_box,
     "door": random_door,
     "corridor": random_corridor,
@@ -369,7 +523,8 @@ class Outcome(NamedTuple):
 def outcome(data: dict[str, Any], seed: int) -> Outcome:
     """Return the outcome of a problem, planned alone and then proven."""
     problem = ho.problem_from_dict(data)
-    size = data["team"].get("robots", data["team"].get("drones", 0))
+    team = data["team"] if "team" in data else data["teams"]["a"]
+    size = team.get("robots", team.get("drones", 0))
     ho.forget()
     start_time = time.process_time()
     try:

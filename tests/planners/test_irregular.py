@@ -105,6 +105,14 @@ def test_a_refusal_names_limit_and_place_of_the_best_route_tried() -> None:
     assert "the step's own route is infeasible: convexity" in caught.value.note
 
 
+@pytest.mark.parametrize(("robots", "seed", "longest"), [(6, 4, 7.9), (8, 7, 4.9)])
+def test_a_faster_path_that_the_certificate_rejects_leaves_the_one_before(
+    robots: int, seed: int, longest: float
+) -> None:
+    """Its drones come closer than allowed between samples, by a thousandth at most."""
+    assert planned(pair_of(wild_morph(robots, seed))).duration < longest
+
+
 BLUNT = {
     "start": [[-0.83, -0.223], [-0.341, 0.04], [-0.214, 0.085], [0.052, 0.151], [1.332, -0.053]],
     "goal": [[0.423, -1.272], [0.104, -1.221], [-1.043, 1.199], [-0.494, 1.53], [1.0, -0.515]],

@@ -79,6 +79,10 @@ Of 13 pairs all refinements that succeeded had more after the second step, or ga
 MAX_FASTEST_STEPS = 12
 """Maximum number of steps from a feasible path to faster ones."""
 
+MAX_JUDGED = 4
+"""Maximum number of faster paths that are judged, which samples found feasible: distances between
+samples may fall short by a thousandth."""
+
 LEG_PERTURBATION = 0.05
 """Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
 robots of regular polygons move alike up to saddle points, as all rows are linear."""
@@ -387,8 +391,9 @@ def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
                     break
                 continue
         shorter = _shortened(path, tight)
-        for each in dict.fromkeys([shorter, path]):
-            motion = _judged(each.path, search.judge)
+        tried = [path, *shorter[-MAX_JUDGED:]]
+        for feasible_path in reversed(tried):
+            motion = _judged(feasible_path.path, search.judge)
             if motion is not None:
                 return motion
     search.rejected.append(path)
@@ -408,8 +413,8 @@ def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool
     return moved, False
 
 
-def _shortened(path: KnotPath, search: SearchLimits) -> KnotPath:
-    """Return the last feasible path of repeated steps from a feasible one to faster ones.
+def _shortened(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
+    """Return the feasible paths of repeated steps from a feasible one, each faster than the last.
 
     Steps go on from infeasible paths too, whose distances the next step restores. When they gain no
     more, the last feasible path is kept, and the stride is halved.
@@ -419,6 +424,7 @@ def _shortened(path: KnotPath, search: SearchLimits) -> KnotPath:
         SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True),
     )
     best, shortest, programs = path, _estimate(path, requirements), 0
+    faster = list[KnotPath]()
     while step.stride >= MIN_STRIDE:
         faster_but_infeasible, last = False, math.inf
         for moved in iterates(best, search, step, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS):
@@ -429,13 +435,14 @@ def _shortened(path: KnotPath, search: SearchLimits) -> KnotPath:
                 faster_but_infeasible = not feasible
                 if feasible:
                     best, shortest = moved, estimate
+                    faster.append(moved)
             if estimate > (1.0 - MIN_STEP_GAIN) * last or programs >= MAX_FASTEST_STEPS:
                 break
             last = estimate
         if not faster_but_infeasible or programs >= MAX_FASTEST_STEPS:
             break
         step = replace(step, stride=0.5 * step.stride)
-    return best
+    return faster
 
 
 def _most_feasible(paths: list[KnotPath], requirements: Requirements) -> KnotPath:
