@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from commands import TRIANGLE, refused, run
+from plans import PROBLEMS
 
 import hitchopt as ho
 from hitchopt.cli import main
@@ -164,3 +165,11 @@ def test_a_plan_with_a_title_of_control_characters_is_refused(place: Path, plan:
     assert words.exit_code == 2
     assert "printable text on one line" in words.stderr
     assert "\x1b" not in words.output + words.stderr
+
+
+@pytest.mark.parametrize("command", ["check", "verify", "simulate", "abort", "statics", "report"])
+def test_a_problem_file_is_called_no_plan(command: str) -> None:
+    path = PROBLEMS / "triangle.yaml"
+    run = CliRunner().invoke(main, [command, str(path)])
+    assert run.exit_code == 2
+    assert f"{path}: a problem, not a plan: run hitchopt solve on it" in run.output

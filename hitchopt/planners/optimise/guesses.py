@@ -138,7 +138,7 @@ def _closing_lengths(sides: Array, lengths: Array, shortest: Array) -> Array | N
     nearest: Array = lengths - (sides @ np.linalg.solve(across @ sides, gap))[..., 0]
     if np.all(nearest >= shortest):
         return nearest
-    inner, size = sp.block_diag(list(across[1:-1])), lengths[1:-1].size
+    inner, size = sp.block_diag([sp.csc_array(each) for each in across[1:-1]]), lengths[1:-1].size
     closed = np.zeros(inner.shape[0])
     program = QuadraticProgram(
         sp.csc_array(sp.eye_array(size)),
