@@ -432,6 +432,9 @@ def _flat(body: Any) -> dict[str, Any]:
     return {**body, **body["section"]} if body else {}
 
 
+LEFT_OUT = "errors", "vertex_error"  # keys that plans leave out if the problem states none
+
+
 def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
     """Return whether the settings of a plan have another value of a key than a problem states."""
     name = NAMES.get(key, key.removesuffix("_deg"))
@@ -440,7 +443,7 @@ def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
     if name == "tracking" and isinstance(own.get(name), int | float):
         own = {name: {"level": own[name], "height": own[name]}}
     if name not in own or value is None:
-        return False
+        return value is not None and name in LEFT_OUT
     if isinstance(value, dict):
         return any(contradicts(x, y, own[name] or {}) for x, y in value.items())
     if isinstance(value, str):

@@ -22,6 +22,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.verify import verify
 from hitchopt.verify.reading import read
+from hitchopt.verify.request import contradicts
 from hitchopt.verify.statics import rests
 
 DRAWS = 200
@@ -305,3 +306,14 @@ def test_both_bounds_agree_for_every_loop(
     for rest, (_, other) in zip(own, rests(plans[0]), strict=True):
         # Pulls of a plan differ from those of statics by terms of the sag, which move soft loops
         assert other.radii(errors, tube) == pytest.approx(rest.radii, abs=1e-4)
+
+
+def test_a_plan_that_leaves_out_the_stated_limit_or_errors_contradicts_its_request() -> None:
+    settings = {"speed": 1.0, "vertex_error": 0.06}
+    assert not contradicts("vertex_error", 0.06, settings)
+    assert contradicts("vertex_error", 0.05, settings)
+    assert contradicts("vertex_error", 0.05, {"speed": 1.0})
+    assert not contradicts("vertex_error", None, {"speed": 1.0})
+    assert contradicts("errors", {"drone": 0.01}, {"robots": 3})
+    assert contradicts("errors", {"drone": 0.01}, {"errors": {"drone": 0.02, "friction": 0.0}})
+    assert not contradicts("errors", {"drone": 0.01}, {"errors": {"drone": 0.01, "friction": 0.0}})
