@@ -68,6 +68,15 @@ SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
 LOWERING_SIZES = tuple(size / (1.0 + size) for size in (*SIZES, 9.0))
 """Relative sizes of changes that lower a quantity towards zero, by the same factors."""
 
+COARSE_SIZES = (0.1, 0.25, 0.6, 1.5)
+"""Relative sizes of changes of problems whose plans take long."""
+
+COARSE_LOWERING = tuple(size / (1.0 + size) for size in COARSE_SIZES)
+"""The same of changes that lower a quantity towards zero."""
+
+QUICK_SHARE = 0.2
+"""Share of the time for small changes: if none succeeds in it, COARSE_SIZES are tried."""
+
 SIZE_DECIMALS = 6  # Decimals within which sizes tie
 RESOLUTION = 0.005  # Tolerance of the bisection, relative to the new value
 
@@ -160,15 +169,16 @@ class _Search:
     ) -> None:
         self._problem, self._error, self._progress, self._end = problem, error, progress, end
         self._max_changes, self._already_changed = max_changes, already_changed
-        self._half = 0.5 * (time.monotonic() + end)  # end of the search for single changes
+        start = time.monotonic()
+        self._half = 0.5 * (start + end)  # end of the search for single changes
+        self._quick_end = start + QUICK_SHARE * (end - start)  # end of that for small ones
         self._broken, self._faults = broken_constraints(error), _faults(error)
         self._errors, self._verdicts = dict[str, InfeasibleError](), dict[Any, Verdict]()
         self._partial: list[Change] = []  # changes that repair all faults but cause others
 
     def _verdict_of(self, change: Change | None, *, optimiser: bool = False) -> Verdict | None:
         """Return the verdict of a change; None if time is up."""
-        succeeded = any(isinstance(each, Suggestion) for each in self._verdicts.values())
-        combines = self._partial and not succeeded and self._max_changes > 1
+        combines = self._partial and not self._succeeded and self._max_changes > 1
         end = self._half if combines else self._end
         if change is None or time.monotonic() >= end or time_left() <= 0.0:
             return None
@@ -176,6 +186,16 @@ class _Search:
         if key not in self._verdicts:
             self._verdicts[key] = self._evaluate(change, optimiser)
         return self._verdicts[key]
+
+    @property
+    def _succeeded(self) -> bool:
+        """Whether a change has led to a certified plan."""
+        return any(isinstance(each, Suggestion) for each in self._verdicts.values())
+
+    def _quick_verdict_of(self, change: Change | None) -> Verdict | None:
+        """Return the verdict of a change; None if none has succeeded in the time of small ones."""
+        in_time = self._succeeded or time.monotonic() < self._quick_end
+        return self._verdict_of(change) if in_time else None
 
     def _evaluate(self, change: Change, optimiser: bool) -> Verdict:
         if self._progress is not None:
@@ -237,7 +257,7 @@ class _Search:
         suggestions += self._fitted(knobs)
         done = {(each.change.key, each.change.relative > 0.0) for each in suggestions}
         sufficient = [knob for knob in sufficient if (knob.key, knob.sign > 0) not in done]
-        suggestions += _smallest_changes(problem, sufficient, self._verdict_of)
+        suggestions += self._single_changes(sufficient)
         if broken <= OBSTACLE_CHECKS and max_changes and len(suggestions) < MAX_SUGGESTIONS:
             verdicts = map(self._verdict_of, detour_changes(problem, error.violations))
             suggestions += [each for each in verdicts if isinstance(each, Suggestion)][:1]
@@ -247,6 +267,15 @@ class _Search:
         if not suggestions and max_changes > (0 if changed else 1):
             suggestions = self._combinations(knobs)
         return _smallest(suggestions)
+
+    def _single_changes(self, knobs: Sequence[Knob]) -> list[Suggestion]:
+        """Return suggestions of single changes, by coarser sizes if plans take long."""
+        suggestions = _smallest_changes(self._problem, knobs, self._quick_verdict_of)
+        if suggestions or time.monotonic() < self._quick_end:
+            return suggestions
+        self._half = self._end  # combined changes would take even longer
+        evaluate = partial(self._verdict_of, optimiser=True)  # as the problem itself was planned
+        return _smallest_changes(self._problem, knobs, evaluate, coarse=True)
 
     def _rerouted(self, knobs: Sequence[Knob]) -> list[Suggestion]:
         """Return suggestions with which the optimiser finds a route, one per quantity."""
@@ -342,7 +371,12 @@ def _faults(error: InfeasibleError) -> dict[tuple[str, int], tuple[float, float]
 
 
 def _smallest_changes(
-    problem: Problem, knobs: Sequence[Knob], evaluate: Evaluator, count: int = MAX_SUGGESTIONS
+    problem: Problem,
+    knobs: Sequence[Knob],
+    evaluate: Evaluator,
+    count: int = MAX_SUGGESTIONS,
+    *,
+    coarse: bool = False,
 ) -> list[Suggestion]:
     """Return at most ``count`` of the smallest changes of knobs that succeed.
 
@@ -351,7 +385,7 @@ def _smallest_changes(
     suggestions, spent, failed = list[Suggestion](), set[int](), [x.min_size for x in knobs]
     trials, last = list[tuple[float, int, float]](), 0.0
     for i, knob in enumerate(knobs):
-        for size in _sizes(knob):
+        for size in _sizes(knob, coarse=coarse):
             rank = size_of(knob.sign * size, is_factor=knob.extent is None)
             trials.append((0.0 if size == knob.min_size else rank, i, size))
     for rank, i, size in sorted(trials):
@@ -374,9 +408,10 @@ def _smallest_changes(
     return suggestions
 
 
-def _sizes(knob: Knob) -> list[float]:
+def _sizes(knob: Knob, *, coarse: bool) -> list[float]:
     """Return the sizes to try in order, from the minimum size on if it is known."""
-    sizes = SIZES if knob.sign > 0 or knob.extent else LOWERING_SIZES
+    raising, lowering = (COARSE_SIZES, COARSE_LOWERING) if coarse else (SIZES, LOWERING_SIZES)
+    sizes = raising if knob.sign > 0 or knob.extent else lowering
     larger = [size for size in sizes if size > knob.min_size] or [2.0 * knob.min_size]
     trials = [knob.min_size, *larger] if knob.min_size else larger
     return sorted({min(size, knob.max_size) for size in trials})
