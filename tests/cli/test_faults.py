@@ -74,7 +74,7 @@ def test_a_fault_leaves_the_changes_that_were_found() -> None:
     with pytest.warns(FaultWarning, match="on two lines"):
         (found,) = ho.suggestions(brittle_problem(FaultError("on\ntwo lines")))
     assert found.change.key == "limits.speed"
-    assert found.change.new > 1.05 * NEEDED_SPEED  # it is not narrowed down
+    assert float(found.change.new) > 1.05 * NEEDED_SPEED  # it is not narrowed down
 
 
 DRAWING, NOTES = "hitchopt.view.pictures.draw_summary", "hitchopt.plan.weightless_notes"
