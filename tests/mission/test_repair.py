@@ -20,6 +20,7 @@ from refusing_steps import problem_of, refusal
 import hitchopt as ho
 from hitchopt.errors import UnitWarning
 from hitchopt.hitch.team import Assignment
+from hitchopt.mission import repair
 from hitchopt.mission.changes import (
     change_of,
     knobs_of,
@@ -106,6 +107,20 @@ def test_faults_of_beginners_are_repaired(name: str) -> None:
     suggestions = ho.suggestions(problem_from_dict(BEGINNERS[name]["problem"]), PATIENCE)
     assert suggestions, BEGINNERS[name]["faults"]
     assert_as_suggested(BEGINNERS[name]["problem"], suggestions[0])
+
+
+def test_coarser_changes_are_tried_where_small_ones_take_too_long(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(repair, "QUICK_SHARE", 0.0)
+    tried, data = list[str](), BEGINNERS["cables_of_lead"]["problem"]
+    problem = problem_from_dict(data)
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.solve(problem)
+    suggestions = find_suggestions(problem, caught.value, PATIENCE, tried.append)
+    assert_as_suggested(data, suggestions[0])
+    changes = [line.partition("(all cables, ")[2] for line in tried]
+    assert [each for each in changes if each] == ["+10 %)", "+25 %)", "+60 %)"]
 
 
 def test_shallow_cables_at_the_start_are_lengthened_or_their_drones_moved_together() -> None:
@@ -498,6 +513,7 @@ TEAM = ho.Team(
     cable_friction=0.05,
     quadrotor=[ho.Quadrotor(0.1 + 0.01 * k, 2.0 + 0.1 * k, 4.0 + k, k == 1) for k in range(4)],
     load=[0.001, 0.002, 0.003],
+    errors={"cable_length": 0.004},
 )
 """No field is its default; those per robot all differ."""
 
