@@ -163,7 +163,6 @@ def _plan(
     problem: ho.Problem, text: str, folder: Path, rate: float, limit: float, *, report: bool
 ) -> ho.Plan:
     """Plan, show and write a problem; return its plan."""
-    from hitchopt.checks.vertex_errors import error_in_words
     from hitchopt.exports.directory import certificate_content
     from hitchopt.exports.exporting import tracking_notes
     from hitchopt.storage.archive import PLAN
@@ -174,8 +173,7 @@ def _plan(
     show_places(plan.flight)
     for each in plan.flight.teams:
         _show_models(each.motion.team)
-        if error := error_in_words(each.motion):
-            say(f"{each.name}: {error}" if each.name else error)
+    _show_vertex_errors(plan.flight)
     with contained("a note on tracking"):
         for note in tracking_notes(plan.flight):
             say(f"note: {note}")
@@ -184,6 +182,15 @@ def _plan(
     content = certificate_content(plan.flight, plan.certificate, folder / PLAN)
     say(f"certified; the plan is in {folder}", directory=str(folder), certificate=content)
     return plan
+
+
+def _show_vertex_errors(flight: ho.Flight) -> None:
+    """Report how far vertices of each team may be off at rest, and by what."""
+    from hitchopt.checks.vertex_errors import error_in_words
+
+    for each in flight.teams:
+        if error := error_in_words(each.motion):
+            say(f"{each.name}: {error}" if each.name else error)
 
 
 def _show_models(team: ho.Team) -> None:
@@ -313,6 +320,7 @@ def check(
         certificate = ho.Certificate(certificate.duration, (*certificate.checks, share))
         record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, flight, certificate)
+    _show_vertex_errors(flight)
     record(certificate=certificate_content(flight, certificate, path))
     for span in unsurvivable:
         say(f"{span.drone}, {span.start:.4g} s to {span.end:.4g} s: {span.reason}")
