@@ -8,7 +8,7 @@ pulls, and errors of cables, drones and friction are independent and as large as
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,6 +17,9 @@ from hitchopt.checks.rule import ReportRule, SpanResults, WorstCase
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import States, states_at
 from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.hitch.rest_errors import ErrorSizes
 
 AT_REST = 1e-6  # [m/s], [m/s²] Largest velocity and acceleration at rest
 TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
@@ -65,13 +68,17 @@ _ERRORS: WeakKeyDictionary[Motion, list[RestErrors]] = WeakKeyDictionary()
 
 def errors_at_rests(motion: Motion) -> list[RestErrors]:
     """Return the errors of vertices at every rest, in order of time; computed only once."""
+    from hitchopt.hitch.rest_errors import ErrorSizes
+
     if motion not in _ERRORS:
-        _ERRORS[motion] = _errors_at_rests(motion)
+        sizes = ErrorSizes.of(motion.team, motion.requirements.limits.tracking)
+        _ERRORS[motion] = errors_of_sizes(motion, sizes)
     return _ERRORS[motion]
 
 
-def _errors_at_rests(motion: Motion) -> list[RestErrors]:
-    from hitchopt.hitch.rest_errors import ErrorSizes, planned_rest, vertex_errors
+def errors_of_sizes(motion: Motion, sizes: ErrorSizes) -> list[RestErrors]:
+    """Return the errors of vertices at every rest for errors of other sizes than the team's."""
+    from hitchopt.hitch.rest_errors import planned_rest, vertex_errors
 
     states, team = states_at_rests(motion), motion.team
     if states is None:
@@ -79,7 +86,6 @@ def _errors_at_rests(motion: Motion) -> list[RestErrors]:
     samples = planned_rest(
         team, states.positions, states.vertices, states.tensions, states.cable_forces
     )
-    sizes = ErrorSizes.of(team, motion.requirements.limits.tracking)
     errors = vertex_errors(team, samples, sizes)
     times = (motion.drones.breaks[0] + states.t).tolist()
     return [RestErrors(*each) for each in zip(times, errors.radii, errors.parts, strict=True)]

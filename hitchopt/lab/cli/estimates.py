@@ -211,6 +211,12 @@ def calibrate(
         lengths=[vars(estimate) for estimate in calibration.lengths],
         stiffness=[vars(estimate) for estimate in calibration.stiffness],
         friction=vars(calibration.friction),
+        trims=calibration.at_rests.trims,
+        errors=vars(calibration.errors),
+        vertex_error={
+            "planned": calibration.planned_vertex_error,
+            "calibrated": calibration.vertex_error,
+        },
         notes=list(calibration.recording.notes),
     )
     if output is not None:
@@ -269,8 +275,11 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
         (f"length of cable {k} [m]", x, team.cable_length[k])
         for k, x in enumerate(calibration.lengths)
     ]
+    per_kind = team.drones // len(calibration.stiffness)
     for k, estimate in enumerate(calibration.stiffness):
-        estimates.append((f"stiffness of q{k}, r{k} [N/m]", estimate, team.stiffness[2 * k, 0]))
+        names = ", ".join(team.drone_names[per_kind * k : per_kind * (k + 1)])
+        stated = team.stiffness[per_kind * k, 0]
+        estimates.append((f"stiffness of {names} [N/m]", estimate, stated))
     estimates.append(("friction", calibration.friction, team.cable_friction))
     rows, remarks = [], []
     for name, estimate, planned in estimates:
@@ -286,7 +295,32 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     distances = [{"of": name, "distance": spread_text(Spread.of(x))} for name, x in columns]
     title = "Errors [cm], mean ± standard deviation (largest)"
     remarks += [f"note: {note}" for note in calibration.recording.notes]
-    return "\n\n".join([table("Estimates", rows), *remarks, table(title, distances)]) + "\n"
+    tables = [table("Estimates", rows), *remarks, *_rest_tables(calibration)]
+    return "\n\n".join([*tables, table(title, distances)]) + "\n"
+
+
+def _rest_tables(calibration: ho.Calibration) -> list[str]:
+    """Return the table of trims, and the sentence on errors at rest; nothing without a rest."""
+    at_rests, team = calibration.at_rests, calibration.task.team.of_problem
+    if not len(at_rests.t):
+        return []
+    errors = at_rests.trim_errors
+    rows = [
+        {
+            "drone": name,
+            "trim [cm]": known_text(*(100.0 * at_rests.trims[k])),
+            "± [cm]": known_text(100.0 * errors[k]) if math.isfinite(errors[k]) else "one rest",
+            "in the plan [cm]": known_text(*(100.0 * at_rests.flown_trims[k])),
+        }
+        for k, name in enumerate(team.drone_names)
+    ]
+    found, largest = calibration.errors, 100.0 * at_rests.largest_error
+    text = f"Errors at rest: cables {100.0 * found.cable_length:.1f} cm, drones {largest:.1f} cm."
+    before, after = calibration.planned_vertex_error, calibration.vertex_error
+    if before is not None and after is not None:
+        bounds = f"{100.0 * after:.3g} cm instead of {100.0 * before:.3g} cm"
+        text += f" With them vertex_error is {bounds}."
+    return [table(f"Trims by {len(at_rests.t)} rests", rows), text]
 
 
 def _fit_options() -> Sequence[click.Option]:

@@ -25,7 +25,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +34,13 @@ from scipy.optimize import least_squares
 from scipy.sparse import block_array, eye_array, kron
 from scipy.sparse.linalg import splu
 
+from hitchopt.checks.vertex_errors import RestErrors, errors_at_rests, errors_of_sizes
 from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.energy import HitchEnergy, bends_of, energy_of
+from hitchopt.hitch.rest_errors import ErrorSizes
+from hitchopt.hitch.team import Errors
 from hitchopt.lab.flights.evaluation import evaluate
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import (
@@ -51,6 +54,7 @@ from hitchopt.lab.flights.recordings import (
 from hitchopt.lab.simulation.judgement import TAUT_RATIO
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.equilibrium import conditions_of
+from hitchopt.lab.statics.rests import DronesAtRests, drones_at_rests
 from hitchopt.storage.archive import PLAN, reading
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path
@@ -143,6 +147,7 @@ class Calibration(OneLine):
     lengths: of each robot's cable [m], between its drones along the sagging parts.
     stiffness: horizontal stiffness of the position loops of each robot's drones [N/m].
     friction: coefficient at the clasps.
+    at_rests: trims of drones, and errors of their places at the plan's rests.
     vertex_errors: (samples, points) [m], distances from the plan; nan if its hitch is not taut
         or the vertex is not visible.
     drone_errors: (samples, 2n) [m], distances from the setpoints.
@@ -154,6 +159,7 @@ class Calibration(OneLine):
     lengths: tuple[Estimate, ...]
     stiffness: tuple[Estimate, ...]
     friction: Estimate
+    at_rests: DronesAtRests
     vertex_errors: Array
     drone_errors: Array
 
@@ -164,18 +170,28 @@ class Calibration(OneLine):
         Values that are not determined are the plan's.
         """
         team, missing = self.task.team.of_problem, "of the plan: not determined"
-        lengths = [round(one.value, 4) for one in self.lengths]
-        errors = ", ".join(f"{one.error:.1g}" for one in self.lengths)
+        estimated = zip(self.lengths, team.cable_length.tolist(), strict=True)
+        lengths = [round(one.value, 4) if one.known else planned for one, planned in estimated]
+        errors = ", ".join(f"{one.error:.1g}" if one.known else missing for one in self.lengths)
         names = [each.name for each in fields(Team) if each.name not in ("quadrotor", "assignment")]
         values = {name: _yaml(getattr(team, name)) for name in names}
-        values["cable_length"] = f"{_yaml(lengths)}  # ± {errors} m"
+        values["cable_length"] = f"{_yaml(lengths)}  # ± [m]: {errors}"
+        values["errors"] = f"{_yaml(self.errors)}  # largest at rest; friction: of the plan"
         values["cable_density"] = f"{_yaml(self.density)}  # as assumed"
         values["cable_friction"] += f"  # {missing}"
         if self.friction.known:
             values["cable_friction"] = f"{self.friction.value:.3f}  # ± {self.friction.error:.1g}"
         lines = ["team:", *(f"  {name}: {text}" for name, text in values.items()), "  quadrotor:"]
-        for kind, stiffness in zip(team.quadrotor, self.stiffness, strict=True):
+        per_kind = team.drones // len(team.quadrotor)
+        trims = self.at_rests.trims
+        if per_kind > 1 and np.array_equal(trims[::2], trims[1::2]):
+            trims = trims[::2]
+        repeats = len(trims) // len(team.quadrotor)
+        for k, trim in enumerate(trims.tolist()):
+            kind, stiffness = team.quadrotor[k // repeats], self.stiffness[k // repeats]
             entries, note = {name: _yaml(value) for name, value in vars(kind).items()}, missing
+            if any(trim):
+                entries["trim"] = _yaml([round(x, 4) for x in trim])
             if stiffness.known:
                 entries["stiffness"] = f"{stiffness.value:.3g}"
                 note = f"± {stiffness.error:.1g} N/m"
@@ -183,9 +199,37 @@ class Calibration(OneLine):
             lines.append(f"    - {{{flow}}}  # stiffness {note}")
         return "\n".join(lines) + "\n"
 
+    @property
+    def errors(self) -> Errors:
+        """Largest errors at rest to plan the next flight with, ``team.errors``."""
+        standard_errors = np.array([one.error for one in self.lengths])
+        return self.at_rests.errors(self.task.team.errors or Errors(), standard_errors)
+
+    @property
+    def planned_vertex_error(self) -> float | None:
+        """Bound ``vertex_error`` [m] of the plan as flown; None without a rest."""
+        motion = self.task.motion
+        return None if motion is None else _largest(errors_at_rests(motion))
+
+    @property
+    def vertex_error(self) -> float | None:
+        """The same bound [m] with ``errors`` in place of those planned with."""
+        motion = self.task.motion
+        if motion is None:
+            return None
+        sizes = ErrorSizes.of(
+            replace(motion.team, errors=self.errors), motion.requirements.limits.tracking
+        )
+        return _largest(errors_of_sizes(motion, sizes))
+
     def save(self, path: Path | str) -> None:
         """Write ``text`` to a file."""
         checked_path("path", path).write_text(self.text, encoding="utf-8")
+
+
+def _largest(rests: list[RestErrors]) -> float | None:
+    """Return the largest error [m] of a vertex at any rest; None without a rest."""
+    return max((float(np.max(rest.radii)) for rest in rests), default=None)
 
 
 def _yaml(value: object) -> str:
@@ -203,11 +247,11 @@ def calibrate(
     *,
     density: float | None = None,
 ) -> Calibration:
-    """Estimate cable lengths, stiffness and friction from a recorded flight of a plan.
+    """Estimate cable lengths, stiffness, friction and trims from a recorded flight of a plan.
 
     Lengths are medians over the flight, sag included. The stiffness follows from mean displacements
-    of the drones, the friction from cables that slide while drones are displaced. An estimate that
-    the recording does not determine states the reason.
+    of the drones, the friction from cables that slide while drones are displaced, trims from errors
+    that are the same at all rests. An estimate that is not determined states the reason.
 
     Parameters
     ----------
@@ -261,32 +305,55 @@ def calibrate(
         ]
     determined = [one.known for one in estimates]
     expected[: len(kinds)] = np.where(determined, expected[: len(kinds)], -np.log(stated))
-    balance, tensions = _Balance.of(task, windows, conditions, kind_of_drone), windows.tensions
-    if np.all(np.isfinite(expected)):
-        distance = balance.slide(task, recording, windows)
-        spread[:-1], spread[-1] = FIXED, FRICTION_SCALE
-        common, errors, tensions, _ = balance.fitted(expected, spread, SHORT_SCATTER)
-        remedy = f"cables slide by {100 * distance:.1f} cm in total; move vertices farther"
-        mu, error = max(float(common[-1]), 0.0), float(errors[-1])
-        friction = _estimate(mu, error, GEOMETRY_ERROR, MAX_FRICTION_ERROR, remedy)
-    else:
-        reason = "the drones' stiffness is neither determined nor stated by the plan's team"
-        friction = Estimate(remark=f"tensions are unknown: {reason}")
+    balance = _Balance.of(task, windows, conditions, kind_of_drone)
+    friction, tensions = _friction(task, recording, windows, balance, expected)
     tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
     arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
     visible = windows.visible[:, team.layout.starts] & windows.visible[:, team.layout.ends]
+    lengths = [_median(arcs[visible[:, edge], edge]) for edge in range(team.robots)]
+    level = np.exp(-expected[: len(kinds)])[kind_of_drone]
+    loops |= {"stiffness": level[:, None] / balance.relative_compliance, "integral": winds}
+    settling = conditions_of(team, cable_density=rope_density, **loops)
     t, setpoints = recording.t, task.states.positions
     vertex_errors = length(recording.vertices - plan_at(task, t, task.states.vertices))
     return Calibration(
         task,
         recording,
         rope_density,
-        tuple(_median(arcs[visible[:, edge], edge]) for edge in team.edges),
+        tuple(lengths[edge] for edge in team.edges),
         tuple(estimates[kinds.index(kind.uncalibrated)] for kind in team.of_problem.quadrotor),
         friction,
+        _at_rests(task, windows, settling, lengths),
         np.where(taut_at(task, t, TAUT_RATIO)[:, None], vertex_errors, np.nan),
         length(recording.drones - plan_at(task, t, setpoints)),
     )
+
+
+def _friction(
+    task: Task, recording: Recording, windows: Windows, balance: _Balance, expected: Array
+) -> tuple[Estimate, Array]:
+    """Return the friction and tensions (windows, n) [N] for ``expected`` common unknowns."""
+    if not np.all(np.isfinite(expected)):
+        reason = "the drones' stiffness is neither determined nor stated by the plan's team"
+        return Estimate(remark=f"tensions are unknown: {reason}"), windows.tensions
+    distance = balance.slide(task, recording, windows)
+    spread = np.full(len(expected), FIXED)
+    spread[-1] = FRICTION_SCALE
+    common, errors, tensions, _ = balance.fitted(expected, spread, SHORT_SCATTER)
+    remedy = f"cables slide by {100 * distance:.1f} cm in total; move vertices farther"
+    mu, error = max(float(common[-1]), 0.0), float(errors[-1])
+    return _estimate(mu, error, GEOMETRY_ERROR, MAX_FRICTION_ERROR, remedy), tensions
+
+
+def _at_rests(
+    task: Task, windows: Windows, conditions: dict[str, Any], lengths: list[Estimate]
+) -> DronesAtRests:
+    """Return drones at rests with measured cables, those of the plan where not determined."""
+    if task.motion is None:
+        return DronesAtRests.without_rests(task.team)
+    cables = np.array([one.value for one in lengths])
+    cables = np.where([one.known for one in lengths], cables, task.team.cable_length)
+    return drones_at_rests(task.motion, windows, conditions, cables)
 
 
 def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tuple[Recording, Task]:

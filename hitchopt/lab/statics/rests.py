@@ -1,0 +1,140 @@
+"""Drones at the rests of a recorded flight: trims, and the errors that remain.
+
+At rest a drone is off its planned place by its trim and by ``(F + cable force)/k``, see
+``equilibrium``. An offset that the equilibrium of measured cables does not explain is a trim if it
+is the same at every rest, and an error of the drone's place if it differs. A steady wind counts as
+a trim, as does a force that the plan neglects.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.vertex_errors import SAME_PLACE, states_at_rests
+from hitchopt.errors import OneLine
+from hitchopt.geometry.vectors import length
+from hitchopt.hitch.energy import energy_of
+from hitchopt.hitch.rest_errors import MAX_RESIDUAL, planned_rest
+from hitchopt.hitch.team import Errors, Team
+from hitchopt.lab.flights.recordings import Windows
+from hitchopt.motion.motion import Motion
+from hitchopt.values import Array
+
+REPEATABILITY = 0.01  # Smallest standard deviation of trims from flight to flight [m]
+MIN_RATIO = 2.0  # Smallest trim over its standard error that is written
+MIN_WINDOWS = 3  # Smallest number of windows at a rest
+WINDOW_MOVES = 1e-4  # [m] Largest distance of a window's setpoints from those of its rest
+
+LENGTH_ERRORS = 3.0  # Largest error of a cable's length over its standard error
+LENGTH_BIAS = 0.003  # [m] Largest bias of measured lengths, in perturbed simulated flights
+ROUNDING = 0.001  # [m] Step to which errors are rounded up
+
+
+@dataclass(frozen=True, eq=False)
+class DronesAtRests(OneLine):
+    """Drones at the R rests that a recording shows, in the order of the problem.
+
+    Attributes
+    ----------
+    t: (R,) [s], times of the rests in the plan.
+    offsets: (R, 2n, 3) [m], mean places at rest less those that measured cables explain.
+    flown_trims: (2n, 2) [m], with which the plan flew.
+    """
+
+    t: Array
+    offsets: Array
+    flown_trims: Array
+
+    @classmethod
+    def without_rests(cls, team: Team) -> DronesAtRests:
+        """Return those of a flight without rests."""
+        return cls(np.zeros(0), np.zeros((0, team.drones, 3)), team.trim[team.listed])
+
+    @property
+    def trim_errors(self) -> Array:
+        """(2n,) [m]: standard errors of trims; infinite with fewer than two rests."""
+        rests = len(self.t)
+        if rests < 2:
+            return np.full(self.offsets.shape[1], np.inf)
+        scatter = length(np.std(self.offsets[..., :2], axis=0, ddof=1))
+        return np.hypot(scatter / math.sqrt(rests), REPEATABILITY)
+
+    @property
+    def trims(self) -> Array:
+        """(2n, 2) [m]: trims of setpoints; those of the plan where no other is determined."""
+        if not len(self.t):
+            return self.flown_trims
+        change = -np.mean(self.offsets[..., :2], axis=0)
+        determined = length(change) > MIN_RATIO * self.trim_errors
+        return self.flown_trims + np.where(determined[:, None], change, 0.0)
+
+    @property
+    def largest_error(self) -> float:
+        """Largest distance [m] of a drone at a rest from its place, with ``trims``; nan if none."""
+        if not len(self.t):
+            return math.nan
+        remaining = self.offsets.copy()
+        remaining[..., :2] += self.trims - self.flown_trims
+        return float(np.max(length(remaining)))
+
+    def errors(self, planned: Errors, lengths: Array) -> Errors:
+        """Return the largest errors of the next flight; those ``planned`` where none is measured.
+
+        ``lengths`` (n,) [m] are standard errors of measured cables, infinite if not determined. The
+        friction is as planned, as a flight that moves its clasps says little about what is left.
+        """
+        cable, drone = planned.cable_length, planned.drone
+        largest = float(np.max(lengths))
+        if math.isfinite(largest):
+            cable = _rounded_up(LENGTH_ERRORS * largest + LENGTH_BIAS)
+        if not math.isnan(self.largest_error):
+            drone = _rounded_up(self.largest_error)
+        return Errors(cable, drone, planned.friction)
+
+
+def _rounded_up(size: float) -> float:
+    """Return a size [m] rounded up to millimetres."""
+    return round(max(math.ceil(size / ROUNDING - 1e-6), 1) * ROUNDING, 3)
+
+
+def drones_at_rests(
+    motion: Motion, windows: Windows, conditions: Mapping[str, Any], lengths: Array
+) -> DronesAtRests:
+    """Return drones at the rests of a motion that ``windows`` of a recording show.
+
+    ``conditions`` are those of ``equilibrium``; ``lengths`` (n,) [m] are measured cables, in the
+    order of edges. A rest counts with three windows, and if the conditions have an equilibrium.
+    """
+    team, states = motion.team, states_at_rests(motion)
+    times, offsets = list[float](), list[Array]()
+    for k in range(0 if states is None else len(states.t)):
+        assert states is not None
+        rest = states[[k]]
+        moves = np.max(length(windows.positions - rest.positions), axis=1)
+        near = moves <= WINDOW_MOVES + SAME_PLACE
+        expected = _expected(team, rest, conditions, lengths)
+        if np.count_nonzero(near) < MIN_WINDOWS or expected is None:
+            continue
+        times.append(float(rest.t[0]))
+        offsets.append(np.mean(windows.drones[near], axis=0) - expected)
+    places = np.array(offsets).reshape(-1, team.drones, 3)
+    listed = team.listed
+    return DronesAtRests(np.array(times), places[:, listed], team.trim[listed])
+
+
+def _expected(team: Team, rest: Any, conditions: Mapping[str, Any], lengths: Array) -> Array | None:
+    """Return places of drones (2n, 3) [m] at a rest in equilibrium; None without one."""
+    if np.all(np.isinf(conditions["stiffness"])):
+        return np.asarray(rest.positions[0])
+    planned = (rest.positions, rest.vertices, rest.tensions, rest.cable_forces)
+    samples = planned_rest(team, *planned) | {"cable_length": lengths[None]}
+    energy = energy_of(team, conditions, samples)
+    nodes = energy.at_rest()
+    if not np.max(np.abs(energy.slopes(nodes))) <= MAX_RESIDUAL:  # nan as well
+        return None
+    return np.asarray(nodes[0, : energy.drones])
