@@ -14,7 +14,15 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.failures import exit_infeasible
-from hitchopt.cli.options import PATH, command, completing, key_option, option, plan_path
+from hitchopt.cli.options import (
+    PATH,
+    assignment_option,
+    command,
+    completing,
+    key_option,
+    option,
+    plan_path,
+)
 from hitchopt.cli.output import ProgressBar, certificate_table, record, say, show_places, table
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
 
@@ -62,11 +70,9 @@ def _export_options() -> Sequence[click.Option]:
         key_option("--rate", keys["rate"]),
         key_option("--stretch", keys["stretch"], "FACTOR"),
         key_option("--storage", keys["storage"]),
-        key_option("--ros-distro", keys["ros_distro"]),
         key_option("--hold-tension", keys["hold_tension"]),
         key_option("--allow-slack", keys["allow_slack"]),
         key_option("--positions-only", keys["positions_only"]),
-        key_option("--longer-rests/--no-longer-rests", keys["longer_rests"]),
         key_option("--stiffness", keys["stiffness"]),
         key_option("--damping", keys["damping"], "N·S/M"),
     )
@@ -150,27 +156,19 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
 
 
 def _rule_options() -> Sequence[click.Option]:
-    """Return the options that the rules of lint declare."""
+    """Return the option for the limits of lint."""
     from hitchopt.exports.lint import Rules
     from hitchopt.values.fields import keys_of
 
     rules, separation = keys_of(Rules), keys_of(ho.Separation)
-    return (
-        key_option("--speed", rules["speed"]),
-        key_option("--acceleration", rules["acceleration"]),
-        key_option("--radius", separation["radius"]),
-        key_option("--height", separation["height"]),
-    )
+    limits = {name: rules[name] for name in ("speed", "acceleration")}
+    semi_axes = {name: separation[name] for name in ("radius", "height")}
+    words = "Limit, such as speed=2; may be repeated."
+    return (assignment_option("--set limits", words, limits | semi_axes),)
 
 
 @command("path PATH", _rule_options)
-def lint(
-    path: Path,
-    speed: float | None,
-    acceleration: float | None,
-    radius: float,
-    height: float,
-) -> None:
+def lint(path: Path, limits: dict[str, float]) -> None:
     """Check fleet files of any origin and report errors.
 
     PATH is a file or a folder of any format that `export` writes. Limits that a show declares are
@@ -178,7 +176,8 @@ def lint(
     """
     from hitchopt.exports.lint import Rules
 
-    rules = Rules(speed, acceleration, ho.Separation(radius, height))
+    semi_axes = {name: limits.pop(name) for name in ("radius", "height") if name in limits}
+    rules = Rules(**limits, separation=ho.Separation(**semi_axes))
     with ProgressBar("reading and checking"):
         reports = ho.lint(path, rules)
     entries = []

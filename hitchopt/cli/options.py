@@ -88,17 +88,20 @@ def assignment_option(name: str, description: str, keys: Mapping[str, Key]) -> c
 
     Its value is a mapping of fields to values.
     """
-    meanings = {name: key.described(key.kind) for name, key in keys.items()}
-    listed = "; ".join(
-        f"{name}: {meaning[0].lower()}{meaning[1:].replace('; null:', ', by default')}"
-        for name, meaning in meanings.items()
-    )
+    listed = "; ".join(f"{name}: {_meaning(key)}" for name, key in keys.items())
 
     def assigned(_: click.Context, option: click.Parameter, pairs: Sequence[str]) -> dict[str, Any]:
         return dict(_assignment(option.opts[0], pair, keys) for pair in pairs)
 
     words = f"{description} Keys are {listed}."
     return option(name, words, str, "KEY=VALUE", multiple=True, callback=assigned)
+
+
+def _meaning(key: Key) -> str:
+    """Return the meaning of a key, with its unit in files and a default that is not zero."""
+    meaning, default = key.described(key.file_kind), key.to_file(key.default)
+    usual = f", {default:g} by default" if isinstance(default, float) and default else ""
+    return f"{meaning[0].lower()}{meaning[1:].replace('; null:', ', by default')}{usual}"
 
 
 def _assignment(option: str, pair: str, keys: Mapping[str, Key]) -> tuple[str, Any]:
@@ -121,10 +124,14 @@ def width_option(of: str) -> click.Option:
     return option("--width", words, float, "INCHES")
 
 
-def picture_options(of: str = "the picture") -> tuple[click.Option, click.Option]:
-    """Return the options for format and width of a picture among other results."""
-    formats = option("--format", "Format of the picture.", "png", choices=("png", "svg", "pdf"))
-    return formats, width_option(of)
+def paper_option(of: str = "the picture") -> click.Option:
+    """Return the option for the width of a picture among other results, a PDF if it is given."""
+    return width_option(f"{of}, then a PDF,")
+
+
+def picture_format(width: float | None) -> str:
+    """Return the format of a picture among other results."""
+    return "png" if width is None else "pdf"
 
 
 Options = click.Option | Callable[[], Sequence[click.Option]]

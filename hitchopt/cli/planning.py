@@ -73,7 +73,6 @@ MODELINE = f"# yaml-language-server: $schema={SCHEMA}\n"
     option("--rate", "Setpoints per second for each drone.", 100.0, "HZ"),
     option("--report", "Write DIR/report.html as well."),
     option("--no-picture", "Skip DIR/summary.png, as -q does."),
-    option("--verify", "Also prove the plan's limits by another method."),
     option(
         "--repair/--no-repair",
         "If there is no plan, search for the smallest change that helps.",
@@ -93,7 +92,6 @@ def solve(
     *,
     report: bool,
     no_picture: bool,
-    verify: bool,
     repair: bool,
 ) -> None:
     """Plan the problem in FILE, certify the plan and write it to DIR.
@@ -132,8 +130,6 @@ def solve(
         seconds = max(end - time.monotonic(), MIN_SEARCH_TIME)
         edited = None if repair_to is None else (text, repair_to, take)
         _leave_diagnosis(folder, error, problem if is_searched else None, seconds, edited)
-    if verify:
-        _show_verified(plan_path(folder))
     show_notes(plan)
     if not no_picture:
         _draw(plan, folder)

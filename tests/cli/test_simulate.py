@@ -171,7 +171,6 @@ def test_a_flight_that_fails_or_is_invalid_ends_with_3(
         ("simulate --runs 0", "runs = 0: must be at least 1; give 1 or more"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         ("statics --at -1", "t = "),
-        ("statics --samples 0", "--samples = 0: must be from 1 to 1000"),
         ("statics --error cable=1cm", "--error cable = '1cm': must be a number, or sd:number"),
         ("statics --perturb cable_length=[2.4,x]", "--perturb cable_length[1] = 'x'"),
         ("statics --perturb stiffness=-1", "--perturb stiffness = -1: must be"),

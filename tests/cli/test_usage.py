@@ -357,7 +357,7 @@ def test_results_are_one_json_object_and_slow_commands_report_progress() -> None
     assert len(aborts["entries"]) == len(written("out/aborts.json")["entries"])
     fitted = object_of("fit circle:0.15 --robots 3 -o fit")
     assert fitted["fit"] == written("fit/fit.json")
-    assert object_of("statics out --samples 1")["statics"] == written("out/statics.json")
+    assert object_of("statics out --at 1")["statics"] == written("out/statics.json")
     flown, saved = object_of("simulate out --seed 3"), written("out/simulation/simulation.json")
     assert flown["simulation"]["succeeded"] is saved["succeeded"]
     assert len(object_of("calibrate out/simulation --plan out")["lengths"]) == 3

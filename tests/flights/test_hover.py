@@ -168,7 +168,9 @@ def test_the_command_writes_quadrotors(tmp_path: Path) -> None:
     hovers = {"cf2": HOVER, "cf3": replace(HOVER, tilt_deg=5.0, toward=1.0)}
     bag = w.write_crazyswarm(tmp_path / "hover.bag", flown(hovers, 1))
     file = tmp_path / "drones.yaml"
-    options = ["--mass", f"{MASS}", "--kp", f"{KP}", "--kd", f"{KD}", "--names", "cf2=q0,cf3=r0"]
+    values = (f"mass={MASS}", f"kp={KP}", f"kd={KD}")
+    options = [word for value in values for word in ("--set", value)]
+    options += ["--names", "cf2=q0,cf3=r0"]
     result = CliRunner().invoke(main, ["calibrate", str(bag), *options, "-o", str(file), "--json"])
     assert result.exit_code == 0, result.output
     drones = json.loads(result.stdout)["drones"]

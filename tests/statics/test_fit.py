@@ -227,7 +227,7 @@ def test_the_command_writes_files_and_exits_with_3_if_the_mass_is_too_large(
     assert len(content["enclosing"]) == len(content["grip"]["polygon"]) == 3
     assert content["largest_mass"]["grip"]["3"]["mass"] > 0.05
     assert (tmp_path / "out" / "fit.png").read_bytes()[:4] == b"\x89PNG"
-    paper = ["--format", "pdf", "--width", "3.5"]
+    paper = ["--width", "3.5"]
     assert "and fit.pdf are in" in CliRunner().invoke(main, [*arguments, "0.05", *paper]).output
     written = (tmp_path / "out" / "fit.pdf").read_bytes()
     assert b"/CIDFontType2" in written  # TrueType, as publishers ask for

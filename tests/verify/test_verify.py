@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from plans import PROBLEMS, planned
+from plans import planned
 from scipy.optimize import brentq
 
 import hitchopt as ho
@@ -147,15 +147,6 @@ def test_curves_that_are_no_plan_are_refused_at_once(
     assert name in {each.name for each in rows}
     assert {each.verdict for each in rows} == {"violated"}
     assert sum(each.samples for each in rows) < 10_000
-
-
-def test_solve_verifies_where_asked(tmp_path: Path) -> None:
-    problem = str(PROBLEMS / "triangle.yaml")
-    run = CliRunner().invoke(
-        main, ["solve", problem, "-o", str(tmp_path / "out"), "--verify", "--no-picture"]
-    )
-    assert run.exit_code == 0, run.output
-    assert PROVEN in run.output
 
 
 @pytest.mark.slow

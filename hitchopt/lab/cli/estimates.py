@@ -14,9 +14,9 @@ from hitchopt.cli.options import (
     PATH,
     assignment_option,
     command,
-    key_option,
     option,
-    picture_options,
+    paper_option,
+    picture_format,
     plan_path,
 )
 from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text, table
@@ -25,7 +25,6 @@ from hitchopt.errors import InputError
 if TYPE_CHECKING:
     import click
 
-MAX_TIMES = 1000  # Maximum number of times
 CIRCLE = "circle:"  # Prefix of a radius in place of an outline
 
 
@@ -53,18 +52,21 @@ def _statics_options() -> Sequence[click.Option]:
 
 @command(
     "directory DIR",
-    option("--at times", "Time [s]; repeatable.", float, "T", multiple=True),
-    option("--samples", "Number of sampled times if --at is not given.", 25, "N"),
+    option(
+        "--at times",
+        "Time [s]; may be repeated; default: 25 times with a taut hitch.",
+        float,
+        "T",
+        multiple=True,
+    ),
     _statics_options,
-    *picture_options(),
+    paper_option(),
 )
 def statics(
     directory: Path,
     times: tuple[float, ...],
-    samples: int,
     perturb: dict[str, Any],
     error: dict[str, Any],
-    format: str,
     width: float | None,
     *,
     tolerance: bool,
@@ -90,24 +92,23 @@ def statics(
     sizes = error or (usual if tolerance else {})
     errors = {f"{name}_error": size for name, size in sizes.items()}
     names = {"density": "cable_density"}  # in equilibrium
+    picture = picture_format(width)
     conditions = {names.get(name, name): value for name, value in perturb.items()}
     lengths = conditions.get("cable_length")
-    if not 0 < max(samples, len(times)) <= MAX_TIMES or samples < 1:
-        raise InputError("samples", samples, f"from 1 to {MAX_TIMES}", "25 are usual")
     flight, contents, loose = read_plan(path), dict[str, Any](), list[str]()
     hitches = [each for each in flight.teams if each.motion.team.has_cables]
     for flown in hitches or flight.teams:
         part, folder = flown.motion, path.parent / flown.name
         if isinstance(lengths, list) and len(lengths) == part.team.robots:
             conditions["cable_length"] = [lengths[robot] for robot in part.team.labels]
-        t = list(times) if times else taut_times(part, samples)
+        t = list(times) if times else taut_times(part)
         with ProgressBar("settling"):
             if errors:
                 ranges = ranges_of(part, t, **errors, **conditions)
                 rest = ranges.equilibrium
             else:
                 ranges, rest = None, equilibrium(part, t, **conditions)
-            save_statics(folder, rest, ranges, format, width)
+            save_statics(folder, rest, ranges, picture, width)
         content = contents[flown.name] = statics_content(rest, ranges)
         tables = _statics_tables(content)
         say(f"Team {flown.name}\n{tables}" if flown.name else tables)
@@ -117,7 +118,7 @@ def statics(
             feed_forward=bool(values["feed_forward"].all()),
         ):
             say(f"note: {note}")
-        say(f"statics.json and statics.{format} are in {folder}")
+        say(f"statics.json and statics.{picture} are in {folder}")
         loose += map(flown.label, (*content["slack_cables"], *content["loose_clasps"]))
     record(directory=str(path.parent), statics=contents.get("", contents))
     if loose:
@@ -154,6 +155,20 @@ def _statics_tables(content: dict[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
+def _hover_options() -> Sequence[click.Option]:
+    """Return the option for the values of hovering drones."""
+    from hitchopt.values.fields import Key
+    from hitchopt.values.units import DAMPING, MASS, STIFFNESS
+
+    keys = {
+        "mass": Key(MASS, "Mass of every drone"),
+        "kp": Key(STIFFNESS, "Horizontal stiffness of the position loop"),
+        "kd": Key(DAMPING, "Its damping"),
+    }
+    words = "Value of hovering drones, such as mass=0.11; may be repeated."
+    return (assignment_option("--set values", words, keys),)
+
+
 @command(
     "recordings RECORDING...",
     option(
@@ -164,9 +179,7 @@ def _statics_tables(content: dict[str, Any]) -> str:
     ),
     option("-o --output", "YAML file for the estimates of team or drones.", PATH, "FILE"),
     option("--density", "Measured density of the cables.", float, "KG/M"),
-    option("--mass", "Mass of every drone, for hovers.", float, "KG"),
-    option("--kp", "Horizontal stiffness of the position loop, for hovers.", float, "N/M"),
-    option("--kd", "Damping of the position loop, for hovers.", float, "N S/M"),
+    _hover_options,
     option("--names", "Names of drones in hovers, such as cf2=q0,cf7=r0.", str, "NAMES"),
     nargs=-1,
     required=True,
@@ -176,7 +189,8 @@ def calibrate(
     plan: Path | None,
     output: Path | None,
     density: float | None,
-    **hover: Any,
+    values: dict[str, Any],
+    names: str | None,
 ) -> None:
     """Estimate a team's cables and friction from a flight of a plan, or drones from hovers.
 
@@ -186,7 +200,7 @@ def calibrate(
     not determine are marked. Distances to the plan are in three dimensions.
 
     Without a plan, recordings are hovers: for each drone the trim, its tilt at rest, thrust factor
-    (with --mass), lag of moving commands, and tracking error, as `team.quadrotor` takes them.
+    (with --set mass), lag of moving commands, and tracking error, as `team.quadrotor` takes them.
     """
     from hitchopt.storage.archive import PLAN
 
@@ -195,11 +209,12 @@ def calibrate(
         if density is not None:
             remedy = "hovers do not determine cables; give a plan, or leave it out"
             raise InputError("density", density, "given with plan=", remedy)
-        _calibrate_hover(recordings, output, hover)
+        _calibrate_hover(recordings, output, {**values, "names": names})
         return
-    if given := [key for key, value in hover.items() if value is not None]:
+    hover = values if names is None else {**values, "names": names}
+    for key, value in hover.items():
         remedy = "leave it out, or put the hover into a directory without a plan"
-        raise InputError(given[0], hover[given[0]], "given for hovers, without a plan", remedy)
+        raise InputError(key, value, "given for hovers, without a plan", remedy)
     if len(recordings) > 1:
         remedy = "calibrate flights of a plan one by one"
         raise InputError("recordings", len(recordings), "one, with a plan", remedy)
@@ -324,25 +339,17 @@ def _rest_tables(calibration: ho.Calibration) -> list[str]:
 
 
 def _fit_options() -> Sequence[click.Option]:
-    """Return the options for the object and the team of a fit."""
+    """Return the option for the object and the team of a fit."""
     from hitchopt.lab.statics.fit import FitTask
     from hitchopt.values.fields import keys_of
 
     task, quadrotor = keys_of(FitTask), keys_of(ho.Quadrotor)
-    return (
-        key_option("--clearance", task["clearance"]),
-        key_option("--stem", task["stem"]),
-        key_option("--object-height height", task["height"]),
-        option("--mass", "Mass to hold [kg]; exits with 3 if it cannot be held.", float, "KG"),
-        option("--by", "How to hold --mass.", "grip", choices=("grip", "rest")),
-        key_option("--friction", task["friction"], "FLOAT"),
-        key_option("--clasp-friction", task["clasp_friction"], "FLOAT"),
-        key_option("--tension", task["tension"]),
-        key_option("--cable-length", task["cable_length"]),
-        key_option("--tilt-deg", keys_of(ho.Limits)["tilt"], "DEG"),
-        key_option("--quadrotor-mass", replace(quadrotor["mass"], text="Mass of every drone")),
-        key_option("--max-thrust", quadrotor["max_thrust"]),
-    )
+    keys = {name: key for name, key in task.items() if name not in {"section", "kind"}}
+    keys["tilt_deg"] = keys_of(ho.Limits)["tilt"]
+    keys["quadrotor_mass"] = replace(quadrotor["mass"], text="Mass of every drone")
+    keys["max_thrust"] = quadrotor["max_thrust"]
+    words = "Value of the object or the team, such as tension=1.2; may be repeated."
+    return (assignment_option("--set values", words, keys),)
 
 
 @command(
@@ -354,8 +361,10 @@ def _fit_options() -> Sequence[click.Option]:
         PATH,
         "DIR",
     ),
+    option("--mass", "Mass to hold [kg]; exits with 3 if it cannot be held.", float, "KG"),
+    option("--by", "How to hold --mass.", "grip", choices=("grip", "rest")),
     _fit_options,
-    *picture_options(),
+    paper_option(),
     type=str,
 )
 def fit(
@@ -364,10 +373,8 @@ def fit(
     output: Path | None,
     mass: float | None,
     by: str,
-    tilt_deg: float,
-    format: str,
     width: float | None,
-    **options: Any,
+    values: dict[str, Any],
 ) -> None:
     """Fit a hitch to OUTLINE: polygons that enclose, grip and support it, and maximum masses.
 
@@ -379,16 +386,20 @@ def fit(
 
     if mass is not None:
         positive("mass", mass)
-    kind = ho.Quadrotor(options.pop("quadrotor_mass"), options.pop("max_thrust"))
-    limits = ho.Limits(tilt_deg=tilt_deg)
+    usual = ho.Quadrotor()
+    kind = ho.Quadrotor(
+        values.pop("quadrotor_mass", usual.mass), values.pop("max_thrust", usual.max_thrust)
+    )
+    limits = ho.Limits(tilt=values.pop("tilt_deg", ho.Limits().tilt))
     with ProgressBar("fitting"):
-        result = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **options)
+        result = ho.fit(_outline(outline), robots, quadrotor=kind, limits=limits, **values)
         content = fit_as_json(result)
     notes = [f"note: {note}" for note in result.notes]
     say("\n\n".join([*notes, *_fit_tables(content)]), fit=content)
     if output is not None:
-        save_fit(output, result, mass, by, format, width)
-        say(f"fit.json and fit.{format} are in {output}", directory=str(output))
+        picture = picture_format(width)
+        save_fit(output, result, mass, by, picture, width)
+        say(f"fit.json and fit.{picture} are in {output}", directory=str(output))
     if mass is not None:
         result.raise_if_too_heavy(mass, by)
         say(f"{1e3 * mass:g} g is held by {by}")

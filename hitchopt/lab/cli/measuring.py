@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
-from hitchopt.cli.options import PATH, command, option, picture_options, plan_path
+from hitchopt.cli.options import PATH, command, option, paper_option, picture_format, plan_path
 from hitchopt.cli.output import ProgressBar, known_text, say, table
 from hitchopt.errors import InputError
 
@@ -52,7 +52,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     option("--density", "Measured density of the cables.", float, "KG/M"),
     option("--diameter", "Cable diameter: errors are then those of the clasps.", float, "M"),
     option("--window", "Time over which markers are averaged.", 0.1, "S"),
-    *picture_options(),
+    paper_option(),
     option(
         "--markers", "Print where to place markers on the cables of the plan; needs no recording."
     ),
@@ -62,7 +62,6 @@ def evaluate(
     recording: Path | None,
     plan: Path | None,
     output: Path | None,
-    format: str,
     width: float | None,
     *,
     markers: bool,
@@ -102,7 +101,7 @@ def evaluate(
     beside = recording if recording.name else recording.absolute()  # but for `.`
     folder = beside.parent / RESULTS if output is None else output
     with ProgressBar("writing the results"):
-        result.save(folder, format, width)
+        result.save(folder, picture_format(width), width)
     say(_tables(result), directory=str(folder), evaluation=summary(result))
     for remark in result.remarks:
         say(f"note: {remark}")

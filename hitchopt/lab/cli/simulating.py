@@ -16,7 +16,8 @@ from hitchopt.cli.options import (
     command,
     key_option,
     option,
-    picture_options,
+    paper_option,
+    picture_format,
     plan_path,
     width_option,
 )
@@ -106,7 +107,7 @@ def _settings_options() -> Sequence[click.Option]:
         "DRONE@SECONDS",
     ),
     option("--reaction/--no-reaction", "Whether the others react to a loss, or ignore it.", True),
-    *picture_options("the picture of a single flight"),
+    paper_option("the picture of a single flight"),
 )
 def simulate(
     directory: Path,
@@ -117,7 +118,6 @@ def simulate(
     lose: str | None,
     as_calibrated: Path | None,
     perturb: Mapping[str, Any],
-    format: str,
     width: float | None,
     *,
     reaction: bool,
@@ -178,7 +178,7 @@ def simulate(
         else:
             title, flight = exported.title, exported.flight
         with ProgressBar("writing the results"):
-            simulation.save(folder, title, flight, format, width)
+            simulation.save(folder, title, flight, picture_format(width), width)
         _report(simulation, folder, directory if exported is None else None)
         return
     with ProgressBar("building ropes"):
