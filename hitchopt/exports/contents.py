@@ -240,6 +240,9 @@ required_module = partial(optional_module, purpose="this format needs", extra="e
 MANIFEST = "export.json"
 """File name of an export's manifest, which has its contents, frame and checks."""
 
+NOTE = "README.txt"
+"""File name of the note in the folder of an export."""
+
 PLAN_COPY = "exported_plan.npz"
 """File name of the copy of the plan in the folder of its export."""
 

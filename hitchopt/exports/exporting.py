@@ -25,6 +25,7 @@ from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Pro
 from hitchopt.exports.contents import (
     MANIFEST,
     MANIFEST_FORMAT,
+    NOTE,
     PLAN_COPY,
     listed_names,
     read_manifest,
@@ -32,7 +33,7 @@ from hitchopt.exports.contents import (
 from hitchopt.exports.format import ExportTask, Format, format_of
 from hitchopt.exports.held_tension import held_tension, loop_gains, trailing_times
 from hitchopt.exports.options import ENDINGS, ExportOptions
-from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, read_fleet
+from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, places_text, read_fleet
 from hitchopt.exports.tension import TensionPolicy
 from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
@@ -468,9 +469,22 @@ def _export_part(
             **({"receiver": receiver} if receiver else {}),
         }
         write_strict_json(folder / MANIFEST, manifest)
+        if NOTE not in written.files and (places := places_text(task.flight, task.fleet)):
+            (folder / NOTE).write_text(_note(kind, task, places), "utf-8")
         goes_slack = any(SLACK in reason for reason in task.undetermined)
         return Export(folder, written.files, verdict, notes, task.begins, goes_slack)
     raise refusals[-1]
+
+
+def _note(kind: Format, task: ExportTask, places: str) -> str:
+    """Return README.txt of a format that has none of its own."""
+    part = f"This is {task.part}.\n" if task.part else ""
+    return (
+        f"{task.title or 'A plan of hitchopt'}\n{part}\n"
+        f"Files of the format {kind.name}, frame {task.frame.name}, {task.flight.duration:.3f} s. "
+        f"{MANIFEST} has their errors,\nchecks and digests.\n{places}\n"
+        "Run hitchopt lint on this folder before every flight.\n"
+    )
 
 
 def _tracking_facts(flight: Flight) -> dict[str, Any]:
@@ -518,8 +532,8 @@ def _move_exports(
 ) -> tuple[Export, ...]:
     """Move verified exports to their file or folder; several parts to subfolders.
 
-    A folder gets the copy of the ``plan``, too. Raises FileError if files that are not of an
-    earlier export would go.
+    A folder gets the copy of the ``plan`` and README.txt, too. Raises FileError if files that are
+    not of an earlier export would go.
     """
     first, several = exports[0], len(exports) > 1
     if _is_file(place):
@@ -532,6 +546,9 @@ def _move_exports(
         return (replace(first, folder=place.parent, files=(place.name,)),)
     folders = [place / part.folder.name if several else place for part in exports]
     new = {folder: part.sources for part, folder in zip(exports, folders, strict=True)}
+    for part, sources in zip(exports, new.values(), strict=True):
+        if (note := part.folder / NOTE).exists():
+            sources[NOTE] = note
     if several:
         cuts = task.plan if task.rests_longer else task.flight
         ends = [*(part.begins for part in exports[1:]), cuts.duration]
@@ -546,7 +563,7 @@ def _move_exports(
     for folder, sources in (new | {folder: {} for folder in obsolete}).items():
         earlier = read_manifest(folder)
         owned = {MANIFEST, *listed_names(earlier, "files")}
-        owned |= {PLAN_COPY} if "plan_digest" in earlier else set()
+        owned |= {PLAN_COPY, NOTE} if "plan_digest" in earlier else set()
         if foreign := [name for name in sources if name not in owned and (folder / name).exists()]:
             reason = "already exists and is not an export; choose another folder with -o"
             raise FileError(f"{folder / foreign[0]}: {reason}")

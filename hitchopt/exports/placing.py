@@ -79,6 +79,21 @@ def drone_places(flight: Flight) -> list[dict[str, str]]:
     return rows
 
 
+def places_text(flight: Flight, fleet: Fleet) -> str:
+    """Return the table of drones on cables: names in the files and the problem, and places.
+
+    Empty without cables.
+    """
+    robots = {member.role: member.name for member in fleet.members}
+    rows = [{"name": robots[row["drone"]], **row} for row in drone_places(flight)]
+    if not rows:
+        return ""
+    lines = [[*rows[0]], *([*row.values()] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    text = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
+    return "\nDrones by name in these files and in the problem:\n" + "\n".join(text) + "\n"
+
+
 _WORD = strings(1000)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import re
 import sqlite3
 import sys
 import time
@@ -31,8 +32,10 @@ from hitchopt.exports.exporting import export_flight
 from hitchopt.exports.format import format_of
 from hitchopt.exports.lint import lint
 from hitchopt.exports.options import HOMES, ExportOptions
+from hitchopt.exports.placing import drone_places
 from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
+from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours
@@ -173,6 +176,17 @@ def test_equal_plans_give_equal_files_at_any_time(
             path.read_bytes()
             == (tmp_path / "other" / path.relative_to(tmp_path / "one")).read_bytes()
         )
+
+
+@pytest.mark.parametrize("name", HOMES)
+def test_every_folder_says_which_drone_holds_which_edge(name: str, tmp_path: Path) -> None:
+    plan = hitch_plan()
+    exported(plan, name, tmp_path)
+    note = (tmp_path / "README.txt").read_text("utf-8")
+    names = read_manifest(tmp_path)["drones"]
+    for row in drone_places(Flight.of(plan)):
+        cells = (names[row["drone"]], *row.values())
+        assert re.search(" +".join(map(re.escape, cells)) + "\n", note), note
 
 
 def test_only_files_of_exports_are_replaced(tmp_path: Path) -> None:

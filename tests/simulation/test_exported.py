@@ -130,7 +130,8 @@ def test_an_export_that_becomes_smaller_leaves_nothing_behind(
     folder = exported(plan, tmp_path / "files", "crazyswarm2")
     exported(plan, folder, "csv")
     names = {path.name for path in folder.iterdir()}
-    assert names == {"export.json", PLAN_COPY, "setpoints_enu.csv"}
+    assert names == {"export.json", PLAN_COPY, "README.txt", "setpoints_enu.csv"}
+    assert "fly.py" not in (folder / "README.txt").read_text("utf-8")
 
 
 def test_stretched_exports_are_flown_with_a_stretched_plan(plan: ho.Plan, tmp_path: Path) -> None:

@@ -38,12 +38,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.errors import FileError, InfeasibleError, Violation
-from hitchopt.exports.contents import FileContents, Trajectory, error, separator_findings, warning
+from hitchopt.exports.contents import (
+    NOTE,
+    FileContents,
+    Trajectory,
+    error,
+    separator_findings,
+    warning,
+)
 from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.parts import cut_into_parts
-from hitchopt.exports.placing import AXES, drone_places
+from hitchopt.exports.placing import AXES, places_text
 from hitchopt.exports.refit import (
     PieceKind,
     Scale,
@@ -308,28 +315,16 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
             land=min(LANDED, round(float(np.min(last[:, 2])), 6) + 0.0),
             **common,
         ),
-        "README.txt": _template("start_note.txt").format(
+        NOTE: _template("start_note.txt").format(
             title=task.title or "A plan of hitchopt",
             place=f"\n{place}{texts['parts']}\n" if place else "",
-            drones=_places_text(task),
+            drones=places_text(task.flight, task.fleet),
             placeholders=hint if task.fleet.is_placeholder else "",
             slack=texts["slack"] if slack else "",
             pull=f"\n{texts[pull]}\n{texts['mind']}" if task.flight.has_cables else "",
             **common,
         ),
     }
-
-
-def _places_text(task: ExportTask) -> str:
-    """Return the table of drones on cables: names in the files and the problem, and places."""
-    robots = {member.role: member.name for member in task.fleet.members}
-    rows = [{"name": robots[row["drone"]], **row} for row in drone_places(task.flight)]
-    if not rows:
-        return ""
-    lines = [[*rows[0]], *([*row.values()] for row in rows)]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    text = ["  ".join(map(str.ljust, line, widths)).rstrip() for line in lines]
-    return "\nDrones by name in these files and in the problem:\n" + "\n".join(text) + "\n"
 
 
 def _slack_points(task: ExportTask) -> dict[str, list[float]]:
