@@ -6,13 +6,10 @@ import math
 from collections.abc import Callable, Iterator
 from functools import cached_property
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from .spans import Spans
 
 Array = NDArray[np.float64]
 Items = NDArray[np.intp]
@@ -20,6 +17,7 @@ Index = Items | int
 Mask = NDArray[np.bool_]
 Lazy = cached_property[Array]
 
+G = 9.81  # [m/s²]
 UP = np.array([0.0, 0.0, 1.0])
 DEGREES = math.degrees(1.0)
 BIG = 1e30
@@ -171,6 +169,17 @@ def angle(a: Line, b: Line) -> Line:
     return chord.map(lambda x: 2.0 * np.arcsin(x / 2.0), lambda x: 1.0 / np.sqrt(1.0 - x**2 / 4.0))
 
 
+class Times(Protocol):
+    """Spans of a plan's pieces, on which curves are evaluated."""
+
+    piece: Items  # (m,)
+    t: Array  # (m,) [s] half of the durations
+    moving: Array  # (m,) 0 before and after a plan, else 1
+
+    def weights(self, n: int) -> Array:
+        """Return Bernstein polynomials of degree n at midpoints (m, n + 1)."""
+
+
 class Curve:
     """Bernstein polynomials (pieces, items, d, N + 1) on pieces of h seconds, and derivatives."""
 
@@ -185,12 +194,12 @@ class Curve:
             self.noise.append(2.0 ** (k - 48) * math.perm(N, k) / h[:, None] ** k * max_step)
         self.bounds = [np.max(np.linalg.norm(x, axis=2), axis=-1, initial=0.0) for x in self.c]
 
-    def at(self, s: Spans, i: Index, k: int = 0) -> Array:
+    def at(self, s: Times, i: Index, k: int = 0) -> Array:
         """Return k-th derivatives (m, d) of items i (m,) at midpoints."""
         c = self.c[k][s.piece, i]
         return np.asarray(np.einsum("mdj,mj->md", c, s.weights(c.shape[-1] - 1)))
 
-    def on(self, s: Spans, i: Index, k: int = 0) -> Line:
+    def on(self, s: Times, i: Index, k: int = 0) -> Line:
         """Return k-th derivatives of items i (m,) on spans."""
         q = self.bounds[k + 2][s.piece, i] * s.t * s.moving + self.noise[k][s.piece, i] / s.t
         return Line(self.at(s, i, k), self.at(s, i, k + 1) * s.moving[:, None], q, s.t)

@@ -8,11 +8,11 @@ from itertools import product
 
 import numpy as np
 
-from .arithmetic import BIG, DEGREES, UP, Index, Line, Mask, angle, maximum, minimum, norm
+from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, minimum, norm
 from .drones import wall_gap
 from .reading import REST_TOL, TAUT_TOL, WRAP_TOL, Plan
 from .shapes import distance
-from .spans import MIN_TENSION, G, Row, Spans, prove
+from .spans import MIN_TENSION, Row, Spans, prove
 
 OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run straight
 
@@ -20,13 +20,14 @@ OPEN_ROLL = 175.0  # [deg] smallest roll of an open clasp: at 180° cables run s
 def taut_cables(p: Plan) -> Iterator[Row]:
     """Prove distances, lengths and shapes of hitches, tensions, and force residuals of clasps."""
     on, lim, ties, names = p.taut, p.limits, p.segments[:, 3:], p.segment_names
-    clasps = p.spans(p.formed, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
-    legs, cables = p.spans(on, np.flatnonzero(p.leg), p.names), p.spans(on, range(p.n), p.cables)
-    vertices = p.spans(p.formed, range(p.V.start, p.V.stop), p.labels)
+    clasps = Spans.of(p, p.formed, range(len(p.clasps)), [p.labels[p.V][c] for c in p.clasps])
+    legs = Spans.of(p, on, np.flatnonzero(p.leg), p.names)
+    cables = Spans.of(p, on, range(p.n), p.cables)
+    vertices = Spans.of(p, p.formed, range(p.V.start, p.V.stop), p.labels)
     own = np.where(p.leg, np.arange(p.N), p.anchor)  # other end of the segment at each drone
     foreign = np.argwhere(np.all(p.segments[:, :2] != own[:, None, None], axis=2))
     shared = np.any(ties[:, None, :, None] == ties[None, :, None, :], axis=(2, 3))
-    pairs = p.spans(on, np.argwhere(np.triu(~shared, 1)), names, names)
+    pairs = Spans.of(p, on, np.argwhere(np.triu(~shared, 1)), names, names)
 
     def turn_margin(s: Spans, _: Index) -> Line:
         """Return the margin of the total turn to more than one turn, or to one for a chain."""
@@ -57,8 +58,8 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         return minimum(wall_gap(s, [a, b]), inner)
 
     for j in np.split(np.arange(len(p.segments)), [int(np.sum(p.leg))]):
-        yield prove(p.arena_row, 0.0, p.spans(on, j, names), partial(arena_gap, leg=not j[0]))
-    s = p.spans(on, foreign, p.names, names)
+        yield prove(p.arena_row, 0.0, Spans.of(p, on, j, names), partial(arena_gap, leg=not j[0]))
+    s = Spans.of(p, on, foreign, p.names, names)
     near = partial(distance, ratio=p.ratio)
     yield prove(*p.cable_limit, s, lambda s, i, j: near([s.point(i)], s.segment(j)))
     yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
@@ -72,12 +73,12 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     if p.weight or np.any(p.load) or np.any(p.active):
         yield prove("contact 1 max", 0.0, closed, contact)
     yield prove("convexity deg min", 0.0, clasps, exterior_angle)
-    yield prove("convexity turn min", 0.0, p.spans(p.formed, [0], ["outline"]), turn_margin)
+    yield prove("convexity turn min", 0.0, Spans.of(p, p.formed, [0], ["outline"]), turn_margin)
     yield prove("tension N max", 1e-4, cables, range_excess)
     if p.frictional:
         yield prove("equilibrium 1 max", 5e-3, legs, friction_excess)
     if p.has_contacts:
-        straight = p.spans(on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
+        straight = Spans.of(p, on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
         yield prove("grip bend max", 2 * WRAP_TOL, straight, bend)
 
 

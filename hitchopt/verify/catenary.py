@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,9 +21,7 @@ from .arithmetic import (
     norm,
 )
 from .shapes import distance
-
-if TYPE_CHECKING:
-    from .spans import Spans
+from .spans import Spans
 
 LINKS = 96  # of hanging cables
 OWN_DISTANCES = 2.0  # distance along a cable from which it counts for its drone, over the smallest

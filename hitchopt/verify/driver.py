@@ -14,13 +14,13 @@ import numpy as np
 from .arithmetic import POS_TOL, Array, norm, varies
 from .cables import OPEN_ROLL, taut_cables
 from .catenary import lowest_height
-from .drones import drones
+from .drones import drones, thrust
 from .links import interlacing, roll_changes
 from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
 from .reading import CONTACT_TOL, DRAWN, LAID, ROLLING, Plan, UnreadableError, read
 from .request import requested
 from .shapes import to_frame
-from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Worst, fault_row, prove, worst_row
+from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Spans, Worst, fault_row, prove, worst_row
 from .statics import vertex_errors
 from .teams import Pair, between_plans, object_distances
 from .tying import bent_cables, free_cables
@@ -61,9 +61,9 @@ def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
     yield worst_row("continuity", "m", 1e-6, values)
     if not p.n:
         return
-    drones = p.spans(p.all_pieces, range(p.N))
+    drones = Spans.of(p, p.all_pieces, range(p.N))
     with np.errstate(all="ignore"):
-        ends = [drones.subspan(end).thrust(drones.item[:, 0]).v for end in (-1.0, 1.0)]
+        ends = [thrust(drones.subspan(end), drones.item[:, 0]).v for end in (-1.0, 1.0)]
     on = p.taut[:, None, None, None]
     values = [*jump(np.stack(ends, -1).reshape(-1, p.N, 3, 2), p.names)]
     values += [*jump(p.tensions.c[0] * on, p.cables), *jump(p.pulls.c[0] * on, p.names)]
@@ -90,7 +90,7 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
     c = p.points.c[0][:, : p.N]
     for i, phase in enumerate(p.phases):
         at, state, on = phase["start"], phase["state"], p.phase == i
-        s, k = p.spans(on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
+        s, k = Spans.of(p, on & p.free, range(p.n)), np.tile(np.arange(p.n), np.sum(on & p.free))
         pulls = any(np.any(x.c[0][on & p.free]) for x in (p.legs, p.tensions, p.pulls))
         yield at, pulls, "tensions or legs without a hitch"
         if state == LAID:
@@ -132,7 +132,8 @@ def object_faults(p: Plan) -> Iterator[Fault]:
     """Yield objects without support, that move unheld, or with inconsistent load shares."""
     c = p.poses.c[0]
     for b, body in enumerate(p.bodies):
-        moving, busy, lifted, s = p.moving[b], p.active[b], p.lifted[b], p.spans(p.all_pieces, [b])
+        moving, busy, lifted = p.moving[b], p.active[b], p.lifted[b]
+        s = Spans.of(p, p.all_pieces, [b])
         head = [norm(p.poses.at(s.subspan(x), b)[:, 3:]) for x in (-1.0, -0.5, 0.0, 0.5, 1.0)]
         under = np.array([support_below(p, b, x)[0] for x in c[..., 0]])
         falls = (np.abs(c[:, b, 2, 0] + body.stem.lower - under) > POS_TOL) & ~lifted & ~moving
@@ -161,7 +162,7 @@ def hopeless(p: Plan) -> Iterator[Row]:
 
     Drones are GROSS times too fast at the middle of a piece, jump, or hold cables without tension.
     """
-    s = p.spans(p.all_pieces, range(p.N), p.names)
+    s = Spans.of(p, p.all_pieces, range(p.N), p.names)
     for k, header in enumerate(("speed m/s max", "acceleration m/s² max", "jerk m/s³ max"), 1):
         row = prove(header, p.limits[header.split()[0]], s, lambda s, i, k=k: s.point(i, k).norm())
         if row.worst > GROSS * row.limit:

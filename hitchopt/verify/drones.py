@@ -7,20 +7,21 @@ from functools import partial
 
 import numpy as np
 
-from .arithmetic import BIG, DEGREES, UP, Index, Line, angle, minimum, norm
+from .arithmetic import BIG, DEGREES, TOLERANCE, UP, G, Index, Line, angle, minimum, norm
+from .catenary import catenary_force
 from .reading import Body, Plan
 from .shapes import Slab
-from .spans import G, Row, Spans, prove
+from .spans import Row, Spans, prove
 
 
 def drones(p: Plan) -> Iterator[Row]:
     """Prove distances, rates and forces of drones."""
-    s, lim, sep = p.spans(p.all_pieces, range(p.N), p.names), p.limits, p.sep
-    pairs = p.spans(p.all_pieces, np.column_stack(np.triu_indices(p.N, 1)), p.names, p.names)
+    s, lim, sep = Spans.of(p, p.all_pieces, range(p.N), p.names), p.limits, p.sep
+    pairs = Spans.of(p, p.all_pieces, np.column_stack(np.triu_indices(p.N, 1)), p.names, p.names)
 
     def turning(s: Spans, i: Index) -> Line:
         """Return ``|f × f'| / |f|²``: the rotation rate of the thrust."""
-        u = s.thrust(i).unit()
+        u = thrust(s, i).unit()
         return Line(norm(u.g)[:, None], s.zero.g, u.q / s.t, s.t) * DEGREES
 
     def to_slab(s: Spans, i: Index, b: int, slab: Slab) -> Line:
@@ -35,8 +36,8 @@ def drones(p: Plan) -> Iterator[Row]:
         limit = lim[header.split()[0]] * (lim["reserve"] if k > 1 else 1.0)  # reserved for stops
         yield prove(header, limit, s, lambda s, i, k=k: s.point(i, k).norm())
     share, tilt = 1.0 / p.max_thrust, lim["tilt"] * DEGREES
-    yield prove("thrust share max", 1.0, s, lambda s, i: s.thrust(i).norm() * share[i])
-    yield prove("tilt deg max", tilt, s, lambda s, i: angle(s.thrust(i), s.zero + UP) * DEGREES)
+    yield prove("thrust share max", 1.0, s, lambda s, i: thrust(s, i).norm() * share[i])
+    yield prove("tilt deg max", tilt, s, lambda s, i: angle(thrust(s, i), s.zero + UP) * DEGREES)
     if lim["body_rate"] is not None:
         yield prove("body_rate deg/s max", lim["body_rate"] * DEGREES, s, turning)
     yield prove(p.arena_row, 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
@@ -48,6 +49,20 @@ def drones(p: Plan) -> Iterator[Row]:
         if moves(p, p.bodies[b]):
             over = partial(over_slab, b=b, slab=slab.scaled(p.wash))
             yield prove("downwash ratio min", 1.0, s, over)
+
+
+def thrust(s: Spans, i: Index) -> Line:
+    """Return ``m (a + g ẑ) + P û + ½ ρ g d τ ẑ - (1 - τ) w``; w is a hanging cable's force."""
+    p, force = s.plan, (s.point(i, 2) + G * UP) * s.plan.mass[i]
+    if p.n:
+        leg, tau = s.leg_chord(i), s.tautness(i // 2)
+        taut = leg.unit() * s.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
+        force = force + taut.where(p.taut[s.piece])
+        if p.weight > 0.0 and np.any(tau.low < 1.0):
+            slack = -tau + 1.0
+            hanging = catenary_force(s, i) * slack * p.weight
+            force = force - hanging.where(slack.high > TOLERANCE)
+    return force
 
 
 def moves(p: Plan, body: Body) -> bool:

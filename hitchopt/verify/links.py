@@ -68,7 +68,7 @@ def bent_orders(p: Plan, run: Items) -> tuple[Array, Array, Array]:
     sign = np.sign(largest) * (np.abs(largest) > 2.0 * SAG_TOL + MIN_GAP)
     orders = []
     for q, end in ((run[0], -1.0), (run[-1], 1.0)):
-        t = p.spans(np.arange(len(p.h)) == q, range(count)).subspan(end)
+        t = Spans.of(p, np.arange(len(p.h)) == q, range(count)).subspan(end)
         a, b = next(crossing_parts(t, t.item[:, 0]))
         up = np.cross((a[1] - a[0]).v, (b[1] - b[0]).v)[:, 2]
         orders.append(sign * np.sign(up))
@@ -85,7 +85,7 @@ def cable_heights(s: Spans, k: Items, share: Array) -> Array:
 
 def crossing_heights(p: Plan, q: int, end: int) -> Array:
     """Return heights of cables over those behind where they cross at an end of piece q, or nan."""
-    s = p.spans(np.arange(len(p.h)) == q, p.clasps).subspan(2.0 * end - 1.0)
+    s = Spans.of(p, np.arange(len(p.h)) == q, p.clasps).subspan(2.0 * end - 1.0)
     chords = [(s.point(2 * k).v, s.q_to_r(k).v) for k in (p.clasps, p.behind)]
     x, y = intersections(*chords[0], *chords[1])
     return cable_heights(s, p.clasps, x) - cable_heights(s, p.behind, y)
@@ -239,7 +239,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     both, laid = np.triu_indices(n, 1), np.isin(p.state, (LAID, ROLLING, BENT))
     later_free = np.flip(np.logical_or.accumulate(np.flip(p.free)))
     loose = later_free[:, None] & ~(laid[:, None] & p.clasped[both])
-    pairs = p.spans(loose, np.column_stack(both), p.cables, p.cables)
+    pairs = Spans.of(p, loose, np.column_stack(both), p.cables, p.cables)
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
     i, j = np.minimum(*p.pair), np.maximum(*p.pair)
@@ -247,7 +247,7 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     half_crossings[i, j, 0] = linked * (1 + p.two)
     if np.any(laid):
         faults, sense, _ = replay(p, half_crossings, linked, 0.0 * linked)
-        s = p.spans(p.state == ROLLING, range(len(p.clasps)), p.labels[p.V])
+        s = Spans.of(p, p.state == ROLLING, range(len(p.clasps)), p.labels[p.V])
         row = prove("roll 1 min", 0.0, s, partial(past_roll, sense=sense))
         past = row.verdict != "proven", f"the pair at {row.where} rolls past lying across"
         yield from (*faults, (row.time, *past))

@@ -13,6 +13,7 @@ from .arithmetic import (
     POS_TOL,
     UP,
     Array,
+    G,
     Index,
     Line,
     Mask,
@@ -26,7 +27,7 @@ from .catenary import lowest_height, shift
 from .drones import wall_gap
 from .reading import CONTACT_TOL, DRAWN, EXACT_RANGE, WRAP_TOL, Plan
 from .shapes import Slab, to_frame
-from .spans import MIN_TENSION, G, Row, Spans, prove
+from .spans import MIN_TENSION, Row, Spans, prove
 
 RIM_CUT = 0.005  # [m] largest height above a rim at which legs that it bends leave its outline
 HINGE = 0.03  # [m] smallest height of two clasps above the centre of mass of what they carry
@@ -36,9 +37,9 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
     """Prove distances of a body to cables, other bodies, ground and walls."""
     body, allowed = p.bodies[b], allowed_contacts(p, b)
     others = p.taut[:, None] & ~p.holding[b][:, p.segments[:, 2]]
-    off = p.spans(others, range(len(p.segments)), p.segment_names)
-    free, clasping = (p.spans(on, range(p.n), p.cables) for on in (p.free, p.clasping))
-    moving, carried = (p.spans(x[b], [0], [body.name]) for x in (p.moving, p.held))
+    off = Spans.of(p, others, range(len(p.segments)), p.segment_names)
+    free, clasping = (Spans.of(p, on, range(p.n), p.cables) for on in (p.free, p.clasping))
+    moving, carried = (Spans.of(p, x[b], [0], [body.name]) for x in (p.moving, p.held))
     header = "penetration m min"
 
     def hanging_gap(s: Spans, k: Index, slab: Slab) -> Line:
@@ -86,7 +87,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         inner = Slab(core, (1.0 - 1e-5) * block.radius, *heights)
         return maximum(body_gap(s, b, slab, s, o, inner), body_gap(s, o, inner, s, b, slab))
 
-    first = p.spans(np.arange(len(p.h)) == 0, [0], [body.name]).subspan(-1.0)
+    first = Spans.of(p, np.arange(len(p.h)) == 0, [0], [body.name]).subspan(-1.0)
     for slab, (o, block) in product(body.slabs, p.slabs):
         if o != b and block.upper > block.lower and not (body.fixed and p.bodies[o].fixed):
             gap = partial(inner_gap, slab=slab, o=o, block=block)
@@ -105,13 +106,13 @@ def clear_held(p: Plan, b: int) -> Iterator[Row]:
     is_tray = body.rim is not None and body.height == body.stem.lower  # above what it rests on
     masks = [held & (is_leg | ~wrapped) & (wrapped | (not is_tray)), held & wrapped]
     for slab, on in zip(body.slabs, masks, strict=False):
-        s = p.spans(on, items, p.segment_names)
+        s = Spans.of(p, on, items, p.segment_names)
         yield prove(header, WRAP_TOL, s, lambda s, j, slab=slab: slab.gap(*s.segment(j, b)))
     if body.rim is not None:
-        s = p.spans(held & p.rest[b][:, None], items, p.segment_names)
+        s = Spans.of(p, held & p.rest[b][:, None], items, p.segment_names)
         cut = body.rim.enlarged(0.0, body.height + RIM_CUT, body.height + RIM_CUT)
         yield prove(header, WRAP_TOL, s, lambda s, j: cut.gap(*s.segment(j, b)))
-    s = p.spans(p.held[b], range(len(p.labels)), p.labels)
+    s = Spans.of(p, p.held[b], range(len(p.labels)), p.labels)
     yield prove(header, -WRAP_TOL, s, lambda s, i: s.point(i)[2] - p.floor)
 
 
@@ -178,7 +179,7 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
         lean = a[:2].dot(n) * (a[2] + G).inverse() * (float(body.centre[2]) - rim.lower)
         return (-x[:2] + body.centre[:2]).dot(n) - lean - 2.0 * CONTACT_TOL
 
-    s, lifted = (p.spans(x, range(p.n), p.labels[p.V]) for x in (on, on & p.lifted[b]))
+    s, lifted = (Spans.of(p, x, range(p.n), p.labels[p.V]) for x in (on, on & p.lifted[b]))
     yield prove("rim m max", CONTACT_TOL, s, drift)
     yield prove("rim m/s² min", 0.0, s, friction_margin)
     yield prove("support m min", 0.0, lifted, support_margin)
@@ -245,10 +246,12 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
         return maximum(*errors)
 
     slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
-    yield prove("grip 1 min", 1.5, p.spans(on & slides, [0], [body.name]), grip_ratio)
-    yield prove("equilibrium 1 max", 5e-3, p.spans(on, [0], [body.name]), residual)
-    yield prove("grip wrap max", 3 * WRAP_TOL, p.spans(on, cables, p.cables), wrap_error)
-    yield prove("grip wrap max", CONTACT_TOL, p.spans(on & p.active[b], [0], [body.name]), rotation)
+    yield prove("grip 1 min", 1.5, Spans.of(p, on & slides, [0], [body.name]), grip_ratio)
+    yield prove("equilibrium 1 max", 5e-3, Spans.of(p, on, [0], [body.name]), residual)
+    yield prove("grip wrap max", 3 * WRAP_TOL, Spans.of(p, on, cables, p.cables), wrap_error)
+    yield prove(
+        "grip wrap max", CONTACT_TOL, Spans.of(p, on & p.active[b], [0], [body.name]), rotation
+    )
 
 
 def hinged(p: Plan, b: int) -> Iterator[Row]:
@@ -278,7 +281,7 @@ def hinged(p: Plan, b: int) -> Iterator[Row]:
         return (down * float(stem.depth(stem.centroid)) - moment[:2].norm()) * (1.0 / weight)
 
     loaded = held & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
-    clasps = p.spans(loaded, range(p.n), p.labels[p.V])
+    clasps = Spans.of(p, loaded, range(p.n), p.labels[p.V])
     yield prove("hinge m min", HINGE + p.tracking * p.ratio, clasps, hinge)
     standing = held & p.bent & (not body.fixed)
-    yield prove("support m min", 0.0, p.spans(standing, [0], [body.name]), foot)
+    yield prove("support m min", 0.0, Spans.of(p, standing, [0], [body.name]), foot)

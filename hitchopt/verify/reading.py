@@ -19,8 +19,8 @@ from .arithmetic import (
     TOLERANCE,
     Array,
     Curve,
+    G,
     Items,
-    Mask,
     differ,
     elevate,
     norm,
@@ -28,7 +28,6 @@ from .arithmetic import (
     varies,
 )
 from .shapes import Slab, to_frame
-from .spans import CLASPING, G, Spans
 
 REST_TOL = 1e-9  # [m] of the file format, as the next two
 CONTACT_TOL = 1e-4  # [m]
@@ -44,12 +43,13 @@ CROSSINGS = {"on the ground": 0, "hanging free": 0, "being drawn taut": 0}
 CROSSINGS |= {"being tightened": 1, "hitched": 1}  # of both cables of a clasp
 LAID = "being laid"  # single taut cables
 ROLLING = "rolling"  # pairs between crossing and clasp
+CLASPING = "clasping"
 TIGHTENED = "being tightened"
 UNLINKED = {"on the ground", "hanging free"}  # no links
 DRAWN = "being drawn taut"  # single cables
 BENT = "bent around an object"  # single cables, with edges
 OF_TWO = {*UNLINKED, DRAWN, BENT, ROLLING, "hitched"}  # states of two cables that clasp twice
-STATES = {*CROSSINGS, "clasping", LAID, ROLLING, BENT, "none"}
+STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, BENT, "none"}
 
 # Keys of settings and their types: ? nullable, [] list, [2] list of two; keys with * may be absent.
 TYPES = {
@@ -429,14 +429,6 @@ class Plan:
                 if len(near) and self.formed[near[0]]:
                     self.tied[piece] = True
                     self.tied_vertices[piece] = vertices[near[0], ..., end]
-
-    def spans(self, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
-        """Return whole pieces with items (k,) or (k, c), for a mask (m,) or (m, k)."""
-        items = np.array(items, dtype=int)
-        items = items[:, None] if items.ndim == 1 else items
-        piece, k = np.nonzero(np.broadcast_to(on.reshape(len(on), -1), (len(on), len(items))))
-        half = np.full(len(k), 0.5)
-        return Spans(self, piece, items[k], half, half, names)
 
 
 def midpoints(vertices: Array, n: int) -> Array:

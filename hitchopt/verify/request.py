@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arithmetic import POS_TOL, Array, Items, norm, normalize
-from .reading import LAID, TAUT_TOL, Plan
-from .spans import CLASPING, Fault, Row, Spans, fault_row
+from .reading import CLASPING, LAID, TAUT_TOL, Plan
+from .spans import Fault, Row, Spans, fault_row
 
 CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
 PATH_TOL = 1e-3  # [m] largest distance of a path from a point that it passes, between samples

@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arithmetic import BIG, TOLERANCE, UP, Array, Index, Items, Line, concatenate, maximum, minimum
-from .catenary import catenary_force
-
-if TYPE_CHECKING:
-    from .reading import Plan
+from .arithmetic import (
+    BIG,
+    TOLERANCE,
+    UP,
+    Array,
+    Index,
+    Items,
+    Line,
+    Mask,
+    concatenate,
+    maximum,
+    minimum,
+)
+from .reading import CLASPING, Plan
 
 Names = Sequence[Sequence[str]]
 Fault = tuple[float, bool, str]  # time [s], whether it applies, text
 Worst = tuple[float, float, str]  # value, time [s], place
 
-G = 9.81  # [m/s²]
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
 RESOLUTION = 1e-3  # of worst values, relative to limits
 BUDGET = 6_000_000  # samples of a limit
 CHUNK = 8192  # samples at once
 DEPTH = 46  # halvings
-CLASPING = "clasping"
 
 
 class Row(NamedTuple):
@@ -57,6 +64,15 @@ class Spans:
         self.moving, self._weights = 1.0 + 0.0 * x, dict[int, Array]()
         self.zero = Line(0.0 * x[:, None], 0.0 * x[:, None], 0.0 * x, self.t)
         self.time = plan.breaks[piece] + x * plan.h[piece]
+
+    @classmethod
+    def of(cls, plan: Plan, on: Mask, items: Any, *names: Sequence[str]) -> Spans:
+        """Return whole pieces with items (k,) or (k, c), for a mask (m,) or (m, k)."""
+        items = np.array(items, dtype=int)
+        items = items[:, None] if items.ndim == 1 else items
+        piece, k = np.nonzero(np.broadcast_to(on.reshape(len(on), -1), (len(on), len(items))))
+        half = np.full(len(k), 0.5)
+        return cls(plan, piece, items[k], half, half, names)
 
     def weights(self, n: int) -> Array:
         """Return Bernstein polynomials of degree n at midpoints (m, n + 1)."""
@@ -198,19 +214,6 @@ class Spans:
         if self.plan.has_contacts:
             edge = -(self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()) + self.plan.length[k]
         return self.chord_force(self.plan.tensions.on(self, k), k, edge.dot(edge))
-
-    def thrust(self, i: Index) -> Line:
-        """Return ``m (a + g ẑ) + P û + ½ ρ g d τ ẑ - (1 - τ) w``; w is a hanging cable's force."""
-        p, force = self.plan, (self.point(i, 2) + G * UP) * self.plan.mass[i]
-        if p.n:
-            leg, tau = self.leg_chord(i), self.tautness(i // 2)
-            taut = leg.unit() * self.pull(i) + leg.norm() * tau * (0.5 * p.weight) * UP
-            force = force + taut.where(p.taut[self.piece])
-            if p.weight > 0.0 and np.any(tau.low < 1.0):
-                slack = -tau + 1.0
-                hanging = catenary_force(self, i) * slack * p.weight
-                force = force - hanging.where(slack.high > TOLERANCE)
-        return force
 
     def local(self, b: int, x: Line) -> Line:
         """Return points in the frame of body b; -1 is the world."""

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from .arithmetic import Array, Items, norm
+from .arithmetic import Array, G, Items, norm
 from .reading import Plan, tube_of
-from .spans import G, Row, Worst, worst_row
+from .spans import Row, Worst, worst_row
 
 AXIAL = 1e4  # [N] stiffness EA of cables to stretch
 STIFFEST = 36.0  # [1/s²] stiffness over mass of a position loop that states none

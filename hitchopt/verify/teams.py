@@ -51,7 +51,7 @@ class Pair(Plan):
         """Return spans of all pairs of items of both plans."""
         one, two = self.pieces(self.breaks[:-1] + 0.5 * self.h)
         items = np.indices((len(first[1]), len(second[1]))).reshape(2, -1).T
-        return self.spans(first[0][one] & second[0][two], items, first[1], second[1])
+        return Spans.of(self, first[0][one] & second[0][two], items, first[1], second[1])
 
 
 Solid = tuple[Mask, Sequence[str], Callable[..., Any]]

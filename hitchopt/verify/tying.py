@@ -25,9 +25,9 @@ from .arithmetic import (
 from .cables import crossing_parts
 from .catenary import above_floor, catenary_links, lowest_height, own_cable_gap, shift
 from .links import bent_orders, replay
-from .reading import DRAWN, EXACT_RANGE, LAID, MIN_GAP, SAG_TOL, TIGHTENED, UNLINKED, Plan
+from .reading import CLASPING, DRAWN, EXACT_RANGE, LAID, MIN_GAP, SAG_TOL, TIGHTENED, UNLINKED, Plan
 from .shapes import distance, hull_distance, prism_gap, signed_distance
-from .spans import CLASPING, MIN_TENSION, RESOLUTION, Row, Spans, prove
+from .spans import MIN_TENSION, RESOLUTION, Row, Spans, prove
 
 PASSED = 0.4  # largest fraction of a cable's weight at a clasp that a cable below it may bear
 
@@ -39,9 +39,9 @@ def bent_cables(p: Plan) -> Iterator[Row]:
     above until they are apart; their other straight parts are apart. Without an object between
     them, all of their parts are.
     """
-    legs = p.spans(p.bent, range(p.N), p.names)
-    clasps = p.spans(p.bent, range(len(p.clasps)), p.labels[p.V])
-    both = p.spans(p.bent, [[0, 1]], p.cables, p.cables)
+    legs = Spans.of(p, p.bent, range(p.N), p.names)
+    clasps = Spans.of(p, p.bent, range(len(p.clasps)), p.labels[p.V])
+    both = Spans.of(p, p.bent, [[0, 1]], p.cables, p.cables)
     signs, first = np.zeros((len(p.h), len(p.clasps))), np.arange(p.N) % 2 == 0
     for run in runs_of(p.bent):
         signs[run] = bent_orders(p, run)[0]
@@ -94,7 +94,7 @@ def bent_cables(p: Plan) -> Iterator[Row]:
     yield prove("crossing m min", SAG_TOL, both, apart)
     cable, parts = p.segments[:, 2], p.segment_names
     pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
-    loose = p.spans(p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
+    loose = Spans.of(p, p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)
     near = partial(distance, ratio=p.ratio)
     yield prove(*p.crossing_limit, loose, lambda s, i, j: near(s.segment(i), s.segment(j)))
     yield prove("laid m min", -SAG_TOL, clasps, above)
@@ -105,12 +105,12 @@ def free_cables(p: Plan) -> Iterator[Row]:
     k, ground, ends = range(p.n), p.state == "on the ground", (p.names, p.cables)
     pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
     clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
-    both = p.spans(p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
+    both = Spans.of(p, p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
     drawn, level = p.state == DRAWN, ground | (p.state == DRAWN)
-    free, hanging = (p.spans(on, k, p.cables) for on in (p.free, p.free & ~level))
-    lying, tightened = p.spans(p.free & level, foreign, *ends), p.state == TIGHTENED
+    free, hanging = (Spans.of(p, on, k, p.cables) for on in (p.free, p.free & ~level))
+    lying, tightened = Spans.of(p, p.free & level, foreign, *ends), p.state == TIGHTENED
     apart = p.clasping[:, None] & ~p.clasped[pairs]
-    loose = p.spans(apart, np.column_stack(pairs), p.cables, p.cables)
+    loose = Spans.of(p, apart, np.column_stack(pairs), p.cables, p.cables)
     on_clasps = p.pairs[np.stack([p.begin, p.end], -1)[foreign[:, 1]] - p.N]
     turning = np.any(on_clasps == foreign[:, :1, None], axis=(1, 2))
     beside = p.clasping[:, None] & ~(turning & (p.state == CLASPING)[:, None])
@@ -150,20 +150,20 @@ def free_cables(p: Plan) -> Iterator[Row]:
     yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
     yield prove(*p.cable_limit, hanging, above_floor)
     # Distances of a point of a cable to both ends sum to at most its length
-    s = p.spans(p.free & ~level, foreign, *ends)
+    s = Spans.of(p, p.free & ~level, foreign, *ends)
     total = sum(((s.point(s.item[:, 0]) - x).norm() for x in s.ends(s.item[:, 1])), s.zero)
     reach = (p.sep["cable"] + EXACT_RANGE) * p.ratio
     s = s.select(total.low < p.length[s.item[:, 1], 0] + 2.0 * reach)
     yield prove(*p.cable_limit, s, to_cable)
     yield prove("cable_loops m min", POS_TOL, s, to_sheet)
     own = np.column_stack([np.arange(p.N), np.arange(p.N) // 2])
-    yield prove(*p.cable_limit, p.spans(p.free & ~level, own, *ends), own_cable_gap)
+    yield prove(*p.cable_limit, Spans.of(p, p.free & ~level, own, *ends), own_cable_gap)
     yield prove(*p.crossing_limit, loose, between_hulls)
-    s = p.spans(beside, foreign, *ends)
+    s = Spans.of(p, beside, foreign, *ends)
     s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)
     yield prove(*p.cable_limit, s, to_hull)
     longer = "cable_length 1 max", 1e-4  # bound of lengths along vertices
-    s = p.spans(tightened, k, p.cables)
+    s = Spans.of(p, tightened, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
     yield from laid_cables(p)
     yield from drawn_cables(p)
@@ -175,7 +175,7 @@ def drawn_cables(p: Plan) -> Iterator[Row]:
     Cables hang lowest where their drones are nearest.
     """
     for run in runs_of(p.state == DRAWN):
-        s = p.spans(np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
+        s = Spans.of(p, np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
         ends = [s.select(s.piece == q).subspan(x) for q, x in ((run[0], -1.0), (run[-1], 1.0))]
         first, last = (norm(x.q_to_r(x.item[:, 0]).v) for x in ends)
         parting = first <= last
@@ -193,7 +193,7 @@ def drawn_cables(p: Plan) -> Iterator[Row]:
 def laid_cables(p: Plan) -> Iterator[Row]:
     """Prove lengths of single taut cables, and distances of laid neighbours."""
     laid = p.state == LAID
-    s = p.spans(laid, range(p.n), p.cables)
+    s = Spans.of(p, laid, range(p.n), p.cables)
 
     def length_error(s: Spans, k: Index) -> Line:
         """Return ``|c (1 + (ρ g L / T)² cos² α / 24) - L| / L`` of chords c."""
@@ -211,11 +211,11 @@ def laid_cables(p: Plan) -> Iterator[Row]:
         )
 
     yield prove("cable_length 1 max", 1e-4, s, length_error)
-    pairs = p.spans(laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
+    pairs = Spans.of(p, laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
     yield prove(*p.crossing_limit, pairs, gap)
     half_crossings, unlinked = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps))
     _, sign, least = replay(p, half_crossings, unlinked, unlinked)
-    s = p.spans(laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
+    s = Spans.of(p, laid & p.vertical, range(len(p.clasps)), p.labels[p.V])
 
     def above(s: Spans, c: Index) -> Line:
         """Return the height of the upper cable over its smallest allowed height."""
