@@ -112,12 +112,20 @@ def uneven_hitch(n: int, roll: float) -> ho.Hitch:
     return ho.Hitch.spread(team, outline, 1.8, roll=np.full(n, np.radians(roll)))
 
 
+def hitch_with_short_edge(edge: float, roll: float) -> ho.Hitch:
+    """Return a pentagon one of whose edges is short [m], with a roll [°] of all clasps."""
+    outline = [[2.0, -1.3], [1.2, -1.3 - edge], [1.2 - edge, -1.2 - edge], [0.4, 0.3], [1.4, 0.6]]
+    team = ho.Team(5, 2.9, cable_density=0.018)
+    return ho.Hitch.spread(team, outline, 1.8, roll=np.full(5, np.radians(roll)))
+
+
 CHAIN = ho.Team(3, 2.4, topology="open", cable_density=0.01)
 ARC = [[0.0, 0.0], [0.8, 1.2], [2.2, 1.3], [3.0, 0.0]]
 HITCHES: dict[str, Callable[[], ho.Hitch]] = {
     **{f"regular {n}": partial(regular_hitch, n) for n in (3, 6)},
     "chain": partial(ho.Hitch.balanced, CHAIN, ARC, altitude=1.0),
     **{f"{n} by {x}": partial(uneven_hitch, n, x) for n, x in ((3, -30.0), (12, 20.0))},
+    **{f"edge {x} by {y}": partial(hitch_with_short_edge, x, y) for x, y in ((0.06, 35), (0.1, 0))},
 }
 
 

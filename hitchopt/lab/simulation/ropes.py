@@ -34,6 +34,7 @@ GAP_DIAMETERS = 3.5  # Minimum distance of the two bends of a loose clasp, in di
 GAP_SEGMENTS = 1.7  # The same in segments, so that a bend consists of several segments
 
 REACH = 2.0  # Distance from a clasp, over its gap, at which a cable meets the planned line
+SPACING_ROUNDS = 50  # Rounds in which clasps of short edges move apart; a few suffice
 
 # Corners of a bend: along the direction in which it opens, and across it
 BEND = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
@@ -151,10 +152,12 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
 
     Cables are chains of segments of exact length, n of (segments + 1, 3) [m], which end slightly
     inward of the drones. At a clasp the cables overlap like two links of a chain: cable k is level,
-    cable k-1 upright, with its leg below, or above if it rises more than the other leg.
+    cable k-1 upright, with its leg below, or above if it rises more than the other leg. Clasps of
+    an edge that is too short for two loose clasps begin further apart; settling brings them closer.
     """
     lengths = ropes.segment_lengths
     gap = max(GAP_DIAMETERS * ropes.preset.diameter, GAP_SEGMENTS * float(np.max(lengths)))
+    vertices = _spaced(layout, vertices, 2.0 * REACH * gap)
     q, r = drones[0::2], drones[1::2]
     u = unit(layout.edges(vertices))
     p, after, before = vertices[layout.clasps], layout.ahead, layout.behind
@@ -193,6 +196,23 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
         )
         chains.append(np.vstack([back[:0:-1], onward]))
     return chains
+
+
+def _spaced(layout: Layout, vertices: Array, shortest: float) -> Array:
+    """Return vertices (vertices, 3) [m] whose edges have at least about the ``shortest`` length.
+
+    Both ends of a shorter edge move along it, by equal distances; neighbours follow in rounds.
+    """
+    for _ in range(SPACING_ROUNDS):
+        edges = layout.edges(vertices)
+        missing = np.maximum(shortest - length(edges), 0.0)
+        if not missing.any():
+            break
+        shifts = 0.5 * missing[:, None] * unit(edges)
+        vertices = vertices.copy()
+        np.subtract.at(vertices, layout.starts, shifts)
+        np.add.at(vertices, layout.ends, shifts)
+    return vertices
 
 
 def _steps(corners: Array, count: int, size: float) -> Array:
