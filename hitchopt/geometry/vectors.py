@@ -16,8 +16,10 @@ GOLDEN = 0.6180339887498949
 """Fractional part of the golden ratio: sums of a few of its multiples and powers do not tie."""
 
 EAST = np.array([1.0, 0.0, 0.0])  # Default direction of vectors without one
-NEXT, LAST = np.array([1, 2, 0]), np.array([2, 0, 1])  # Axis after each axis, and before it
-LOWER, UPPER = 3 * LAST + NEXT, 3 * NEXT + LAST  # Entries of flat 3x3 matrices, and mirror images
+NEXT = np.array([1, 2, 0])  # Axis after each axis
+LAST = np.array([2, 0, 1])  # Axis before each axis
+LOWER = 3 * LAST + NEXT  # Entries of flat 3x3 matrices
+UPPER = 3 * NEXT + LAST  # Their mirror images
 
 
 def dot(a: Array, b: Array) -> Array:

@@ -401,7 +401,8 @@ def _stacked(task: ExportTask, points: Array, action: str) -> Iterator[str]:
 MILLI = 1e-3  # Unit of durations [s] and control points [m]
 POINTS = (0, 1, 3, DEGREE)  # Number of control points per axis of a segment, by type
 MAX_COORDINATE = 32.767  # Maximum coordinate of a control point [m]
-HEADER_BYTES, START_BYTES = 3, 8
+HEADER_BYTES = 3  # Size of the header of a segment [B]
+START_BYTES = 8  # Size of the start, before the first segment [B]
 END = b"\x00\x00\x00"  # Segment of zero duration
 
 SEGMENT = PieceKind(DEGREE, 3, MILLI, max_duration=65.535)

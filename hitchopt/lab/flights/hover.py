@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from itertools import combinations_with_replacement
+from itertools import chain, combinations_with_replacement
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
@@ -240,7 +240,8 @@ def calibrate_hover(
     names = drones_by_name(names)
     labels = [each.source if isinstance(each, RecordedFlight) else str(each) for each in sources]
     drones = dict[str, DroneHover]()
-    for name in dict.fromkeys(name for flight in flights for name in flight.tracks):
+    recorded_names = dict.fromkeys(chain.from_iterable(flight.tracks for flight in flights))
+    for name in recorded_names:
         series = [
             HoverSeries(flight, name, label)
             for label, flight in zip(labels, flights, strict=True)
@@ -248,7 +249,8 @@ def calibrate_hover(
         ]
         drones[name] = _drone(name, series, known)
     if all(math.isnan(drone.trim[0]) and math.isnan(drone.lag) for drone in drones.values()):
-        reasons = "; ".join(dict.fromkeys(x for drone in drones.values() for x in drone.remarks))
+        remarks = chain.from_iterable(drone.remarks for drone in drones.values())
+        reasons = "; ".join(dict.fromkeys(remarks))
         problem = f"no drone of {', '.join(drones)} is at rest in flight: {reasons}"
         raise FileError(f"{', '.join(labels)}: {problem}; flights of a plan need plan=")
     drones = _with_expected_trims(drones, known)

@@ -49,8 +49,11 @@ SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in
 
 ANGLES = 61  # Number of sampled angles of the roll; the certificate bounds all of them
 
-DISTANCE_FACTOR, EXTRA_DISTANCE = 1.2, 0.03
-"""Factor on distance limits of cables, and distance added to them [m], in planning."""
+DISTANCE_FACTOR = 1.2
+"""Factor on distance limits of cables in planning."""
+
+EXTRA_DISTANCE = 0.03
+"""[m] Distance added to these limits."""
 
 SPACINGS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
 """Candidate distances between levels, over the smallest one."""
@@ -58,8 +61,11 @@ SPACINGS = (1.0, 1.25, 1.5, 2.0, 2.5, 3.0)
 SLANTS = (0.0, 0.3, -0.3, 0.6, -0.6, 1.0, -1.0)
 """Candidate displacements along edges, over those normal to them."""
 
-OFFSET_STEP, MAX_OFFSET_STEPS = 0.05, 60
-"""Step of the distance from edges' lines, over the mean cable length, and number of steps."""
+OFFSET_STEP = 0.05
+"""Step of the distance from edges' lines, over the mean cable length."""
+
+MAX_OFFSET_STEPS = 60
+"""Maximum number of these steps."""
 
 TENSION_SECONDS = 0.3
 """[s] Transition time from the tensions of taut cables on their own to those of the hitch."""

@@ -159,9 +159,11 @@ def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
 
 # Flights on straight lines, and hovering.
 
-GROUND_CLEARANCE, JOINT_RESERVE = 1.1, 2e-3
-"""Height of hanging cables above the ground, over ``Requirements.ground_clearance``, and reserve
-[m] for bounds of ``tracking_radius``, which are lower than values at samples."""
+GROUND_CLEARANCE = 1.1
+"""Height of hanging cables above the ground, over ``Requirements.ground_clearance``."""
+
+JOINT_RESERVE = 2e-3
+"""[m] Reserve for bounds of ``tracking_radius``, which are lower than values at samples."""
 
 LINE_SAMPLES = 9  # Number of points on a line at which usable accelerations are computed
 MIN_FLIGHT = 1e-9  # [m] Shortest distance of a flight

@@ -28,8 +28,11 @@ from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import KnotPath
 from hitchopt.values import Array
 
-STRAIGHT, WIDENED = "straight", "widened"
-"""Names of guesses on straight lines, and on the same lines widened halfway."""
+STRAIGHT = "straight"
+"""Name of the guess on straight lines."""
+
+WIDENED = "widened"
+"""Name of the guess on the same lines, widened halfway."""
 
 MIN_OTHER_TURN = 0.75 * math.pi
 """[rad] Smallest turn for which the opposite turn is a guess as well."""
@@ -55,8 +58,11 @@ ROLLED_STEPS = 16
 ROLL_RAMP = 0.25
 """Fraction of the path in which the roll of a guess rises, and in which it sinks."""
 
-ROLL_COST, TURN_COST = 0.3, 0.3
-"""[1/rad] Penalties of roll and of turns of a guess, in units of its margin."""
+ROLL_COST = 0.3
+"""[1/rad] Penalty of the roll of a guess, in units of its margin."""
+
+TURN_COST = 0.3
+"""[1/rad] Penalty of the turns of a guess, in units of its margin."""
 
 
 DETOURS = (0.15, 0.3, 0.6, 1.0, 1.5)

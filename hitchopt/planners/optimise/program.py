@@ -77,9 +77,11 @@ SLACK_SCALE = 0.01
 BETWEEN_KNOTS_SHARE = 0.2
 """Fraction of a step's reach up to which pairs have rows between the knots."""
 
-NEAR_RANGE, ADDED_RANGE = 0.5, 0.1
-"""Distances to their bounds, in strides, below which rows are enforced at first, and below which
-they are added together with violated rows."""
+NEAR_RANGE = 0.5
+"""Distance to its bound, in strides, below which a row is enforced at first."""
+
+ADDED_RANGE = 0.1
+"""Distance to its bound, in strides, below which a row is added together with violated rows."""
 
 ENTRY_COST = 0.012
 """Cost of an entry of a program's matrices, in the unit of ``Effort``, by regression."""

@@ -72,9 +72,12 @@ MAX_INITIAL_STEPS = 12
 MAX_REFINED_STEPS = 5
 """Maximum number of steps to a feasible path in a round of refinement."""
 
-HOPEFUL_MARGIN, MIN_MARGIN_GAIN = 0.8, 0.03
-"""Margin of distances below which refinement goes on only while every step gains as much as this.
+HOPEFUL_MARGIN = 0.8
+"""Margin of distances below which refinement goes on only while every step gains enough.
 Of 13 pairs all refinements that succeeded had more after the second step, or gained 0.2 a step."""
+
+MIN_MARGIN_GAIN = 0.03
+"""Smallest gain of margin in a step with which such a refinement goes on."""
 
 MAX_FASTEST_STEPS = 12
 """Maximum number of steps from a feasible path to faster ones."""
@@ -93,8 +96,11 @@ MIN_REFINED_PROGRESS = 0.05
 KNOT_DISTANCE = 0.9
 """[m] Largest length of a vertex's path between two knots, within the bounds of their number."""
 
-MIN_STEPS, MAX_STEPS = 8, 16
-"""Bounds of the number of steps between the knots of a guess."""
+MIN_STEPS = 8
+"""Minimum number of steps between the knots of a guess."""
+
+MAX_STEPS = 16
+"""Maximum number of steps between the knots of a guess."""
 
 MAX_GUESS_RATIO = 1.3
 """Largest estimated duration of a guess that is optimized, over that of the fastest motion so
@@ -112,9 +118,12 @@ MAX_EFFORT = 240.0
 """Limit of the effort if the straight path is infeasible, per robot and inner knot of the largest
 guess. Successful searches of 3 to 12 robots took up to 170."""
 
-MIN_EFFORT, EFFORT_PER_ROBOT = 2e4, 300.0
-"""Limit of the effort if the straight path is feasible, which is about ten times that of planning
-it, or about 2 s if that is more."""
+MIN_EFFORT = 2e4
+"""Smallest limit of the effort if the straight path is feasible: about 2 s."""
+
+EFFORT_PER_ROBOT = 300.0
+"""Limit of the effort per robot if the straight path is feasible, if that is more: about ten times
+that of planning this path."""
 
 MIN_STEP_GAIN = 5e-4
 """Smallest gain of a step toward a faster path, as a share of its duration, below which no further
@@ -123,9 +132,12 @@ one is tried."""
 MIN_GUESS_MARGIN = 0.3
 """Smallest margin of distances of a preferred guess."""
 
-MAX_ROLLED, MAX_ROLLED_EFFORT = 8, 2.0
-"""Maximum number of guesses with roll that are tried, and their maximum effort together over that
-of one, beyond which no further one is."""
+MAX_ROLLED = 8
+"""Maximum number of guesses with roll that are tried."""
+
+MAX_ROLLED_EFFORT = 2.0
+"""Maximum effort of these guesses together, over that of one, beyond which no further one is
+tried."""
 
 END_MARGIN_FACTOR = 1.0 - 1e-4
 """Factor on the margins of the ends, which they then satisfy despite rounding."""
