@@ -199,6 +199,13 @@ def test_wild_pairs_are_planned_however_they_are_placed_and_numbered(change: str
     assert planned(CHANGES[change](pair_of(wild_morph(robots, seed)))).certificate.certified
 
 
+@pytest.mark.parametrize(("robots", "angle"), [(3, 0.4), (4, 1.3), (5, 3.7), (6, 5.5)])
+def test_wild_pairs_are_planned_at_any_heading(robots: int, angle: float) -> None:
+    pair = pair_of(wild_morph(robots, 103))
+    for each in (pair, changed(pair, lambda points: points @ rotation(angle))):
+        assert planned(each).certificate.certified
+
+
 def test_heavy_cables_that_cannot_be_held_on_a_guess_spoil_no_search() -> None:
     """On one of its guesses the clasps have no balance; others lead to a plan."""
     problem = wild_morph(3, 9, heavy=True)
