@@ -18,6 +18,7 @@ from scripted import world_of
 import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import UnsupportedError
+from hitchopt.lab.flights.recordings import plan_at
 from hitchopt.lab.simulation.contacts import touching
 from hitchopt.lab.simulation.judgement import closest
 from hitchopt.lab.simulation.report import Simulation, ending, summary
@@ -27,6 +28,7 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
+from hitchopt.values import Array
 from hitchopt.view.scene import ghost_scene
 
 BRIEF = Settings(pull_test=False, friction=0.1)
@@ -167,24 +169,28 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"controller": "mellinger"}])
 def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) -> None:
-    motion = planned("two_teams").motion
-    result = Simulation.of(Task.of(motion), Settings(perturbations=CALM, friction=0.1, **options))  # type: ignore[arg-type]
+    flight = planned("two_teams").flight
+    task = Task.of(flight)
+    names = task.team.drone_names
+
+    def places(t: Array) -> Array:
+        return plan_at(task, t, task.states.positions)
+
+    result = Simulation.of(task, Settings(perturbations=CALM, friction=0.1, **options))  # type: ignore[arg-type]
     assert result.outcome.hitched
     assert result.outcome.failures == ()
     assert {clasp.name[0] for clasp in result.outcome.clasps} == {"a", "b"}
     assert all(0.0 < clasp.moved < 0.1 for clasp in result.outcome.clasps)
     record, found = result.flight.record, closest(result.flight)
-    i, j = (motion.team.drone_names.index(name) for name in found.drones)
-    errors = np.linalg.norm(
-        record.drones - motion.drones.at(np.minimum(record.t, motion.duration)), axis=-1
-    )
-    between = motion.drones.at(np.linspace(0.0, motion.duration, 2001))
+    i, j = (names.index(name) for name in found.drones)
+    errors = np.linalg.norm(record.drones - places(record.t), axis=-1)
+    between = places(np.linspace(0.0, flight.duration, 2001))
     planned_distance = np.min(np.linalg.norm(between[:, i] - between[:, j], axis=-1))
     assert found.distance >= planned_distance - np.max(errors[:, i]) - np.max(errors[:, j])
     assert np.max(errors[:, [i, j]]) < 0.1
     assert result.save(tmp_path) == tmp_path
     lines = (tmp_path / "drones.csv").read_text(encoding="utf-8").splitlines()
-    assert {row["drone"] for row in csv.DictReader(lines)} == set(motion.team.drone_names)
-    scene = ghost_scene(tmp_path, ho.Flight.of(motion))
-    positions = scene.at(motion.duration).drones
-    np.testing.assert_allclose(positions, motion.drones.at(motion.duration), atol=0.1)
+    assert {row["drone"] for row in csv.DictReader(lines)} == set(names)
+    scene = ghost_scene(tmp_path, flight)
+    positions = scene.at(flight.duration).drones
+    np.testing.assert_allclose(positions, places(np.array([flight.duration]))[0], atol=0.1)

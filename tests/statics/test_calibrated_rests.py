@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -196,6 +197,10 @@ def test_the_command_prints_trims_and_how_far_the_vertex_error_falls(tmp_path: P
     bounds = f"{100 * after:.3g} cm instead of {100 * before:.3g} cm"
     assert f"vertex_error is {bounds}" in words
     assert after < 0.5 * before
+    content = json.loads(CliRunner().invoke(main, [*command, "--json"]).stdout)
+    np.testing.assert_allclose(content["trims"], found.at_rests.trims)
+    assert content["vertex_error"] == {"planned": before, "calibrated": after}
+    assert content["errors"]["drone"] == found.errors.drone
 
 
 @pytest.mark.slow

@@ -89,16 +89,16 @@ def text_of(name: str) -> str:
 
 
 @cache
-def motion_of(name: str) -> ho.Motion:
+def flight_of(name: str) -> ho.Flight:
     data: Any = parse_yaml(text_of(name))
     plan: ho.Plan = planned_of(data) if name in ("tied", "moved", "swung") else planned(name)
-    return plan.motion
+    return plan.flight
 
 
 def found(name: str, path: Path_, value: Any, folder: Path) -> list[str]:
     """Return the keys that verify finds where the problem asks for another value."""
     file = folder / "plan.npz"
-    write_plan(file, ho.Flight.of(motion_of(name)), "", text_of(name))
+    write_plan(file, flight_of(name), "", text_of(name))
     with np.load(file) as read:
         arrays = dict(read)
     settings = json.loads(str(arrays["settings"]))
@@ -274,7 +274,7 @@ def test_every_key_of_the_table_has_a_lie() -> None:
 
 
 def test_places_in_order_are_found_only_where_they_are(tmp_path: Path) -> None:
-    in_order = np.array_equal(motion_of("tied").team.listed, range(6))
+    in_order = np.array_equal(flight_of("tied").teams[0].motion.team.listed, range(6))
     wrong = found("tied", ("mission", 0, "form", "assign"), "fixed", tmp_path)
     assert bool(wrong) is not in_order
 
@@ -289,13 +289,13 @@ def test_places_in_order_are_found_only_where_they_are(tmp_path: Path) -> None:
 )
 def test_plans_are_read_only_with_the_legs_asked_for(path: Path_, value: Any, key: str) -> None:
     data: Any = parse_yaml(MOVED)
-    check_request(problem_from_dict(copy.deepcopy(data)).request, ho.Flight.of(motion_of("moved")))
+    check_request(problem_from_dict(copy.deepcopy(data)).request, flight_of("moved"))
     entry = data
     for part in path[:-1]:
         entry = entry[part]
     entry[path[-1]] = value
     with pytest.raises(ho.InputError) as caught:
-        check_request(problem_from_dict(data).request, ho.Flight.of(motion_of("moved")))
+        check_request(problem_from_dict(data).request, flight_of("moved"))
     assert caught.value.key == key
 
 
@@ -311,13 +311,13 @@ def test_plans_are_read_only_with_the_route_asked_for(extra: str, key: str) -> N
     text = text_of(BOX).replace("{object: box,", f"{{object: box, {extra},")
     data: Any = parse_yaml(text)
     with pytest.raises(ho.InputError) as caught:
-        check_request(problem_from_dict(data).request, ho.Flight.of(motion_of(BOX)))
+        check_request(problem_from_dict(data).request, flight_of(BOX))
     assert caught.value.key == key
 
 
 def test_check_names_keys_that_only_the_curves_between_show(tmp_path: Path) -> None:
     text = MOVED.replace("[2, 0, -0.85]", "[2, 0, -0.86]")
-    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion_of("moved")), "", text)
+    write_plan(tmp_path / "plan.npz", flight_of("moved"), "", text)
     run = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert run.exit_code == 2
     assert "mission[4].follow_vertex.path is not as requested" in run.output
@@ -331,7 +331,7 @@ def test_check_refuses_in_one_line_what_the_verifier_does_not_read(
     def refused(_: Path) -> None:
         raise second.UnreadableError("breaks are not increasing")
 
-    write_plan(tmp_path / "plan.npz", ho.Flight.of(motion_of("moved")), "", MOVED)
+    write_plan(tmp_path / "plan.npz", flight_of("moved"), "", MOVED)
     monkeypatch.setattr(second, "read", refused)
     run = CliRunner().invoke(main, ["check", str(tmp_path)])
     assert run.exit_code == 2
@@ -343,7 +343,7 @@ def test_check_refuses_in_one_line_what_the_verifier_does_not_read(
 def test_a_text_and_its_data_are_the_same(tmp_path: Path) -> None:
     """Readers without YAML believe the data, so all others compare them with the text."""
     file = tmp_path / "plan.npz"
-    write_plan(file, ho.Flight.of(motion_of("moved")), "", MOVED)
+    write_plan(file, flight_of("moved"), "", MOVED)
     with np.load(file) as read:
         arrays = dict(read)
     settings = json.loads(str(arrays["settings"]))

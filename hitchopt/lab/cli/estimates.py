@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -226,8 +226,8 @@ def calibrate(
         lengths=[vars(estimate) for estimate in calibration.lengths],
         stiffness=[vars(estimate) for estimate in calibration.stiffness],
         friction=vars(calibration.friction),
-        trims=calibration.at_rests.trims,
-        errors=vars(calibration.errors),
+        trims=calibration.at_rests.trims.tolist(),
+        errors=asdict(calibration.errors),
         vertex_error={
             "planned": calibration.planned_vertex_error,
             "calibrated": calibration.vertex_error,
