@@ -75,7 +75,7 @@ from hitchopt.hitch.catenary import (
     level_length,
 )
 from hitchopt.hitch.pairs import CABLE, DISTANCES, TautBodies
-from hitchopt.motion.loads import RIM_CUT, held_pieces
+from hitchopt.motion.loads import RIM_CUT, RIM_REMEDY, held_pieces
 from hitchopt.motion.motion import (
     CLASPED_STATES,
     FREE_STATES,
@@ -700,12 +700,6 @@ def _clasped_and_objects(motion: Motion) -> Iterator[Moving]:
 def beside_or_above(spans: PairSpans, top: float) -> Bound:
     """Return the distance of hanging cables from a body, horizontal or above it [m]."""
     return largest_of([gap(spans), chain_distance(spans, Ground(top))])
-
-
-RIM_REMEDY = (
-    f"keep legs below the rim: they leave it more than {1e3 * RIM_CUT:g} mm above its edge, "
-    "where they bend"
-)
 
 
 def _rim_remedy(motion: Motion, check: Check) -> str:

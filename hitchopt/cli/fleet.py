@@ -176,8 +176,9 @@ def lint(path: Path, limits: dict[str, float]) -> None:
     """
     from hitchopt.exports.lint import Rules
 
-    semi_axes = {name: limits.pop(name) for name in ("radius", "height") if name in limits}
-    rules = Rules(**limits, separation=ho.Separation(**semi_axes))
+    semi_axes = {name: limits[name] for name in ("radius", "height") if name in limits}
+    separation = ho.Separation(**semi_axes)
+    rules = Rules(limits.get("speed"), limits.get("acceleration"), separation)
     with ProgressBar("reading and checking"):
         reports = ho.lint(path, rules)
     entries = []

@@ -67,6 +67,11 @@ RIM_CUT = 0.005
 Legs bend at the rim's edge, by angles of their own; vertices are below it for their mean.
 """
 
+RIM_REMEDY = (
+    f"keep legs below the rim: they leave it more than {1e3 * RIM_CUT:g} mm above its edge, "
+    "where they bend"
+)
+
 USUAL_DENSITY = 0.01  # Density of a cord of 4 mm [kg/m], of drones without a model
 
 

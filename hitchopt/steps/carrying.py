@@ -149,6 +149,7 @@ def require_hold(task: StepTask, planner: MovePlanner) -> None:
     try:
         if isinstance(hold, RestHold):
             hold.check_unbent(planner.state.tension)
+            hold.check_rim(planner.state.tension)
         require_certified(StepPlan(lifted.motion([lifted.rest(1.0)], "hold"), task.before), when)
         if isinstance(hold, RestHold):
             when = f"as the clasps take {name}"
@@ -337,8 +338,11 @@ def _turned(
         turns = [math.pi] if np.max(np.min(opposite, axis=1)) < PLACE_TOLERANCE else []
     turned = [(nearest, around)]
     for turn in turns:
-        both = (centre + rotated(x - centre, turn) for x in (nearest.around, nearest.clasps))
-        turned.append(_renumbered(HoldPolygons(*both), body, polygon, turn=False))
+        around_it, clasps = (
+            centre + rotated(x - centre, turn) for x in (nearest.around, nearest.clasps)
+        )
+        both = HoldPolygons(around_it, clasps)
+        turned.append(_renumbered(both, body, polygon, turn=False))
     return turned
 
 
@@ -354,13 +358,17 @@ def _renumbered(
         end, goal = (points @ np.array([1.0, 1.0j]) for points in (polygons.around, start))
         products = [np.vdot(np.roll(end, -k), goal) for k in range(len(end))]
         angle = float(np.angle(max(products, key=abs))) - body.yaw
-        polygons = HoldPolygons(*(rotated(x, angle) for x in (polygons.around, polygons.clasps)))
+        polygons = HoldPolygons(rotated(polygons.around, angle), rotated(polygons.clasps, angle))
     around = polygon_at(body, polygons.around)
     end = around.vertices - around.centroid
     squares = [np.sum((np.roll(end, -k, axis=0) - start) ** 2) for k in range(len(end))]
     shift = int(np.argmin(squares))
-    shifted = (np.roll(each, -shift, axis=0) for each in (polygons.around, polygons.clasps))
-    return HoldPolygons(*shifted), around.renumbered(shift)
+    numbered = HoldPolygons(
+        np.roll(polygons.around, -shift, axis=0),
+        np.roll(polygons.clasps, -shift, axis=0),
+        tuple(np.roll(each, -shift, axis=0) for each in polygons.outer),
+    )
+    return numbered, around.renumbered(shift)
 
 
 HoldMethod = Literal["rest", "grip"]  # Method of holding an object
@@ -426,32 +434,35 @@ class Grasp(TensionStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        clasps = task.grasp.polygons.clasps
-        below, requirements = polygon_at(body, clasps), requirements_near(task, self.object)
+        polygons, requirements = task.grasp.polygons, requirements_near(task, self.object)
         own = requirements.separation
         wider = {key: CLOSING_MARGIN * value for key, value in vars(own).items()}
         with_margin = replace(requirements, separation=replace(own, **wider))
-        goal = end_of_morph(task.hitch, below, None, with_margin).hitch
         closing_task, failures = task.within(requirements, task.before), list[HoldFailure]()
-        for hitch in hitches_below(goal, with_margin):
-            fractions, legs = hitch.fractions, RolledLegs(hitch.q_legs, hitch.roll)
-            hold = RestHold(team, body, clasps, body.rim.height, fractions, hitch.roll)
-            planner = planner_of(task).from_state(tension=tension, hold=hold)
-            moves = [*planner.retension(team.tension, tension), planner.rim_move(planner.gap, 0.0)]
-            try:
-                require_hold(task, planner)
-                closing = require_certified(Morph(below, legs).plan(closing_task))
-                rising = planner.motion(moves, self.name)
-                parts = [closing.motion, rising]
-                motion = step_motion(self, task, parts, rising.phases[0].hold)
-                if np.any(hitch.roll):  # drones and cables sink toward the ground
-                    require_certified(StepPlan(motion, task.before))
-                break
-            except InfeasibleError as error:
-                failures.append(HoldFailure(planner, error))
-        else:
-            raise best_hold_error(task, failures)
-        return plan_to(task, planner.state, motion, body.place)
+        for clasps in polygons.below_rim:
+            below = polygon_at(body, clasps)
+            goal = end_of_morph(task.hitch, below, None, with_margin).hitch
+            for hitch in hitches_below(goal, with_margin):
+                fractions, legs = hitch.fractions, RolledLegs(hitch.q_legs, hitch.roll)
+                hold = RestHold(team, body, clasps, body.rim.height, fractions, hitch.roll)
+                planner = planner_of(task).from_state(tension=tension, hold=hold)
+                moves = [
+                    *planner.retension(team.tension, tension),
+                    planner.rim_move(planner.gap, 0.0),
+                ]
+                try:
+                    require_hold(task, planner)
+                    closing = require_certified(Morph(below, legs).plan(closing_task))
+                    rising = planner.motion(moves, self.name)
+                    parts = [closing.motion, rising]
+                    motion = step_motion(self, task, parts, rising.phases[0].hold)
+                    if np.any(hitch.roll):  # drones and cables sink toward the ground
+                        require_certified(StepPlan(motion, task.before))
+                except InfeasibleError as error:
+                    failures.append(HoldFailure(planner, error))
+                    continue
+                return plan_to(task, planner.state, motion, body.place)
+        raise best_hold_error(task, failures)
 
     def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
         """Return the plan to cables that grip the object with tensions (n,) [N]."""

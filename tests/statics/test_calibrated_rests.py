@@ -33,7 +33,7 @@ def team(**given: Any) -> ho.Team:
 def planned(
     of: ho.Team, *polygons: Array, start: Array = POLYGON, altitude: float = 1.4
 ) -> ho.Plan:
-    mission = ho.Mission(of, ho.HitchStart(start, altitude)).hold(4.0)
+    mission = ho.Mission(of, ho.HitchStart(ho.ConvexPolygon(start), altitude)).hold(4.0)
     for polygon in polygons:
         mission = mission.morph(polygon).hold(4.0)
     plan = mission.solve()
@@ -231,4 +231,5 @@ def team_of(calibration: ho.Calibration) -> ho.Team:
     content: Any = parse_yaml(calibration.text)
     start = {"start": {"hitch": {"polygon": POLYGON.tolist(), "altitude": 1.4}}}
     mission = {"mission": [{"hold": {"seconds": 1.0}}]}
-    return ho.problem_from_dict(content | start | mission).team
+    calibrated: ho.Team = ho.problem_from_dict(content | start | mission).team
+    return calibrated

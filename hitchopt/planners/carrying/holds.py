@@ -32,7 +32,7 @@ from hitchopt.hitch.forces import (
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.holding import Bends, Wraps, balanced, edge_ratios, straight_parts, wraps_around
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.loads import Supports, rim_drop, rim_savings, strut_share
+from hitchopt.motion.loads import RIM_CUT, RIM_REMEDY, Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world, poses_of
@@ -218,6 +218,27 @@ class RestHold(HoldingHitch):
         forces = np.zeros(self.clasps.shape)
         forces[:, 2] = -GRAVITY * self.body.mass * self.supports.shares
         self.drones(tension, forces)
+
+    def check_rim(self, tension: Array) -> None:
+        """Raise InfeasibleError if straight legs leave the rim more than RIM_CUT above its edge.
+
+        That is at rest without and with the whole weight, for tensions (n,) [N].
+        """
+        assert self.body.rim is not None
+        tensions, origin = np.stack([tension, tension]), np.zeros(4)
+        for share in (0.0, 1.0):
+            rest = Move(origin, origin, tensions, (share, share), SmoothLaw(1.0))
+            at_rest = self.curves(rest, np.zeros(1))
+            clasps = at_rest["vertices"][0, self.team.layout.anchors]
+            legs = at_rest["drones"][0] - clasps
+            level = length(legs[:, :2])
+            inside = self.body.rim.section.reach(clasps[:, :2], legs[:, :2] / level[:, None])
+            heights = clasps[:, 2] + inside * legs[:, 2] / level - self.height
+            worst = int(np.argmax(heights))
+            if heights[worst] > RIM_CUT:
+                where, remedy = (f"cable {self.team.labels[worst // 2]}", "the rim"), RIM_REMEDY
+                cut = "object_clearance", 0.0, RIM_CUT, "min", "m", where, "", remedy
+                raise InfeasibleError([Violation(*cut)])
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""

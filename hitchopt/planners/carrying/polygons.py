@@ -36,6 +36,13 @@ class HoldPolygons:
 
     around: Array  # (n, 2) [m], clear of the object
     clasps: Array  # (n, 2) [m], below its rim, or with edges that grip it
+    # (n, 2) [m] each, below its rim, nearer to the rim's edge where legs may rise more steeply
+    outer: tuple[Array, ...] = ()
+
+    @property
+    def below_rim(self) -> tuple[Array, ...]:
+        """Candidate clasps (n, 2) [m] below the rim, in order of preference."""
+        return self.clasps, *self.outer
 
     @classmethod
     def about(
@@ -396,6 +403,10 @@ EDGE_MARGIN = 0.045
 SUFFICIENT_INSET, MIN_INSET = 0.05, 0.01
 """[m] Sufficient and minimum distance of clasps to the rim's outline, and of edges to the body."""
 
+OUTER_INSET = 0.02
+"""[m] Sufficient distance where none with a SUFFICIENT_INSET holds: legs may rise more steeply
+near the rim's edge without cutting it."""
+
 ANGLES, ASPECTS = 12, 17  # Numbers of candidate orientations and aspect ratios
 SIZES = np.linspace(0.05, 1.0, 96)  # Candidate sizes of a polygon below a rim, over the rim's own
 
@@ -407,7 +418,8 @@ def rest_polygons(
 
     Candidates are regular polygons about the centre of mass, turned, and stretched along the rim's
     axes. The best have the largest inset, the smaller distance of clasps to the rim's outline and
-    of edges to the body; of those with a SUFFICIENT_INSET, the widest support.
+    of edges to the body; of those with a SUFFICIENT_INSET, the widest support. Outer clasps
+    are the widest with an OUTER_INSET, and those with the shortest legs below the rim.
 
     Parameters
     ----------
@@ -433,10 +445,11 @@ def rest_polygons(
     inside = -np.max(rim.clearance(polygons)[0], axis=-1)
     outward, offsets = sides_of(polygons)
     width = np.min(offsets - outward @ centre, axis=-1)
-    inset = np.minimum(inside, SUFFICIENT_INSET)
+    inset = inside
     if body.stem is not None:
         inset = np.minimum(inset, np.min(offsets - body.stem.support(outward), axis=-1))
-    merit = inset + 1e-3 * width
+    longest = np.where(inset >= MIN_INSET, _longest_below(rim, polygons), np.inf)
+    merit = np.minimum(inset, SUFFICIENT_INSET) + 1e-3 * width
     best = np.unravel_index(int(np.argmax(merit)), inset.shape)
     if inset[best] < MIN_INSET:
         value, when = float(inset[best]), "below the rim of the object"
@@ -447,14 +460,31 @@ def rest_polygons(
         raise InfeasibleError(
             [Violation("support", value, MIN_INSET, "min", "m", (name,), when, remedy)]
         )
-    by_angle = np.argmax(merit.reshape(ANGLES, -1), axis=1)
-    of_angles = np.unravel_index(
-        by_angle + merit[0].size * ASPECTS * np.arange(ANGLES), merit.shape
-    )
-    order = np.argsort(-merit[of_angles], kind="stable")
-    of_angles = tuple(indices[order] for indices in of_angles)
-    chosen = polygons[of_angles][inset[of_angles] >= MIN_INSET]
-    return tuple(HoldPolygons.about(each, centre, (rim, body.section), gap) for each in chosen)
+    chosen = list[tuple[float, HoldPolygons]]()
+    for k in np.split(np.arange(len(polygons)), ANGLES):
+        candidates, insets, widths = (
+            x[k].reshape(-1, *x.shape[2:]) for x in (polygons, inset, width)
+        )
+        merits = np.minimum(insets, SUFFICIENT_INSET) + 1e-3 * widths
+        first = int(np.argmax(merits))
+        if insets[first] < MIN_INSET:
+            continue
+        outer = int(np.argmax(np.minimum(insets, OUTER_INSET) + 1e-3 * widths))
+        level = int(np.argmin(longest[k]))
+        others = [i for i in dict.fromkeys((outer, level)) if i != first]
+        about = HoldPolygons.about(candidates[first], centre, (rim, body.section), gap)
+        about = replace(about, outer=tuple(ConvexPolygon(candidates[i]).vertices for i in others))
+        chosen.append((float(merits[first]), about))
+    chosen.sort(key=lambda each: -each[0])
+    return tuple(polygons for _, polygons in chosen)
+
+
+def _longest_below(rim: Section, polygons: Array) -> Array:
+    """Return the largest lengths (…) [m] of legs below a rim, which extend edges (…, n, 2) [m]."""
+    following = np.roll(polygons, -1, axis=-2)
+    along = unit(following - polygons)
+    onward, back = rim.reach(following, along), rim.reach(polygons, -along)
+    return np.asarray(np.max(np.maximum(onward, back), axis=-1))
 
 
 def _axes(section: Section) -> tuple[Array, Array]:
