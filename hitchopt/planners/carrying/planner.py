@@ -32,7 +32,7 @@ to ``separation.object`` [m]."""
 CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
 """[m/s²] Largest accelerations of objects: carried, and lifted or set down."""
 
-CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing")
+CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearance")
 """Checks to which moves of a carried object are slowed down."""
 
 LOAD_LAW = SmoothLaw(0.75)
