@@ -460,8 +460,6 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
         "plan",
         "--diameter",
         "0.01",
-        "--format",
-        "svg",
         "--width",
         "3.5",
     )
@@ -469,7 +467,7 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     assert "p2" in call.stdout
     assert "the clock is fitted" in call.stdout
     result, out = ho.evaluate(triangle(), task("triangle"), diameter=0.01), place / "evaluation"
-    names = {"evaluation.json", "evaluation.svg", "evaluation.tex", "recording.npz", "vertices.csv"}
+    names = {"evaluation.json", "evaluation.pdf", "evaluation.tex", "recording.npz", "vertices.csv"}
     assert {path.name for path in out.iterdir()} == names
     rows = list(csv.DictReader((out / "vertices.csv").read_text().splitlines()))
     errors = np.array([float(row["error"] or "nan") for row in rows if row["vertex"] == "1"])
@@ -482,7 +480,7 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     ends = [np.array([float(first[f"{a}{c}"]) for c in "xyz"]) for a in ("clasp_", "planned_")]
     assert float(first["error"]) == pytest.approx(np.linalg.norm(ends[0] - ends[1]))
     assert len(result.to_dataframe()) == len(content["table"])
-    assert 'width="252pt"' in (out / "evaluation.svg").read_text()
+    assert b"/MediaBox [ 0 0 252 " in (out / "evaluation.pdf").read_bytes()  # 3.5 inches
     cells = f"{1e3 * row['mean']:.1f} & {1e3 * row['std']:.1f}"
     assert cells in (out / "evaluation.tex").read_text()
     ghost, clean = (
