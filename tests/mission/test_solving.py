@@ -149,24 +149,40 @@ def noisy(points: Any, rng: np.random.Generator) -> Any:
     return points if isinstance(points, str) else points + 1e-14 * float(rng.uniform(-1.0, 1.0))
 
 
+def noisy_plan(name: str) -> ho.Plan:
+    """Return a problem's plan from starts and goals with noise in the last places."""
+    data: Any = read_yaml(PROBLEMS / f"{name}.yaml")
+    rng = np.random.default_rng(1)
+    changed = {key: noisy(data[key], rng) for key in ("start", "goal") if key in data}
+    return ho.solve(problem_from_dict({**data, **changed}))
+
+
 @pytest.mark.parametrize(
     "name",
     [
         "transport",  # legs of a symmetric triangle are split one way or the mirrored one
         "form_square",  # two assignments of robots are as short, and two ways to turn a cable
         "move_edge",  # the acceleration jumps where the mesh of a flight looks at it
-        pytest.param("swarms/door", marks=pytest.mark.slow),  # who gives way in the middle
-        pytest.param("swarms/stack", marks=pytest.mark.slow),
     ],
 )
 def test_ties_are_settled_by_a_rule(name: str) -> None:
-    data: Any = read_yaml(PROBLEMS / f"{name}.yaml")
-    rng = np.random.default_rng(1)
-    changed = {key: noisy(data[key], rng) for key in ("start", "goal") if key in data}
-    plan, before = ho.solve(problem_from_dict({**data, **changed})), planned(name)
+    plan, before = noisy_plan(name), planned(name)
     assert plan.duration == pytest.approx(before.duration, rel=1e-6)
     # Programs of single drones are solved to 1e-3; another choice would be decimetres away.
     np.testing.assert_allclose(places(plan), places(before), atol=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["swarms/door", "swarms/stack"])
+def test_who_gives_way_is_settled_by_a_rule(name: str) -> None:
+    """Drones that give way otherwise pass each other on the other side, half a metre away.
+
+    Up to sixteen programs, each solved to 1e-3 from the one before, enlarge the noise to centimetres
+    (5 of them in the door), and durations follow.
+    """
+    plan, before = noisy_plan(name), planned(name)
+    assert plan.duration == pytest.approx(before.duration, rel=1e-2)
+    np.testing.assert_allclose(places(plan), places(before), atol=0.1)
 
 
 def test_the_published_scripts_case() -> None:
