@@ -17,6 +17,7 @@ from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import dot, left_of, length, turn, unit
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.holding import Grip
+from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
@@ -58,6 +59,11 @@ MAX_EXTRA_LENGTH = 1.0
 
 WEIGHT_SAFETY = 2.0
 """Smallest tension over the one from which on heavy cables balance."""
+
+MAX_EDGE_WEIGHT = 0.35
+"""Largest weight of half an edge over its tension. The sag of second order errs in the balance by
+the fourth power of it over six: 0.0025 of the tension, half of what clasps may be out of balance.
+"""
 
 MAX_TENSION_RATIO = 30.0
 """Largest over smallest tension of the search."""
@@ -167,8 +173,8 @@ def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, te
     """Return the smallest and largest tension [N] at which drones and cables hold hitches.
 
     The largest is the level pull of the weakest drones. The smallest is WEIGHT_SAFETY times the one
-    from which on heavy cables with balanced legs keep all distances on all polygons; zero without
-    weight. Tensions of the team do not matter.
+    from which on heavy cables with balanced legs keep all distances on all polygons, and at least
+    that of edges of MAX_EDGE_WEIGHT; zero without weight. Tensions of the team do not matter.
     """
     smallest = largest = min(x.level_pull(requirements.limits.tilt)[0] for x in team.quadrotor)
     if team.cable_density == 0.0:
@@ -179,7 +185,10 @@ def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, te
         if _margin(stretched, vertices, requirements) < LIMIT_MARGIN:
             break
         smallest = tension
-    return min(WEIGHT_SAFETY * smallest, largest), largest
+    longest_edge = max(float(np.max(each.edge_lengths)) for each in polygons)
+    half_weight = 0.5 * GRAVITY * team.cable_density * longest_edge
+    smallest = max(WEIGHT_SAFETY * smallest, half_weight / MAX_EDGE_WEIGHT)
+    return min(smallest, largest), largest
 
 
 def _margins(

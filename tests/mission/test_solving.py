@@ -177,8 +177,8 @@ def test_ties_are_settled_by_a_rule(name: str) -> None:
 def test_who_gives_way_is_settled_by_a_rule(name: str) -> None:
     """Drones that give way otherwise pass each other on the other side, half a metre away.
 
-    Up to sixteen programs, each solved to 1e-3 from the one before, enlarge the noise to centimetres
-    (5 of them in the door), and durations follow.
+    Up to sixteen programs, each solved to 1e-3 from the one before, enlarge noise to centimetres (5
+    in the door), and durations follow.
     """
     plan, before = noisy_plan(name), planned(name)
     assert plan.duration == pytest.approx(before.duration, rel=1e-2)
