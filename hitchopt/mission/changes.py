@@ -75,20 +75,18 @@ class Change(OneLine):
     def after(self, before: Change) -> Change:
         """Return this change, of a problem changed by ``before``, combined with ``before``.
 
-        Two changes of the same quantity are merged.
+        Changes of the same quantity are merged, and left out where the last undoes the others.
         """
-        previous = before if self.before is None else self.before.after(before)
-        combined = replace(self, before=previous, edits=before.edits + self.edits)
-        same = next((each for each in previous.together() if each.key == self.key), None)
-        if same is None or not same.relative:
-            return combined
-        old, middle, new = float(same.old), float(same.new), float(self.new)
-        new = middle * new if self.unit == "times" else new
-        relative = same.relative * (new - old) / (middle - old)
+        merged = dict[str, Change]()
+        for each in (*before.together(), *self.together()):
+            first = merged.pop(each.key, None)
+            merged[each.key] = each if first is None else _merged(first, each)
         chain: Change | None = None
-        for each in previous.together():
-            chain = chain if each is same else replace(each, before=chain)
-        return replace(combined, old=old, new=new, relative=relative, before=chain)
+        for each in merged.values():
+            if each.old != each.new:
+                chain = replace(each, before=chain)
+        edits = _last_of_each_key(before.edits + self.edits)
+        return replace(chain or self, problem=self.problem, edits=edits, covers=self.covers)
 
     def together(self) -> list[Change]:
         """Return all changes in order."""
@@ -116,6 +114,22 @@ class Change(OneLine):
         words, percent = f"{self.words}, " if self.words else "", 100.0 * self.relative
         share = f"{percent:+.3g}" if abs(percent) < 999.5 else f"{percent:+.0f}"
         return f"{change} ({words}{share} %)"
+
+
+def _merged(first: Change, second: Change) -> Change:
+    """Return one change of a quantity in place of two after each other."""
+    old, middle, new = first.old, first.new, second.new
+    if isinstance(old, str) or isinstance(middle, str) or isinstance(new, str):
+        return replace(second, old=old)
+    new = middle * new if second.unit == "times" else new
+    relative = first.relative * (new - old) / (middle - old)
+    return replace(second, old=old, new=new, relative=relative)
+
+
+def _last_of_each_key(edits: Edits) -> Edits:
+    """Return the edits that no later edit of the same key replaces."""
+    keys = [edit.key for edit in edits]
+    return tuple(edit for i, edit in enumerate(edits) if edit.key not in keys[i + 1 :])
 
 
 def size_of(relative: float, *, is_factor: bool) -> float:
@@ -477,7 +491,7 @@ def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterato
 
 
 def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
-    """Yield the arena's walls, all upright ones together and each wall alone."""
+    """Yield the arena's walls but its ground, all upright ones together and each wall alone."""
     arena = problem.arena
     if arena is None:
         return
@@ -494,6 +508,8 @@ def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     for axis in range(3):
         extent = float(extents[axis])
         for side, sign in (("lower", -1), ("upper", 1)):
+            if (axis, side) == (2, "lower"):  # the ground is where it is
+                continue
 
             def move_wall(new: float, side: str = side, axis: int = axis) -> Edits:
                 corners = {name: getattr(arena, name).tolist() for name in ("lower", "upper")}

@@ -59,7 +59,9 @@ from hitchopt.steps.carrying import OBSTACLE_CHECKS
 from hitchopt.steps.certified_motions import BEST_ROUTE
 from hitchopt.steps.step import Knob
 
-BUDGET = 30.0  # Default time after which no further plan is started [s]
+BUDGET = 18.0
+"""Default time after which no further plan is started [s]: a refusal takes some 20 s."""
+
 NO_CHANGE = "no change was found that makes it feasible"  # Message without any suggestion
 
 SIZES = (0.02, 0.05, 0.1, 0.2, 0.4, 0.8, 1.5, 3.0, 6.0)
@@ -455,9 +457,10 @@ def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob
     for key, ratio in sorted(fitted, key=lambda each: size_of(each[1] - 1.0, is_factor=True)):
         sign = 1 if ratio > 1.0 else -1
         size = abs(ratio - 1.0)
-        yield from (
-            (x, size) for x in knobs if (x.key, x.sign) == (key, sign) and size >= x.min_size
-        )
+        for knob in knobs:
+            least = max(knob.min_size, RESOLUTION)
+            if (knob.key, knob.sign) == (key, sign) and size >= least:
+                yield knob, size
 
 
 def fitting_cables(problem: Problem) -> list[float]:

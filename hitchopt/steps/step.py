@@ -229,17 +229,19 @@ class Knob:
 
 
 ALTITUDE_CHECKS = frozenset(
-    {"arena", "cable_clearance", "keep_out", "object_clearance", "downwash"}
+    {"arena", "cable_clearance", "keep_out", "object_clearance", "downwash", "tracking_radius"}
 )
 """Constraints that another altitude may repair."""
 
 
 def altitude_knobs(key: str, altitude: float) -> Iterator[Knob]:
-    """Yield the knobs that raise and lower an altitude [m]."""
+    """Yield the knobs that raise and lower an altitude [m]; one at the ground is only raised."""
     if altitude > 0.0:
         knob = Knob(key, altitude, "m", covers=ALTITUDE_CHECKS)
         yield knob
         yield replace(knob, sign=-1)
+    else:
+        yield Knob(key, altitude, "m", covers=ALTITUDE_CHECKS, extent=1.0)
 
 
 def scaled_points(points: Array, factor: float, centre: Array) -> Array:

@@ -32,7 +32,7 @@ from hitchopt.mission.changes import (
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.mission.repair import find_suggestions, fitting_cables
 from hitchopt.mission.solving import contents, solve_problem
-from hitchopt.steps.step import Edit, StepPlan, StepTask
+from hitchopt.steps.step import Edit, StepPlan, StepTask, altitude_knobs
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
 
@@ -394,6 +394,35 @@ def test_changes_of_one_quantity_after_each_other_are_one() -> None:
         for part in ("arena", "team", "start"):
             actual, expected = (getattr(x, part) for x in (edited_problem, second.problem))
             assert contents(actual) == contents(expected)
+
+
+def test_a_change_that_is_undone_is_left_out() -> None:
+    problem = problem_from_dict(small(arena=ARENA))
+    knob = {(each.key, each.sign): each for each in knobs_of(problem, ())}
+    lower = change_of(problem, knob["team.tension", -1], 0.5)
+    assert lower is not None
+    raised = {(each.key, each.sign): each for each in knobs_of(lower.problem, ())}
+    between = change_of(lower.problem, raised["limits.speed", 1], 0.1)
+    higher = change_of(lower.problem, raised["team.tension", 1], 1.0)
+    assert between is not None
+    assert higher is not None
+    assert higher.new == lower.old
+    (only,) = higher.after(between.after(lower)).together()
+    assert only.key == "limits.speed"
+    assert [edit.key for edit in higher.after(between.after(lower)).edits] == [
+        "limits.speed",
+        "team.tension",
+    ]
+    further = change_of(lower.problem, raised["limits.speed", 1], 0.2)
+    assert further is not None
+    assert further.after(higher.after(lower)).old == problem.limits.speed
+
+
+def test_the_ground_stays_where_it_is_and_hitches_on_it_are_raised() -> None:
+    problem = problem_from_dict(small(arena=ARENA))
+    assert "arena.lower[2]" not in {each.key for each in knobs_of(problem, ())}
+    (knob,) = altitude_knobs("altitude", 0.0)
+    assert (knob.sign, knob.extent) == (1, 1.0)
 
 
 @pytest.mark.slow

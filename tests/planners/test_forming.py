@@ -17,6 +17,7 @@ from hitchopt.planners.forming import SwapSettings
 from hitchopt.planners.forming.approach import assign_robots
 from hitchopt.planners.forming.prehitch import find_prehitch
 from hitchopt.planners.forming.stages import (
+    hover_altitude,
     reversed_stages,
     rise_seconds,
     straight_lines,
@@ -139,3 +140,20 @@ def test_hitches_with_crossing_legs_are_tied_larger(length: float) -> None:
     assert plan.phases[-1].name == "morph"
     longer = np.max(plan.motion.legs.at(plan.duration), axis=1)
     assert np.all(longer > 0.4)  # the star's tips are as far away as edges are long
+
+
+@pytest.mark.parametrize(("length", "apart"), [(1.18, 1.18), (1.2799, 1.18), (2.0, 0.09)])
+def test_no_altitude_frees_a_cable_whose_shape_errors_of_position_leave_open(
+    length: float, apart: float
+) -> None:
+    need, lengths = Requirements(position_error=0.05), np.array([2.0, length, 2.0])
+    drones = np.zeros((6, 3))
+    drones[1::2, 0] = [1.2, apart, 1.1]
+    with pytest.raises(ho.InfeasibleError) as refused:
+        hover_altitude(Team(3, lengths), drones, need)
+    (violation,) = refused.value.violations
+    assert (violation.constraint, violation.where) == ("tracking_radius", ("cable 1",))
+    assert violation.value < need.position_error
+    if violation.value > 0.0:
+        smaller = Requirements(position_error=0.999 * violation.value)
+        assert math.isfinite(hover_altitude(Team(3, lengths), drones, smaller))

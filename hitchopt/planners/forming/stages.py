@@ -10,9 +10,10 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.clearance import above_ground
-from hitchopt.errors import check_time
+from hitchopt.errors import InfeasibleError, Violation, check_time
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.catenary import Catenary
+from hitchopt.hitch.catenary import SERIES_LIMIT, Catenary
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -200,8 +201,27 @@ def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> Piecewi
 
 
 def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
-    """Return the lowest altitude [m] at which cables of drones over (…, 2n, 3) [m] hang free."""
-    return missing_height(team, drones * np.array([1.0, 1.0, 0.0]), requirements)
+    """Return the lowest altitude [m] at which cables of drones over (…, 2n, 3) [m] hang free.
+
+    Raises InfeasibleError where errors of position may pull a cable taut, or its drones over each
+    other: its shape, and so the altitude that it needs, has no bound then.
+    """
+    level = drones * np.array([1.0, 1.0, 0.0])
+    altitude = missing_height(team, level, requirements)
+    if math.isfinite(altitude):
+        return altitude
+    apart = length(level[..., 1::2, :] - level[..., 0::2, :]).reshape(-1, team.robots)
+    farthest, closest = np.max(apart, axis=0), np.min(apart, axis=0)
+    # Taut where (s + x)² + (ρ x)² = L²: ends move apart by x, and upright by the ratio ρ of it.
+    nearly_taut = team.cable_length * SERIES_LIMIT / math.sinh(SERIES_LIMIT)
+    share = 1.0 + requirements.height_ratio**2
+    root = np.sqrt(np.maximum(farthest**2 + share * (nearly_taut**2 - farthest**2), 0.0))
+    borne = 0.5 * np.minimum((root - farthest) / share, closest)
+    cable = int(np.argmin(borne))
+    needed, where = requirements.position_error, (team.cable_names[cable],)
+    remedy = "use a longer cable, and place its drones neither at its full length nor in one place"
+    words = float(borne[cable]), needed, "min", "m", where, "between its drones' places", remedy
+    raise InfeasibleError([Violation("tracking_radius", *words)])
 
 
 def ground_clearance(requirements: Requirements) -> float:
