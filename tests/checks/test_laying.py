@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from by_hand import point_to_segment
 from motions import altered, plus, row
 from second_opinions import Rows, opinion_of
 from test_interlacing import stages_of as swaps_of
@@ -100,6 +101,23 @@ def test_rolls_are_in_equilibrium_and_open_at_half_a_turn(n: int) -> None:
     u = laying.hitch.polygon.edge_directions
     along = legs[0::2, :2] / np.linalg.norm(legs[0::2], axis=1)[:, None]
     assert np.sum(along * u, axis=1) == pytest.approx(-1.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("n", "order"), [(3, None), (3, (1, 2, 0)), (6, None)])
+def test_no_sampled_drone_is_nearer_to_a_laid_cable_than_certified(
+    n: int, order: tuple[int, ...] | None
+) -> None:
+    """Cables are straight from drone to drone while they are laid."""
+    for motion in stages_of(n, order):
+        if motion.phases[0].state is not LAYING:
+            continue
+        ends = motion.drones.breaks[[0, -1]]
+        drones = motion.drones.at(np.concatenate([np.linspace(*ends, 4001), motion.drones.breaks]))
+        first, last = drones[:, None, 0::2], drones[:, None, 1::2]
+        distances = point_to_segment(drones[:, :, None], first, last)
+        distances[:, np.arange(2 * n), np.arange(2 * n) // 2] = np.inf
+        nearest, certified = np.min(distances), row(motion, "cable_clearance").worst
+        assert 0.99 * nearest <= certified <= nearest + 1e-12
 
 
 def test_levels_follow_the_order_and_neighbours_differ() -> None:
