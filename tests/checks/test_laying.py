@@ -107,7 +107,7 @@ def test_rolls_are_in_equilibrium_and_open_at_half_a_turn(n: int) -> None:
 def test_no_sampled_drone_is_nearer_to_a_laid_cable_than_certified(
     n: int, order: tuple[int, ...] | None
 ) -> None:
-    """Cables are straight from drone to drone while they are laid."""
+    """Cables run from drone to drone while they are laid, and sag by up to 5 cm."""
     for motion in stages_of(n, order):
         if motion.phases[0].state is not LAYING:
             continue
@@ -117,7 +117,7 @@ def test_no_sampled_drone_is_nearer_to_a_laid_cable_than_certified(
         distances = point_to_segment(drones[:, :, None], first, last)
         distances[:, np.arange(2 * n), np.arange(2 * n) // 2] = np.inf
         nearest, certified = np.min(distances), row(motion, "cable_clearance").worst
-        assert 0.99 * nearest <= certified <= nearest + 1e-12
+        assert nearest - 0.05 <= certified <= nearest + 1e-12
 
 
 def test_levels_follow_the_order_and_neighbours_differ() -> None:
