@@ -357,9 +357,14 @@ class _Search:
 
 
 def _smallest(suggestions: Iterable[Suggestion]) -> tuple[Suggestion, ...]:
-    """Return up to three suggestions, smallest first."""
+    """Return up to three suggestions, smallest first, none with changes beside a smaller one's."""
     by_size = sorted(suggestions, key=lambda s: round(s.change.size, SIZE_DECIMALS))
-    return tuple(by_size[:MAX_SUGGESTIONS])
+    smallest = list[tuple[frozenset[str], Suggestion]]()
+    for each in by_size:
+        keys = frozenset(change.key for change in each.change.together())
+        if not any(fewer < keys for fewer, _ in smallest):
+            smallest.append((keys, each))
+    return tuple(each for _, each in smallest[:MAX_SUGGESTIONS])
 
 
 def _faults(error: InfeasibleError) -> dict[tuple[str, int], tuple[float, float]]:

@@ -571,3 +571,18 @@ def test_repaired_problems_keep_all_fields(edit: Callable[[ho.Problem], Any], ch
         per_robot = name in {"cable_length", "tension", "quadrotor"}
         expected = [values[1][i] for i in order] if per_robot else values[1]
         np.testing.assert_array_equal(getattr(renumbered, name), expected, err_msg=name)
+
+
+def test_no_suggestion_adds_a_change_to_a_smaller_one() -> None:
+    problem = problem_from_dict(small(arena=ARENA))
+    knobs = {(each.key, each.sign): each for each in knobs_of(problem, ())}
+    slower = change_of(problem, knobs["team.tension", -1], 0.1)
+    assert slower is not None
+    faster = change_of(slower.problem, knobs["limits.speed", 1], 0.2)
+    assert faster is not None
+    one, both = repair.Suggestion(slower, 1.0), repair.Suggestion(faster.after(slower), 1.0)
+    alone = change_of(problem, knobs["limits.speed", 1], 0.3)
+    assert alone is not None
+    other = repair.Suggestion(alone, 1.0)
+    assert repair._smallest([other, both, one]) == (one, other)
+    assert repair._smallest([other, both]) == (both, other)
