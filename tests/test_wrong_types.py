@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from plans import PROBLEMS
 from refusals import Refusal, assert_refused
 
 import hitchopt as ho
@@ -302,3 +303,15 @@ def test_the_command_line_warns_on_stderr_once(tmp_path: Path) -> None:
     warned = [line for line in done.stderr.splitlines() if line.startswith("warning: ")]
     words = "usual values are 1.1 to 90 °; if radians were meant, 45"
     assert warned == [f"warning: limits.tilt_deg: 0.785 °; {words}"]
+
+
+def test_the_numbers_of_a_plan_are_warned_of_once_under_the_problem_s_keys(tmp_path: Path) -> None:
+    text = (PROBLEMS / "triangle.yaml").read_text()
+    unusual = text.replace("team:", "team:\n  errors: {cable_length: 0.6}", 1)
+    with pytest.warns(ho.UnitWarning) as caught:
+        plan = ho.solve(parse_problem(unusual))
+    assert [str(each.message).split(":")[0] for each in caught] == ["team.errors.cable_length"]
+    plan.save(tmp_path, picture=False)
+    with pytest.warns(ho.UnitWarning) as caught:
+        ho.load(tmp_path)
+    assert [str(each.message).split(":")[0] for each in caught] == ["team.errors.cable_length"]

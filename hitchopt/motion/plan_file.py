@@ -10,6 +10,7 @@ Constructors check what is read, as they check what a user passes.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import FileError, InputError, UnitWarning
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
@@ -243,7 +244,9 @@ def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> T
                 raise InputError(label, "a coefficient", f"within ±{MAX_COEFFICIENT:g}", REMEDY)
             if (degree := array.shape[-1] - 1) > MAX_DEGREE:
                 raise InputError(label, f"of degree {degree}", f"at most {MAX_DEGREE}", REMEDY)
-        team, requirements, phases, assignment = decoded(Records, head["records"])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UnitWarning)  # said of the problem, under its keys
+            team, requirements, phases, assignment = decoded(Records, head["records"])
         if assignment is not None:
             team = assignment.team(team)
             curves |= in_order(curves, assignment.drones, np.array(assignment.robots))
