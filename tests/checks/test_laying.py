@@ -111,8 +111,9 @@ def test_no_sampled_drone_is_nearer_to_a_laid_cable_than_certified(
     for motion in stages_of(n, order):
         if motion.phases[0].state is not LAYING:
             continue
-        ends = motion.drones.breaks[[0, -1]]
-        drones = motion.drones.at(np.concatenate([np.linspace(*ends, 4001), motion.drones.breaks]))
+        breaks = motion.drones.breaks
+        times = np.concatenate([np.linspace(breaks[0], breaks[-1], 4001), breaks])
+        drones = motion.drones.at(times)
         first, last = drones[:, None, 0::2], drones[:, None, 1::2]
         distances = point_to_segment(drones[:, :, None], first, last)
         distances[:, np.arange(2 * n), np.arange(2 * n) // 2] = np.inf

@@ -29,7 +29,8 @@ def held() -> Motion:
 def seen_from_the_pot(count: int = 40_001) -> Array:
     """Points (times, parts, 2, 3) of the pot's frame between which cables are straight."""
     motion = held()
-    times = np.linspace(*motion.drones.breaks[[0, -1]], count)
+    first, last = motion.drones.breaks[[0, -1]]
+    times = np.linspace(first, last, count)
     pose = motion.poses.at(times)[:, 0]
     place, (c, s) = pose[:, :3], pose[:, 3:].T
     turned = np.stack([np.stack([c, s], -1), np.stack([-s, c], -1)], -2)
