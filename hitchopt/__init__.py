@@ -10,6 +10,7 @@ from importlib import import_module
 PUBLIC_NAMES = {
     "api": ("Mission", "export", "repair", "separate", "solve", "suggestions"),
     "checks": ("Certificate", "CertificateError", "Check", "certify"),
+    "checks.custom": ("ClaspSpans", "DroneSpans", "Rule", "VertexSpans"),
     "checks.distances": ("Closeness",),
     "errors": (
         "FileError",

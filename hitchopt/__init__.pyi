@@ -4,6 +4,8 @@ from hitchopt.api import Mission as Mission, export as export, repair as repair
 from hitchopt.api import separate as separate, solve as solve, suggestions as suggestions
 from hitchopt.checks import Certificate as Certificate, CertificateError as CertificateError
 from hitchopt.checks import Check as Check, certify as certify
+from hitchopt.checks.custom import ClaspSpans as ClaspSpans, DroneSpans as DroneSpans
+from hitchopt.checks.custom import Rule as Rule, VertexSpans as VertexSpans
 from hitchopt.checks.distances import Closeness as Closeness
 from hitchopt.errors import FileError as FileError, HitchoptError as HitchoptError
 from hitchopt.errors import InfeasibleError as InfeasibleError, InputError as InputError

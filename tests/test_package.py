@@ -27,7 +27,7 @@ PACKAGE = Path(hitchopt.__file__).parent
 # Methods that the package itself does not call: toppra, click and pickle do, or users
 CALLED = frozenset(
     """compute_constraint_params convert format_commands invoke
-    reducer_override abort displacements mirrored pause renumbered resume retarget rotated
+    reducer_override abort angle_to displacements mirrored pause renumbered resume retarget rotated
     to_dataframe""".split()  # noqa: SIM905
 )
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or without its module

@@ -21,6 +21,7 @@ from hitchopt import single_steps
 from hitchopt.cli import main
 from hitchopt.mission.loading import parse_problem
 from hitchopt.steps import STEPS, Step
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values.fields import EMPTY, keys_of
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -74,6 +75,11 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
             alone = {name: value for name, value in given.items() if name != "blend"}
             yield getattr(ho, kind.name), {**start, **alone, **REST, "limit": None}
         yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given
+
+
+def height(spans: ho.DroneSpans) -> Enclosed:
+    """Return the height of drones [m], for a rule."""
+    return spans.position[2]
 
 
 AFTER, NOWHERE = -1.0, "there is no such file"  # Refused, so that nothing is computed
@@ -150,6 +156,11 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (lambda ghost: PLAN.view(ghost=ghost, browser=False), {"ghost": NOWHERE}),
     (lambda report: PLAN.save("out", report=report, picture=False), {"report": False}),
     (lambda reports: ho.certify(PLAN.motion, reports=reports), {"reports": "speed"}),
+    (lambda rules: ho.certify(PLAN.motion, rules=rules), {"rules": []}),
+    (
+        lambda name, unit, sense, limit, over: ho.Rule(name, unit, sense, limit, over, height),
+        {"name": "high", "unit": "m", "sense": "max", "limit": 2.0, "over": ho.DroneSpans},
+    ),
 ]
 # fmt: on
 ARGUMENTS = [(function, values, name) for function, values in GOOD for name in values]

@@ -31,6 +31,9 @@ GROUPS = {
 }  # fmt: skip
 """Checks under the headings of the certificate's table; the rest goes under "other"."""
 
+CUSTOM = "own rules"
+"""Heading of rules of one's own, which ``hitchopt verify`` does not prove."""
+
 ERRORS = ("cable_length", "equilibrium", "tension")  # checks of errors, titled as such in tables
 TIE = 1e-9  # relative difference of utilization up to which checks tie
 RATE_CHECKS = (*GROUPS["motion"], "thrust", "tilt")  # Checks that faster motion utilizes more
@@ -71,6 +74,7 @@ class Check(OneLine):
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
+    custom: whether it is a rule of one's own, which ``hitchopt verify`` does not prove.
     """
 
     name: str
@@ -83,6 +87,7 @@ class Check(OneLine):
     where: tuple[str, ...]
     method: str = "continuous"
     gamma: float | None = None
+    custom: bool = False
 
     @classmethod
     def of(
@@ -213,7 +218,8 @@ class Certificate(OneLine):
             for check, row in zip(self.checks, rows, strict=True):
                 row["holds"] = "yes" if check.holds else "NO"
         table = html_table([*rows[0]], [[*row.values()] for row in rows]) if rows else ""
-        return f"<p><b>{escape(verdict)}</b></p>{table}"
+        notes = "".join(f"<p>{escape(note)}</p>" for note in self.notes)
+        return f"<p><b>{escape(verdict)}</b></p>{table}{notes}"
 
     @property
     def groups(self) -> dict[str, tuple[Check, ...]]:
@@ -221,9 +227,22 @@ class Certificate(OneLine):
         heading = {name: title for title, names in GROUPS.items() for name in names}
         groups: dict[str, tuple[Check, ...]] = {}
         for title in (*GROUPS, "other"):
-            checks = tuple(c for c in self.checks if heading.get(c.name, "other") == title)
+            checks = tuple(c for c in self._built_in if heading.get(c.name, "other") == title)
             groups |= {title: checks} if checks else {}
-        return groups
+        custom = tuple(check for check in self.checks if check.custom)
+        return groups | ({CUSTOM: custom} if custom else {})
+
+    @property
+    def _built_in(self) -> tuple[Check, ...]:
+        return tuple(check for check in self.checks if not check.custom)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes below the table: which rules are one's own."""
+        custom = [check.name for check in self.limited if check.custom]
+        if not custom:
+            return ()
+        return (f"own rules, which hitchopt verify does not prove: {', '.join(custom)}",)
 
     @property
     def binding(self) -> tuple[str, ...]:
@@ -273,10 +292,14 @@ class Certificate(OneLine):
 
 
 def _entry(check: Check) -> dict[str, Any]:
-    """Return a check's entry in ``certificate.json``; gamma is left out if None."""
+    """Return a check's entry in ``certificate.json``; gamma and custom are left out if unset."""
     entry = asdict(check) | {"where": list(check.where)}
     entry |= {"worst": check.worst if check.is_evaluated else None}
-    return {key: value for key, value in entry.items() if key != "gamma" or value is not None}
+    if check.gamma is None:
+        del entry["gamma"]
+    if not check.custom:
+        del entry["custom"]
+    return entry
 
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
 from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
+from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.distances import GROUND, UNBOUNDED
 from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
@@ -73,16 +75,37 @@ Report = ReportRule | FlightReport
 TeamResults = dict[str, tuple[SpanResult, ...]]
 """Results of one team's checks, by the rules' names."""
 
+NAMES = (*RULE_OF, *(report.name for report in REPORTS), "survivable")
+"""Names of all checks, which rules of one's own cannot take."""
+
 _CERTIFICATES: WeakKeyDictionary[Motion | Flight, Certificate] = WeakKeyDictionary()
-"""Certificates that this process has computed; those of a team that flies alone by its motion."""
+"""Certificates that this process has computed; those of a team that flies alone by its motion.
+
+They have no rules of one's own."""
+
+
+@runtime_checkable
+class Planned(Protocol):
+    """A plan: a flight and its certificate."""
+
+    @property
+    def flight(self) -> Flight:
+        """The flight."""
+        ...
+
+    @property
+    def certificate(self) -> Certificate:
+        """The certificate."""
+        ...
 
 
 def certify(
-    flight: Flight | Motion,
+    flight: Flight | Motion | Planned,
     progress: Callable[[str], None] | None = None,
     gamma: float = GAMMA,
     *,
     reports: Sequence[Report] = REPORTS,
+    rules: Iterable[Rule[Any]] = (),
 ) -> Certificate:
     """Check a flight for all t.
 
@@ -93,19 +116,24 @@ def certify(
 
     Parameters
     ----------
-    flight: the flight of a plan, or the motion of a team that flies alone.
+    flight: a plan, its flight, or the motion of a team that flies alone.
     progress: called with the name of every check at its start, and the number of finished ones.
         With it, reports are evaluated at once, otherwise when they are first read.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
     reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
         ``merged`` computes the others.
+    rules: limits of one's own, which are checked in addition.
 
     Raises
     ------
-    InputError: a gamma that is negative or not finite.
+    InputError: a gamma that is negative or not finite; a rule with the name of another check, or
+        whose formula does not return one number per item.
     """
+    if isinstance(flight, Planned):
+        flight = flight.flight
     check_instance("flight", flight, Flight, Motion)
     flight, gamma = Flight.of(flight), nonnegative("gamma", gamma)
+    own_rules = checked_rules(rules, NAMES)
     requested: tuple[Report, ...] = sequence("reports", reports)
     limited = [x for x in TEAM_REPORTS if x.limit(flight.requirements) is not None]
     unlimited = [each for each in REPORTS if each in requested and each not in limited]
@@ -159,9 +187,26 @@ def certify(
 
     checks = [*map(checked, RULES), *map(reported, limited)]
     certificate = _stored(flight, checks, lambda: map(reported, unlimited))
+    certificate = with_rules(certificate, flight, own_rules, progress)
     if progress is not None:
         _ = certificate.checks
     return certificate
+
+
+def with_rules(
+    certificate: Certificate,
+    flight: Flight,
+    rules: Sequence[Rule[Any]],
+    progress: Callable[[str], None] | None = None,
+) -> Certificate:
+    """Return the certificate of a flight with the checks of rules of one's own, of every team."""
+    checks = list[Check]()
+    for rule in rules:
+        if progress is not None:
+            progress(f"{rule.name}, a rule of your own")
+        of_teams = [_label(rule.check(flown.motion), flown) for flown in flight.teams]
+        checks += filter(None, [worst_of(of_teams)])
+    return replace(certificate, limited=(*certificate.limited, *checks)) if checks else certificate
 
 
 def check_of(rule: CheckRule, flight: Flight, *, exported: bool = False) -> Check | None:

@@ -256,7 +256,7 @@ def certificate_table(certificate: ho.Certificate) -> str:
         for check in checks:
             rows.append({**check.row, "check": f" {check.title}"})
             rows[-1] |= {} if certificate.certified else {"holds": check.holds}
-    text = table("Certificate", rows)
+    text = "\n\n".join([table("Certificate", rows), *certificate.notes])
     if not (certificate.certified and certificate.binding):
         return text
     *names, last = certificate.binding

@@ -176,6 +176,10 @@ class Enclosed:
         """Return a scalar as a vector along z."""
         return Enclosed(self.c * UPWARD, self.r)
 
+    def angle_to(self, other: Enclosed | ArrayLike) -> Angle:
+        """Return the angle to another vector; anything from 0 to 180° where one may vanish."""
+        return Angle(self.direction.dot(Enclosed.of(other).direction))
+
     @property
     def direction(self) -> Enclosed:
         """Unit vector y / |y|; the zero vector and radius 1 where y may vanish."""
@@ -272,6 +276,31 @@ class Enclosed:
             return self.c[..., 0]
         values: Array = self.c @ bernstein.at_nodes(0, self.degree)[0]
         return values
+
+
+@dataclass(eq=False)
+class Angle:
+    """Angles [deg] from 0 to 180, by their cosines."""
+
+    cosine: Enclosed
+
+    @property
+    def upper(self) -> Bound:
+        """Upper bound, at the smallest cosine."""
+        cosine = self.cosine.lower
+        return Bound(np.minimum(_degrees(cosine) * (1.0 + EPS), 180.0), cosine.x)
+
+    @property
+    def lower(self) -> Bound:
+        """Lower bound, at the largest cosine."""
+        cosine = self.cosine.upper
+        return Bound(_degrees(cosine) * (1.0 - EPS), cosine.x)
+
+
+def _degrees(cosine: Bound) -> Array:
+    """Return the angles [deg] of cosines; those beyond 1 are of rounding."""
+    angles: Array = np.degrees(np.arccos(np.clip(cosine.value, -1.0, 1.0)))
+    return angles
 
 
 def _largest(rows: Array) -> Array:

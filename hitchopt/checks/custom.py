@@ -1,0 +1,210 @@
+"""Rules of one's own: limits on quantities of drones, vertices or clasps, certified for all t.
+
+A rule is a formula over spans, like every check. ``hitchopt verify`` does not know the formula and
+does not prove the rule.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterable, Sequence, Set
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Generic, TypeVar
+
+from hitchopt.checks.certificate import Check
+from hitchopt.checks.clasps import clasp_names
+from hitchopt.checks.drones import Drones, Points
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
+from hitchopt.checks.spans import MotionSpans, leg_vectors
+from hitchopt.errors import InputError, OneLine
+from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.trajectory.enclosed import Angle, Bound, Enclosed
+from hitchopt.values import Indices, check_choice, check_instance, finite, line, sequence
+
+NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
+MAX_UNIT = 16  # Maximum number of characters of a unit
+SENSES = ("min", "max")
+REMEDY = "change the steps, or the limit of this rule"
+
+
+class RuleSpans(MotionSpans):
+    """Spans of items that rules are evaluated for."""
+
+    states: ClassVar[Set[CableState]]
+    """States of cables in which the items exist."""
+
+
+class DroneSpans(RuleSpans, Drones):
+    """Spans of drones, at all times.
+
+    ``thrust`` is their thrust [N], a vector, and ``load`` minus the force of the cable [N].
+    """
+
+    states = frozenset(CableState)
+
+    @property
+    def position(self) -> Enclosed:
+        """Position [m]."""
+        return self.motion_rate(0)
+
+    @property
+    def velocity(self) -> Enclosed:
+        """Velocity [m/s]."""
+        return self.motion_rate(1)
+
+    @property
+    def acceleration(self) -> Enclosed:
+        """Acceleration [m/s²]."""
+        return self.motion_rate(2)
+
+
+class VertexSpans(RuleSpans, Points):
+    """Spans of the hitch's vertices, while it exists."""
+
+    states = HITCHED_STATE
+
+    @property
+    def position(self) -> Enclosed:
+        """Position [m]."""
+        return self.derivative(self.source.vertices, 0)
+
+    @property
+    def velocity(self) -> Enclosed:
+        """Velocity [m/s]."""
+        return self.derivative(self.source.vertices, 1)
+
+    @property
+    def acceleration(self) -> Enclosed:
+        """Acceleration [m/s²]."""
+        return self.derivative(self.source.vertices, 2)
+
+
+class ClaspSpans(RuleSpans):
+    """Spans of clasps, the vertices at which two cables meet, while the hitch exists."""
+
+    states = HITCHED_STATE
+    names = staticmethod(clasp_names)
+
+    @property
+    def position(self) -> Enclosed:
+        """Position [m]."""
+        points = self.source.team.layout.clasps[self.item]
+        return Enclosed(self.read(self.source.vertices.coefficients, points), self.noise)
+
+    @property
+    def q_leg(self) -> Enclosed:
+        """Vector [m] to the drone q of the cable whose edge starts here."""
+        return self._leg(2 * self.source.team.layout.ahead)
+
+    @property
+    def r_leg(self) -> Enclosed:
+        """Vector [m] to the drone r of the cable whose edge ends here."""
+        return self._leg(2 * self.source.team.layout.behind + 1)
+
+    def _leg(self, drones: Indices) -> Enclosed:
+        """Return the legs to one drone of each clasp, (clasps,)."""
+        return Enclosed(self.read(leg_vectors(self.source), drones[self.item]), self.noise)
+
+
+S = TypeVar("S", bound=RuleSpans)
+
+
+@dataclass(frozen=True, eq=False)
+class Rule(OneLine, Generic[S]):
+    """A limit of one's own, certified for all t like those of hitchopt.
+
+    The formula is arithmetic with enclosed values: ``+``, ``-``, ``*``, ``dot``, ``cross``,
+    ``norm``, ``direction``, ``inverse``, ``root``, ``xy``, components such as ``[2]``, and
+    ``angle_to``. It may not take values out of them: numbers of its own lose the enclosure.
+    Vectors that may vanish have no direction: the bounds of their angles are 0 and 180 degrees.
+
+    Every team is evaluated on its own, without tracking errors; external plans are not.
+
+    Attributes
+    ----------
+    name: lower-case letters, digits and _, such as ``leg_angle``; no name of another check.
+    unit: such as ``deg``; ``1`` for ratios.
+    sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
+    limit: in that unit.
+    over: the items that it limits: ``DroneSpans``, ``VertexSpans`` or ``ClaspSpans``.
+    formula: returns the quantity of such spans, a scalar or an angle [deg].
+    remedy: suggested change where it is violated.
+
+    Raises
+    ------
+    InputError: an argument is invalid; in ``certify``, the formula returns something else.
+    """
+
+    name: str
+    unit: str
+    sense: str
+    limit: float
+    over: type[S]
+    formula: Callable[[S], Enclosed | Angle]
+    remedy: str = REMEDY
+
+    def __post_init__(self) -> None:
+        name = line("name", self.name)
+        if not NAME.fullmatch(name):
+            bound = "lower-case letters, digits and _, at most 40"
+            raise InputError("name", name, bound, "write one such as leg_angle")
+        if not 0 < len(line("unit", self.unit)) <= MAX_UNIT:
+            bound = f"of 1 to {MAX_UNIT} characters"
+            raise InputError("unit", self.unit, bound, "write a unit such as deg; 1 for ratios")
+        check_choice("sense", self.sense, SENSES)
+        object.__setattr__(self, "limit", finite("limit", self.limit))
+        over: Any = self.over
+        if not (isinstance(over, type) and issubclass(over, RuleSpans)):
+            names = "hitchopt.DroneSpans, hitchopt.VertexSpans or hitchopt.ClaspSpans"
+            raise InputError("over", over, names, "pass one of these classes")
+        if not callable(self.formula):
+            remedy = "pass a function of the spans"
+            raise InputError("formula", self.formula, "a function", remedy)
+        line("remedy", self.remedy)
+
+    @property
+    def check_rule(self) -> CheckRule:
+        """The record by which certificates evaluate it."""
+        worst = WorstOverSpans(self.over, self._bound, self.sense)
+        evaluators = (Evaluator(worst, self.over.states),)
+        return CheckRule(self.name, self.unit, self.sense, self.limit, evaluators, self.remedy)
+
+    def check(self, motion: Motion) -> Check:
+        """Return the check of one team's motion.
+
+        If no item exists at any time, the worst value is the extremum of an empty set, and the
+        check holds.
+        """
+        check = self.check_rule.check(motion)
+        if check is None:
+            empty = math.inf if self.sense == "min" else -math.inf
+            check = Check.of(self.name, empty, self.limit, self.sense, self.unit, 0.0, ())
+        return replace(check, custom=True)
+
+    def _bound(self, spans: S) -> Bound:
+        """Return the bound of the formula's value; raise InputError if it is not one number."""
+        quantity = self.formula(spans)
+        scalar: Any = quantity.cosine if isinstance(quantity, Angle) else quantity
+        if not isinstance(scalar, Enclosed):
+            remedy = "compute with the values of the spans, without taking numbers out of them"
+            raise InputError(f"{self.name}.formula", quantity, "an enclosed scalar", remedy)
+        if scalar.c.shape[:-1] != (len(spans), 1):
+            bound = f"({len(spans)}, 1), one number for each span"
+            remedy = "return a norm, a scalar product, a component such as value[2] or an angle"
+            shape = f"of shape {scalar.c.shape[:-1]}"
+            raise InputError(f"{self.name}.formula", shape, bound, remedy)
+        return quantity.lower if self.sense == "min" else quantity.upper
+
+
+def checked_rules(rules: Iterable[Rule[Any]], taken: Sequence[str]) -> tuple[Rule[Any], ...]:
+    """Return rules as a tuple; raise InputError unless their names are unique and not taken."""
+    entries: tuple[Rule[Any], ...] = sequence("rules", rules)
+    names = list(taken)
+    for i, rule in enumerate(entries):
+        check_instance(f"rules[{i}]", rule, Rule)
+        if rule.name in names:
+            remedy = "rename the rule"
+            raise InputError(f"rules[{i}].name", rule.name, "no name of another check", remedy)
+        names.append(rule.name)
+    return entries
