@@ -16,7 +16,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,11 +27,11 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import Series
-from hitchopt.hitch.team import CLOSED, Team, layout_of
+from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
 from hitchopt.values import Array
 
 
-def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> Any:
+def chord_pull(tension: Any, half_weight: Any, level: Any = 1.0, rise: Any = None) -> Any:
     """Return the pull ``P`` of a cable part along its chord [N].
 
     Half of the part's weight w acts at each end. On the end where its tension is T the part exerts
@@ -41,27 +42,37 @@ def chord_pull(tension: Any, half: Any, level: Any = 1.0, rise: Any = None) -> A
     Parameters
     ----------
     tension: at the end [N].
-    half: half of the weight per length [N/m].
+    half_weight: half of the weight per length [N/m].
     level: squared horizontal length of the chord [m²].
     rise: height of the chord's other end over this one [m]; None for edges, whose tension is the
         same at both ends, so that only the root remains.
     """
-    squared = tension * tension - half * half * level
-    is_array = isinstance(squared, (float, np.ndarray))
-    pull = np.sqrt(np.maximum(squared, 0.0)) if is_array else squared.root
-    return pull if rise is None else half * rise + pull
+    squared_pull = tension * tension - half_weight * half_weight * level
+    if isinstance(squared_pull, (float, np.ndarray)):
+        pull = np.sqrt(np.maximum(squared_pull, 0.0))
+    else:
+        pull = squared_pull.root
+    if rise is None:
+        return pull
+    return half_weight * rise + pull
 
 
 @dataclass(frozen=True, eq=False)
 class ClaspLoads:
     """Loads of the clasps of a hitch, and roll of their legs out of the plane."""
 
-    forces: Array  # (…, clasps, 3) [N], external forces ``w_k``; a weight points down
-    halves: Array  # (…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``
-    roll: Array  # (…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``
-    # (…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along the
-    # chord below the tension
-    edges: Array
+    forces: Array
+    """(…, clasps, 3) [N], external forces ``w_k``; a weight points down."""
+
+    half_leg_weights: Array
+    """(…, clasps, 2) [N], half of the weights of the legs of ``r_{k-1}`` and ``q_k``."""
+
+    roll: Array
+    """(…, clasps) [rad], ``ψ_k``; positive raises ``q_k`` and lowers ``r_{k-1}``."""
+
+    half_edge_weights: Array
+    """(…, clasps, 2) [N], half of the weights of edges k-1 and k, which reduce their pull along the
+    chord below the tension."""
 
 
 def sag_factors(team: Team, tensions: ArrayLike) -> Array:
@@ -77,18 +88,20 @@ def cable_of(chords: Array, factors: Array) -> Array:
     return length(chords) * (1.0 + factors * level)
 
 
-def shortening(x: Any) -> Any:
-    """Return the chord of a span over its cable length, for ``x = c a² cos²α``, array or Series.
+def shortening(excess: Any) -> Any:
+    """Return the chord of a span over its cable length, an array or Series.
 
-    It solves ``s (1 + c s² cos²α) = a`` by a power series of x, which is below 1e-2 in practice.
+    It solves ``s (1 + c s² cos²α) = a`` for the chord s of the cable length a, by a power series of
+    the relative excess ``c a² cos²α``, which is below 1e-2 in practice.
     """
-    return 1.0 - x * (1.0 - x * (3.0 - x * (12.0 - 55.0 * x)))
+    return 1.0 - excess * (1.0 - excess * (3.0 - excess * (12.0 - 55.0 * excess)))
 
 
 def leg_vectors(cables: Array, directions: Array, factors: Array) -> Array:
     """Return the chords (…, 2 or 3) [m] of legs with cable lengths (…) [m] along unit vectors."""
     level = directions[..., 0] ** 2 + directions[..., 1] ** 2
-    chords: Array = (cables * shortening(factors * cables**2 * level))[..., None] * directions
+    chord_lengths = cables * shortening(factors * cables**2 * level)
+    chords: Array = chord_lengths[..., None] * directions
     return chords
 
 
@@ -97,8 +110,9 @@ def cable_slack_of(team: Team, edges: Array, tensions: ArrayLike | None = None) 
 
     Tensions are (…, n) [N]; None for those of the team.
     """
-    factors = sag_factors(team, team.tension if tensions is None else tensions)
-    slack: Array = team.cable_length - cable_of(edges, factors)
+    cable_tensions = team.tension if tensions is None else tensions
+    edge_cables = cable_of(edges, sag_factors(team, cable_tensions))
+    slack: Array = team.cable_length - edge_cables
     return slack
 
 
@@ -118,35 +132,50 @@ def clasp_loads(
     if not team.loaded and (roll is None or not np.any(roll)):
         return None
     layout = team.layout
-    half = 0.5 * GRAVITY * team.cable_density
+    half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
     r_legs = np.where(layout.has_leg[:, 1], slack - q_legs, 0.0)
-    q = half * (team.cable_length - r_legs)[..., layout.ahead]
-    r = half * (team.cable_length - q_legs)[..., layout.behind]
-    forces = np.zeros((*q.shape, 3))
-    forces[..., 2] = -(q + r + GRAVITY * team.load)
-    halves = half * np.stack([r_legs[..., layout.behind], q_legs[..., layout.ahead]], axis=-1)
-    along = half * (team.cable_length - slack)
-    edges = np.stack([along[..., layout.behind], along[..., layout.ahead]], axis=-1)
+    edges = team.cable_length - slack
+    # The q-leg and the edge of the cable ahead meet the edge and the r-leg of the cable behind.
+    weight_ahead = half_density * (team.cable_length - r_legs)[..., layout.ahead]
+    weight_behind = half_density * (team.cable_length - q_legs)[..., layout.behind]
+    forces = np.zeros((*weight_ahead.shape, 3))
+    forces[..., 2] = -(weight_ahead + weight_behind + GRAVITY * team.load)
+    legs_of_clasps = np.stack([r_legs[..., layout.behind], q_legs[..., layout.ahead]], axis=-1)
+    half_edges = half_density * edges
+    edges_of_clasps = [half_edges[..., layout.behind], half_edges[..., layout.ahead]]
     angles = np.asarray(0.0 if roll is None else roll, dtype=np.float64)
-    return ClaspLoads(forces, halves, np.broadcast_to(angles, q.shape), edges)
+    return ClaspLoads(
+        forces=forces,
+        half_leg_weights=half_density * legs_of_clasps,
+        roll=np.broadcast_to(angles, weight_ahead.shape),
+        half_edge_weights=np.stack(edges_of_clasps, axis=-1),
+    )
 
 
-Sides = tuple[Series, Series]  # of both legs at a clasp, r_{k-1} and q_k
+class LegPair(NamedTuple):
+    """A quantity of both legs that meet at a clasp."""
+
+    behind: Series
+    """Of the leg of ``r_{k-1}``."""
+
+    ahead: Series
+    """Of the leg of ``q_k``."""
 
 
 def closed_triangle(
     V: Series,
     onward: Series,
     roll: Series | None,
-    tensions: Sides,
-    halves: Sides | None,
+    tensions: LegPair,
+    half_weights: LegPair | None,
     check: Callable[[Any, Any, Any], None] | None = None,
-) -> Sides:
+) -> LegPair:
     r"""Return the directions of the legs r_{k-1} and q_k that hold a clasp in balance.
 
     ``P_q q̂_k = a v̂ + h m`` and ``P_r r̂_{k-1} = (|V| - a) v̂ - h m`` close a triangle with the given
-    side V, where ``a = (|V|² + P_q² - P_r²) / (2 |V|)`` and ``h = √(P_q² - a²)``. Without load and
-    roll the clasp is planar, and for equal tensions it is in the paper's class (its eq. (3)).
+    side V. Its height h over that side has its foot at ``a = (|V|² + P_q² - P_r²) / (2 |V|)``, and
+    ``h = √(P_q² - a²)``. Without load and roll the clasp is planar, and for equal tensions it is in
+    the paper's class (its eq. (3)).
 
     The pull of a leg with weight depends on its rise (``chord_pull``): minus half of its weight,
     downward, it is the tension at the clasp, of known magnitude. In the plane of both legs the
@@ -159,7 +188,7 @@ def closed_triangle(
     onward: a vector on q_k's side of V without roll, in the plane of both legs.
     roll: angle ψ of m from that side toward ``m_1 = m_0 × v̂`` [rad]; None for none.
     tensions: of both legs at the clasp [N].
-    halves: half of the weights of both legs [N]; None for weightless legs.
+    half_weights: half of the weights of both legs [N]; None for weightless legs.
     check: called with the values of the given side and of the lengths of both others; raises if
         there is no triangle. Without it directions are nan there.
     """
@@ -169,27 +198,46 @@ def closed_triangle(
     if roll is not None:
         cosine, sine = roll.cosine_and_sine
         across = cosine * across + sine * across.cross(along)
-    behind, ahead = tensions
-    if halves is not None:
+    pull_behind, pull_ahead = tensions
+    if half_weights is not None:
         normal = along.cross(across)
         rise = normal.row(2)
-        weights = [half.upward - half * rise * normal for half in halves]
-        behind, ahead = (
-            (tension * tension - half * half * rise * rise).root
-            for tension, half in zip(tensions, halves, strict=True)
-        )
-        V = V - weights[0] - weights[1]
+        weight_behind = _weight_in_plane(half_weights.behind, rise, normal)
+        weight_ahead = _weight_in_plane(half_weights.ahead, rise, normal)
+        pull_behind = _tension_in_plane(tensions.behind, half_weights.behind, rise)
+        pull_ahead = _tension_in_plane(tensions.ahead, half_weights.ahead, rise)
+        V = V - weight_behind - weight_ahead
         size = V.dot(V).root
         along = V / size
         across = normal.cross(along)
     if check is not None:
-        check(V.value, behind.value, ahead.value)
-    a = 0.5 * (size + (ahead - behind) * (ahead + behind) / size)
-    h = ((ahead - a) * (ahead + a)).root
-    r, q = (size - a) * along - h * across, a * along + h * across
-    if halves is None:
-        return r / behind, q / ahead
-    return (r + weights[0]).direction, (q + weights[1]).direction
+        check(V.value, pull_behind.value, pull_ahead.value)
+    foot = 0.5 * (size + (pull_ahead - pull_behind) * (pull_ahead + pull_behind) / size)
+    height = ((pull_ahead - foot) * (pull_ahead + foot)).root
+    side_behind = (size - foot) * along - height * across
+    side_ahead = foot * along + height * across
+    if half_weights is None:
+        return LegPair(side_behind / pull_behind, side_ahead / pull_ahead)
+    return LegPair(
+        behind=(side_behind + weight_behind).direction,
+        ahead=(side_ahead + weight_ahead).direction,
+    )
+
+
+def _weight_in_plane(half_weight: Series, rise: Series, normal: Series) -> Series:
+    """Return half of a leg's weight, as an upward vector, projected to the plane of both legs.
+
+    ``rise`` is the z component of the plane's normal.
+    """
+    return half_weight.upward - half_weight * rise * normal
+
+
+def _tension_in_plane(tension: Series, half_weight: Series, rise: Series) -> Series:
+    """Return the size of a leg's tension at the clasp, projected to the plane of both legs.
+
+    Across the plane, whose normal has the z component ``rise``, it balances half of its weight.
+    """
+    return (tension * tension - half_weight * half_weight * rise * rise).root
 
 
 def leg_directions(
@@ -221,73 +269,124 @@ def leg_directions(
     InfeasibleError: a load that the tensions cannot carry.
     """
     edges = np.asarray(edge_directions, dtype=np.float64)
-    T = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])
+    edge_tensions = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])
     layout = layout_of(edges.shape[-2], topology)
-    planar = loads is None and leg_pulls is None
+    behind, ahead = layout.behind, layout.ahead
     if loads is not None and edges.shape[-1] == 2:
         edges = np.concatenate([edges, np.zeros_like(edges[..., :1])], axis=-1)
-    before, here = layout.behind, layout.ahead
-    u, v = edges[..., here, :], (edges if arriving is None else arriving)[..., before, :]
-    own = [T[..., before], T[..., here]]
-    sides = own if loads is None else [chord_pull(own[i], loads.edges[..., i]) for i in range(2)]
+    leaving_ahead = edges[..., ahead, :]
+    arriving_behind = (edges if arriving is None else arriving)[..., behind, :]
+    tension_behind = edge_tensions[..., behind]
+    tension_ahead = edge_tensions[..., ahead]
+    if loads is None:
+        edge_pull_behind = tension_behind
+        edge_pull_ahead = tension_ahead
+    else:
+        edge_pull_behind = chord_pull(tension_behind, loads.half_edge_weights[..., 0])
+        edge_pull_ahead = chord_pull(tension_ahead, loads.half_edge_weights[..., 1])
     if leg_pulls is not None:
-        own = [leg_pulls[..., before, 1], leg_pulls[..., here, 0]]
-    q, r = -edges, edges.copy()
-    equal = planar & (own[0] == own[1])[..., None]
-    if equal.all():  # exact
-        r[..., before, :], q[..., here, :] = -u, v
+        tension_behind = leg_pulls[..., behind, 1]
+        tension_ahead = leg_pulls[..., ahead, 0]
+
+    q = -edges
+    r = edges.copy()
+    planar = loads is None and leg_pulls is None
+    equal = planar & (tension_behind == tension_ahead)[..., None]
+    if equal.all():  # legs continue the edges exactly
+        r[..., behind, :] = -leaving_ahead
+        q[..., ahead, :] = arriving_behind
         return q, r
 
-    pulled = sides[0][..., None] * v - sides[1][..., None] * u
-
-    def check(side: Array, behind: Array, ahead: Array) -> None:
-        size = np.sqrt(np.sum(side**2, axis=0, keepdims=True))
-        a = (size**2 + ahead**2 - behind**2) / (2.0 * size)
-        squared = ((ahead - a) * (ahead + a))[0]
-        if not planar and not np.all(squared > 0.0):
-            worst = np.unravel_index(int(np.argmin(squared)), squared.shape)
-            pulls = (float(np.nan_to_num(pull[0][worst])) for pull in (behind, ahead))
-            point = f"p{layout.clasps[worst[-1]]}"
-            load = np.zeros(3) if loads is None else loads.forces[worst]
-            edges = np.moveaxis(side, 0, -1)[worst] + load
-            raise _unbalanced(point, edges, load, *pulls)
-
-    rolled, halves, V = None, None, pulled
+    held = (
+        edge_pull_behind[..., None] * arriving_behind - edge_pull_ahead[..., None] * leaving_ahead
+    )
+    roll = None
+    half_weights = None
     if loads is not None:
-        rolled, V = Series(loads.roll[None, None]), pulled - loads.forces
-        weights = loads.halves[None, None]
-        halves = Series(weights[..., 0]), Series(weights[..., 1])
+        held = held - loads.forces
+        roll = _constant(loads.roll)
+        half_weights = LegPair(
+            behind=_constant(loads.half_leg_weights[..., 0]),
+            ahead=_constant(loads.half_leg_weights[..., 1]),
+        )
     with np.errstate(all="ignore"):  # V vanishes where equal tensions pull straight on
         directions = closed_triangle(
-            Series.of_vectors(V),
-            Series.of_vectors(u + v),
-            rolled,
-            (Series(own[0][None, None]), Series(own[1][None, None])),
-            halves,
-            check,
+            Series.of_vectors(held),
+            Series.of_vectors(leaving_ahead + arriving_behind),
+            roll,
+            LegPair(_constant(tension_behind), _constant(tension_ahead)),
+            half_weights,
+            None if planar else partial(_check_balance, layout, loads),
         )
-    r[..., before, :] = np.where(equal, -u, np.moveaxis(directions[0].value, 0, -1))
-    q[..., here, :] = np.where(equal, v, np.moveaxis(directions[1].value, 0, -1))
+    r_directions = np.moveaxis(directions.behind.value, 0, -1)
+    q_directions = np.moveaxis(directions.ahead.value, 0, -1)
+    r[..., behind, :] = np.where(equal, -leaving_ahead, r_directions)
+    q[..., ahead, :] = np.where(equal, arriving_behind, q_directions)
     return q, r
 
 
+def _constant(scalars: Array) -> Series:
+    """Return scalars (…) as a constant series."""
+    return Series(scalars[None, None])
+
+
+def _check_balance(
+    layout: Layout, loads: ClaspLoads | None, V: Array, pull_behind: Array, pull_ahead: Array
+) -> None:
+    """Raise InfeasibleError if a clasp has no balance.
+
+    Arguments are those of the ``check`` of ``closed_triangle``: the side V (3, …, clasps) [N], and
+    the pulls of both legs (1, …, clasps) [N].
+    """
+    size = np.sqrt(np.sum(V**2, axis=0, keepdims=True))
+    foot = (size**2 + pull_ahead**2 - pull_behind**2) / (2.0 * size)
+    squared_height = ((pull_ahead - foot) * (pull_ahead + foot))[0]
+    if np.all(squared_height > 0.0):
+        return
+    worst = np.unravel_index(int(np.argmin(squared_height)), squared_height.shape)
+    load = np.zeros(3) if loads is None else loads.forces[worst]
+    raise _unbalanced(
+        point=f"p{layout.clasps[worst[-1]]}",
+        edge_pull=np.moveaxis(V, 0, -1)[worst] + load,
+        load=load,
+        pull_behind=float(np.nan_to_num(pull_behind[0][worst])),
+        pull_ahead=float(np.nan_to_num(pull_ahead[0][worst])),
+    )
+
+
 def _unbalanced(
-    point: str, edges: Array, load: Array, behind: float, ahead: float
+    point: str, edge_pull: Array, load: Array, pull_behind: float, pull_ahead: float
 ) -> InfeasibleError:
     """Return the error of a clasp that these edge pulls, load and leg pulls [N] cannot balance."""
-    pull, total = behind + ahead, float(length(edges - load))
-    if total < pull:
-        remedy = "make the tensions of the clasp's cables more alike, or turn them by more there"
-        name, value, limit = "tension", abs(behind - ahead), total
-    else:
-        # The fraction of the load at which |edges - share · load| is the sum of both pulls.
-        name, value, along = "load", float(length(load)), float(edges @ load)
-        root = math.sqrt(along**2 + value**2 * max(pull**2 - float(edges @ edges), 0.0))
-        limit = (along + root) / value if value > 0.0 else 0.0
-        factor = value / limit if limit > 0.0 else math.inf
-        remedy = f"raise team.tension {factor:.3g} times, "
-        remedy += "or lower team.load or team.cable_density"
-    return InfeasibleError([Violation(name, value, limit, "max", "N", (point,), "", remedy)])
+    leg_pull = pull_behind + pull_ahead
+    held = float(length(edge_pull - load))
+    if held < leg_pull:
+        violation = Violation(
+            "tension",
+            abs(pull_behind - pull_ahead),
+            held,
+            "max",
+            "N",
+            (point,),
+            "",
+            "make the tensions of the clasp's cables more alike, or turn them by more there",
+        )
+        return InfeasibleError([violation])
+    size = float(length(load))
+    limit = _bearable_load(edge_pull, load, leg_pull)
+    factor = size / limit if limit > 0.0 else math.inf
+    remedy = f"raise team.tension {factor:.3g} times, or lower team.load or team.cable_density"
+    return InfeasibleError([Violation("load", size, limit, "max", "N", (point,), "", remedy)])
+
+
+def _bearable_load(edge_pull: Array, load: Array, leg_pull: float) -> float:
+    """Return the size [N] of the part of a load at which ``|edge_pull - part|`` is ``leg_pull``."""
+    size = float(length(load))
+    if size <= 0.0:
+        return 0.0
+    along = float(edge_pull @ load)
+    root = math.sqrt(along**2 + size**2 * max(leg_pull**2 - float(edge_pull @ edge_pull), 0.0))
+    return (along + root) / size
 
 
 def contact_forces(
@@ -302,8 +401,10 @@ def contact_forces(
     are those of ``leg_directions``.
     """
     q, _ = leg_directions(edge_directions, tensions, topology, arriving=arriving)
-    bend: Array = np.asarray(tensions, dtype=np.float64) * length(edge_directions + q)
-    return bend[..., layout_of(q.shape[-2], topology).ahead]
+    layout = layout_of(q.shape[-2], topology)
+    # A cable's leg and edge pull on the other cable by T (q̂_k + u_k) together.
+    forces: Array = np.asarray(tensions, dtype=np.float64) * length(edge_directions + q)
+    return forces[..., layout.ahead]
 
 
 def hanging_forces(team: Team, drones: Array) -> Array:
@@ -313,7 +414,8 @@ def hanging_forces(team: Team, drones: Array) -> Array:
     """
     if team.cable_density == 0.0:
         return np.zeros(drones.shape)
-    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    q = drones[..., 0::2, :]
+    r = drones[..., 1::2, :]
     pull = Catenary.between(q, r, team.cable_length).pull(q, r)
     forces: Array = GRAVITY * team.cable_density * pull.reshape(drones.shape)
     return forces
@@ -336,18 +438,19 @@ def cable_forces(team: Team, drones: Array, points: Array, pulls: Array, taut: A
     """
     if not team.has_cables:
         return np.zeros(drones.shape)
-    spans = drones - points
-    share, along = np.repeat(taut, 2, axis=-1), pulls
-    half = 0.5 * GRAVITY * team.cable_density * share
+    chords = drones - points
+    taut_share = np.repeat(taut, 2, axis=-1)
+    half_weight = 0.5 * GRAVITY * team.cable_density * taut_share  # [N/m]
+    chord_pulls = pulls
     if team.cable_density > 0.0:
-        level = spans[..., 0] ** 2 + spans[..., 1] ** 2
-        along = chord_pull(pulls, half, level, spans[..., 2])
+        level = chords[..., 0] ** 2 + chords[..., 1] ** 2
+        chord_pulls = chord_pull(pulls, half_weight, level, chords[..., 2])
     # Legs of zero length exert no force; certified plans have none.
-    forces: Array = 0.0 - along[..., None] * unit(spans)  # no negative zeros
+    forces: Array = 0.0 - chord_pulls[..., None] * unit(chords)  # no negative zeros
     if team.cable_density > 0.0:
-        forces[..., 2] -= half * length(spans)
-        if np.any(share < 1.0):
-            forces += (1.0 - share)[..., None] * hanging_forces(team, drones)
+        forces[..., 2] -= half_weight * length(chords)
+        if np.any(taut_share < 1.0):
+            forces += (1.0 - taut_share)[..., None] * hanging_forces(team, drones)
     return forces
 
 
@@ -357,16 +460,16 @@ def cable_force_rates(team: Team, values: tuple[Array, ...], rates: tuple[Array,
     ``values`` are its arguments drones, points, pulls and taut, ``rates`` their time derivatives.
     """
     step = 1e-5  # [s]; at 1 m/s a leg of 0.1 m turns by 1e-4: the relative error is 1e-9
-    later, earlier = (
-        cable_forces(team, *(v + sign * r for v, r in zip(values, rates, strict=True)))
-        for sign in (step, -step)
-    )
-    return (later - earlier) / (2.0 * step)
+    earlier = [value - step * rate for value, rate in zip(values, rates, strict=True)]
+    later = [value + step * rate for value, rate in zip(values, rates, strict=True)]
+    return (cable_forces(team, *later) - cable_forces(team, *earlier)) / (2.0 * step)
 
 
 INTEGRAL = "Integral action overrides the planned tension: 1 cm of cable error multiplies it."
+"""Why loops with an integral do not hold planned tensions."""
+
 SLACK = "Cables will go slack: this receiver takes no cable forces."
-"""Sentences on tensions that position loops do not hold."""
+"""Why loops without feed-forward do not hold planned tensions."""
 
 
 def undetermined_tension(*, integral: bool, feed_forward: bool) -> tuple[str, ...]:

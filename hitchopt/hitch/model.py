@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.hitch.forces import cable_forces, chord_pull, closed_triangle, shortening
+from hitchopt.hitch.forces import LegPair, cable_forces, chord_pull, closed_triangle, shortening
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import JET, Series
 from hitchopt.hitch.team import Team
@@ -33,9 +33,9 @@ class Edge:
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
         """Return the edge along a vector; ``weight`` is that of cables [N/m], None for none."""
-        cable, size, sag = cable_of_span(vector, tension, weight)
+        cable, chord, sag = cable_of_span(vector, tension, weight)
         pull = tension if weight is None else chord_pull(tension, cable * (0.5 * weight))
-        return cls(vector / size, cable, pull, tension, sag)
+        return cls(vector / chord, cable, pull, tension, sag)
 
     def select(self, index: Indices) -> Edge:
         """Return the edges at some indices."""
@@ -50,12 +50,13 @@ def cable_of_span(vector: Series, tension: Series, weight: Any) -> tuple[Series,
 
     ``weight`` is that of cables [N/m]; None for none, as is then the factor.
     """
-    size = vector.dot(vector).root
+    chord = vector.dot(vector).root
     if weight is None:
-        return size, size, None
+        return chord, chord, None
     sag = tension.constant(weight * weight / 24.0) / (tension * tension)
     level = vector.row(0, 1)
-    return size + size * sag * level.dot(level), size, sag
+    cable = chord + chord * sag * level.dot(level)
+    return cable, chord, sag
 
 
 def clasp_legs(
@@ -67,10 +68,10 @@ def clasp_legs(
     roll: Series | None,
     *,
     equal: bool = False,
-) -> tuple[tuple[Series, Series], tuple[Series, Series], Series]:
+) -> tuple[LegPair, LegPair, Series]:
     """Return directions and chords [m] of the legs r_{k-1} and q_k at ``p_k``, and ``e_{k-1}`` [m].
 
-    Pairs, given and returned, begin with cable k-1 and end with cable k. At ``p_k`` the edge and
+    Pairs begin with cable k-1 and end with cable k. At ``p_k`` the edge and
     the r-leg of cable k-1 meet the q-leg and the edge of cable k.
 
     Parameters
@@ -83,29 +84,37 @@ def clasp_legs(
     equal: whether all tensions are equal. Without load, weight and roll, legs then continue the
         neighbouring edges.
     """
-    (behind, ahead), (q_behind, q_leg) = edges, q_legs
-    length_behind = q_behind.constant(cable_length)
-    r_leg = length_behind - behind.cable - q_behind
-    tensions = behind.tension, ahead.tension
+    behind, ahead = edges
+    q_leg_behind, q_leg = q_legs
+    length_behind = q_leg_behind.constant(cable_length)
+    r_leg = length_behind - behind.cable - q_leg_behind
+    legs = LegPair(r_leg, q_leg)
     if equal and load is None and weight is None and roll is None:
-        return (-ahead.along, behind.along), (r_leg, q_leg), r_leg
+        return LegPair(-ahead.along, behind.along), legs, r_leg
     held = behind.pull * behind.along - ahead.pull * ahead.along  # by both legs
     if load is not None:
         held = held - held.constant(load)
     onward = behind.along + ahead.along
+    tensions = LegPair(behind.tension, ahead.tension)
     if weight is None:
-        return closed_triangle(held, onward, roll, tensions, None), (r_leg, q_leg), r_leg
-    half = 0.5 * weight
+        return closed_triangle(held, onward, roll, tensions, None), legs, r_leg
+    half_weight = 0.5 * weight
     # Half of the lengths that meet at the clasp: edge and r-leg of cable k-1, q-leg and edge of k
-    carried = (length_behind - q_behind + q_leg + ahead.cable) * half
-    leg_halves = r_leg * half, q_leg * half
-    directions = closed_triangle(held + carried.upward, onward, roll, tensions, leg_halves)
-    levels = [direction.row(0, 1) for direction in directions]
-    r_chord, q_chord = (
-        leg * shortening(edge.sag * leg * leg * level.dot(level))
-        for leg, edge, level in zip((r_leg, q_leg), edges, levels, strict=True)
+    carried = (length_behind - q_leg_behind + q_leg + ahead.cable) * half_weight
+    half_leg_weights = LegPair(r_leg * half_weight, q_leg * half_weight)
+    directions = closed_triangle(held + carried.upward, onward, roll, tensions, half_leg_weights)
+    chords = LegPair(
+        behind=_leg_chord(r_leg, behind.sag, directions.behind),
+        ahead=_leg_chord(q_leg, ahead.sag, directions.ahead),
     )
-    return directions, (r_chord, q_chord), r_leg
+    return directions, chords, r_leg
+
+
+def _leg_chord(leg: Series, sag: Series, direction: Series) -> Series:
+    """Return the chord [m] of a sagging leg from its cable length [m] and its direction."""
+    level = direction.row(0, 1)
+    chord: Series = leg * shortening(sag * leg * leg * level.dot(level))
+    return chord
 
 
 CLASPS_PER_CHUNK = 4000
@@ -128,14 +137,14 @@ class FlatJets:
     @classmethod
     def concatenated(cls, parts: Sequence[FlatJets]) -> FlatJets:
         """Return all values of several flat outputs of one team, part after part."""
-        vertices, q_legs, tensions = (
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("vertices", "q_legs", "tensions")
-        )
-        if all(part.roll is None for part in parts):
+        vertices = np.concatenate([part.vertices for part in parts])
+        q_legs = np.concatenate([part.q_legs for part in parts])
+        tensions = np.concatenate([part.tensions for part in parts])
+        shapes = [part.roll.shape for part in parts if part.roll is not None]
+        if not shapes:
             return cls(vertices, q_legs, tensions)
-        shape = next(part.roll.shape for part in parts if part.roll is not None)
-        rolls = [np.zeros(shape) if part.roll is None else part.roll for part in parts]
+        without_roll = np.zeros(shapes[0])
+        rolls = [without_roll if part.roll is None else part.roll for part in parts]
         return cls(vertices, q_legs, tensions, np.concatenate(rolls))
 
     def __getitem__(self, index: slice) -> FlatJets:
@@ -159,8 +168,9 @@ class DroneJets:
     @property
     def cable_forces(self) -> Array:
         """(J, 2n, 3) [N]: forces of cables on drones."""
-        pulls, taut = self.flat.tensions[..., 0].repeat(2, axis=1), np.ones(self.team.robots)
         points = self.flat.vertices[..., 0][:, self.team.layout.pulled_to]
+        pulls = self.flat.tensions[..., 0].repeat(2, axis=1)
+        taut = np.ones(self.team.robots)
         return cable_forces(self.team, self.positions[..., 0], points, pulls, taut)
 
     @property
@@ -179,12 +189,16 @@ def drone_jets(team: Team, flat: FlatJets) -> DroneJets:
     """
     steady = not flat.tensions[..., 1:].any()
     equal = steady and bool((flat.tensions[..., 0] == flat.tensions[0, 0, 0]).all())
-    step, count = max(1, CLASPS_PER_CHUNK // team.robots), len(flat.vertices)
-    if count <= step:
-        return DroneJets(team, flat, *_drone_jets(team, flat, equal))
-    chunks = [flat[first : first + step] for first in range(0, count, step)]
-    parts = zip(*(_drone_jets(team, chunk, equal) for chunk in chunks), strict=True)
-    return DroneJets(team, flat, *map(np.concatenate, parts))
+    count = len(flat.vertices)
+    chunk_size = max(1, CLASPS_PER_CHUNK // team.robots)
+    if count <= chunk_size:
+        positions, legs = _drone_jets(team, flat, equal)
+        return DroneJets(team, flat, positions, legs)
+    chunks = [flat[first : first + chunk_size] for first in range(0, count, chunk_size)]
+    jets = [_drone_jets(team, chunk, equal) for chunk in chunks]
+    positions = np.concatenate([chunk_positions for chunk_positions, _ in jets])
+    legs = np.concatenate([chunk_legs for _, chunk_legs in jets])
+    return DroneJets(team, flat, positions, legs)
 
 
 def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
@@ -192,26 +206,31 @@ def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
     layout = team.layout
     weight = GRAVITY * team.cable_density if team.cable_density > 0.0 else None
     load = np.outer([0.0, 0.0, -GRAVITY], team.load)[:, None] if team.load.any() else None
-    d = _scalars(flat.q_legs)
+    roll = None if flat.roll is None else _scalars(flat.roll)
     with np.errstate(all="ignore"):  # edges of zero length have no direction
         vertices = Series.of_jet(flat.vertices)
-        vectors = vertices.select(layout.ends) - vertices.select(layout.starts)
-        tension = _scalars(flat.tensions)
-        edge = Edge.of(vectors, tension.constant(tension.value) if equal else tension, weight)
-        directions, legs, _ = clasp_legs(
-            (edge.select(layout.behind), edge.select(layout.ahead)),
-            (d.select(layout.behind), d.select(layout.ahead)),
+        tensions = _scalars(flat.tensions)
+        if equal:
+            tensions = tensions.constant(tensions.value)
+        edges = Edge.of(
+            vertices.select(layout.ends) - vertices.select(layout.starts), tensions, weight
+        )
+        q_legs = _scalars(flat.q_legs)
+        directions, chords, _ = clasp_legs(
+            (edges.select(layout.behind), edges.select(layout.ahead)),
+            (q_legs.select(layout.behind), q_legs.select(layout.ahead)),
             team.cable_length[layout.behind],
             load,
             weight,
-            None if flat.roll is None else _scalars(flat.roll),
+            roll,
             equal=equal,
         )
         positions = flat.vertices[:, layout.anchors]  # final at a chain's ends, without legs
         distances = np.zeros((len(positions), team.drones, JET))
-        for end, drones in enumerate((2 * layout.behind + 1, 2 * layout.ahead)):
-            positions[:, drones] += (legs[end] * directions[end]).jet
-            distances[:, drones] = legs[end].jet[..., 0, :]
+        clasp_drones = 2 * layout.behind + 1, 2 * layout.ahead
+        for drones, chord, direction in zip(clasp_drones, chords, directions, strict=True):
+            positions[:, drones] += (chord * direction).jet
+            distances[:, drones] = chord.jet[..., 0, :]
     return positions, distances.reshape(len(positions), -1, 2, JET)
 
 
@@ -253,28 +272,34 @@ def slipping_drones(
         sides = vertices[:, layout.ends[ahead]] - vertices[:, layout.starts[behind]]
     else:
         sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
-    half_weight = 0.5 * GRAVITY * team.cable_density  # of a cable, by length
-    of_legs = half_weight * (legs if cables is None else cables)
-    of_edges = -np.sum(of_legs, axis=2)
-    of_edges[..., 0] += half_weight * team.cable_length
-    loads = np.zeros(sides.shape)
-    loads[:, :, 2] = of_legs[:, ahead, 1] + of_legs[:, behind, 0]
-    of_cables = half_weight * (team.cable_length[ahead] + team.cable_length[behind])
-    loads[:, :, 2, 0] -= of_cables + GRAVITY * team.load
+    half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
+    half_legs = half_density * (legs if cables is None else cables)  # (J, n, 2, 4) [N]
+    half_edges = -np.sum(half_legs, axis=2)
+    half_edges[..., 0] += half_density * team.cable_length
+    forces = np.zeros(sides.shape)
+    # A clasp carries half of both cables, but for their legs at other clasps.
+    forces[:, :, 2] = half_legs[:, ahead, 1] + half_legs[:, behind, 0]
+    half_cables = half_density * (team.cable_length[ahead] + team.cable_length[behind])
+    forces[:, :, 2, 0] -= half_cables + GRAVITY * team.load
     with np.errstate(all="ignore"):
-        points, tension = Series.of_jet(vertices), _scalars(tensions)
-        along = (points.select(layout.ends) - points.select(layout.starts)).direction
-        sagging = half_weight > 0.0
-        edges = (chord_pull(tension, _scalars(of_edges)) if sagging else tension) * along
-        leg_weights = _scalars(of_legs[:, behind, 1]), _scalars(of_legs[:, ahead, 0])
+        points = Series.of_jet(vertices)
+        edge_directions = (points.select(layout.ends) - points.select(layout.starts)).direction
+        edge_pulls = _scalars(tensions)
+        half_leg_weights = None
+        if half_density > 0.0:
+            edge_pulls = chord_pull(edge_pulls, _scalars(half_edges))
+            half_leg_weights = LegPair(
+                behind=_scalars(half_legs[:, behind, 1]), ahead=_scalars(half_legs[:, ahead, 0])
+            )
+        edge_forces = edge_pulls * edge_directions
         directions = closed_triangle(
-            edges.select(behind) - edges.select(ahead) - Series.of_jet(loads),
-            Series.of_jet(sides),
-            None,
-            (_scalars(pulls[:, behind, 1]), _scalars(pulls[:, ahead, 0])),
-            leg_weights if sagging else None,
+            edge_forces.select(behind) - edge_forces.select(ahead) - Series.of_jet(forces),
+            onward=Series.of_jet(sides),
+            roll=None,
+            tensions=LegPair(_scalars(pulls[:, behind, 1]), _scalars(pulls[:, ahead, 0])),
+            half_weights=half_leg_weights,
         )
         clasps = points.select(layout.clasps)
-        r = clasps + _scalars(legs[:, behind, 1]) * directions[0]
-        q = clasps + _scalars(legs[:, ahead, 0]) * directions[1]
+        r = clasps + _scalars(legs[:, behind, 1]) * directions.behind
+        q = clasps + _scalars(legs[:, ahead, 0]) * directions.ahead
         return np.stack([r.jet, q.jet], axis=2)

@@ -132,9 +132,9 @@ def test_refused_clasps_exceed_their_limits() -> None:
     for _ in range(300):
         angles = np.cumsum(rng.uniform(0.0, 0.2, 2))
         u = np.column_stack([np.cos(angles), np.sin(angles), np.zeros(2)])
-        halves = rng.uniform(0.0, 0.2, (1, 2))
+        half_weights = rng.uniform(0.0, 0.2, (1, 2))
         forces = np.append(rng.choice([0.0, 0.3]) * rng.normal(size=2), -rng.uniform(0.0, 0.6))
-        loads = ClaspLoads(forces[None], halves, np.zeros(1), np.zeros((1, 2)))
+        loads = ClaspLoads(forces[None], half_weights, np.zeros(1), np.zeros((1, 2)))
         try:
             leg_directions(u, rng.uniform(0.3, 0.5, 2), "open", loads)
         except InfeasibleError as error:

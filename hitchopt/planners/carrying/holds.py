@@ -196,18 +196,24 @@ class RestHold(HoldingHitch):
         edges = np.roll(self.clasps, -1, axis=0) - self.clasps
         slack = cable_slack_of(team, edges, tension)
         q_legs = self.fractions * slack
-        own = clasp_loads(team, q_legs, slack, self.roll)
-        zeros = np.zeros((*forces.shape[:-1], 2))
-        halves, edge_halves = (zeros, zeros) if own is None else (own.halves, own.edges)
-        total = forces if own is None else forces + own.forces
-        edge_tension, leg_pulls = tension, None
+        cable_loads = clasp_loads(team, q_legs, slack, self.roll)
+        if cable_loads is None:
+            clasp_forces = forces
+            half_leg_weights = np.zeros((*forces.shape[:-1], 2))
+            half_edge_weights = half_leg_weights
+        else:
+            clasp_forces = forces + cable_loads.forces
+            half_leg_weights = cable_loads.half_leg_weights
+            half_edge_weights = cable_loads.half_edge_weights
+        edge_tension = tension
+        leg_pulls = None
         if strut is not None:
-            edge_halves = (1.0 - strut[..., None, None]) * edge_halves
-            legs = np.broadcast_to(tension, forces.shape[:-1])
-            edge_tension = (1.0 - strut[..., None]) * legs
-            leg_pulls = np.stack([legs, legs], axis=-1)
+            half_edge_weights = (1.0 - strut[..., None, None]) * half_edge_weights
+            leg_tension = np.broadcast_to(tension, forces.shape[:-1])
+            edge_tension = (1.0 - strut[..., None]) * leg_tension
+            leg_pulls = np.stack([leg_tension, leg_tension], axis=-1)
         roll = np.broadcast_to(self.roll, forces.shape[:-1])
-        loads = ClaspLoads(total, halves, roll, edge_halves)
+        loads = ClaspLoads(clasp_forces, half_leg_weights, roll, half_edge_weights)
         along = np.broadcast_to(unit(edges), forces.shape)
         directions = leg_directions(along, edge_tension, team.topology, loads, None, leg_pulls)
         lengths = np.stack([q_legs, slack - q_legs], axis=-1) + saved
