@@ -23,7 +23,13 @@ from hitchopt.values import Array
 MARGINS = 0.0, 0.02, 0.05, 0.10
 """Margins of distances to try until the certificate holds [m], since times are sampled."""
 
-LAYER_HEIGHT = 2.2  # Vertical offset of a path if no delay helps, in ``separation.height``
+LAYER_GAP = 2.2
+"""Vertical offset of a path if no delay helps, and gap of one that clears all other teams, over
+``separation.height``."""
+
+LAYERS = (1, 3, 5)
+"""Numbers of paths of a team that are tried in turn: its own, also those one LAYER_GAP higher or
+lower, also those above or below all that other teams do meanwhile."""
 
 CLIMB = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of a unit climb; its first three derivatives vanish at both ends."""
@@ -116,18 +122,29 @@ class _Item:
             SampledPath(TeamMotion(name, row.get(name, before[name])), moved_objects(motion))
             for name, motion in alone.items()
         ]
-        self.schedule = Schedule(self.tracks, separation, self._layer)
+        self.schedule = Schedule(self.tracks, separation, self._layer, LAYERS)
 
     def _layer(self, k: int, layer: int) -> SampledPath | None:
-        name = self.tracks[k].flown.name
-        height = LAYER_HEIGHT * self.schedule.separation.height * (1.0 if layer == 1 else -1.0)
+        """Return the path of team ``k`` in a layer from 1 on: higher if it is odd, else lower."""
+        track = self.tracks[k]
+        name = track.flown.name
         motion = self.row.get(name)
         if motion is None or (name, motion.phases[0].step) in self.timed:
             return None  # a layer takes longer
+        gap, is_higher = LAYER_GAP * self.schedule.separation.height, layer % 2 == 1
+        lowest, highest = _heights(track)
+        if layer <= 2:
+            height = gap if is_higher else -gap
+        else:
+            others = [_heights(each) for each in self.tracks if each is not track]
+            bottom, top = min(low for low, _ in others), max(high for _, high in others)
+            height = top + gap - lowest if is_higher else bottom - gap - highest
+        floor, arena = motion.requirements.floor, motion.requirements.arena
+        ceiling = math.inf if arena is None else float(arena.upper[2])
+        if lowest + height < floor or highest + height > ceiling:
+            return None
         detour = _detour(motion, height)
-        return (
-            None if detour is None else SampledPath(TeamMotion(name, detour), self.tracks[k].owned)
-        )
+        return None if detour is None else SampledPath(TeamMotion(name, detour), track.owned)
 
     def fly(
         self, flown: Mapping[str, list[Motion]], others: Sequence[Placed], margin: float
@@ -145,6 +162,12 @@ class _Item:
                 wait = replace(motion.phases[0], name=WAIT, tension=None, remark="")
                 flown[name].append(resting(motion, end, wait))
         return end
+
+
+def _heights(track: SampledPath) -> tuple[float, float]:
+    """Return the lowest and the highest place [m] of all bodies of a team at any time."""
+    lower, upper = track.box
+    return float(np.min(lower[:, 2])), float(np.max(upper[:, 2]))
 
 
 def _merge_waits(motion: Motion) -> Motion:

@@ -289,8 +289,9 @@ class Schedule:
     # of the teams, in the order of the file; teams at rest have one sample
     tracks: Sequence[SampledPath]
     separation: Separation  # limits of distances
-    # another path of a team by index and layer (1 up, 2 down), or None
+    # another path of a team by index and layer from 1 on, or None
     alternative: Callable[[int, int], SampledPath | None] = lambda *_: None
+    numbers_of_layers: Sequence[int] = (1, 3)  # of every team, tried in turn
     tables: dict[tuple[SampledPath, SampledPath], Array] = field(
         default_factory=dict
     )  # cache of slacks
@@ -310,7 +311,7 @@ class Schedule:
         """
         conflicts = list[Blocked]()
         names = [track.flown.name for track in self.tracks]
-        for layers in (1, 3):
+        for layers in self.numbers_of_layers:
             orders, evaluated = permutations(range(len(names))), set[tuple[int, ...]]()
             promoted: tuple[int, ...] | None = None
             for _ in range(MAX_ORDERS):

@@ -11,6 +11,7 @@ import pytest
 from plans import PROBLEMS, planned
 
 import hitchopt as ho
+from benchmarks.families import past_team
 from hitchopt.mission.loading import problem_from_dict, request_in
 from hitchopt.motion.motion import WAIT
 from hitchopt.motion.plan_file import is_of, write_plan
@@ -218,3 +219,36 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
     assert names >= {"climb", "descend", WAIT}
     with pytest.raises(ho.InfeasibleError, match="whatever the delay"):
         exchanged(9.0)
+
+
+@pytest.mark.parametrize("seed", [8, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 4))])
+def test_a_team_that_stays_is_passed_above_or_below_all_of_it(seed: int) -> None:
+    """Legs that roll reach farther up and down than one layer."""
+    data = past_team(seed)
+    above, below = heights_in_passing(data)
+    assert above > 0.0 > below
+    motion = ho.solve(problem_from_dict(data)).flight.teams[0].motion
+    ceiling = 0.1 + max(float(np.max(motion.drones.at(t)[:, 2])) for t in (0.0, motion.duration))
+    low = {**data, "arena": {"lower": [-20, -20, 0], "upper": [20, 20, ceiling]}}
+    if seed == 4:  # too little room above and below
+        with pytest.raises(ho.InfeasibleError, match="whatever the delay"):
+            ho.solve(problem_from_dict(low))
+    else:
+        above, below = heights_in_passing(low)
+        assert above < 0.0 < below
+
+
+def heights_in_passing(data: dict[str, Any]) -> tuple[float, float]:
+    """Return by how much [m] drones that pass are above, and below, those of the other team.
+
+    Less the height that separation asks for.
+    """
+    plan = ho.solve(problem_from_dict(data))
+    passing, staying = (each.motion for each in plan.flight.teams)
+    times = np.linspace(0.0, plan.flight.duration, 2001)
+    places, there = passing.drones.at(times), staying.drones.at(times)
+    near = places[np.abs(np.mean(places[..., 0], axis=1)) < 0.5]
+    gap = 2.0 * passing.requirements.separation.height
+    above = np.min(near[..., 2]) - np.max(there[..., 2]) - gap
+    below = np.min(there[..., 2]) - np.max(near[..., 2]) - gap
+    return float(above), float(below)
