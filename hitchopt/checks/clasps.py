@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from operator import attrgetter
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +57,9 @@ BALANCE_LIMIT of their tension, as much as forces may be out of balance."""
 
 MAX_HALVINGS = 12  # of pieces on which rolls are not yet bounded
 ROUGH_ORDER = 3  # degree of factors that detect open clasps, which are far from closed ones
-Flags = NDArray[np.bool_]
 LEG_ENDS = np.array([0, 1])  # Legs at a clasp: q of the cable ahead, r of the cable behind
+
+Flags = NDArray[np.bool_]
 
 
 def both_cables(motion: Motion) -> Indices:
@@ -65,36 +67,61 @@ def both_cables(motion: Motion) -> Indices:
     return np.stack([motion.team.layout.ahead, motion.team.layout.behind], axis=1)
 
 
-@cached
-def clasp_sizes(motion: Motion) -> dict[str, Array]:
-    """Return the magnitudes of forces at clasps, for both cables (pieces, clasps, 2, degree + 1).
+@dataclass(frozen=True, eq=False)
+class ClaspSizes:
+    """Magnitudes of forces at clasps, for the cables ahead and behind.
 
-    A common factor ``x^a (1 - x)^b``, as where tensions rise from zero, is divided out: it cancels
-    in every ratio.
-
-    - ``legs``, ``edges`` [N]: tensions; those of edges without the fraction of a rim;
-    - ``leg_halves``, ``edge_halves`` [N/m]: half of the weight per length;
-    - ``weights`` [N]: half of the cable's weight, and half of the clasp's load;
-    - ``loads`` (pieces, clasps, 3, degree + 1) [N]: forces of objects.
+    All but ``loads`` are (pieces, clasps, 2, degree + 1). A common factor ``x^a (1 - x)^b``, as
+    where tensions rise from zero, is divided out: it cancels in every ratio.
     """
-    team, cables, taut = motion.team, both_cables(motion), tautness(motion)
-    half, loads = 0.5 * GRAVITY * team.cable_density, object_loads(motion)
-    weights = 0.5 * GRAVITY * team.load[:, None] + half * team.cable_length[cables]
-    tables = {
-        "legs": leg_tensions(motion)[:, 2 * cables + LEG_ENDS],
-        "edges": edge_tensions(motion)[:, cables],
-        "leg_halves": half * taut[:, cables],
-        "edge_halves": _without_strut(motion, half * taut)[:, cables],
-        "weights": weights[..., None] * taut[:, cables],
-        "loads": np.zeros((len(taut), len(cables), 3, 1)) if loads is None else loads,
-    }
-    return dict(zip(tables, without_shared_zeros([*tables.values()]), strict=True))
+
+    legs: Array
+    """[N], tensions of legs."""
+
+    edges: Array
+    """[N], tensions of edges, without the fraction of a rim."""
+
+    leg_half_densities: Array
+    """[N/m], half of the weight of legs per length."""
+
+    edge_half_densities: Array
+    """[N/m], half of the weight of edges per length, without the fraction of a rim."""
+
+    weights: Array
+    """[N], half of the whole cable's weight, and half of the clasp's load."""
+
+    loads: Array
+    """(pieces, clasps, 3, degree + 1) [N], forces of objects."""
+
+
+@cached
+def clasp_sizes(motion: Motion) -> ClaspSizes:
+    """Return the magnitudes of forces at clasps."""
+    team = motion.team
+    cables = both_cables(motion)
+    half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
+    taut = tautness(motion)
+    half_loads = 0.5 * GRAVITY * team.load[:, None]
+    weights = half_loads + half_density * team.cable_length[cables]
+    loads = object_loads(motion)
+    if loads is None:
+        loads = np.zeros((len(taut), len(cables), 3, 1))
+    tables = [
+        leg_tensions(motion)[:, 2 * cables + LEG_ENDS],
+        edge_tensions(motion)[:, cables],
+        half_density * taut[:, cables],
+        _without_strut(motion, half_density * taut)[:, cables],
+        weights[..., None] * taut[:, cables],
+        loads,
+    ]
+    return ClaspSizes(*without_shared_zeros(tables))
 
 
 @cached
 def has_loads(motion: Motion) -> bool:
     """Return whether clasps carry weight."""
-    return any(np.any(clasp_sizes(motion)[name]) for name in ("weights", "loads"))
+    sizes = clasp_sizes(motion)
+    return bool(np.any(sizes.weights) or np.any(sizes.loads))
 
 
 def edge_tensions(motion: Motion) -> Array:
@@ -111,6 +138,33 @@ def _without_strut(motion: Motion, values: Array) -> Array:
 def clasp_names(motion: Motion) -> Sequence[str]:
     """Return the clasps' names."""
     return [motion.team.point_names[k] for k in motion.team.layout.clasps]
+
+
+class LegsAndEdges(NamedTuple):
+    """A quantity (spans, 2) of the legs, and of the edges, of the cables ahead and behind."""
+
+    legs: Enclosed
+    edges: Enclosed
+
+    @classmethod
+    def split(cls, value: Enclosed) -> LegsAndEdges:
+        """Return the parts of values (spans, 2, 2) of legs and edges."""
+        radius = np.broadcast_to(value.r, value.c.shape[:-2])
+        return cls(
+            legs=Enclosed(value.c[:, 0], radius[:, 0]), edges=Enclosed(value.c[:, 1], radius[:, 1])
+        )
+
+
+class RollTerms(NamedTuple):
+    """Cosine and sine of a clasp's roll, up to a common positive factor."""
+
+    cosine: Enclosed
+
+    sine_over_pull: Enclosed
+    """The sine, divided by the norm of ``pull``."""
+
+    pull: Enclosed
+    """The sum V of both legs' pulls [N], up to the factor of ``ClaspSizes``."""
 
 
 class Clasps(MotionSpans):
@@ -133,9 +187,14 @@ class Clasps(MotionSpans):
         """(spans, 2) The cables ahead and behind."""
         return both_cables(self.source)[self.item]
 
-    def size(self, name: str) -> Enclosed:
-        """Return one of ``clasp_sizes``."""
-        return Enclosed(self.read(clasp_sizes(self.source)[name])[..., None, :])
+    @property
+    def sizes(self) -> ClaspSizes:
+        """Magnitudes of forces, on whole pieces."""
+        return clasp_sizes(self.source)
+
+    def exact(self, table: Array) -> Enclosed:
+        """Return exact scalars (spans, 2) from a table of ``sizes``."""
+        return Enclosed(self.read(table)[..., None, :])
 
     @lazy
     def chords(self) -> Enclosed:
@@ -148,7 +207,8 @@ class Clasps(MotionSpans):
         """Lengths of the cables' other legs [m]."""
         # A drone at a chain's end has no leg, regardless of its stored vector.
         legs = leg_vectors(self.source) * self.source.team.layout.has_leg.reshape(-1, 1, 1)
-        return Enclosed(self.read(legs, 2 * self.cables + 1 - LEG_ENDS), self.noise).norm
+        other_ends = 1 - LEG_ENDS
+        return Enclosed(self.read(legs, 2 * self.cables + other_ends), self.noise).norm
 
     @lazy
     def along(self) -> Enclosed:
@@ -156,44 +216,53 @@ class Clasps(MotionSpans):
         return self.chords.direction
 
     @lazy
-    def pulls(self) -> tuple[Enclosed, Enclosed]:
+    def pulls(self) -> LegsAndEdges:
         """Pulls of legs and edges along their chords [N].
 
         An edge that is wrapped around an object sags with its whole length: the cable without legs.
         """
         team = self.source.team
+        leg_tensions = self.exact(self.sizes.legs)
+        edge_tensions = self.exact(self.sizes.edges)
         if team.cable_density == 0.0:
-            return self.size("legs"), self.size("edges")
-        leg, edge = _kinds(self.chords)
-        squared = edge.xy.dot(edge.xy)
+            return LegsAndEdges(leg_tensions, edge_tensions)
+        leg, edge = LegsAndEdges.split(self.chords)
+        squared_edge = edge.xy.dot(edge.xy)
         if self.source.has_wraps:
-            whole = Enclosed(team.cable_length[self.cables][..., None, None])
-            wrapped = whole - leg.norm - self.other_legs
-            squared = wrapped * wrapped
-        flat = leg.xy.dot(leg.xy)
-        pulled = chord_pull(self.size("legs"), self.size("leg_halves"), flat, leg[2])
-        return pulled, chord_pull(self.size("edges"), self.size("edge_halves"), squared)
+            cable_length = Enclosed(team.cable_length[self.cables][..., None, None])
+            wrapped = cable_length - leg.norm - self.other_legs
+            squared_edge = wrapped * wrapped
+        squared_level = leg.xy.dot(leg.xy)
+        leg_half_densities = self.exact(self.sizes.leg_half_densities)
+        edge_half_densities = self.exact(self.sizes.edge_half_densities)
+        return LegsAndEdges(
+            legs=chord_pull(leg_tensions, leg_half_densities, squared_level, leg[2]),
+            edges=chord_pull(edge_tensions, edge_half_densities, squared_edge),
+        )
 
     @lazy
     def forces(self) -> Enclosed:
         """Both cables' forces [N]: ``P_q q̂_k + P_k u_k``, ``P_r r̂_{k-1} - P_{k-1} u_{k-1}``."""
-        legs, edges = _kinds(self.along)
-        return legs * self.pulls[0] + edges * self.pulls[1]
+        directions = LegsAndEdges.split(self.along)
+        return directions.legs * self.pulls.legs + directions.edges * self.pulls.edges
 
     @lazy
     def weight(self) -> Enclosed:
         """[N] Weight of both cables on the clasp."""
-        return self.size("weights") - self.size("leg_halves") * self.other_legs
+        weights = self.exact(self.sizes.weights)
+        return weights - self.exact(self.sizes.leg_half_densities) * self.other_legs
 
     @lazy
     def object_force(self) -> Enclosed:
         """[N] Force of objects on the clasp."""
-        motion, loads = self.source, self.read(clasp_sizes(self.source)["loads"])
+        motion = self.source
+        loads = self.read(self.sizes.loads)
         objects = motion.requirements.objects.values()
         mass = sum(body.mass for body in objects if not body.fixed)
         clasps = motion.team.layout.clasps[self.item]
         error = mass * derivative_margin(motion.vertices, 2)[self.piece, clasps]
-        return Enclosed(loads, np.where(np.any(loads != 0.0, axis=(1, 2)), error, 0.0))
+        loaded = np.any(loads != 0.0, axis=(1, 2))
+        return Enclosed(loads, np.where(loaded, error, 0.0))
 
     @lazy
     def residual(self) -> Enclosed:
@@ -211,28 +280,34 @@ class Clasps(MotionSpans):
         """
         if not has_loads(self.source):
             return -self.forces
-        force = Enclosed(self.object_force.c[:, None], np.asarray(self.object_force.r)[..., None])
-        return self.weight.along_z() - self.forces - force * 0.5
+        radius = np.asarray(self.object_force.r)
+        object_force = Enclosed(self.object_force.c[:, None], radius[..., None])
+        return self.weight.along_z() - self.forces - object_force * 0.5
 
     @lazy
-    def roll_terms(self) -> tuple[Enclosed, Enclosed, Enclosed]:
-        """Cosine of the roll, sine over |V|, up to a common positive factor, and the vector V.
+    def roll_terms(self) -> RollTerms:
+        """Cosine and sine of the roll, up to a common positive factor.
 
         With V the sum of the legs' pulls, D their difference and ū = u_k + u_{k-1}, cosine and sine
         are proportional to ``(D·ū) V² - (D·V) (ū·V)`` and ``D·(ū × V) |V|``.
         """
-        legs, edges = _kinds(self.along)
-        pulls = (legs * self.pulls[0]).reduced(ROUGH_ORDER)
-        q, r = select(pulls, 0), select(pulls, 1)
-        ahead = (select(edges, 0) - select(edges, 1)).reduced(ROUGH_ORDER)
-        total, difference = q + r, q - r
-        cosine = difference.dot(ahead) * total.dot(total) - difference.dot(total) * ahead.dot(total)
-        return cosine, difference.dot(ahead.cross(total)), total
+        directions = LegsAndEdges.split(self.along)
+        leg_pulls = (directions.legs * self.pulls.legs).reduced(ROUGH_ORDER)
+        q_pull = select(leg_pulls, 0)
+        r_pull = select(leg_pulls, 1)
+        leaving = select(directions.edges, 0)
+        arriving = -select(directions.edges, 1)
+        onward = (leaving + arriving).reduced(ROUGH_ORDER)
+        total = q_pull + r_pull
+        difference = q_pull - r_pull
+        cosine = difference.dot(onward) * total.dot(total)
+        cosine = cosine - difference.dot(total) * onward.dot(total)
+        return RollTerms(cosine, difference.dot(onward.cross(total)), total)
 
     def rolls(self) -> Array:
         """Return the rolls (spans,) [deg] at mid span: 0 if ``q̂_k`` leans toward ``u_k``."""
         (q, r), (edge_ahead, edge_behind) = np.moveaxis(self.along.middle, 0, 2)
-        pull_of_q, pull_of_r = np.moveaxis(self.pulls[0].middle, 1, 0)
+        pull_of_q, pull_of_r = np.moveaxis(self.pulls.legs.middle, 1, 0)
         axis = unit(pull_of_q * q + pull_of_r * r)
         upward = np.cross(edge_ahead - edge_behind, axis)
         level = np.cross(axis, upward)
@@ -244,16 +319,12 @@ class Clasps(MotionSpans):
 @cached
 def _chords(motion: Motion) -> Array:
     """Return chords (pieces, clasps, 4, 3, N+1) [m] of legs, then of edges, from the clasp."""
-    legs, (leaving, arriving) = leg_vectors(motion), bent_edges(motion)
-    ahead, behind = motion.team.layout.ahead, motion.team.layout.behind
-    rows = legs[:, 2 * ahead], legs[:, 2 * behind + 1], leaving[:, ahead], -arriving[:, behind]
-    return joined_arrays([row[:, :, None] for row in rows], axis=2)
-
-
-def _kinds(value: Enclosed) -> tuple[Enclosed, Enclosed]:
-    """Return values (spans, 2, 2) of legs, and those of edges."""
-    r = np.broadcast_to(value.r, value.c.shape[:-2])
-    return Enclosed(value.c[:, 0], r[:, 0]), Enclosed(value.c[:, 1], r[:, 1])
+    legs = leg_vectors(motion)
+    leaving, arriving = bent_edges(motion)
+    ahead = motion.team.layout.ahead
+    behind = motion.team.layout.behind
+    chords = [legs[:, 2 * ahead], legs[:, 2 * behind + 1], leaving[:, ahead], -arriving[:, behind]]
+    return joined_arrays([chord[:, :, None] for chord in chords], axis=2)
 
 
 def _relative(force: Enclosed, spans: Clasps) -> Bound:
@@ -261,14 +332,16 @@ def _relative(force: Enclosed, spans: Clasps) -> Bound:
 
     It is infinite where a tension is not positive.
     """
-    c, tensions = same_degree(force.c, spans.size("edges").c)
-    sizes = c[:, 0] if c.shape[1] == 1 else column_lengths(c)
-    sizes, smallest = (
-        sizes + np.asarray(force.r)[..., None],
-        np.minimum.reduce(tensions, axis=1)[:, 0],
-    )
-    positive = smallest > 0.0
-    ratio = np.where(positive, sizes / np.where(positive, smallest, 1.0), np.inf)
+    tensions = spans.exact(spans.sizes.edges)
+    force_coefficients, tension_coefficients = same_degree(force.c, tensions.c)
+    if force_coefficients.shape[1] == 1:
+        sizes = force_coefficients[:, 0]
+    else:
+        sizes = column_lengths(force_coefficients)
+    sizes = sizes + np.asarray(force.r)[..., None]
+    smaller_tension = np.minimum.reduce(tension_coefficients, axis=1)[:, 0]
+    positive = smaller_tension > 0.0
+    ratio = np.where(positive, sizes / np.where(positive, smaller_tension, 1.0), np.inf)
     return Enclosed(ratio[:, None]).upper
 
 
@@ -284,7 +357,8 @@ def _balance(spans: Clasps) -> Bound:
     opening = _opening(spans)
     if has_loads(spans.source):
         opening = largest_of([opening, _rolling(spans)])
-    hooked = (opening.value < 0.0) | spans.source.in_states(OPEN_STATES)[spans.piece]
+    may_open = spans.source.in_states(OPEN_STATES)[spans.piece]
+    hooked = (opening.value < 0.0) | may_open
     spans.hooked = hooked  # the search halves these spans: halves of hooked ones stay hooked
     value = np.where(hooked, residual.value, np.inf)
     return Bound(value, np.where(hooked, residual.x, opening.x))
@@ -298,7 +372,8 @@ def _opening(spans: Clasps) -> Bound:
     Without a load, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` for a roll ψ and an exterior angle φ. Its
     magnitude at OPEN_ROLL is added, so clasps count as open from there on.
     """
-    along, contact = spans.along.reduced(ROUGH_ORDER), spans.contact.reduced(ROUGH_ORDER)
+    along = spans.along.reduced(ROUGH_ORDER)
+    contact = spans.contact.reduced(ROUGH_ORDER)
     if spans.source.has_friction:
         products = contact.dot(along.sum(-2) * 0.5)
     else:  # the contact force with legs, and with edges
@@ -308,10 +383,11 @@ def _opening(spans: Clasps) -> Bound:
     of_one_span = tuple(range(1, upper.ndim - 1))
     largest_product = Enclosed(np.maximum.reduce(upper, axis=of_one_span)[:, None])
     largest = _relative(largest_product, spans)
-    ahead, behind = (select(_kinds(along)[1], side) for side in (0, 1))
-    onward = (ahead - behind).norm_upper.value  # |u_k + u_{k-1}|, 2 cos(φ/2)
+    edges = LegsAndEdges.split(along).edges
+    onward = select(edges, 0) - select(edges, 1)  # u_k + u_{k-1}, of the norm 2 cos(φ/2)
     share = math.cos(math.radians(0.5 * OPEN_ROLL)) ** 2
-    return Bound(largest.value + 0.5 * share * onward**2, largest.x)
+    at_open_roll = 0.5 * share * onward.norm_upper.value**2
+    return Bound(largest.value + at_open_roll, largest.x)
 
 
 def _rolling(spans: Clasps) -> Bound:
@@ -319,10 +395,12 @@ def _rolling(spans: Clasps) -> Bound:
 
     It holds for any load: legs of heavily loaded clasps could wind around their edges in contact.
     """
-    cosine, sine, whole = spans.roll_terms
-    sideways, lowest = sine.range, cosine.lower
-    margin = np.maximum(np.maximum(sideways.low, -sideways.high), 0.0) * whole.norm_lower.value
-    return Bound(math.tan(math.radians(OPEN_ROLL)) * lowest.value - margin, lowest.x)
+    terms = spans.roll_terms
+    sine_over_pull = terms.sine_over_pull.range
+    least_sine = np.maximum(np.maximum(sine_over_pull.low, -sine_over_pull.high), 0.0)
+    least_sine = least_sine * terms.pull.norm_lower.value
+    cosine = terms.cosine.lower
+    return Bound(math.tan(math.radians(OPEN_ROLL)) * cosine.value - least_sine, cosine.x)
 
 
 def roll_changes(motion: Motion) -> tuple[Array, Array]:
@@ -330,18 +408,21 @@ def roll_changes(motion: Motion) -> tuple[Array, Array]:
 
     Changes are nan if a piece is too long to follow a roll on it.
     """
-    first, total = np.zeros((2, len(motion.team.layout.clasps)))
+    clasps = len(motion.team.layout.clasps)
+    start = np.zeros(clasps)
+    change = np.zeros(clasps)
     for spans in Clasps.of(motion):
-        rolls = [spans.at(x).rolls() for x in (0.0, 0.5, 1.0)]
-        cosine, sine, whole = spans.roll_terms
-        middle = np.radians(rolls[1])[:, None]
-        along = cosine * np.cos(middle) + sine * whole.norm * np.sin(middle)
-        followed = along.lower.value > 0.0  # within a right angle of that at mid span
-        steps = (rolls[2] - rolls[0] + 180.0) % 360.0 - 180.0
-        np.add.at(total, spans.item, np.where(followed, steps, np.nan))
-        at_start = spans.piece == 0
-        first[spans.item[at_start]] = rolls[0][at_start]
-    return first, total
+        roll_at_start, roll_in_middle, roll_at_end = (spans.at(x).rolls() for x in (0.0, 0.5, 1.0))
+        terms = spans.roll_terms
+        middle = np.radians(roll_in_middle)[:, None]
+        sine = terms.sine_over_pull * terms.pull.norm
+        toward_middle = terms.cosine * np.cos(middle) + sine * np.sin(middle)
+        followed = toward_middle.lower.value > 0.0  # within a right angle of that at mid span
+        steps = (roll_at_end - roll_at_start + 180.0) % 360.0 - 180.0
+        np.add.at(change, spans.item, np.where(followed, steps, np.nan))
+        first_piece = spans.piece == 0
+        start[spans.item[first_piece]] = roll_at_start[first_piece]
+    return start, change
 
 
 def roll_past(motion: Motion, senses: Array, tolerance: float) -> NDArray[np.bool_]:
@@ -367,10 +448,12 @@ def roll_past(motion: Motion, senses: Array, tolerance: float) -> NDArray[np.boo
 
 def _past(spans: Clasps, senses: Array, tolerance: float) -> Array:
     """Return bounds (spans,), positive where pairs may roll past lying across."""
-    (cosine, sine, whole), angle = spans.roll_terms, math.radians(tolerance)
-    turned = sine * whole.norm * (math.cos(angle) * senses[spans.item, None])
-    beyond = turned + cosine * math.sin(angle)
-    return np.minimum(beyond.upper.value, -cosine.lower.value)
+    terms = spans.roll_terms
+    angle = math.radians(tolerance)
+    cosine_and_sense = math.cos(angle) * senses[spans.item, None]
+    turned = terms.sine_over_pull * terms.pull.norm * cosine_and_sense
+    beyond = turned + terms.cosine * math.sin(angle)
+    return np.minimum(beyond.upper.value, -terms.cosine.lower.value)
 
 
 def _worst_residual(motion: Motion, limit: float) -> WorstCase:
@@ -380,25 +463,26 @@ def _worst_residual(motion: Motion, limit: float) -> WorstCase:
     on each other at all times: otherwise one may have passed through the other, and the residual is
     infinite.
     """
-    names = Clasps.names(motion)
     largest = worst(Clasps.of(motion), _balance, "max", target=with_tolerance(limit, "max"))
-    words = _open_clasp(motion, largest) if math.isinf(largest.value) else ()
-    where = (names[largest.item], *words)
-    each = [WorstCase(largest.worst, largest.time, where), unbalanced(motion)]
+    where = [Clasps.names(motion)[largest.item]]
+    if math.isinf(largest.value):
+        where += _open_clasp(motion, largest)
+    cases = [WorstCase(largest.worst, largest.time, tuple(where)), unbalanced(motion)]
     if motion.has_friction:
-        each.append(friction_excess(motion))
-    return max(each, key=lambda case: case.worst)
+        cases.append(friction_excess(motion))
+    return max(cases, key=lambda case: case.worst)
 
 
 def _open_clasp(motion: Motion, at: Extremum) -> tuple[str, ...]:
     """Return words on an open clasp with its roll, if its forces are balanced."""
     breaks = motion.drones.breaks
     piece = max(0, int(np.searchsorted(breaks, at.time)) - 1)
-    share = (at.time - breaks[piece]) / motion.drones.durations[piece]
-    point = Clasps(motion, breaks, np.array([piece]), np.array([at.item])).at(np.array([share]))
+    x = (at.time - breaks[piece]) / motion.drones.durations[piece]
+    point = Clasps(motion, breaks, np.array([piece]), np.array([at.item])).at(np.array([x]))
     with np.errstate(all="ignore"):
-        open_ = math.isfinite(_relative(point.residual, point).value[0])
-        return (f"open at a roll of {point.rolls()[0]:.0f}°",) if open_ else ()
+        if not math.isfinite(_relative(point.residual, point).value[0]):
+            return ()
+        return (f"open at a roll of {point.rolls()[0]:.0f}°",)
 
 
 def spare_forces(motion: Motion) -> Array:
@@ -406,10 +490,10 @@ def spare_forces(motion: Motion) -> Array:
 
     Half of an additional load enters the products of ``contact``.
     """
-    spare = BALANCE_LIMIT - _worst_residual(motion, BALANCE_LIMIT).worst
-    spare = min(spare, -2.0 * worst(Clasps.of(motion), _opening, "max").worst)
-    weakest: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
-    return spare * weakest
+    spare_residual = BALANCE_LIMIT - _worst_residual(motion, BALANCE_LIMIT).worst
+    spare_contact = -2.0 * worst(Clasps.of(motion), _opening, "max").worst
+    lowest_tensions: Array = np.min(edge_tensions(motion)[:, both_cables(motion)], axis=(2, 3))
+    return min(spare_residual, spare_contact) * lowest_tensions
 
 
 BENT = frozenset({CableState.BENT})
@@ -428,10 +512,10 @@ def _bent_sizes(motion: Motion) -> list[Array]:
 
     They are (pieces, 2n, degree + 1), and rise together as cables are drawn.
     """
-    half = 0.5 * GRAVITY * motion.team.cable_density
-    rows = leg_tensions(motion), half * np.repeat(tautness(motion), 2, axis=1)
-    reduced = without_shared_zeros([row[:, :, None] for row in rows])
-    return [row[:, :, 0] for row in reduced]
+    half_density = 0.5 * GRAVITY * motion.team.cable_density
+    half_densities = half_density * np.repeat(tautness(motion), 2, axis=1)
+    tables = [leg_tensions(motion)[:, :, None], half_densities[:, :, None]]
+    return [table[:, :, 0] for table in without_shared_zeros(tables)]
 
 
 def _kink(spans: LegEnds) -> Bound:
@@ -442,30 +526,31 @@ def _kink(spans: LegEnds) -> Bound:
     weight over its tension, are not counted, nor is PASSED_SHARE of the weight on the point, which
     the other cable of a clasp may bear.
     """
-    motion, team = spans.source, spans.source.team
+    motion = spans.source
     cable, end = np.divmod(spans.item, 2)
+    is_q_leg = (end == 0)[:, None, None]
     legs = leg_vectors(motion)
     leaving, arriving = bent_edges(motion)
-    away = np.where(  # from the point along its edge
-        end[:, None, None] == 0, spans.read(leaving, cable), spans.read(arriving, cable) * -1.0
-    )
+    along_edge = np.where(is_q_leg, spans.read(leaving, cable), spans.read(arriving, cable) * -1.0)
     leg = Enclosed(spans.read(legs), spans.noise)
-    edge = Enclosed(away, spans.noise)
-    other = Enclosed(spans.read(legs, spans.item ^ 1), spans.noise).norm
-    tension, half = spans.scalars(_bent_sizes(motion))
-    length = Enclosed(team.cable_length[cable][:, None, None])
-    wrapped = length - leg.norm - other
-    force = leg.direction * chord_pull(tension, half, leg.xy.dot(leg.xy), leg[2])
-    force = force + edge.direction * chord_pull(tension, half, wrapped * wrapped)
-    weight = half * (length - other)
-    missing, smallest = force - weight.along_z(), tension.lower.value
-    level, upright = missing.xy.norm_upper, missing[2].norm_upper.value
-    upright = np.maximum(upright - PASSED_SHARE * weight.lower.value, 0.0)
-    taut = smallest > 0.0
-    divisor = np.where(taut, smallest, 1.0)
-    second_order = ((half * length).upper.value / divisor) ** 2
-    across = np.maximum(level.value / divisor - second_order, 0.0)
-    return Bound(np.where(taut, np.hypot(across, upright / divisor), np.inf), level.x)
+    edge = Enclosed(along_edge, spans.noise)  # from the point
+    other_leg = Enclosed(spans.read(legs, spans.item ^ 1), spans.noise).norm
+    tension, half_density = spans.scalars(_bent_sizes(motion))
+    cable_length = Enclosed(motion.team.cable_length[cable][:, None, None])
+    wrapped = cable_length - leg.norm - other_leg
+    leg_pull = chord_pull(tension, half_density, leg.xy.dot(leg.xy), leg[2])
+    edge_pull = chord_pull(tension, half_density, wrapped * wrapped)
+    weight = half_density * (cable_length - other_leg)
+    missing = leg.direction * leg_pull + edge.direction * edge_pull - weight.along_z()
+    smallest_tension = tension.lower.value
+    taut = smallest_tension > 0.0
+    divisor = np.where(taut, smallest_tension, 1.0)
+    second_order = ((half_density * cable_length).upper.value / divisor) ** 2
+    level = missing.xy.norm_upper
+    missing_level = np.maximum(level.value / divisor - second_order, 0.0)
+    passed_weight = PASSED_SHARE * weight.lower.value
+    missing_upright = np.maximum(missing[2].norm_upper.value - passed_weight, 0.0) / divisor
+    return Bound(np.where(taut, np.hypot(missing_level, missing_upright), np.inf), level.x)
 
 
 def _bent_residual(motion: Motion, limit: float) -> WorstCase:
@@ -475,8 +560,8 @@ def _bent_residual(motion: Motion, limit: float) -> WorstCase:
     """
     largest = worst(LegEnds.of(motion), _kink, "max", target=with_tolerance(limit, "max"))
     where = (motion.team.drone_names[largest.item],)
-    each = WorstCase(largest.worst, largest.time, where), unbalanced(motion)
-    return max(each, key=lambda case: case.worst)
+    cases = WorstCase(largest.worst, largest.time, where), unbalanced(motion)
+    return max(cases, key=lambda case: case.worst)
 
 
 FORMULAS = (
@@ -511,10 +596,13 @@ def _corners(motion: Motion) -> Array:
     if motion.team.layout.closed and motion.team.robots == 2:
         leaving, arriving = bent_edges(motion)
         return np.stack([arriving[:, both_cables(motion)[:, 1], :2], leaving[:, :, :2]], axis=2)
-    edges, layout = edge_vectors(motion)[:, :, :2], motion.team.layout
-    both = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
-    ends = np.stack([edges[:, -1:], -edges[:, :1]], axis=2)
-    return both if layout.closed else np.concatenate([both, ends], axis=1)
+    layout = motion.team.layout
+    edges = edge_vectors(motion)[:, :, :2]
+    at_clasps = np.stack([edges[:, layout.behind], edges[:, layout.ahead]], axis=2)
+    if layout.closed:
+        return at_clasps
+    at_ends = np.stack([edges[:, -1:], -edges[:, :1]], axis=2)
+    return np.concatenate([at_clasps, at_ends], axis=1)
 
 
 class Corners(MotionSpans):
@@ -523,7 +611,8 @@ class Corners(MotionSpans):
     @classmethod
     def names(cls, motion: Motion) -> Sequence[str]:
         """Return the corners' names."""
-        return [*clasp_names(motion), *(() if motion.team.layout.closed else ("ends",))]
+        names = clasp_names(motion)
+        return names if motion.team.layout.closed else [*names, "ends"]
 
 
 def _exterior(spans: Corners) -> Bound:
@@ -533,17 +622,24 @@ def _exterior(spans: Corners) -> Bound:
     mid span; they are ambiguous beyond 180°.
     """
     edges = spans.read(_corners(spans.source))
-    behind, ahead = (Enclosed(edges[:, i], spans.noise) for i in (0, 1))
-    dot, cross = behind.dot(ahead), ahead.cross(behind)
+    behind = Enclosed(edges[:, 0], spans.noise)
+    ahead = Enclosed(edges[:, 1], spans.noise)
+    dot = behind.dot(ahead)
+    cross = ahead.cross(behind)
     mid_angle = np.arctan2(cross.middle, dot.middle)
-    cosine, sine = np.cos(mid_angle), np.sin(mid_angle)
-    along, across = (dot * cosine + cross * sine).range, (cross * cosine - dot * sine).range
-    middle = mid_angle[:, 0]
-    lowest = np.arctan2(across.low, np.where(across.low < 0.0, along.low, along.high))
-    highest = np.arctan2(across.high, np.where(across.high < 0.0, along.high, along.low))
-    valid = (along.low > 0.0) & (middle + highest <= np.pi)
-    offset = np.where(spans.item < len(spans.source.team.layout.clasps), 0.0, 180.0)
-    return Bound(np.where(valid, offset + np.degrees(middle + lowest), MIN_ANGLE), cross.lower.x)
+    cosine = np.cos(mid_angle)
+    sine = np.sin(mid_angle)
+    along = (dot * cosine + cross * sine).range
+    across = (cross * cosine - dot * sine).range
+    least_change = np.arctan2(across.low, np.where(across.low < 0.0, along.low, along.high))
+    largest_change = np.arctan2(across.high, np.where(across.high < 0.0, along.high, along.low))
+    lowest = mid_angle[:, 0] + least_change
+    highest = mid_angle[:, 0] + largest_change
+    unambiguous = (along.low > 0.0) & (highest <= np.pi)
+    is_clasp = spans.item < len(spans.source.team.layout.clasps)
+    offset = np.where(is_clasp, 0.0, 180.0)
+    turns = np.where(unambiguous, offset + np.degrees(lowest), MIN_ANGLE)
+    return Bound(turns, cross.lower.x)
 
 
 def _smallest_angle(motion: Motion, limit: float) -> WorstCase:
@@ -552,17 +648,25 @@ def _smallest_angle(motion: Motion, limit: float) -> WorstCase:
     If the outline turns by more than 360° in all at the start, it is the negative remainder: for a
     polygon that winds around its inside more than once, or a chain, whose ends ``where`` names.
     """
-    target, start = with_tolerance(limit, "min", share=0.5), motion.vertices.breaks[0]
+    layout = motion.team.layout
+    names = motion.team.point_names
+    ends = () if layout.closed else (names[0], names[-1])
+    target = with_tolerance(limit, "min", share=0.5)
     smallest = worst(Corners.of(motion), _exterior, "min", target=target)
-    layout, points = motion.team.layout, motion.team.point_names
-    clasps, ends = np.arange(len(layout.clasps)), () if layout.closed else (points[0], points[-1])
-    where = (points[layout.clasps[smallest.item]],) if smallest.item < len(clasps) else ends
+    angle = max(smallest.worst, MIN_ANGLE)
+    remainder = 360.0 - _sum_of_angles(motion)
+    if angle > MIN_ANGLE and remainder < min(angle, -ANGLE_ROUNDING):
+        return WorstCase(remainder, float(motion.vertices.breaks[0]), ends)
+    is_clasp = smallest.item < len(layout.clasps)
+    where = (names[layout.clasps[smallest.item]],) if is_clasp else ends
+    return WorstCase(angle, smallest.time, where)
+
+
+def _sum_of_angles(motion: Motion) -> float:
+    """Return the sum of the exterior angles [deg] of all clasps at the start."""
+    clasps = np.arange(len(motion.team.layout.clasps))
     behind, ahead = np.moveaxis(_corners(motion)[0, clasps, :, :, 0], 1, 0)
-    remaining = 360.0 - float(np.sum(np.degrees(turn(ahead, behind))))
-    lowest = max(smallest.worst, MIN_ANGLE)
-    if lowest > MIN_ANGLE and remaining < min(lowest, -ANGLE_ROUNDING):
-        return WorstCase(remaining, float(start), ends)
-    return WorstCase(lowest, smallest.time, where)
+    return float(np.sum(np.degrees(turn(ahead, behind))))
 
 
 CONVEXITY = CheckRule(
