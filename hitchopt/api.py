@@ -6,13 +6,14 @@ for each kind of step. ``single_steps.py`` has functions that plan one step.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self, TypeVar
 
 from numpy.typing import ArrayLike
 
+from hitchopt.checks.custom import Rule
 from hitchopt.errors import InfeasibleError, InputError, Progress, time_limit
 from hitchopt.geometry import Outline
 from hitchopt.mission.problem import Problem
@@ -46,7 +47,7 @@ from hitchopt.steps.step import Step
 from hitchopt.steps.straddling import Tie, Untie
 from hitchopt.steps.tying import Assign, CloseVertex, Form, Land, OpenVertex, Release
 from hitchopt.storage.yaml_file import read_text
-from hitchopt.values import Points, check_instance, path, positive, text
+from hitchopt.values import Points, check_instance, path, positive, sequence, text
 from hitchopt.values.fields import suggest_keywords
 
 if TYPE_CHECKING:
@@ -67,6 +68,7 @@ def solve(
     progress: Progress | None = None,
     *,
     limit: float | None = None,
+    rules: Iterable[Rule[Any]] = (),
 ) -> Plan:
     """Return the certified plan of a problem.
 
@@ -75,10 +77,11 @@ def solve(
     problem: a problem, or the path of a problem file.
     progress: status callback.
     limit: time limit [s]; None for none.
+    rules: limits of one's own, in addition to those of the problem.
 
     Raises
     ------
-    InputError, FileError: the problem is invalid.
+    InputError, FileError: the problem or a rule is invalid.
     InfeasibleError: the problem cannot be met; lists the limits that bind, where and when.
     TimeLimitError: no plan within ``limit``.
     """
@@ -89,6 +92,8 @@ def solve(
         source, name = read_text(problem)
         problem = parse_problem(source, name, Path(problem).parent)
     task = _loaded(problem)
+    if added := sequence("rules", rules):
+        task = replace(task, rules=(*task.rules, *added))
     with time_limit(_seconds(limit), progress) as report:
         solution = solve_problem(task, report)
     check_request(task.request, solution.flight)

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import numpy as np
 
+from hitchopt.checks.custom import Rule, checked_rules
+from hitchopt.checks.registry import NAMES
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
@@ -427,12 +429,16 @@ class Problem(ByValue):
     are done. A team alone carries an object that a step of it names; all others are obstacles of
     all teams.
 
+    ``rules`` are limits of one's own, which files do not have. Planners do not know them: a plan
+    that violates one is refused.
+
     ``teams`` has start, steps and requirements of every team by name; a single team has the name
     ``""``.
 
     Raises
     ------
-    InputError: names, objects or steps that do not fit one another, a team or its outline; no step.
+    InputError: names, objects or steps that do not fit one another, a team or its outline; no step;
+        a rule with the name of another check.
     """
 
     complete: ClassVar[bool] = True  # whether the mission has all of its steps
@@ -462,10 +468,12 @@ class Problem(ByValue):
         Key(OTHERS, "External plans in the same airspace, by name, at rest before and after"),
     ] = field(default_factory=dict)
     keep_out: tuple[Prism, ...] = ()
+    rules: Sequence[Rule[Any]] = ()
     teams: Mapping[str, TeamMission] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         store(self, keep_out=sequence("keep_out", self.keep_out))
+        store(self, rules=checked_rules(self.rules, NAMES))
         check_requirements(self)
         store(self, title=self.title, others=self.others)
         if not isinstance(self.objects, Mapping):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks import merged
+from hitchopt.checks.registry import with_rules
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Tube
@@ -114,11 +115,22 @@ def solve_problem(
 
     ``progress`` is a status callback. With other plans in the air a team may wait before each step.
 
-    Raises InfeasibleError with the violated limits, places and times: a team cannot fly alone, or
-    no start time separates it from the others. Raises HitchoptError if a planner failed on a
-    problem that may be feasible.
+    Raises InfeasibleError with the violated limits, places and times: a team cannot fly alone, no
+    start time separates it from the others, or the plan violates a rule of one's own. Raises
+    HitchoptError if a planner failed on a problem that may be feasible.
     """
     report = progress or (lambda _: None)
+    certified = _plan_teams(problem, report, optimiser=optimiser)
+    if not problem.rules:
+        return certified
+    certificate = with_rules(certified.certificate, certified.flight, problem.rules, report)
+    if not certificate.certified:
+        raise infeasible_error(certificate, certified.flight, rules=problem.rules)
+    return replace(certified, certificate=certificate)
+
+
+def _plan_teams(problem: Problem, report: Progress, *, optimiser: bool) -> CertifiedFlight:
+    """Return the plan of all teams, certified for the limits of hitchopt."""
     alone = {
         name: _plan_alone(mission, report, optimiser=optimiser)
         for name, mission in problem.teams.items()

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, Check
+from hitchopt.checks.custom import Rule
 from hitchopt.checks.registry import RULE_OF, TEAM_REPORTS
-from hitchopt.checks.rule import CheckRule
+from hitchopt.checks.rule import CheckRule, ReportRule
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -121,17 +122,28 @@ def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
 
 
 def infeasible_error(
-    certificate: Certificate, flown: Motion | Flight, when: str = ""
+    certificate: Certificate,
+    flown: Motion | Flight,
+    when: str = "",
+    rules: Sequence[Rule[Any]] = (),
 ) -> InfeasibleError:
-    """Return the error of a certificate's violations; ``when`` describes the time and step."""
+    """Return the error of a certificate's violations; ``when`` describes the time and step.
+
+    ``rules`` are the rules of one's own in the certificate.
+    """
     violations, flight = [], Flight.of(flown)
+    rule_of: dict[str, CheckRule | ReportRule] = {
+        **RULE_OF,
+        **{report.name: report for report in TEAM_REPORTS},
+        **{rule.name: rule.check_rule for rule in rules},
+    }
     for check in certificate.violated:
         phases = [p for p in flight.phases if p.start <= check.time <= p.end]
         time_and_step = when
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
             time_and_step = f"at t = {check.time:.4g} s{step}"
-        rule = RULE_OF.get(check.name) or next(x for x in TEAM_REPORTS if x.name == check.name)
+        rule = rule_of[check.name]
         is_free = phases and not any(phase.formed for phase in phases)
         remedy = rule.free_remedy if is_free else ""
         if not is_free and isinstance(rule, CheckRule) and len(flight.teams) == 1:

@@ -1,4 +1,4 @@
-"""Certify a limit of one's own for all t: the angle between the two legs at a clasp."""
+"""Limit the angle between the two legs at a clasp for all t, and refuse plans that violate it."""
 
 import hitchopt as ho
 
@@ -7,7 +7,13 @@ leg_angle = ho.Rule(
 )
 team = ho.Team(robots=3, cable_length=2.4)
 start = ho.Hitch.spread(team, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
-plan = ho.morph(start, [[0, -0.7], [-0.4, 0.5], [0.4, 0.5]])
-check = ho.certify(plan, rules=[leg_angle])["leg_angle"]
+mission = ho.Mission(team, start, rules=[leg_angle])
+check = mission.morph([[0, -0.7], [-0.4, 0.5], [0.4, 0.5]]).solve().certificate["leg_angle"]
 print(f"smallest angle: {check.worst:.3f} deg at {check.where[0]}, {check.time:.2f} s")
+try:
+    mission.morph([[0, -0.9], [-0.4, 0.5], [0.4, 0.5]]).solve()
+except ho.InfeasibleError as error:
+    broken = error.violations[0].constraint
+    print(f"refused: {broken}")
 assert check.holds
+assert broken == "leg_angle"
