@@ -21,6 +21,7 @@ from hitchopt.motion.request import decoded, encoded
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import MoveStep
 from hitchopt.steps.step import RolledLegs, Step
+from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import ByValue
 from hitchopt.values.fields import EMPTY, keys_of
 
@@ -56,7 +57,13 @@ def examples() -> list[Any]:
         *(ho.Assignment((1, 0), (True, False)), ho.Quadrotor(0.1, 2.0), ho.Gains(kp=(1.0, 2.0))),
         *(map(example_of, STEPS)),
         example_of(ho.Fly),
+        ho.Rule("height", "m", "max", 2.0, ho.DroneSpans, height),
     ]
+
+
+def height(spans: ho.DroneSpans) -> Enclosed:
+    """Return the height of drones [m], for a rule."""
+    return spans.position[2]
 
 
 def example_of(kind: type[Step]) -> Step:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, TypeVar
 
@@ -20,7 +20,7 @@ from hitchopt.checks.spans import MotionSpans, leg_vectors
 from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.trajectory.enclosed import Angle, Bound, Enclosed
-from hitchopt.values import Indices, check_choice, check_instance, finite, line, sequence
+from hitchopt.values import ByValue, Indices, check_choice, check_instance, finite, line, sequence
 
 NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 MAX_UNIT = 16  # Maximum number of characters of a unit
@@ -28,11 +28,14 @@ SENSES = ("min", "max")
 REMEDY = "change the steps, or the limit of this rule"
 
 
-class RuleSpans(MotionSpans):
+class RuleSpans(OneLine, MotionSpans):
     """Spans of items that rules are evaluated for."""
 
     states: ClassVar[Set[CableState]]
     """States of cables in which the items exist."""
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{len(self)} spans"
 
 
 class DroneSpans(RuleSpans, Drones):
@@ -111,7 +114,7 @@ S = TypeVar("S", bound=RuleSpans)
 
 
 @dataclass(frozen=True, eq=False)
-class Rule(OneLine, Generic[S]):
+class Rule(ByValue, Generic[S]):
     """A limit of one's own, certified for all t like those of hitchopt.
 
     The formula is arithmetic with enclosed values: ``+``, ``-``, ``*``, ``dot``, ``cross``,
