@@ -8,10 +8,10 @@ its bounds. In repeated solutions the penalized deviation never increases (Marks
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.pairs import (
+    CABLE,
     CROSSING,
     SEPARATION,
     TautBodies,
@@ -42,27 +43,30 @@ from hitchopt.values import Array, Indices
 if TYPE_CHECKING:
     import scipy.sparse as sp
 
-SPREAD_MARGIN = 1.5  # Margin, distance over its limit, of the leg lengths called ``spread``
-LIMIT_MARGIN = 1.001  # Margin of all other leg lengths, which allows for small errors of a plan
+SPREAD_MARGIN = 1.5
+"""Margin, distance over its limit, of the leg lengths called ``spread``."""
+
+LIMIT_MARGIN = 1.001
+"""Margin of all other leg lengths, which allows for small errors of a plan."""
 
 CROSSING_MARGIN = 1.005
 """Largest margin of cables without a common clasp, since ``spread`` concerns drones."""
 
+MARGIN_ROUNDING = 1e-9
+"""Relative rounding of margins: one that misses its bound by less is reached."""
 
-@dataclass(frozen=True, eq=False)
-class LegLengths:
-    """Leg lengths ``d`` (J, n) [m], their smallest margin, and ``Σ (d - reference)²`` [m²]."""
+ROLL_MARGIN_ERROR = 5e-7
+"""Relative error of a margin that a roll suffices for, since programs are solved inexactly."""
 
-    q_legs: Array
-    margin: float
-    deviation: float
-
+PROGRAM_RESERVE = 1e-7
+"""Reserve of margins in programs, which allows for their residuals: relative to a margin, and the
+largest deficit that counts as none."""
 
 PENALTY = 1e3
 """[m²] Penalty weight per robot and unit of margin: distances have priority over deviation."""
 
-MAX_WEIGHT_SHIFT = 0.02  # [m] Largest lateral shift of drones as the weight of their legs changes
-
+MAX_WEIGHT_SHIFT = 0.02
+"""[m] Largest lateral shift of drones as the weight of their legs changes."""
 
 MAX_POLYGON_ITERATIONS = 60
 """Maximum number of convex programs from one initial guess on one polygon."""
@@ -71,7 +75,8 @@ MAX_PATH_ITERATIONS = 20
 """Maximum number of convex programs along a path, which converges within ten iterations or not at
 all."""
 
-MIN_GAIN = 1e-6  # Smallest relative improvement of merit; mirror images differ by less
+MIN_GAIN = 1e-6
+"""Smallest relative improvement of merit; mirror images differ by less."""
 
 STEP_TOLERANCE = 1e-9
 """[m] Largest change of a leg in the last iteration."""
@@ -87,34 +92,75 @@ other make it cycle."""
 CYCLE_STEP = 1e-3
 """[m] Smallest step of a search that cycles."""
 
+UNEVEN_FRACTION = 0.3
+"""Fraction of a cable's slack in one of its legs, where a search starts from uneven splits."""
+
+MIN_SLOPE = 1e-9
+"""Smallest slope, along the normal of a wall, of drones that do not slide parallel to the wall."""
+
 ROLL_CANDIDATES = tuple(
     math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 40.0, 50.0, 60.0)
 )
 """[rad] Rolls in ascending order, of which the first sufficient one is refined. Simulated clasps
 hold up to 60°."""
 
+ROLL_BISECTIONS = 7
+"""Number of bisections that refine a roll for the reference."""
+
 RESPLIT_CANDIDATES = (ROLL_CANDIDATES[3], ROLL_CANDIDATES[5])
 """[rad] Rolls at which other leg lengths are searched if no roll suffices for the reference."""
+
+RESPLIT_BISECTIONS = 3
+"""Number of bisections that refine a roll for other leg lengths."""
 
 RESPLIT_RATIO = 0.9
 """Roll at which other leg lengths must suffice, over the one that the reference needs."""
 
 
 @dataclass(frozen=True, eq=False)
+class LegLengths:
+    """Leg lengths with their quality."""
+
+    q_legs: Array
+    """(J, n) [m], ``d``."""
+
+    margin: float
+    """Smallest margin of all distances."""
+
+    deviation: float
+    """``Σ (d - reference)²`` [m²]."""
+
+
+@dataclass(frozen=True, eq=False)
 class LegTask:
     """A problem for the leg lengths of a team on J polygons: one, or the knots of a path."""
 
-    team: Team  # with the cables to be split
-    requirements: Requirements  # distances, and the arena
-    polygons: Array  # (J, points, 2) [m]
-    reference: Array  # (J, n) [m], ``d`` whose deviation is minimized
-    shortest_leg: float  # [m], for both legs of every cable
-    margin: float | Array  # lower bound of each distance over its limit; one, or one per knot (J,)
-    # [m²], weight of the fractions' second differences along the knots; 0 for none
+    team: Team
+    """The team, with the cables to be split."""
+
+    requirements: Requirements
+    """Distances, and the arena."""
+
+    polygons: Array
+    """(J, points, 2) [m]"""
+
+    reference: Array
+    """(J, n) [m], ``d`` whose deviation is minimized."""
+
+    shortest_leg: float
+    """[m], for both legs of every cable."""
+
+    margin: float | Array
+    """Lower bound of each distance over its limit; one, or one per knot (J,)."""
+
     roughness: float = 0.0
-    fixed: NDArray[np.bool_] | None = None  # (J,), mask of knots whose legs equal the reference
-    # one or (J, clasps) [rad], of the legs out of their plane; None for none
+    """[m²], weight of the fractions' second differences along the knots; 0 for none."""
+
+    fixed: NDArray[np.bool_] | None = None
+    """(J,), mask of knots whose legs equal the reference."""
+
     roll: Array | float | None = None
+    """One or (J, clasps) [rad], of the legs out of their plane; None for none."""
 
     @classmethod
     def at_rest(
@@ -127,8 +173,15 @@ class LegTask:
         roll: Array | None = None,
     ) -> LegTask:
         """Return the task of one polygon and reference (n,), with LIMIT_MARGIN for short legs."""
-        one, shortest = (polygon.vertices[None], reference[None]), requirements.limits.leg
-        return cls(team, requirements, *one, LIMIT_MARGIN * shortest, margin, roll=roll)
+        return cls(
+            team,
+            requirements,
+            polygons=polygon.vertices[None],
+            reference=reference[None],
+            shortest_leg=LIMIT_MARGIN * requirements.limits.leg,
+            margin=margin,
+            roll=roll,
+        )
 
     @property
     def level(self) -> bool:
@@ -138,8 +191,13 @@ class LegTask:
     @cached_property
     def margins(self) -> Array:
         """(3, J): margin of every knot, by kind of pair."""
-        each = np.broadcast_to(np.asarray(self.margin, dtype=np.float64), len(self.reference))
-        return np.stack([each, each, np.minimum(each, CROSSING_MARGIN)])
+        margin = np.asarray(self.margin, dtype=np.float64)
+        of_knots = np.broadcast_to(margin, len(self.reference))
+        margins = np.empty((3, len(of_knots)))
+        margins[SEPARATION] = of_knots
+        margins[CABLE] = of_knots
+        margins[CROSSING] = np.minimum(of_knots, CROSSING_MARGIN)
+        return margins
 
     @cached_property
     def largest_margin(self) -> float:
@@ -157,12 +215,13 @@ class LegTask:
 
         They are equal at the ends of a chain, where a cable has only one leg.
         """
-        slack, layout = self.slack, self.team.layout
-        shortest = np.minimum(self.shortest_leg, 0.5 * slack)
-        lower = layout.q_legs_of(shortest, slack)
-        upper = layout.q_legs_of(slack - shortest, slack)
+        layout = self.team.layout
+        shortest = np.minimum(self.shortest_leg, 0.5 * self.slack)
+        lower = layout.q_legs_of(shortest, self.slack)
+        upper = layout.q_legs_of(self.slack - shortest, self.slack)
         if self.fixed is not None:
-            lower[self.fixed] = upper[self.fixed] = self.reference[self.fixed]
+            lower[self.fixed] = self.reference[self.fixed]
+            upper[self.fixed] = self.reference[self.fixed]
         return lower, upper
 
     def split(self, *, first: bool = False) -> LegLengths:
@@ -172,15 +231,16 @@ class LegTask:
         also from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the
         first lengths that keep the margin, which is much faster.
         """
-        bodies = LegBodies(self, (*self.bounds, np.clip(self.reference, *self.bounds)))
+        bodies = LegBodies.within_bounds(self)
         best = bodies.reference_kept() or bodies.refined(self.reference, first)
-        if len(self.reference) > 1 or (self._kept_by(best) and (first or best.deviation <= 1e-12)):
+        along_path = len(self.reference) > 1
+        if along_path or (self.kept_by(best) and (first or best.deviation <= 1e-12)):
             return best
         for fractions in self._uneven_fractions:
             split = bodies.refined(fractions * self.slack, first)
             if self.merit(split) < (1.0 - MIN_GAIN) * self.merit(best):
                 best = split
-            if first and self._kept_by(best):
+            if first and self.kept_by(best):
                 break
         return best
 
@@ -190,8 +250,8 @@ class LegTask:
 
     def reference_margins(self) -> Array:
         """Return the smallest margin (J,) of the reference on every polygon."""
-        bodies = LegBodies(self, (self.reference,))
-        return bodies.margins(bodies.offsets(bodies.ends[-1]))
+        bodies = LegBodies(self, self.reference)
+        return bodies.margins(bodies.offsets(bodies.start_nodes))
 
     @property
     def _uneven_fractions(self) -> Array:
@@ -200,22 +260,27 @@ class LegTask:
         Counting from there makes them independent of numbering and mirroring.
         """
         layout = self.team.layout
-        along = unit(layout.edges(self.polygons[0]))
-        cosines = dot(along[layout.ahead], along[layout.behind])
+        edges = unit(layout.edges(self.polygons[0]))
+        cosines = dot(edges[layout.ahead], edges[layout.behind])
         sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
-        k = np.arange(layout.robots)
-        onward = (k - sharpest) % layout.robots % 2 == 0
-        back = (sharpest - 1 - k) % layout.robots % 2 == 1
+        cables = np.arange(layout.robots)
+        onward = (cables - sharpest) % layout.robots % 2 == 0
+        back = (sharpest - 1 - cables) % layout.robots % 2 == 1
         equal = np.ones_like(onward)
-        return np.unique(np.where([equal, ~equal, onward, ~onward, back, ~back], 0.3, 0.7), axis=0)
+        has_short_q_leg = [equal, ~equal, onward, ~onward, back, ~back]
+        fractions = np.where(has_short_q_leg, UNEVEN_FRACTION, 1.0 - UNEVEN_FRACTION)
+        return np.unique(fractions, axis=0)
 
-    def _kept_by(self, split: LegLengths) -> bool:
-        return split.margin >= self.largest_margin * (1.0 - 1e-9)
+    def kept_by(self, split: LegLengths) -> bool:
+        """Return whether leg lengths keep all margins."""
+        return split.margin >= self.largest_margin * (1.0 - MARGIN_ROUNDING)
 
     def merit(self, split: LegLengths) -> float:
         """Return the penalized deviation [m²], which repeated approximation decreases."""
         deficit = max(0.0, self.largest_margin - split.margin)
-        penalty = PENALTY * self.team.robots * (deficit if deficit > 1e-7 else 0.0)
+        if deficit <= PROGRAM_RESERVE:
+            deficit = 0.0
+        penalty = PENALTY * self.team.robots * deficit
         return penalty + 0.5 * split.deviation
 
     def split_with_least_roll(self) -> tuple[LegLengths, Array | float]:
@@ -232,14 +297,10 @@ class LegTask:
             return split, initial
         sign = -1.0 if np.sum(initial) < 0.0 else 1.0
         for margin in dict.fromkeys((self.largest_margin, LIMIT_MARGIN)):
-            subtask = replace(self, margin=margin)
-            of_reference = subtask.least_roll(sign)
-            scaled = None if of_reference is None else (RESPLIT_RATIO * abs(of_reference),)
-            candidates = scaled or RESPLIT_CANDIDATES
-            of_split = subtask.least_roll(sign, _margin_near_reference, candidates, 3)
-            roll = of_reference if of_split is None else of_split
+            task = replace(self, margin=margin)
+            roll = _least_roll_of_any_lengths(task, sign)
             if roll is not None:
-                return replace(subtask, roll=roll).split(), roll
+                return replace(task, roll=roll).split(), roll
         return split, initial
 
     def least_roll(
@@ -247,7 +308,7 @@ class LegTask:
         sign: float = 1.0,
         margin_of: Callable[[LegTask], float] = reference_margin,
         candidates: tuple[float, ...] = ROLL_CANDIDATES,
-        bisections: int = 7,
+        bisections: int = ROLL_BISECTIONS,
     ) -> float | None:
         """Return the smallest roll [rad] of the search that keeps the task's margins, or None.
 
@@ -256,11 +317,12 @@ class LegTask:
         """
 
         def suffices(angle: float) -> bool:
+            rolled = replace(self, roll=sign * angle)
             try:
-                rolled = replace(self, roll=sign * angle)
-                return margin_of(rolled) >= self.largest_margin * (1.0 - 5e-7)
+                margin = margin_of(rolled)
             except InfeasibleError:
                 return False
+            return margin >= self.largest_margin * (1.0 - ROLL_MARGIN_ERROR)
 
         upper = next((angle for angle in candidates if suffices(angle)), None)
         if upper is None:
@@ -268,29 +330,87 @@ class LegTask:
         lower = max((angle for angle in candidates if angle < upper), default=0.0)
         for _ in range(bisections):
             middle = 0.5 * (lower + upper)
-            lower, upper = (lower, middle) if suffices(middle) else (middle, upper)
+            if suffices(middle):
+                upper = middle
+            else:
+                lower = middle
         return sign * upper
 
     def hessian(self, size: int) -> sp.csc_array[np.float64]:
-        """Return the Hessian of half the sum of squared lengths and of the fractions' roughness."""
+        """Return the Hessian of half the sum of squared lengths and of the fractions' roughness.
+
+        The last two of ``size`` variables are slacks, which do not enter.
+        """
         import scipy.sparse as sp
 
-        squares = np.append(np.ones(size - 2), [0.0, 0.0])
-        diagonal = sp.csc_array((squares, np.arange(size), np.arange(size + 1)), shape=(size, size))
+        # A diagonal also in the rows of the slacks keeps the pattern of entries.
+        diagonal = np.append(np.ones(size - 2), [0.0, 0.0])
+        deviation = sp.csc_array(
+            (diagonal, np.arange(size), np.arange(size + 1)), shape=(size, size)
+        )
         J, n = self.reference.shape
         if self.roughness == 0.0 or J < 3:
-            return diagonal
-        second = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
+            return deviation
+        second_difference = sp.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(J - 2, J))
         fractions = sp.diags_array(1.0 / self.slack.reshape(-1))
-        bend = sp.kron(second, sp.eye_array(n)) @ fractions
-        rough = sp.block_diag([self.roughness * (bend.T @ bend), sp.csc_array((2, 2))])
-        return sp.csc_array(diagonal + rough)
+        bend = sp.kron(second_difference, sp.eye_array(n)) @ fractions
+        of_slacks = sp.csc_array((2, 2))
+        roughness = sp.block_diag([self.roughness * (bend.T @ bend), of_slacks])
+        return sp.csc_array(deviation + roughness)
+
+
+def _least_roll_of_any_lengths(task: LegTask, sign: float) -> float | None:
+    """Return the smallest roll [rad] that suffices for the reference or for other leg lengths."""
+    of_reference = task.least_roll(sign)
+    candidates: tuple[float, ...] = RESPLIT_CANDIDATES
+    if of_reference is not None:
+        candidates = (RESPLIT_RATIO * abs(of_reference),)
+    of_others = task.least_roll(sign, _margin_near_reference, candidates, RESPLIT_BISECTIONS)
+    return of_reference if of_others is None else of_others
 
 
 def _margin_near_reference(task: LegTask) -> float:
     """Return the margin of the leg lengths found from the reference, at most the task's."""
-    bodies = LegBodies(task, (*task.bounds, np.clip(task.reference, *task.bounds)))
-    return bodies.refined(task.reference, first=True).margin
+    return LegBodies.within_bounds(task).refined(task.reference, first=True).margin
+
+
+class Lines(NamedTuple):
+    """Lines on which nodes slide: ``base + slope d``."""
+
+    base: Array
+    """(…, J·count, 2 or 3) [m]"""
+
+    slope: Array
+    """(…, J·count, 2 or 3)"""
+
+
+class BodyPairs(NamedTuple):
+    """Pairs of bodies that may be close."""
+
+    polygon: Indices
+    """(pairs,), index of their polygon."""
+
+    first: Indices
+    """(pairs, 2), nodes at the ends of the first bodies."""
+
+    second: Indices
+    """(pairs, 2), nodes at the ends of the second bodies."""
+
+    kind: Indices
+    """(pairs,), kind of pair."""
+
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """Leg lengths of an iteration, with the nodes and distances at these lengths."""
+
+    split: LegLengths
+
+    nodes: Array
+    """(J·count, 2 or 3) [m], positions."""
+
+    offsets: Array
+    """(pairs, 2 or 3) [m], shortest vectors between the bodies of pairs, heights scaled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,17 +419,32 @@ class LegBodies:
 
     Horizontal legs need two coordinates; others need three, with heights scaled by kind of pair.
     The directions of heavy legs depend on the leg lengths at which they are evaluated. Pairs that
-    are never close for leg lengths between the given ones (J, n) are omitted; the last ones are the
-    initial guess.
+    are never close for leg lengths between ``start`` and the extremes are omitted.
     """
 
     task: LegTask
-    lengths: tuple[Array, ...]
+
+    start: Array
+    """(J, n) [m], leg lengths of the initial guess."""
+
+    extremes: tuple[Array, ...] = ()
+    """(J, n) [m] each, extreme leg lengths."""
+
+    @classmethod
+    def within_bounds(cls, task: LegTask) -> LegBodies:
+        """Return the bodies for all admissible lengths, with the reference as initial guess."""
+        return cls(task, np.clip(task.reference, *task.bounds), task.bounds)
 
     @cached_property
-    def ends(self) -> Array:
-        """(lengths, J·count, 2 or 3) [m]: positions of the nodes at the given lengths."""
-        return self.nodes(np.stack(self.lengths))
+    def swept_nodes(self) -> Array:
+        """(lengths, J·count, 2 or 3) [m]: positions at the extremes, then at the start."""
+        return self.nodes(np.stack([*self.extremes, self.start]))
+
+    @property
+    def start_nodes(self) -> Array:
+        """(J·count, 2 or 3) [m]: positions of the nodes at the start."""
+        start_nodes: Array = self.swept_nodes[-1]
+        return start_nodes
 
     @cached_property
     def points(self) -> Array:
@@ -327,8 +462,11 @@ class LegBodies:
     def variable(self) -> Indices:
         """(J, count): index of the leg length with which each node slides, points, then drones."""
         J, n = self.task.reference.shape
-        cable = np.append(np.zeros(self.points.shape[1], np.intp), np.repeat(np.arange(n), 2))
-        variable: Indices = n * np.arange(J)[:, None] + cable
+        # Points do not slide: any variable will do.
+        cable_of_point = np.zeros(self.points.shape[1], np.intp)
+        cable_of_drone = np.repeat(np.arange(n), 2)
+        first_variable = n * np.arange(J)[:, None]
+        variable: Indices = first_variable + np.append(cable_of_point, cable_of_drone)
         return variable
 
     @property
@@ -338,68 +476,89 @@ class LegBodies:
         return nodes[:, self.points.shape[1] :].reshape(-1)
 
     @cached_property
-    def pairs(self) -> tuple[Indices, Indices, Indices, Indices]:
-        """Polygon (pairs,), nodes of both bodies (pairs, 2) each, and kind (pairs,)."""
-        task, (J, count) = self.task, self.variable.shape
-        bodies, limits = TautBodies.of(task.team.layout), limits_of(task.requirements.separation)
+    def pairs(self) -> BodyPairs:
+        """Pairs that may be closer than their margin."""
+        task = self.task
+        J, count = self.variable.shape
+        bodies = TautBodies.of(task.team.layout)
+        limits = limits_of(task.requirements.separation)
         # Distances in plan view are lower bounds.
-        swept = self.ends[..., :2].reshape(-1, J, count, 2)[:, :, bodies.nodes]
+        plan_view = self.swept_nodes[..., :2].reshape(-1, J, count, 2)
+        body_ends = plan_view[:, :, bodies.nodes]  # (lengths, J, bodies, 2, 2)
+        lowest = np.min(body_ends, axis=(0, 3))
+        highest = np.max(body_ends, axis=(0, 3))
         # Pairs beyond the cutoff always have their margin.
         cutoff = max(task.largest_margin, 1.0) * float(np.max(limits)) * (1.0 + 1e-9)
-        cutoff += MAX_WEIGHT_SHIFT if task.team.cable_density > 0.0 else 0.0
-        near = bodies.near(np.min(swept, axis=(0, 3)), np.max(swept, axis=(0, 3)), limits, cutoff)
+        if task.team.cable_density > 0.0:
+            cutoff += MAX_WEIGHT_SHIFT
+        near = bodies.near(lowest, highest, limits, cutoff)
         if task.fixed is not None:  # fixed knots cannot change
             near = near[:, ~task.fixed[near[0]]]
-        frame, i, j, kind = near
-        first, second = (bodies.nodes[each] + count * frame[:, None] for each in (i, j))
-        return frame, first, second, kind
+        polygon, first_body, second_body, kind = near
+        first_node = count * polygon[:, None]
+        return BodyPairs(
+            polygon,
+            first=bodies.nodes[first_body] + first_node,
+            second=bodies.nodes[second_body] + first_node,
+            kind=kind,
+        )
+
+    def lines(self, q_legs: Array) -> Lines:
+        """Return the lines of the nodes; heavy legs have their directions at lengths (…, J, n)."""
+        if self.task.team.cable_density > 0.0:
+            return self._lines_at(q_legs)
+        return self._constant_lines
 
     @cached_property
-    def _fixed(self) -> tuple[Array, Array] | None:
-        return None if self.task.team.cable_density > 0.0 else self._lines(self.task.reference)
+    def _constant_lines(self) -> Lines:
+        """Lines of the nodes on weightless legs."""
+        return self._lines_at(self.task.reference)
 
-    def lines(self, d: Array) -> tuple[Array, Array]:
-        """Return base points [m] and slopes (…, J·count, 2 or 3) of the lines of sliding nodes.
-
-        Nodes are ``base + slope d``; heavy legs have their directions at lengths d (…, J, n) [m].
-        """
-        return self._fixed or self._lines(d)
-
-    def _lines(self, d: Array) -> tuple[Array, Array]:
-        task, team, layout = self.task, self.task.team, self.task.team.layout
-        slack, shape = task.slack, d.shape[:-2]
-        points = np.broadcast_to(self.points, (*shape, *self.points.shape))
-        edges = np.broadcast_to(self.edges, (*shape, *self.edges.shape))
-        loads = None if task.level else clasp_loads(team, d, slack, task.roll)
+    def _lines_at(self, q_legs: Array) -> Lines:
+        """Return the lines of the nodes, with the directions of legs at lengths (…, J, n) [m]."""
+        task = self.task
+        team = task.team
+        layout = team.layout
+        leading = q_legs.shape[:-2]
+        points = np.broadcast_to(self.points, (*leading, *self.points.shape))
+        edges = np.broadcast_to(self.edges, (*leading, *self.edges.shape))
+        loads = None if task.level else clasp_loads(team, q_legs, task.slack, task.roll)
         to_q, to_r = leg_directions(edges, team.tension, team.topology, loads)
         if team.cable_density > 0.0:  # chords of sagging legs, per length of cable
             sag = sag_factors(team, team.tension)
-            to_q = leg_vectors(np.ones_like(d), to_q, sag * d**2)
-            r_legs = slack - d
-            to_r = leg_vectors(np.ones_like(r_legs), to_r, sag * r_legs**2)
-        ends = points[..., layout.starts, :], points[..., layout.ends, :] + slack[..., None] * to_r
-        return self._flat(points, ends), self._flat(np.zeros_like(points), (to_q, -to_r))
+            unit_cables = np.ones_like(q_legs)
+            r_legs = task.slack - q_legs
+            to_q = leg_vectors(unit_cables, to_q, sag * q_legs**2)
+            to_r = leg_vectors(unit_cables, to_r, sag * r_legs**2)
+        q_base = points[..., layout.starts, :]
+        r_base = points[..., layout.ends, :] + task.slack[..., None] * to_r
+        return Lines(
+            base=self._flat(points, q_base, r_base),
+            slope=self._flat(np.zeros_like(points), to_q, -to_r),
+        )
 
     @staticmethod
-    def _flat(points: Array, drones: Sequence[Array]) -> Array:
+    def _flat(points: Array, q: Array, r: Array) -> Array:
         """Return values of points (…, J, points, k), then of both drones of cables (…, J, n, k)."""
-        shape = (*points.shape[:-2], -1, points.shape[-1])
-        nodes = np.concatenate([points, np.stack(drones, axis=-2).reshape(shape)], axis=-2)
-        return nodes.reshape(*shape[:-3], -1, shape[-1])
+        *leading, _, coordinates = points.shape
+        drones = np.stack([q, r], axis=-2).reshape(*leading, -1, coordinates)
+        nodes = np.concatenate([points, drones], axis=-2)
+        return nodes.reshape(*leading[:-1], -1, coordinates)
 
-    def nodes(self, d: Array) -> Array:
-        """Return the positions (…, J·count, 2 or 3) [m] of the nodes at lengths d (…, J, n) [m]."""
-        base, slope = self.lines(d)
-        lengths = d.reshape(*d.shape[:-2], -1)[..., self.variable.reshape(-1)]
-        nodes: Array = base + slope * lengths[..., None]
+    def nodes(self, q_legs: Array) -> Array:
+        """Return the positions (…, J·count, 2 or 3) [m] of the nodes at lengths (…, J, n) [m]."""
+        lines = self.lines(q_legs)
+        flat_q_legs = q_legs.reshape(*q_legs.shape[:-2], -1)
+        lengths = flat_q_legs[..., self.variable.reshape(-1)]
+        nodes: Array = lines.base + lines.slope * lengths[..., None]
         return nodes
 
     def offsets(self, nodes: Array) -> Array:
         """Return the shortest vectors (pairs, 2 or 3) [m], heights scaled, to the first bodies."""
-        _, first, second, kind = self.pairs
-        between = differences(nodes[first], nodes[second])
-        scale = scales_of(self.task.requirements)[:, : nodes.shape[-1]]
-        return shortest_offset(between * scale[kind][:, None])
+        pairs = self.pairs
+        between = differences(nodes[pairs.first], nodes[pairs.second])
+        scales = scales_of(self.task.requirements)[pairs.kind, : nodes.shape[-1]]
+        return shortest_offset(between * scales[:, None])
 
     def margins(self, offsets: Array) -> Array:
         """Return the minimum distance over its limit (J,), relative to the margins of the knots.
@@ -410,129 +569,146 @@ class LegBodies:
         ----------
         offsets: (pairs, 2 or 3) [m], of all pairs, heights scaled.
         """
-        task, (frame, _, _, kind) = self.task, self.pairs
-        limits = limits_of(task.requirements.separation)[kind]
-        ratios = length(offsets) / limits
-        crossing_margins = task.margins[CROSSING, frame] * (1.0 - 1e-9)
+        task = self.task
+        polygon = self.pairs.polygon
+        kind = self.pairs.kind
+        ratios = length(offsets) / limits_of(task.requirements.separation)[kind]
+        crossing_margins = task.margins[CROSSING, polygon] * (1.0 - MARGIN_ROUNDING)
         inactive = (kind == CROSSING) & (ratios >= crossing_margins)
-        relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, frame]
+        relative = np.where(inactive, np.inf, ratios) / task.margins[SEPARATION, polygon]
         smallest = np.full(len(self.points), np.inf)
-        np.minimum.at(smallest, frame, relative)
+        np.minimum.at(smallest, polygon, relative)
         return task.largest_margin * smallest
 
-    def program(self, d: Array, nodes: Array, offsets: Array) -> QuadraticProgram:
-        """Return the convex QP around ``d``; variables are d, then two slacks of the margins.
+    def iterate(self, q_legs: Array) -> Iterate:
+        """Return the iterate of leg lengths (J, n) [m]."""
+        nodes = self.nodes(q_legs)
+        offsets = self.offsets(nodes)
+        margin = float(np.min(self.margins(offsets)))
+        deviation = float(np.sum((q_legs - self.task.reference) ** 2))
+        return Iterate(LegLengths(q_legs, margin, deviation), nodes, offsets)
+
+    def program(self, iterate: Iterate) -> QuadraticProgram:
+        """Return the convex QP around leg lengths; variables are d, then two slacks of the margins.
 
         For a pair of bodies and any unit vector ν, the smallest ``ν·(a - b)`` over their ends is a
         lower bound of their distance and linear in ``d``. It is exact at the current leg lengths,
         from which ν is computed. One slack belongs to the distances of drones, the other one to
         crossings and walls, so that infeasible crossings or walls leave the distances of drones
         determined.
-
-        Parameters
-        ----------
-        d: (J, n) [m], leg lengths.
-        nodes, offsets: (J·count, 2 or 3) and (pairs, 2 or 3) [m], at these lengths.
         """
-        task, size = self.task, d.size + 2
-        lines = self.lines(d)
+        task = self.task
+        q_legs = iterate.split.q_legs
+        size = q_legs.size + 2
+        lines = self.lines(q_legs)
         rows = Rows(size)
-        self._add_pairs(rows, lines, nodes, offsets)
+        self._add_pairs(rows, lines, iterate)
         if task.requirements.arena is not None:
             self._add_walls(rows, lines, task.requirements.arena)
-        lowest, highest = task.bounds
-        lower = np.append(lowest.reshape(-1), [0.0, 0.0])
-        upper = np.append(highest.reshape(-1), [np.inf, np.inf])
-        penalty = np.full(2, PENALTY * task.team.robots)
-        gradient = np.append(-task.reference.reshape(-1), penalty)
-        return QuadraticProgram(task.hessian(size), gradient, *rows.compressed(), lower, upper)
+        A, lower, upper = rows.compressed()
+        shortest, longest = task.bounds
+        penalty = PENALTY * task.team.robots
+        return QuadraticProgram(
+            P=task.hessian(size),
+            q=np.append(-task.reference.reshape(-1), [penalty, penalty]),
+            A=A,
+            lower=lower,
+            upper=upper,
+            x_min=np.append(shortest.reshape(-1), [0.0, 0.0]),
+            x_max=np.append(longest.reshape(-1), [np.inf, np.inf]),
+        )
 
-    def _add_pairs(
-        self, rows: Rows, lines: tuple[Array, Array], nodes: Array, offsets: Array
-    ) -> None:
+    def _add_pairs(self, rows: Rows, lines: Lines, iterate: Iterate) -> None:
         """Add the rows of pairs of bodies, with a slack for drones and one for crossings."""
-        task, variable, (base, slope) = self.task, self.variable.reshape(-1), lines
-        size, dimensions = rows.variables, self.points.shape[-1]
-        frame, first, second, kind = self.pairs
-        middles = nodes[first].mean(axis=1) - nodes[second].mean(axis=1)
-        normal = unit(offsets, unit(middles, EAST[:dimensions]), 1e-9)
-        pair, a, b = end_combinations(kind, first, second)
-        kind = kind[pair]
-        limit = limits_of(task.requirements.separation)[kind]
-        nu = normal[pair] * scales_of(task.requirements)[kind, :dimensions]
-        slacks = np.where(kind == CROSSING, size - 1, size - 2)
-        # Slightly more than required, to allow for rounding.
-        required = task.margins[kind, frame[pair]] * (1.0 + 1e-7) * limit
-        lower = required - np.sum(nu * (base[a] - base[b]), axis=1)
-        columns = np.stack([variable[a], variable[b]])
-        slopes = np.stack([np.sum(nu * slope[a], axis=1), -np.sum(nu * slope[b], axis=1)])
+        task = self.task
+        pairs = self.pairs
+        nodes = iterate.nodes
+        variable = self.variable.reshape(-1)
+        dimensions = self.points.shape[-1]
+        middles = nodes[pairs.first].mean(axis=1) - nodes[pairs.second].mean(axis=1)
+        normals = unit(iterate.offsets, unit(middles, EAST[:dimensions]), 1e-9)
+        pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)
+        kind = pairs.kind[pair]
+        limits = limits_of(task.requirements.separation)[kind]
+        nu = normals[pair] * scales_of(task.requirements)[kind, :dimensions]
+        margins = task.margins[kind, pairs.polygon[pair]] * (1.0 + PROGRAM_RESERVE)
+        base_distances = np.sum(nu * (lines.base[first] - lines.base[second]), axis=1)
+        lower = margins * limits - base_distances
+        columns = np.stack([variable[first], variable[second]])
+        first_slopes = np.sum(nu * lines.slope[first], axis=1)
+        second_slopes = -np.sum(nu * lines.slope[second], axis=1)
+        slopes = np.stack([first_slopes, second_slopes])
         # Rows that hold for all lengths within the bounds are omitted.
-        extremes = [slopes * bound.reshape(-1)[columns] for bound in task.bounds]
-        used = np.sum(np.minimum(*extremes), axis=0) < lower
-        columns = np.concatenate([columns[:, used].ravel(), slacks[used]])
-        entries = np.concatenate([slopes[:, used].ravel(), limit[used]])
-        rows.add(np.tile(np.arange(len(lower[used])), 3), columns, entries, lower[used])
+        shortest, longest = (bound.reshape(-1)[columns] for bound in task.bounds)
+        smallest_changes = np.sum(np.minimum(slopes * shortest, slopes * longest), axis=0)
+        used = smallest_changes < lower
+        drone_slack = rows.variables - 2
+        crossing_slack = rows.variables - 1
+        slacks = np.where(kind == CROSSING, crossing_slack, drone_slack)
+        rows.add(
+            np.tile(np.arange(np.count_nonzero(used)), 3),
+            np.concatenate([columns[:, used].ravel(), slacks[used]]),
+            np.concatenate([slopes[:, used].ravel(), limits[used]]),
+            lower[used],
+        )
 
-    def _add_walls(self, rows: Rows, lines: tuple[Array, Array], arena: Arena) -> None:
+    def _add_walls(self, rows: Rows, lines: Lines, arena: Arena) -> None:
         """Add the rows of drones between the upright walls, with the slack of crossings."""
-        base, slope = (values[self.drones, :2] for values in lines)
-        entries = np.concatenate([slope, -slope], axis=1).T.ravel()
-        beyond = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1)
-        lower = beyond.T.ravel()
+        base = lines.base[self.drones, :2]
+        slope = lines.slope[self.drones, :2]
+        # By wall, then by drone: the slope toward the inside, and how far the base is outside
+        slopes = np.concatenate([slope, -slope], axis=1).T.ravel()
+        outside = np.concatenate([arena.lower[:2] - base, base - arena.upper[:2]], axis=1)
+        lower = outside.T.ravel()
+        variables = np.tile(self.variable.reshape(-1)[self.drones], 4)
         # Drones that slide parallel to a wall are omitted: their distance to it is constant.
-        oblique = np.abs(entries) > 1e-9
-        columns = np.tile(self.variable.reshape(-1)[self.drones], 4)[oblique]
-        row = np.arange(len(columns))
-        start = rows.add(row, columns, entries[oblique], lower[oblique])
-        rows.extend(start + row, np.full(len(row), rows.variables - 1), 1.0)
+        oblique = np.abs(slopes) > MIN_SLOPE
+        row = np.arange(np.count_nonzero(oblique))
+        start = rows.add(row, variables[oblique], slopes[oblique], lower[oblique])
+        crossing_slack = rows.variables - 1
+        rows.extend(start + row, np.full(len(row), crossing_slack), 1.0)
 
     def reference_kept(self) -> LegLengths | None:
         """Return the reference if it keeps the margin and exactly all bounds, else None."""
-        task, arena = self.task, self.task.requirements.arena
-        start, nodes = self.lengths[-1], self.ends[-1]
-        if task.roughness > 0.0 or not np.array_equal(start, task.reference):
+        task = self.task
+        if task.roughness > 0.0 or not np.array_equal(self.start, task.reference):
             return None
-        margin, drones = float(np.min(self.margins(self.offsets(nodes)))), nodes[self.drones, :2]
-        if margin < task.largest_margin or (
-            arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2]))
-        ):
+        margin = float(np.min(self.margins(self.offsets(self.start_nodes))))
+        if margin < task.largest_margin:
             return None
-        return LegLengths(start, margin, 0.0)
+        arena = task.requirements.arena
+        drones = self.start_nodes[self.drones, :2]
+        if arena and np.any((drones < arena.lower[:2]) | (drones > arena.upper[:2])):
+            return None
+        return LegLengths(self.start, margin, 0.0)
 
     def refined(self, start: Array, first: bool) -> LegLengths:
-        """Return the limit of repeated convex approximation from ``start``.
+        """Return the limit of repeated convex approximation from leg lengths (J, n) [m].
 
         With ``first`` return the first iterate that keeps the margin. The repetition ends if it
         cycles: if steps are not small, and the merit has not improved for several iterations.
         """
         task = self.task
-        enough = task.largest_margin * (1.0 - 1e-9)
         tolerance = COARSE_STEP_TOLERANCE if first else STEP_TOLERANCE
-        d = np.clip(start, *task.bounds)
-        nodes = self.nodes(d)
-        offsets = self.offsets(nodes)
-        split = self._split(d, offsets)
-        best, since_best = math.inf, 0
-        for _ in range(MAX_POLYGON_ITERATIONS if len(d) == 1 else MAX_PATH_ITERATIONS):
+        max_iterations = MAX_POLYGON_ITERATIONS if len(start) == 1 else MAX_PATH_ITERATIONS
+        current = self.iterate(np.clip(start, *task.bounds))
+        best_merit = math.inf
+        iterations_since_best = 0
+        for _ in range(max_iterations):
             check_time()
-            x = solve_qp(self.program(d, nodes, offsets))
-            if x is None:
+            solution = solve_qp(self.program(current))
+            if solution is None:
                 break
-            before, d = d, x[: d.size].reshape(d.shape)
-            nodes = self.nodes(d)
-            offsets = self.offsets(nodes)
-            split = self._split(d, offsets)
-            step = float(np.max(np.abs(d - before)))
-            if step < tolerance or (first and split.margin >= enough):
+            q_legs = current.split.q_legs
+            new_q_legs = solution[: q_legs.size].reshape(q_legs.shape)
+            step = float(np.max(np.abs(new_q_legs - q_legs)))
+            current = self.iterate(new_q_legs)
+            if step < tolerance or (first and task.kept_by(current.split)):
                 break
-            merit = task.merit(split)
-            since_best = 0 if merit < (1.0 - MIN_GAIN) * best else since_best + 1
-            best = min(best, merit)
-            if since_best >= MAX_CYCLE and (first or step > CYCLE_STEP):
+            merit = task.merit(current.split)
+            improved = merit < (1.0 - MIN_GAIN) * best_merit
+            iterations_since_best = 0 if improved else iterations_since_best + 1
+            best_merit = min(best_merit, merit)
+            if iterations_since_best >= MAX_CYCLE and (first or step > CYCLE_STEP):
                 break
-        return split
-
-    def _split(self, d: Array, offsets: Array) -> LegLengths:
-        """Return leg lengths (J, n) [m] with their margin and deviation."""
-        deviation = float(np.sum((d - self.task.reference) ** 2))
-        return LegLengths(d, float(np.min(self.margins(offsets))), deviation)
+        return current.split
