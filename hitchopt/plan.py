@@ -295,8 +295,8 @@ class Plan(OneLine):
 
         Parameters
         ----------
-        format: crazyswarm2, compressed, skybrush, mavsdk_drone_show, ros2bag, csv, parquet
-            or gltf.
+        format: crazyswarm2, compressed, skybrush, mavsdk_drone_show, ros2bag, csv, parquet,
+            gltf, or a format that another package registers.
         folder: created if it is missing; only files of an earlier export are replaced.
         progress: status callback.
         options: keywords of ``hitchopt.exports.options.ExportOptions``, all optional.
@@ -306,7 +306,8 @@ class Plan(OneLine):
         InputError, FileError: an argument is invalid, or a file cannot be written.
         CertificateError, InfeasibleError: the certificate does not hold, the format cannot hold
             the plan or its tension, or a limit is violated in the format; nothing is written.
-        UnsupportedError: a library that the format needs is not installed.
+        UnsupportedError: a library that the format needs is not installed, or the package that
+            registers the format has none that can be used.
         """
         from hitchopt.exports.exporting import export_flight
         from hitchopt.exports.options import ExportOptions

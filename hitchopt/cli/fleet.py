@@ -52,11 +52,12 @@ def _placement_options() -> Sequence[click.Option]:
 
 
 def _format_option() -> Sequence[click.Option]:
-    """Return the option for the format of an export."""
-    from hitchopt.exports.options import HOMES
+    """Return the option for the format of an export, of hitchopt or of another package."""
+    from hitchopt.exports.options import registered_formats
 
-    description = f"One of {', '.join(HOMES)}."
-    return (option("--format", description, str, "NAME", **completing(lambda: HOMES)),)
+    names = [*registered_formats()]
+    description = f"One of {', '.join(names)}."
+    return (option("--format", description, str, "NAME", **completing(lambda: names)),)
 
 
 def _export_options() -> Sequence[click.Option]:
@@ -105,15 +106,15 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     Without DIR or --format it lists the formats.
     """
     from hitchopt.exports.exporting import export_flight
-    from hitchopt.exports.format import format_of
-    from hitchopt.exports.options import HOMES, ExportOptions
+    from hitchopt.exports.format import format_of, usable_formats
+    from hitchopt.exports.options import ExportOptions
     from hitchopt.exports.placing import read_fleet
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.values.fields import Missing
 
     if directory is None or options["format"] is None:
-        summaries = ((name, type(format_of(name)).__doc__ or "") for name in HOMES)
-        rows = [{"format": name, "what it is": text.splitlines()[0]} for name, text in summaries]
+        summaries = [(kind.name, type(kind).__doc__ or "") for kind in usable_formats()]
+        rows = [{"format": name, "what it is": text.partition("\n")[0]} for name, text in summaries]
         say(table("Formats", rows), err=True)
         bound, remedy = "given with DIR", "choose one, such as --format csv"
         raise InputError("format", options["format"] or Missing(), bound, remedy)

@@ -130,7 +130,7 @@ def export_flight(
         notes += [*weightless_notes(flight, problem), *_notes(kind, plan, options)]
     content = plan, title, frame, fleet, rate, options
     task = ExportTask(*content, settings=settings, notes=tuple(notes), has_trims=kind.has_heading)
-    is_export = _is_file(place) and place.with_name(f"{place.name}.{MANIFEST}").exists()
+    is_export = _is_file(place, kind) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
         raise FileError(f"{place}: already exists; an export is a folder: choose another name")
     certificate_of(plan, say).raise_if_violated()
@@ -522,9 +522,9 @@ def _scratch_folder(place: Path) -> Iterator[Path]:
         raise FileError(f"{place}: cannot be written: {error.strerror or error}") from error
 
 
-def _is_file(place: Path) -> bool:
-    """Return whether a path is that of a single file."""
-    return place.suffix.lower() in ENDINGS and not place.is_dir()
+def _is_file(place: Path, kind: Format) -> bool:
+    """Return whether a path is that of a single file, by its suffix."""
+    return place.suffix.lower() in {*ENDINGS, *kind.endings} and not place.is_dir()
 
 
 def _move_exports(
@@ -536,7 +536,7 @@ def _move_exports(
     not of an earlier export would go.
     """
     first, several = exports[0], len(exports) > 1
-    if _is_file(place):
+    if _is_file(place, kind):
         if several or len(first.files) > 1 or Path(first.files[0]).suffix != place.suffix.lower():
             bound = f"a folder for {kind.name}, or a name with its only file's suffix"
             raise InputError("-o", str(place), bound, f"it writes {', '.join(first.files[:3])}")

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hitchopt.checks.certificate import Check
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, UnsupportedError, contained
 from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
 from hitchopt.exports.held_tension import REST_TIME, held_tension
-from hitchopt.exports.options import HOMES, STORAGES, ExportOptions
-from hitchopt.exports.placing import Fleet, ReferenceFrame
+from hitchopt.exports.options import STORAGES, ExportOptions, registered_formats
+from hitchopt.exports.placing import AXES, Fleet, ReferenceFrame
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, STOCK
 from hitchopt.motion.flight import Flight
@@ -184,9 +185,13 @@ class FormatOutput:
 
 
 class Format(ABC):
-    """A file format, with a writer and a reader."""
+    """A file format, with a writer and a reader.
 
-    name: str  # value of ``--format``
+    Packages register subclasses as entry points of the group ``hitchopt.formats``, by their name.
+    The first line of the docstring of a subclass describes it in lists.
+    """
+
+    name: str  # value of ``--format``, and name of the entry point
     file: str  # file name, with ``{frame}``, ``{name}`` or ``{number}`` of the drone, ``{ending}``
     endings: tuple[str, ...]  # suffixes of files with trajectories
     several: tuple[str, ...] = ()  # suffixes of files that each have one drone
@@ -197,7 +202,7 @@ class Format(ABC):
     feed_forward: str  # description of the feed-forward of cable forces
     flown_by: str = "upload"  # upload, stream (with cable forces), or empty if it is not flown
     controllers: tuple[str, ...] = CONTROLLERS  # names of controllers that can fly the files
-    needs_stiffness: bool = False  # whether tensions are lost if the stiffness is unknown
+    needs_stiffness: bool = True  # whether tensions are lost if the stiffness is unknown
     has_gains: bool = False  # whether gains of the position loops are exported
     stiffest: float = STOCK["mellinger"].stiffest[0]  # stiffness of its loops over mass [1/s²]
     streamed: float = 0.0  # minimum rate of samples sent in flight [Hz]; 0 if none are
@@ -257,10 +262,51 @@ class Format(ABC):
 
 
 def format_of(name: str) -> Format:
-    """Return the format with a name; raises InputError if it is unknown."""
-    if name not in HOMES:
-        remedy = closest_word(str(name), [*HOMES], "hitchopt export lists them")
-        raise InputError("format", name, f"one of {', '.join(HOMES)}", remedy)
-    module, _, kind = HOMES[name].partition(":")
-    instance: Format = getattr(import_module(f"hitchopt.exports.formats.{module}"), kind)()
-    return instance
+    """Return the format with a name.
+
+    Raises InputError if it is unknown, and UnsupportedError if the package that registers it has
+    none that can be used.
+    """
+    formats = registered_formats()
+    if name not in formats:
+        remedy = closest_word(str(name), [*formats], "hitchopt export lists them")
+        raise InputError("format", name, f"one of {', '.join(formats)}", remedy)
+    return _loaded(formats[name])
+
+
+def usable_formats() -> list[Format]:
+    """Return all formats, those of hitchopt first; a FaultWarning names each that is unusable."""
+    formats = list[Format]()
+    for entry in registered_formats().values():
+        with contained("loading formats"):
+            formats.append(_loaded(entry))
+    return formats
+
+
+def _loaded(entry: EntryPoint) -> Format:
+    """Return the format of an entry point; raises UnsupportedError, in one line, if it is none."""
+    try:
+        kind: Format = entry.load()()
+        _check_format(kind, entry.name)
+    except Exception as error:  # any, since other packages raise it
+        package = "hitchopt" if entry.dist is None else entry.dist.name
+        reason = f"{entry.value} of {package} cannot be used: {type(error).__name__}: {error}"
+        line = f"format {entry.name}: {reason}; update or uninstall {package}"
+        raise UnsupportedError(" ".join(line.split())) from error
+    return kind
+
+
+def _check_format(kind: Format, name: str) -> None:
+    """Raise TypeError, ValueError or re.error if a registered object cannot be used as a format."""
+    if not isinstance(kind, Format):
+        raise TypeError("is not derived from hitchopt.exports.format.Format")
+    if missing := [each for each in Format.__annotations__ if not hasattr(kind, each)]:
+        raise TypeError(f"states no {', '.join(missing)}")
+    for key in ("endings", "several", "frames"):
+        if not isinstance(getattr(kind, key), tuple):
+            raise TypeError(f"{key} = {getattr(kind, key)!r} is no tuple")
+    if unknown := [frame for frame in kind.frames if frame not in AXES]:
+        raise ValueError(f"frame {unknown[0]} is none of {', '.join(AXES)}")
+    if kind.name != name:
+        raise ValueError(f"is registered as {name}, and its name is {kind.name}")
+    re.compile(kind.header)

@@ -26,6 +26,8 @@ from hitchopt.exports.contents import (
     ERROR,
     LEVELS,
     MANIFEST,
+    NOTE,
+    PLAN_COPY,
     DroneFacts,
     FileContents,
     Finding,
@@ -38,9 +40,9 @@ from hitchopt.exports.contents import (
 )
 from hitchopt.exports.directory import changed_tables
 from hitchopt.exports.firmware import SETTINGS, mapping_at, settings_findings
-from hitchopt.exports.format import Format, format_of
+from hitchopt.exports.format import Format, format_of, usable_formats
 from hitchopt.exports.formats.skybrush import DISTANCE, LOWEST, SHOW_LIMITS
-from hitchopt.exports.options import ENDINGS, HOMES
+from hitchopt.exports.options import ENDINGS
 from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
@@ -187,23 +189,23 @@ def _report(path: Path, rules: Rules) -> Report:
 
 
 def load(path: Path) -> tuple[Format, FileContents]:
-    """Return format and contents of a file or folder; raises FileError if no format fits."""
+    """Return format and contents of a file or folder; raises FileError if no format fits.
+
+    A format of another package that cannot be loaded is named by a FaultWarning.
+    """
     if not path.exists():
         raise FileError(f"{path}: there is no such file or folder")
     if path.name == PLAN or (path / PLAN).is_file():
         raise FileError(f"{path}: is a plan; use `hitchopt check` for plans, lint for exports")
     if (path / BAG_METADATA).is_file():
         return format_of("ros2bag"), format_of("ros2bag").load([path / BAG_METADATA])
-    content = sorted(path.iterdir()) if path.is_dir() else [path]
-    files = [p for p in content if p.suffix.lower() in ENDINGS and p.name != MANIFEST]
-    if not files:
-        suffixes = sorted({file.suffix.lower() or file.name for file in content}) or ["nothing"]
-        reason = f"files of {', '.join(ENDINGS)} are read; it holds {', '.join(suffixes)}"
-        raise FileError(f"{path}: {reason}")
+    formats = usable_formats()
+    files = _trajectory_files(path, formats)
     for file in files:
         require_file(file)
-    formats = [format_of(name) for name in HOMES]
-    kinds = Counter(_kind(file, formats) for file in files)
+    manifest, listed = _manifest_of(path)
+    exported_as = str(manifest.get("exported_as")) if listed else ""
+    kinds = Counter(_kind(file, formats, exported_as) for file in files)
     first = next(iter(kinds))
     is_one_flight = len(files) == 1 or all(f.suffix.lower() in first.several for f in files)
     if len(kinds) > 1 or not is_one_flight:
@@ -212,10 +214,38 @@ def load(path: Path) -> tuple[Format, FileContents]:
     return first, first.load(files)
 
 
-def _kind(path: Path, formats: Sequence[Format]) -> Format:
-    """Return the format of a file by its suffix and the first lines of a CSV file."""
+def _trajectory_files(path: Path, formats: Sequence[Format]) -> list[Path]:
+    """Return the files with trajectories; raises FileError if there are none.
+
+    Suffixes of other packages' formats count where there is no file with a suffix of hitchopt's:
+    its exports have other files too, such as crazyflies.yaml.
+    """
+    content = sorted(path.iterdir()) if path.is_dir() else [path]
+    others = [ending for kind in formats for ending in kind.endings if ending not in ENDINGS]
+    for endings in (ENDINGS, others):
+        files = [each for each in content if each.suffix.lower() in endings]
+        if files := [each for each in files if not _is_of_all_formats(each.name)]:
+            return files
+    suffixes = sorted({file.suffix.lower() or file.name for file in content}) or ["nothing"]
+    read = ", ".join(dict.fromkeys((*ENDINGS, *others)))
+    raise FileError(f"{path}: files of {read} are read; it holds {', '.join(suffixes)}")
+
+
+def _is_of_all_formats(name: str) -> bool:
+    """Return whether a file accompanies exports in all formats: a manifest, note or plan."""
+    return name.endswith(MANIFEST) or name in (NOTE, PLAN_COPY)
+
+
+def _kind(path: Path, formats: Sequence[Format], exported_as: str) -> Format:
+    """Return the format of a file.
+
+    It is the one that the manifest names, if its files have that suffix, and otherwise found by the
+    suffix and by the first lines of a CSV file.
+    """
     suffix = path.suffix.lower()
     candidates = [kind for kind in formats if suffix in kind.endings]
+    if named := [kind for kind in candidates if kind.name == exported_as]:
+        return named[0]
     if suffix != ".csv":
         return candidates[0]
     with reading(path, "text file"):
@@ -415,15 +445,9 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
 
     That are reasons why the tension is undetermined, and understated tracking errors.
     """
-    if path.is_dir():
-        manifest = read_manifest(path)
-        files = {name: path / name for name in listed_names(manifest, "files")}
-    else:
-        own, folder = (read_manifest(path.parent, f"{n}{MANIFEST}") for n in (f"{path.name}.", ""))
-        manifest = own or folder
-        files = {name: path for name in listed_names(manifest, "files") if own or name == path.name}
-        if path.name in changed_tables(path.parent):
-            yield error("changed", path.name, "differs from the table written with the plan")
+    manifest, files = _manifest_of(path)
+    if path.is_file() and path.name in changed_tables(path.parent):
+        yield error("changed", path.name, "differs from the table written with the plan")
     if not files:
         return
     digests = mapping_at(manifest, "digests")
@@ -440,6 +464,19 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
     for rule, texts in reasons.items():
         for text in texts if isinstance(texts, list) else ():
             yield warning(rule, "", str(text))
+
+
+def _manifest_of(path: Path) -> tuple[dict[str, Any], dict[str, Path]]:
+    """Return the manifest of a folder or file, and the paths of its files by listed name.
+
+    A file has a manifest of its own, or that of its folder if that lists it.
+    """
+    if path.is_dir():
+        manifest = read_manifest(path)
+        return manifest, {name: path / name for name in listed_names(manifest, "files")}
+    own, folder = (read_manifest(path.parent, f"{n}{MANIFEST}") for n in (f"{path.name}.", ""))
+    names = listed_names(own or folder, "files")
+    return own or folder, {name: path for name in names if own or name == path.name}
 
 
 def _start_findings(

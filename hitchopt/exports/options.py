@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated
 
@@ -16,22 +17,39 @@ from hitchopt.values import SCALAR
 from hitchopt.values.fields import FLAGS, Key, Kind, Record, documented, points, words
 from hitchopt.values.units import ANGLE, DAMPING, NUMBER, STIFFNESS
 
+GROUP = "hitchopt.formats"
+"""Group of the entry points by which packages register formats."""
+
 HOMES = {
-    "crazyswarm2": "crazyflie:Crazyswarm2",
-    "compressed": "crazyflie:CompressedBytes",
-    "skybrush": "skybrush:SkybrushShow",
-    "mavsdk_drone_show": "mavsdk:MavsdkDroneShow",
-    "ros2bag": "ros2bag:Ros2Bag",
-    "csv": "tables:CsvTable",
-    "parquet": "tables:ParquetTable",
-    "gltf": "gltf:Gltf",
+    "crazyswarm2": "hitchopt.exports.formats.crazyflie:Crazyswarm2",
+    "compressed": "hitchopt.exports.formats.crazyflie:CompressedBytes",
+    "skybrush": "hitchopt.exports.formats.skybrush:SkybrushShow",
+    "mavsdk_drone_show": "hitchopt.exports.formats.mavsdk:MavsdkDroneShow",
+    "ros2bag": "hitchopt.exports.formats.ros2bag:Ros2Bag",
+    "csv": "hitchopt.exports.formats.tables:CsvTable",
+    "parquet": "hitchopt.exports.formats.tables:ParquetTable",
+    "gltf": "hitchopt.exports.formats.gltf:Gltf",
 }
-"""Module and class of every format; modules are imported on demand."""
+"""Module and class of every format of hitchopt; ``pyproject.toml`` registers the same."""
 
 ENDINGS = (".bin", ".csv", ".db3", ".glb", ".mcap", ".parquet", ".skyc")
+"""Suffixes of files with trajectories in the formats of hitchopt."""
+
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of bags, and their suffixes
 ROS_DISTROS = {"humble": 8, "iron": 8, "jazzy": 9}  # Versions of bags' metadata; all read 8
 MAX_RATE = 10_000.0  # Maximum sampling rate [Hz]: no flight controller accepts a higher one
+
+
+def registered_formats() -> dict[str, EntryPoint]:
+    """Return the entry points of all formats by name: those of hitchopt, then of other packages.
+
+    Nothing is imported. Names of hitchopt's formats stay its own: another package cannot replace
+    the format that a name stands for.
+    """
+    formats = {name: EntryPoint(name, home, GROUP) for name, home in HOMES.items()}
+    for entry in entry_points(group=GROUP):
+        formats.setdefault(entry.name, entry)
+    return formats
 
 
 def checked_rate(rate: float) -> float:

@@ -27,7 +27,7 @@ from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, progress_in, say, table
 from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
-from hitchopt.exports.options import HOMES
+from hitchopt.exports.options import registered_formats
 from hitchopt.hitch.quadrotor import MODELS
 from hitchopt.lab.sweeps.study import study_from_dict
 from hitchopt.mission.loading import parse_problem, problem_schema
@@ -403,7 +403,7 @@ def test_every_example_is_listed_and_written() -> None:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        ("hitchopt export out --format ", list(HOMES)),
+        ("hitchopt export out --format ", list(registered_formats())),
         ("hitchopt export out --format sky", ["skybrush"]),
         ("hitchopt init --example tie_", ["tie_carry_untie"]),
         ("hitchopt sim", ["simulate"]),

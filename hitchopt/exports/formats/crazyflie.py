@@ -78,7 +78,6 @@ class CrazyflieFormat(Format):
 
     frames = ("enu", "nwu")
     controllers = tuple(CONTROLLERS)
-    needs_stiffness = True
     has_gains = True
     feed_forward = (
         "not in these files: the on-board controller has no model of the cable; setpoints that "

@@ -49,6 +49,7 @@ class Gltf(Format):
     accuracy = 2e-3
     feed_forward = "not in this file: an animation for viewers"
     flown_by = ""
+    needs_stiffness = False
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the plan's drones, cables and objects at the task's rate."""

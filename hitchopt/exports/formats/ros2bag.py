@@ -67,6 +67,7 @@ class Ros2Bag(Format):
         "(1 without a named controller); trajectory: the drone's acceleration a"
     )
     flown_by = "stream"
+    needs_stiffness = False
     has_gains = True
     streamed = 30.0
 

@@ -116,7 +116,6 @@ class SkybrushShow(Format):
         "not in this file: autopilots track positions with their own controllers, and the format "
         "has no accelerations"
     )
-    needs_stiffness = True
     bounds = (1.0, 0.6, 1.4, 0.4, 0.2)  # long segments fit less well, but round better
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:

@@ -63,6 +63,7 @@ class TableFormat(Format):
         "named controller), for controllers that add gravity; cable_* = F"
     )
     flown_by = "stream"
+    needs_stiffness = False
     dotted = True
 
     @abstractmethod
