@@ -209,9 +209,11 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
     """Shade every other phase on all axes, and write their names above the first.
 
     Names of short phases are slanted: if they overlap, those of longer phases are written; long
-    lines are cut at the start. ``duration`` is the plan's [s].
+    lines are cut at the start. Nothing is drawn after ``duration`` [s], where the axes end.
     """
     figure: Any = axes[0].figure
+    flown = [phase for phase in phases if phase.start < duration]
+    phases = [phase.retimed(phase.start, min(phase.end, duration)) for phase in flown]
     per_point = duration / (72.0 * figure.get_size_inches()[0] * axes[0].get_position().width)
     character, slanted = CHARACTER_WIDTH * per_point, SLANTED_WIDTH * per_point
     level = all(p.end - p.start > character * (len(p.name) + 1) for p in phases)

@@ -19,6 +19,7 @@ from matplotlib.patches import Polygon, Rectangle
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
 from pictured import made_certificate, make_motion
+from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks.distances import closeness
@@ -27,6 +28,7 @@ from hitchopt.motion.retiming import resting
 from hitchopt.view.painter import MAX_PANELS, MIN_TRAVEL, choose_shots, shots_in_motion
 from hitchopt.view.pictures import (
     draw_closeness,
+    draw_phases,
     draw_plan_view,
     draw_summary,
     panels,
@@ -288,3 +290,17 @@ def test_the_closest_pairs_are_drawn_above_their_bounds() -> None:
     (curve,) = (line for line in axes.get_lines() if line.get_label() == label)
     assert pair.bound - 1e-9 <= np.min(np.asarray(curve.get_ydata())) <= 1.01 * pair.bound
     assert np.asarray(curve.get_xdata())[-1] == 3.0
+
+
+@pytest.mark.parametrize("share", [0.15, 0.6])
+def test_phases_after_the_end_of_what_was_flown_are_not_drawn(share: float) -> None:
+    flight = planned("tie_carry_untie").flight
+    figure = new_figure((6.0, 3.0))
+    axes, end = figure.add_subplot(), share * flight.duration
+    axes.set_xlim(0.0, end)
+    draw_phases([axes], flight.phases, end)
+    figure.canvas.draw()
+    names = [text for text in axes.texts if text.get_text()]
+    assert names
+    assert all(0.0 <= float(text.xy[0]) <= end for text in names)  # type: ignore[attr-defined]
+    assert axes.get_position().width > 0.7
