@@ -87,7 +87,7 @@ MUTATIONS = (
     Mutation("cables.py", "np.exp(self.source.team.cable_friction", "np.exp(-self.source.team.cable_friction", "friction", "sign of friction"),
     Mutation("cables.py", "high.value - largest * friction", "high.value - 0.9 * largest * friction", "friction", "a factor of the range of tensions"),
     Mutation("/motion/motion.py", "CableState.FREE, CableState.DRAWN})", "CableState.FREE, CableState.DRAWN, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
-    Mutation("linking.py", "event_index, after - before", "event_index, after + before", "form_triangle", "sign of crossings"),
+    Mutation("chords.py", "spans.sign_after - spans.sign_before", "spans.sign_after + spans.sign_before", "form_triangle", "sign of crossings"),
     Mutation("objects.py", "horizontal.dot(inward) * (centre[2] -", "horizontal.dot(inward) * 10.0 * (centre[2] -", "carry_box", "a factor of inertia leaning"),
     Mutation("objects.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
     Mutation("objects.py", "np.asarray(self.body.friction * np.sum(", "np.asarray(2.0 * self.body.friction * np.sum(", "grip_drum", "a factor of slip loads"),

@@ -1,0 +1,207 @@
+"""What contradicts the states of cables: on the ground, drawn, laid, rolling, being clasped.
+
+States claim that cables are free, at rest or slack. That is derived from the curves alone: names of
+phases are not believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
+from hitchopt.checks.chords import chord_crossings
+from hitchopt.checks.clasps import OPEN_ROLL, roll_changes
+from hitchopt.checks.clearance import above_ground
+from hitchopt.checks.distances import MAX_SIDEWAYS, Flags
+from hitchopt.checks.objects import carried_objects
+from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of, rate
+from hitchopt.hitch.forces import cable_of, sag_factors
+from hitchopt.motion.loads import stated_tensions
+from hitchopt.motion.motion import CableState, HoldBy, Motion
+from hitchopt.trajectory import bernstein
+from hitchopt.values import Array, Indices
+
+MAX_DRIFT = 1e-3
+"""[m] Largest motion of the midpoint of two drones that turn about each other."""
+
+MAX_LEG_DRIFT = 1e-4
+"""[m] Largest change of legs beyond that of their sag, while they roll."""
+
+MAX_TAUT_SHARE = 0.5
+"""Largest fraction of a tightening phase with cables at their full length: tightening comes to rest
+there, which takes a few hundredths of its time."""
+
+PROBES = np.linspace(0.0, 1.0, 9)
+"""Local parameters of a piece, one of which shows that cables are slack."""
+
+
+def contradictions(motion: Motion) -> Indices:
+    """Return the cables and pairs that contradict the state of a motion with a single state.
+
+    Legs and tensions are zero without a hitch. Other rules are those of ``CONTRADICTING_CABLES``,
+    by state, and of clasping pairs.
+    """
+    state = motion.phases[0].state
+    wrong = _have_hitch_values(motion) & ~motion.taut[0]
+    if state in CONTRADICTING_CABLES:
+        wrong = wrong | CONTRADICTING_CABLES[state](motion)
+    cables = np.flatnonzero(wrong)
+    items = cables * (motion.team.robots + 1)  # as pairs of a cable with itself
+    if state is CableState.CLASPING:
+        items = np.concatenate([items, _wrong_clasping_pairs(motion)])
+    return np.unique(items)
+
+
+def _have_hitch_values(motion: Motion) -> Flags:
+    """Return the cables (n,) with a leg or a tension other than zero."""
+    has_values = np.zeros(motion.team.robots, dtype=np.bool_)
+    for curve in (motion.legs, motion.tensions, motion.pulls):
+        largest = np.max(np.abs(curve.coefficients), axis=(0, -1))
+        has_values |= np.any(largest.reshape(len(has_values), -1) > 0.0, axis=1)
+    return has_values
+
+
+def _off_ground(motion: Motion) -> Flags:
+    """Return the cables (n,) that contradict lying on the ground.
+
+    Drones move only vertically, and some cable is closer to the ground than one may be that hangs.
+    """
+    level = motion.drones.coefficients[:, :, :2]
+    travel = np.ptp(level, axis=(0, -1)).reshape(motion.team.robots, -1)
+    moves_sideways = np.any(travel > MAX_SIDEWAYS, axis=1)
+    return np.asarray(moves_sideways | above_ground(motion))
+
+
+def _not_drawn(motion: Motion) -> Flags:
+    """Return the cables (n,) that contradict being drawn taut.
+
+    Their drones keep their heights and move either apart or together.
+    """
+    heights = motion.drones.coefficients[:, :, 2]
+    rises = np.max(np.ptp(heights, axis=-1), axis=0).reshape(motion.team.robots, 2)
+    changes_height = np.any(rises > MAX_SIDEWAYS, axis=1)
+    chord_rates = rate(motion, chord_squares)
+    approaches = np.min(chord_rates, axis=(0, -1)) < -MAX_DRIFT
+    recedes = np.max(chord_rates, axis=(0, -1)) > MAX_DRIFT
+    return np.asarray(changes_height | (approaches & recedes))
+
+
+def _not_laid(motion: Motion) -> Flags:
+    """Return the cables (n,) that contradict being laid: those that turn."""
+    drones = motion.drones.coefficients
+    chords = drones[:, 1::2] - drones[:, 0::2]
+    changes = np.max(np.ptp(chords, axis=(0, -1)), axis=-1)
+    return np.asarray(changes > MAX_SIDEWAYS)
+
+
+def _not_rolling(motion: Motion) -> Flags:
+    """Return all cables (n,) if one contradicts rolling.
+
+    Vertices are at rest, and legs but for the sag of their tension; some clasp is open. Unequal
+    tensions, loads and objects are not allowed.
+    """
+    is_wrong = (
+        _vertices_move(motion)
+        or _legs_change(motion)
+        or _pulls_differ(motion)
+        or not _has_open_clasp(motion)
+        or _is_loaded(motion)
+        or bool(np.ptp(motion.team.tension) > 0.0)
+    )
+    return np.full(motion.team.robots, is_wrong)
+
+
+def _vertices_move(motion: Motion) -> bool:
+    """Return whether a vertex moves."""
+    travel = np.ptp(motion.vertices.coefficients, axis=(0, -1))
+    return bool(np.max(travel) > MAX_SIDEWAYS)
+
+
+def _legs_change(motion: Motion) -> bool:
+    """Return whether a leg changes by more than its sag at the lowest tension."""
+    legs = motion.legs.coefficients
+    lowest_tensions = np.min(stated_tensions(motion)[..., 0], axis=0)
+    longest_legs = np.max(legs, axis=(0, -1))
+    sag = sag_factors(motion.team, lowest_tensions)[:, None] * longest_legs**3
+    return bool(np.any(np.ptp(legs, axis=(0, -1)) > sag + MAX_LEG_DRIFT))
+
+
+def _pulls_differ(motion: Motion) -> bool:
+    """Return whether a drone's cable pulls with another tension than that of its edge."""
+    pulls = motion.pulls.coefficients.reshape(motion.drones.pieces, motion.team.robots, 2, -1)
+    differences = np.abs(pulls - motion.tensions.coefficients[:, :, None])
+    return bool(np.max(differences) > TENSION_LIMIT)
+
+
+def _has_open_clasp(motion: Motion) -> bool:
+    """Return whether a pair lies across at the start or at the end."""
+    start, change = roll_changes(motion)
+    return bool(np.any(np.abs([start, start + change]) >= OPEN_ROLL))
+
+
+def _is_loaded(motion: Motion) -> bool:
+    """Return whether clasps carry a load, or an object that moves or rests on them."""
+    if np.any(carried_objects(motion)) or np.any(motion.team.load):
+        return True
+    holds = (phase.hold for phase in motion.phases)
+    return any(hold is not None and hold.by is HoldBy.REST for hold in holds)
+
+
+def _not_tightening(motion: Motion) -> Flags:
+    """Return all cables (n,) unless they are slack for most of the time."""
+    return np.full(motion.team.robots, _taut_share(motion) > MAX_TAUT_SHARE)
+
+
+CONTRADICTING_CABLES: dict[CableState, Callable[[Motion], Flags]] = {
+    CableState.GROUND: _off_ground,
+    CableState.DRAWN: _not_drawn,
+    CableState.LAYING: _not_laid,
+    CableState.ROLLING: _not_rolling,
+    CableState.TIGHTENING: _not_tightening,
+}
+"""Functions that return the cables (n,) which contradict a state."""
+
+
+def _wrong_clasping_pairs(motion: Motion) -> Indices:
+    """Return the pairs that contradict clasping.
+
+    Some chords cross, and drones at a clasp turn about a fixed point.
+    """
+    layout = motion.team.layout
+    pairs: Indices = clasped_pairs(layout)
+    crossings = chord_crossings(motion.drones)
+    crossed = pair_of(layout, crossings.first, crossings.second)
+    if not np.any(np.isin(crossed, pairs)):
+        return pairs
+    drones = motion.drones.coefficients
+    centres = 0.5 * (drones[:, 2 * layout.ahead] + drones[:, 2 * layout.behind + 1])
+    drifts = np.max(np.ptp(centres, axis=(0, -1)), axis=-1)
+    drifting: Indices = pairs[drifts > MAX_DRIFT]
+    return drifting
+
+
+def chord_squares(motion: Motion) -> Array:
+    """Return squared lengths of cables' chords (pieces, n, degree + 1) [m²]."""
+    chords = motion.drones.coefficients[:, 1::2] - motion.drones.coefficients[:, 0::2]
+    return bernstein.dot(chords, chords)
+
+
+def _taut_share(motion: Motion) -> float:
+    """Return the fraction of time in which cables are not provably slack around the vertices.
+
+    Lengths are weighted by tensions: their sum is smallest where taut cables balance, so no choice
+    of vertices hides cables at their full length.
+    """
+    team = motion.team
+    x = PROBES[:, None, None, None]
+    legs = bernstein.evaluate(leg_vectors(motion)[None], x)  # (probes, pieces, 2n, 3)
+    edges = bernstein.evaluate(edge_vectors(motion)[None], x)
+    sag = sag_factors(team, team.tension)
+    q_legs = cable_of(legs[:, :, 0::2], sag)
+    r_legs = cable_of(legs[:, :, 1::2], sag)
+    lengths = cable_of(edges, sag) + q_legs + r_legs
+    shares = lengths @ team.tension / float(team.cable_length @ team.tension)
+    taut = np.max(1.0 - shares, axis=0) <= LENGTH_LIMIT
+    return float(np.sum(motion.drones.durations[taut]) / motion.duration)

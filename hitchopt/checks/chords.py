@@ -1,0 +1,349 @@
+"""Chords of cables: how often they pass through each other, and their heights where they cross.
+
+A *chord* is the straight line between a cable's drones. Two chords intersect only where the volume
+``(q_j - q_i) · ((r_i - q_i) × (r_j - q_j))`` vanishes. Time is halved until on every span the
+chords are certainly *apart*, or *across*: seen along some direction, each crosses the other between
+its ends. Chords pass through each other only within spans across, in total as often as the volume's
+sign changes; next to a span apart, that sign is certain. No root is computed: chords that touch,
+rest in one plane while crossing, or turn back there are counted correctly.
+
+If a drone flies through the *sheet* between a hanging cable and its chord, its cable is caught when
+both are drawn taut, although the chords may never have intersected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hitchopt.checks.clearance import cables_and_drones, chains
+from hitchopt.checks.distances import Flags, Moving, PairSpans, cable_ends, near_pairs
+from hitchopt.errors import check_time
+from hitchopt.geometry import shortest_offset
+from hitchopt.geometry.vectors import cross, left_of, unit
+from hitchopt.hitch.catenary import Catenary
+from hitchopt.motion.motion import JOINT, Motion
+from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.bernstein import same_degree
+from hitchopt.trajectory.enclosed import Enclosed, Interval
+from hitchopt.trajectory.search import TimeSpans, batches
+from hitchopt.values import Array, Indices
+
+MIN_DISTANCE = 1e-6
+"""[m] Distance of chords that do not touch, and of drones outside sheets."""
+
+MAX_HALVINGS = 30
+"""Maximum number of halvings of a span: if it is still open, a chord touches another one's end."""
+
+MAX_HEIGHT_ERROR = 5e-3
+"""[m] Largest width of the interval of the height of a crossing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Crossings of the chords of pairs of cables first < second; other pairs have none.
+
+    Chords passed through each other ``count`` times, with signs, the last time about ``time`` [s].
+    The count is not ``certain`` if an end touched a chord, or if chords touch at either end of the
+    motion.
+    """
+
+    first: Indices
+    second: Indices
+    count: Indices
+    certain: Flags
+    time: Array
+
+
+class SpansAcross(NamedTuple):
+    """Spans on which two chords are across, and may pass through each other."""
+
+    pair: Indices
+    """(spans,), ``i * n + j`` of cables i and j."""
+
+    start: Array
+    """(spans,) [s]"""
+
+    end: Array
+    """(spans,) [s]"""
+
+    sign_before: Array
+    """(spans,), sign of the volume at the start; 0 if uncertain."""
+
+    sign_after: Array
+    """(spans,), sign of the volume at the end; 0 if uncertain."""
+
+    @classmethod
+    def of(cls, spans: PairSpans) -> SpansAcross:
+        """Return spans with the signs at their ends."""
+        at_start = spans.at(0.0)
+        at_end = spans.at(1.0)
+        return cls(
+            pair=spans.item,
+            start=at_start.times(0.0),
+            end=at_end.times(0.0),
+            sign_before=_sign(np.concatenate(at_start.ends, axis=1)[..., 0]),
+            sign_after=_sign(np.concatenate(at_end.ends, axis=1)[..., 0]),
+        )
+
+
+NONE_ACROSS = SpansAcross(np.zeros(0, np.intp), *np.zeros((4, 0)))
+"""No spans across."""
+
+
+def _undecided(spans: PairSpans, decided: Callable[[PairSpans], Flags]) -> PairSpans:
+    """Return the spans that are not decided."""
+    flags = [np.zeros(0, np.bool_), *(decided(batch) for batch in batches(spans))]
+    return spans.take(~np.concatenate(flags))
+
+
+def _open_pairs(moving: Moving, decided: Callable[[PairSpans], Flags]) -> tuple[Indices, Array]:
+    """Return the pairs that may touch, and the times [s] near which they stay undecided.
+
+    Other spans are halved until decided, except those of pairs that are undecided at mid time:
+    chords that overlap for a while would lead to 2**MAX_HALVINGS spans.
+    """
+    pairs = [np.zeros(0, dtype=np.intp)]
+    times = [np.zeros(0)]
+
+    def record(spans: PairSpans) -> None:
+        pairs.append(spans.item)
+        times.append(spans.times(np.zeros(len(spans))))
+
+    for near_spans in near_pairs(moving, lambda: 2.0 * MIN_DISTANCE):
+        if near_spans.points:
+            continue
+        spans = near_spans
+        for _ in range(MAX_HALVINGS):
+            if not len(spans):
+                break
+            check_time()
+            spans = _undecided(spans, decided)
+            touching = _undecided(spans.at(0.5), decided)
+            record(touching)
+            spans = spans.take(~np.isin(spans.item, touching.item)).halves()
+        record(spans)
+    return np.concatenate(pairs), np.concatenate(times)
+
+
+def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
+    """Return the crossings of the chords of drones q0, r0, q1, … of shape (2n, 3) [m]."""
+    moving = Moving(drones.breaks, cable_ends(drones.coefficients))
+    parts = [NONE_ACROSS]
+
+    def decided(spans: PairSpans) -> Flags:
+        chords = np.concatenate(spans.ends, axis=1)
+        separated = are_separated(chords)
+        across = _are_across(chords)
+        crossing = spans.take(across & ~separated)
+        if len(crossing) and not spans.points:
+            parts.append(SpansAcross.of(crossing))
+        return separated | across
+
+    open_pairs, open_times = _open_pairs(moving, decided)
+    spans = SpansAcross(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    pairs, index = np.unique(np.concatenate([spans.pair, open_pairs]), return_inverse=True)
+    index_of_span = index[: len(spans.pair)]
+    index_of_open = index[len(spans.pair) :]
+    # Each crossing changes the sign by 2 or -2.
+    sign_changes = np.bincount(index_of_span, spans.sign_after - spans.sign_before, len(pairs))
+    at_start = (spans.sign_before == 0) & (spans.start <= drones.breaks[0] + JOINT)
+    at_end = (spans.sign_after == 0) & (spans.end >= drones.breaks[-1] - JOINT)
+    certain = sign_changes % 2 == 0
+    certain[index_of_span[at_start | at_end]] = False
+    certain[index_of_open] = False
+    last_time = np.zeros(len(pairs))
+    np.maximum.at(last_time, index, np.concatenate([spans.end, open_times]))
+    reported = ~certain | (sign_changes != 0)
+    first, second = np.divmod(pairs[reported], moving.count)
+    return Crossings(
+        first=first,
+        second=second,
+        count=sign_changes[reported].astype(np.intp) // 2,
+        certain=certain[reported],
+        time=last_time[reported],
+    )
+
+
+def are_separated(chords: Array) -> Flags:
+    """Return on which spans a plane separates two chords (spans, 4, 3, …) for certain."""
+    differences = Enclosed(chords[:, [0, 0, 1, 1]]) - Enclosed(chords[:, [2, 3, 2, 3]])
+    along = unit(shortest_offset(differences.middle))
+    return np.asarray(np.min(differences.dot(along[:, None]).lower.value, axis=1) > MIN_DISTANCE)
+
+
+def _are_across(chords: Array) -> Flags:
+    """Return on which spans, seen along some direction, two chords cross for certain."""
+    first_start, first_end, second_start, second_end = (Enclosed(chords[:, k]) for k in range(4))
+    first_chord = (first_end - first_start).middle
+    second_chord = (second_end - second_start).middle
+    normal = Enclosed.of(unit(np.cross(first_chord, second_chord)))
+    across_first = normal.cross(first_end - first_start)
+    across_second = normal.cross(second_end - second_start)
+    return _on_both_sides(
+        across_first.dot(second_start - first_start), across_first.dot(second_end - first_start)
+    ) & _on_both_sides(
+        across_second.dot(first_start - second_start), across_second.dot(first_end - second_start)
+    )
+
+
+def _on_both_sides(first: Enclosed, second: Enclosed) -> Flags:
+    """Return on which spans two distances from a line have opposite signs for certain."""
+    start = first.range
+    end = second.range
+    down = (start.low > 0.0) & (end.high < 0.0)
+    up = (start.high < 0.0) & (end.low > 0.0)
+    return np.asarray(down | up)
+
+
+def _sign(chords: Array) -> Array:
+    """Return the sign of the volume of chords (k, 4, 3) if they are certainly apart, else 0."""
+    qi, ri, qj, rj = np.moveaxis(chords, 1, 0)
+    normal = np.cross(ri - qi, rj - qj)
+    height = np.sum((qj - qi) * normal, axis=-1)
+    separated = np.abs(height) > 0.5 * MIN_DISTANCE * np.linalg.norm(normal, axis=-1)
+    return np.asarray(np.sign(height) * separated)
+
+
+def drones_inside_hanging_cables(motion: Motion) -> tuple[Indices, Indices, Array]:
+    """Return drones that may fly inside other hanging cables, these cables, and times [s]."""
+    moving = cables_and_drones(motion)
+    open_pairs, times = _open_pairs(moving, _outside_sheet)
+    pairs, first = np.unique(open_pairs, return_index=True)
+    cable, drone = np.divmod(pairs, moving.count)
+    return drone, cable, times[first]
+
+
+def _outside_sheet(spans: PairSpans) -> Flags:
+    """Return on which spans a plane separates a drone from the sheet of a hanging cable.
+
+    The sheet is convex: a point on one side of all of its corners is outside.
+    """
+    cable_ends, drone = spans.ends
+    corners, tolerance = chains(cable_ends[:, 0], cable_ends[:, 1], spans.lengths)
+    offsets = Enclosed(drone - corners)
+    # Direction of the nearest side of the sheet: one of its links, or the chord.
+    ring = np.concatenate([offsets.middle, offsets.middle[:, :1]], axis=1)
+    to_sides = shortest_offset(np.stack([ring[:, :-1], ring[:, 1:]], axis=2))
+    nearest_side = np.argmin(np.linalg.norm(to_sides, axis=-1), axis=1)
+    edgewise = np.take_along_axis(to_sides, nearest_side[:, None, None], axis=1)[:, 0]
+    chord = ring[:, 0] - ring[:, -2]
+    sideways = left_of(chord)
+    sideways *= np.sign(np.sum(sideways * ring[:, 0], axis=1))[:, None]
+    outside = np.zeros(len(spans), dtype=np.bool_)
+    for direction in (edgewise, sideways):
+        along = unit(direction)
+        smallest = np.min(offsets.dot(along[:, None]).lower.value, axis=1)
+        # The cable deviates from its links only vertically.
+        deviation = np.abs(along[:, 2]) * np.max(tolerance, axis=1)
+        outside |= smallest > MIN_DISTANCE + deviation
+    return outside
+
+
+class CrossingHeight(NamedTuple):
+    """Where two chords cross, seen from above."""
+
+    crosses: Flags
+    """(spans,), whether they cross for certain."""
+
+    height: Interval
+    """(spans,) [m], of the first chord over the second one; of no meaning elsewhere."""
+
+
+def _crossing_height(chords: Array) -> CrossingHeight:
+    """Return on which spans two chords (spans, 4, 3, …) cross, seen from above, and the height."""
+    first_start, first_end, second_start, second_end = (Enclosed(chords[:, k]) for k in range(4))
+    first_chord = first_end - first_start
+    second_chord = second_end - second_start
+    crosses = _on_both_sides(
+        first_chord.xy.cross((second_start - first_start).xy),
+        first_chord.xy.cross((second_end - first_start).xy),
+    ) & _on_both_sides(
+        second_chord.xy.cross((first_start - second_start).xy),
+        second_chord.xy.cross((first_end - second_start).xy),
+    )
+    normal = first_chord.cross(second_chord)
+    volume = (first_start - second_start).dot(normal)
+    with np.errstate(all="ignore"):
+        height = volume.range * normal[2].range.inverse
+    return CrossingHeight(crosses, height)
+
+
+def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
+    """Return the heights of a crossing beyond an object, on spans in the order of time (spans, 4).
+
+    The chord of the cable ``ahead`` from its first contact to its q-drone crosses that of the cable
+    ``behind`` from its last contact to its r-drone. Its height over the other one [m], where they
+    cross seen from above, is given at the start and the end of each span, with its lowest and
+    highest value. It is nan where a plane separates them and 0 where they may touch.
+    """
+    both_chords = outer_chords(motion)[:, [2 * ahead, 2 * behind + 1]]
+    chords = both_chords.reshape(len(both_chords), 1, 4, *both_chords.shape[3:])
+    pieces = np.arange(len(chords))
+    spans = TimeSpans(motion, motion.drones.breaks, pieces, np.zeros_like(pieces))
+    starts = list[Array]()
+    rows = list[Array]()
+    for depth in range(MAX_HALVINGS):
+        if not len(spans):
+            break
+        check_time()
+        crosses, height = _crossing_height(spans.read(chords))
+        separated = are_separated(spans.read(chords)) & ~crosses
+        narrow = crosses & (height.high - height.low <= MAX_HEIGHT_ERROR)
+        in_middle = spans.at(np.full(len(spans), 0.5)).read(chords)
+        touching = ~(are_separated(in_middle) | _crossing_height(in_middle).crosses)
+        done = separated | narrow | touching | (depth == MAX_HALVINGS - 1)
+        at_start = spans.at(np.zeros(len(spans))).read(chords)
+        at_end = spans.at(np.ones(len(spans))).read(chords)
+        start_height = _crossing_height(at_start).height.low
+        end_height = _crossing_height(at_end).height.low
+        heights = np.stack([start_height, end_height, height.low, height.high], axis=1)
+        heights[~crosses] = 0.0
+        heights[separated] = np.nan
+        starts.append(spans.times(np.zeros(len(spans)))[done])
+        rows.append(heights[done])
+        spans = spans.take(~done).halves()
+    in_order = np.argsort(np.concatenate(starts), kind="stable")
+    return np.asarray(np.concatenate(rows)[in_order])
+
+
+def outer_chords(motion: Motion) -> Array:
+    """Return chords from contacts with an object to drones (pieces, 2n, 2, 3, degree + 1) [m]."""
+    drones, contacts = same_degree(motion.drones.coefficients, motion.contacts.coefficients)
+    return np.stack([contacts.reshape(drones.shape), drones], axis=2)
+
+
+def height_gaps(motion: Motion) -> Array:
+    """Return the height of cables ahead above those behind (clasps, pieces, degree + 1) [m].
+
+    Cables move vertically. Heights are those at the crossing of their chords, seen from above; nan
+    if they do not cross.
+    """
+    drones = motion.drones.coefficients
+    ahead = motion.team.layout.ahead
+    behind = motion.team.layout.behind
+    q = drones[0, 0::2, :, 0]
+    r = drones[0, 1::2, :, 0]
+    chords = r - q
+    catenaries = Catenary.between(q, r, motion.team.cable_length)
+    lifts = drones[:, 0::2, 2] - drones[:1, 0::2, 2, :1]  # (pieces, n, degree + 1)
+
+    def heights(cables: Indices, fractions: Array) -> Array:
+        """Return the heights of cables at fractions of their chords (clasps, pieces, …) [m]."""
+        on_chord = np.where((fractions > 0.0) & (fractions < 1.0), fractions, np.nan)
+        place = np.full(motion.team.robots, np.nan)  # from -1 at q to 1 at r
+        place[cables] = 2.0 * on_chord - 1.0
+        at_first = q[:, 2] + 0.5 * (1.0 + place) * chords[:, 2] - catenaries.depth(place)
+        return np.asarray(at_first[cables][:, None, None] + np.moveaxis(lifts[:, cables], 1, 0))
+
+    offset = (q[behind] - q[ahead])[:, :2]
+    chord_ahead = chords[ahead][:, :2]
+    chord_behind = chords[behind][:, :2]
+    turn = cross(chord_ahead, chord_behind)
+    with np.errstate(all="ignore"):
+        fraction_ahead = cross(offset, chord_behind) / turn
+        fraction_behind = cross(offset, chord_ahead) / turn
+    return heights(ahead, fraction_ahead) - heights(behind, fraction_behind)
