@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.distances import CLOSENESS_SPANS, Closeness, closeness
+from hitchopt.checks.registry import NAMES
 from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_teams
@@ -21,6 +22,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, read_saved_plan
 from hitchopt.motion.request import check_request
 from hitchopt.motion.retiming import shifted
+from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.motion.states import States, final_hitch, flight_states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
@@ -50,10 +52,12 @@ class Plan(OneLine):
 
     def _parts(self) -> Iterator[str]:
         limited = self.certificate.limited
+        unproven = self.certificate.not_recomputed
         yield from [short(self.title)] if self.title else []
         yield f"{len(self.flight.team.drone_names)} drones"
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
         yield f"{sum(check.holds for check in limited)} of {len(limited)} limits hold"
+        yield from [f"{len(unproven)} not recomputed"] if unproven else []
 
     @property
     def motion(self) -> Motion:
@@ -62,6 +66,11 @@ class Plan(OneLine):
         Raises UnsupportedError for several teams: each has its motion in ``flight.teams``.
         """
         return self.flight.of_one_team("plan.motion", others=True)
+
+    @property
+    def stated_rules(self) -> tuple[StatedRule, ...]:
+        """Rules of one's own that were certified, as the plan's file states them."""
+        return self.certificate.stated_rules
 
     @property
     def duration(self) -> float:
@@ -155,7 +164,9 @@ class Plan(OneLine):
         from hitchopt.live.abort import Aborts
 
         entry = Aborts(self.flight).plan(t, how)
-        return Plan(entry.flight, entry.certificate, f"{self.title} ({how} at {t:g} s)".strip())
+        rules = tuple(replace(rule, worst=None) for rule in self.stated_rules)
+        certificate = replace(entry.certificate, not_recomputed=rules)
+        return Plan(entry.flight, certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
     def save(
         self,
@@ -314,7 +325,9 @@ class Plan(OneLine):
 
         parsed = ExportOptions(text("format", format), **options)
         place = path("folder", folder)
-        return export_flight(self.flight, self.title, parsed, place, progress, self.problem)
+        self.certificate.raise_if_violated()
+        saved = SavedPlan(self.flight, self.title, self.problem, self.stated_rules)
+        return export_flight(saved, parsed, place, progress)
 
     def compressed(self, **options: Any) -> tuple[dict[str, bytes], ...]:
         """Return the bytes of every drone's compressed trajectory for Crazyflies, by name.
@@ -367,7 +380,7 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     """Return two plans as one, certified for the limits of both and the distances between them.
 
     Nothing is replanned or refused: the certificate reports violations, and ``closest`` the closest
-    pairs of drones.
+    pairs of drones. Rules of one's own are listed as not recomputed.
 
     Parameters
     ----------
@@ -390,21 +403,26 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     teams = [*named_teams(first, plan.flight.teams), *named_teams(second, other_teams)]
     flight = Flight(tuple(teams), (*plan.flight.others, *others))
     title = " and ".join(filter(None, (plan.title, other.title)))
-    return Plan(flight, certify(flight), title)
+    rules = tuple(dict.fromkeys((*plan.stated_rules, *other.stated_rules)))
+    return Plan(flight, replace(certify(flight), not_recomputed=rules), title)
 
 
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from the polynomials.
 
+    Rules of one's own are listed as not recomputed: ``certify(plan, rules=[…])`` recomputes them.
     Raises FileError if there is no plan, it is damaged, or its flight does not match its request.
     """
     saved = read_requested_plan(path("directory", directory) / PLAN)
-    return Plan(saved.flight, certify(saved.flight), saved.title, saved.problem)
+    return Plan(saved.flight, certify(saved), saved.title, saved.problem)
 
 
 def read_requested_plan(file: Path) -> SavedPlan:
     """Return the contents of a plan file; raises FileError if its problem requests another plan."""
     saved = read_saved_plan(file)
+    for rule in saved.stated_rules:
+        if rule.name in NAMES:
+            raise FileError(f"{file}: a rule has the name of a check, {rule.name}; solve it again")
     if saved.problem:
         from hitchopt.mission.loading import request_in  # heavy
 

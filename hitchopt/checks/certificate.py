@@ -11,6 +11,7 @@ from html import escape
 from typing import Any
 
 from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit, distinct
+from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.values import closest_word
 
 FORMAT = "hitchopt-certificate/1"
@@ -194,11 +195,13 @@ class Certificate(OneLine):
     """All checks of a plan with a duration [s], in the order of the table.
 
     ``limited`` are those that decide; ``reports`` returns the others, which always hold.
+    ``not_recomputed`` are rules of one's own that the plan states, without their formulas.
     """
 
     duration: float
     limited: tuple[Check, ...]
     reports: Callable[[], Iterable[Check]] = field(default=tuple, compare=False, repr=False)
+    not_recomputed: tuple[StatedRule, ...] = ()
 
     @cached_property
     def checks(self) -> tuple[Check, ...]:
@@ -207,7 +210,7 @@ class Certificate(OneLine):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Let certificates be pickled, with their reports."""
-        return Certificate, (self.duration, self.checks)
+        return Certificate, (self.duration, self.checks, tuple, self.not_recomputed)
 
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: the verdict, and the checks with their worst values."""
@@ -238,11 +241,20 @@ class Certificate(OneLine):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes below the table: which rules are one's own."""
-        custom = [check.name for check in self.limited if check.custom]
-        if not custom:
-            return ()
-        return (f"own rules, which hitchopt verify does not prove: {', '.join(custom)}",)
+        """Notes below the table on rules of one's own."""
+        notes = list[str]()
+        if custom := [check.name for check in self.limited if check.custom]:
+            notes.append(f"own rules, which hitchopt verify does not prove: {', '.join(custom)}")
+        if self.not_recomputed:
+            stated = ", ".join(map(str, self.not_recomputed))
+            notes.append(f"not recomputed: {stated}; pass rules=[…] to hitchopt.certify")
+        return tuple(notes)
+
+    @property
+    def stated_rules(self) -> tuple[StatedRule, ...]:
+        """Its rules of one's own, as plan files state them."""
+        custom = [check for check in self.limited if check.custom]
+        return (*map(_stated, custom), *self.not_recomputed)
 
     @property
     def binding(self) -> tuple[str, ...]:
@@ -288,7 +300,18 @@ class Certificate(OneLine):
             "certified": self.certified,
             "duration": self.duration,
             "checks": [_entry(check) for check in self.checks],
+            **(
+                {"not_recomputed": [*map(asdict, self.not_recomputed)]}
+                if self.not_recomputed
+                else {}
+            ),
         }
+
+
+def _stated(check: Check) -> StatedRule:
+    """Return the check of a rule of one's own as plan files state it."""
+    worst = check.worst if check.is_evaluated else None
+    return StatedRule(check.name, check.unit, check.sense, check.number, worst)
 
 
 def _entry(check: Check) -> dict[str, Any]:

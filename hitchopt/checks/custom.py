@@ -7,7 +7,6 @@ does not prove the rule.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Generic, TypeVar
@@ -19,12 +18,10 @@ from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.checks.spans import MotionSpans, leg_vectors
 from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
+from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.trajectory.enclosed import Angle, Bound, Enclosed
-from hitchopt.values import ByValue, Indices, check_choice, check_instance, finite, line, sequence
+from hitchopt.values import ByValue, Indices, check_instance, line, sequence
 
-NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
-MAX_UNIT = 16  # Maximum number of characters of a unit
-SENSES = ("min", "max")
 REMEDY = "change the steps, or the limit of this rule"
 
 
@@ -148,15 +145,8 @@ class Rule(ByValue, Generic[S]):
     remedy: str = REMEDY
 
     def __post_init__(self) -> None:
-        name = line("name", self.name)
-        if not NAME.fullmatch(name):
-            bound = "lower-case letters, digits and _, at most 40"
-            raise InputError("name", name, bound, "write one such as leg_angle")
-        if not 0 < len(line("unit", self.unit)) <= MAX_UNIT:
-            bound = f"of 1 to {MAX_UNIT} characters"
-            raise InputError("unit", self.unit, bound, "write a unit such as deg; 1 for ratios")
-        check_choice("sense", self.sense, SENSES)
-        object.__setattr__(self, "limit", finite("limit", self.limit))
+        stated = StatedRule(self.name, self.unit, self.sense, self.limit)  # checks the arguments
+        object.__setattr__(self, "limit", stated.limit)
         over: Any = self.over
         if not (isinstance(over, type) and issubclass(over, RuleSpans)):
             names = "hitchopt.DroneSpans, hitchopt.VertexSpans or hitchopt.ClaspSpans"

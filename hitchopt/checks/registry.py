@@ -23,6 +23,7 @@ from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import padded
+from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.values import check_instance, nonnegative, sequence
 
@@ -86,7 +87,7 @@ They have no rules of one's own."""
 
 @runtime_checkable
 class Planned(Protocol):
-    """A plan: a flight and its certificate."""
+    """A plan, or what its file contains: a flight, and the rules of one's own that it states."""
 
     @property
     def flight(self) -> Flight:
@@ -94,8 +95,8 @@ class Planned(Protocol):
         ...
 
     @property
-    def certificate(self) -> Certificate:
-        """The certificate."""
+    def stated_rules(self) -> tuple[StatedRule, ...]:
+        """The rules of one's own that were certified."""
         ...
 
 
@@ -122,19 +123,39 @@ def certify(
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
     reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
         ``merged`` computes the others.
-    rules: limits of one's own, which are checked in addition.
+    rules: limits of one's own, which are checked in addition. Others that a plan states are listed
+        as not recomputed.
 
     Raises
     ------
     InputError: a gamma that is negative or not finite; a rule with the name of another check, or
         whose formula does not return one number per item.
     """
+    stated: tuple[StatedRule, ...] = ()
     if isinstance(flight, Planned):
+        stated = flight.stated_rules
         flight = flight.flight
     check_instance("flight", flight, Flight, Motion)
     flight, gamma = Flight.of(flight), nonnegative("gamma", gamma)
-    own_rules = checked_rules(rules, NAMES)
     requested: tuple[Report, ...] = sequence("reports", reports)
+    own_rules = checked_rules(rules, NAMES)
+    certificate = _certified(flight, progress, gamma, requested)
+    certificate = with_rules(certificate, flight, own_rules, progress)
+    recomputed = {rule.name for rule in own_rules}
+    if remaining := tuple(each for each in stated if each.name not in recomputed):
+        certificate = replace(certificate, not_recomputed=remaining)
+    if progress is not None:
+        _ = certificate.checks
+    return certificate
+
+
+def _certified(
+    flight: Flight,
+    progress: Callable[[str], None] | None,
+    gamma: float,
+    requested: Sequence[Report],
+) -> Certificate:
+    """Return the certificate of a flight with the requested reports."""
     limited = [x for x in TEAM_REPORTS if x.limit(flight.requirements) is not None]
     unlimited = [each for each in REPORTS if each in requested and each not in limited]
     several = len(flight.all_teams) > 1
@@ -186,11 +207,7 @@ def certify(
         return worst_of(checks)
 
     checks = [*map(checked, RULES), *map(reported, limited)]
-    certificate = _stored(flight, checks, lambda: map(reported, unlimited))
-    certificate = with_rules(certificate, flight, own_rules, progress)
-    if progress is not None:
-        _ = certificate.checks
-    return certificate
+    return _stored(flight, checks, lambda: map(reported, unlimited))
 
 
 def with_rules(

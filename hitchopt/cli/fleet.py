@@ -126,13 +126,12 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         output = parent / f"{path.parent.resolve().name or 'plan'}-{parsed.format}"
     with ProgressBar("certifying") as progress:
         saved = read_saved_plan(path)
-        flight, title, problem = saved
-        exports = export_flight(flight, title, parsed, output, progress, problem)
+        exports = export_flight(saved, parsed, output, progress)
     addresses = dict[str, str]()
     if parsed.fleet is not None:
-        members = read_fleet(parsed.fleet, flight.team.listed_names).members
+        members = read_fleet(parsed.fleet, saved.flight.team.listed_names).members
         addresses = {each.role: f"{each.name}, {each.uri}" for each in members}
-    show_places(flight, addresses)
+    show_places(saved.flight, addresses)
     entries, said = [], set[str]()
     for part in exports:
         verdict, content = part.verdict, asdict(part.verdict)

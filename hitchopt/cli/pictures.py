@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 import webbrowser
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from hitchopt.cli.output import ProgressBar, say
 from hitchopt.errors import FileError, HitchoptError, InputError
 
 if TYPE_CHECKING:
+    from hitchopt.motion.plan_file import SavedPlan
     from hitchopt.view.live import LiveView
 
 PROBLEM = "problem.yaml"  # File name of an edited problem next to its plan
@@ -89,7 +91,7 @@ def view(
     from hitchopt.storage.interrupts import how_to_end
     from hitchopt.view.live import open_server, server_address
 
-    content = _load_content(path)  # before a page is opened
+    plan = _load_content(path)  # before a page is opened
     file = path if path.suffix in SUFFIXES else plan_path(path).with_name(PROBLEM)
     server = open_server(host, port)
     address = server_address(server)
@@ -98,7 +100,7 @@ def view(
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
     close = server.stop
     try:
-        close = _serve(server, content, file, ghost or (recording if is_flight else None)).close
+        close = _serve(server, plan, file, ghost or (recording if is_flight else None)).close
         threading.Event().wait()
     finally:
         close()
@@ -110,34 +112,35 @@ def _save(file: Path, path: Path, recording: Path | None, width: float | None) -
     from hitchopt.view.report import save_view
     from hitchopt.view.scene import ghost_scene
 
-    flight, certificate, title, text = _load_content(path)
+    plan = _load_content(path)
     with ProgressBar("certifying and drawing") as progress:
         if recording is None:
-            proven = certificate or ho.certify(flight)
-            save_view(file, flight, proven, title, text, progress, width)
+            certificate = plan.certificate if isinstance(plan, ho.Plan) else ho.certify(plan)
+            content = plan.flight, certificate, plan.title, plan.problem
+            save_view(file, *content, progress, width)
         else:
-            scene, title = ghost_scene(recording, flight), f"{title} (flown)".strip()
+            scene = ghost_scene(recording, plan.flight)
+            title = f"{plan.title} (flown)".strip()
             save_film(file, scene, title, lambda x: progress(f"drawing the film, {x:.0%}"))
     say(f"wrote {file}", file=str(file))
 
 
-def _load_content(path: Path) -> tuple[ho.Flight, ho.Certificate | None, str, str]:
-    """Return flight, certificate, title and problem text; a saved plan is not certified yet."""
+def _load_content(path: Path) -> ho.Plan | SavedPlan:
+    """Return the plan of a problem file, or a saved one, which is not certified yet."""
     from hitchopt.motion.plan_file import read_saved_plan
     from hitchopt.storage.yaml_file import read_text
 
     if path.suffix not in SUFFIXES:
-        saved = read_saved_plan(plan_path(path))
-        return saved.flight, None, saved.title, saved.problem
+        return read_saved_plan(plan_path(path))
     problem, text = ho.load_problem(path), read_text(path)[0]
     with ProgressBar("planning") as progress:
         plan = ho.solve(problem, progress)
-    return plan.flight, plan.certificate, plan.title, text
+    return replace(plan, problem=text)
 
 
 def _serve(
     server: Any,
-    content: tuple[ho.Flight, ho.Certificate | None, str, str],
+    plan: ho.Plan | SavedPlan,
     file: Path,
     ghost: Path | None,
 ) -> LiveView:
@@ -148,19 +151,19 @@ def _serve(
     from hitchopt.view.panel import EditingPanel
     from hitchopt.view.scene import ghost_scene
 
-    flight, certificate, title, text = content
-    other = None if ghost is None else ghost_scene(ghost, flight)
-    live = LiveView(server, flight, certificate, title, other)
+    certificate = plan.certificate if isinstance(plan, ho.Plan) else None
+    other = None if ghost is None else ghost_scene(ghost, plan.flight)
+    live = LiveView(server, plan.flight, certificate, plan.title, other)
     if certificate is None:
         connected = threading.Event()
         server.on_client_connect(lambda _: connected.set())
         if connected.wait(LOADING_TIME):
             time.sleep(DRAWING_TIME)
         with ProgressBar("certifying"):
-            certificate = ho.certify(flight)
+            certificate = ho.certify(plan)
         live.show_certificate(certificate)
     try:
-        editing = Editing(text, file, CertifiedFlight(live.flight, certificate))
+        editing = Editing(plan.problem, file, CertifiedFlight(live.flight, certificate))
     except HitchoptError as error:
         say(f"it cannot be edited here: {error}")
     else:

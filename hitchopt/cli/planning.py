@@ -304,7 +304,7 @@ def check(
     saved = read_requested_plan(path)
     flight = saved.flight
     with ProgressBar("certifying") as progress:
-        certificate = ho.certify(flight, progress, gamma)
+        certificate = ho.certify(saved, progress, gamma)
     unsurvivable: Sequence[UnsurvivableSpan] = ()
     if survivable:
         from hitchopt.live.lost import FEATURE
@@ -313,7 +313,8 @@ def check(
         with ProgressBar("planning reactions") as progress:
             motion = flight.of_one_team(FEATURE)
             share, unsurvivable = survivable_share(motion, progress=progress)
-        certificate = ho.Certificate(certificate.duration, (*certificate.checks, share))
+        limited = (*certificate.checks, share)
+        certificate = replace(certificate, limited=limited, reports=tuple)
         record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, flight, certificate)
     _show_vertex_errors(flight)
@@ -333,7 +334,8 @@ def check(
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
     if changed := [*_changed_others(flight, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
-    say(f"certified; recomputed from {path}")
+    stated = ", ".join(rule.name for rule in certificate.not_recomputed)
+    say(f"certified; recomputed from {path}" + (f", but not {stated}" if stated else ""))
     show_notes(ho.Plan(flight, certificate, problem=saved.problem))
 
 

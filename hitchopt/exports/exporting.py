@@ -42,7 +42,7 @@ from hitchopt.hitch.forces import SLACK
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
-from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.plan_file import SavedPlan, write_plan
 from hitchopt.storage.files import digest, replace_files, write_strict_json
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
@@ -86,12 +86,10 @@ class Export(OneLine):
 
 
 def export_flight(
-    flight: Flight,
-    title: str,
+    saved: SavedPlan,
     options: ExportOptions,
     folder: Path | str,
     progress: Progress | None = None,
-    problem: str = "",
 ) -> tuple[Export, ...]:
     """Export a plan; return one export per part.
 
@@ -99,16 +97,16 @@ def export_flight(
 
     Parameters
     ----------
-    flight, title, options: the plan and the options of the export.
+    saved: the plan, with its title, the text of its problem and rules of one's own, if any.
+    options: options of the export.
     folder: created if it is missing. A name with the suffix of the format's only file is that of
         the file, and the manifest is written next to it.
     progress: status callback.
-    problem: text of the plan's problem file, if known.
 
     Raises CertificateError if the certificate does not hold, InputError for an invalid option, and
     InfeasibleError if the format cannot hold the plan, or violates a limit; nothing is written.
     """
-    say = progress or (lambda _: None)
+    say, flight = progress or (lambda _: None), saved.flight
     kind, roles, place = format_of(options.format), flight.team.listed_names, Path(folder)
     plan = flight.stretched(options.stretch)
     if options.rate is not None and kind.rate == 0.0:
@@ -127,8 +125,11 @@ def export_flight(
     settings = kind.settings(flight.team, options)
     notes = list[str]()
     with contained("a note"):
-        notes += [*weightless_notes(flight, problem), *_notes(kind, plan, options)]
-    content = plan, title, frame, fleet, rate, options
+        notes += [*weightless_notes(flight, saved.problem), *_notes(kind, plan, options)]
+    if saved.stated_rules:
+        names = ", ".join(rule.name for rule in saved.stated_rules)
+        notes.append(f"own rules are not recomputed in the export: {names}")
+    content = plan, saved.title, frame, fleet, rate, options
     task = ExportTask(*content, settings=settings, notes=tuple(notes), has_trims=kind.has_heading)
     is_export = _is_file(place, kind) and place.with_name(f"{place.name}.{MANIFEST}").exists()
     if place.exists() and not (place.is_dir() or is_export):
@@ -136,7 +137,7 @@ def export_flight(
     certificate_of(plan, say).raise_if_violated()
     with _scratch_folder(place) as scratch:
         copy = scratch / PLAN_COPY
-        write_plan(copy, flight, title, problem)
+        write_plan(copy, *saved)
         task = replace(task, plan_digest=digest(copy), stretch=options.stretch)
         task, exports = _export_task(kind, task, scratch, say)
         return _move_exports(exports, place, kind, task, copy)

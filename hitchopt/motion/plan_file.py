@@ -27,6 +27,7 @@ from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import CURVES, JOINT, WAIT, CableState, Motion, Phase
 from hitchopt.motion.request import PLANNER_ONLY, REMEDY, check_same, decoded, encoded, objects_at
 from hitchopt.motion.retiming import shifted
+from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
 from hitchopt.storage.files import PREVIOUS, digest
@@ -41,6 +42,9 @@ GROUPS = "groups"
 
 OTHERS = "others"
 """Key of the settings, and folder of the arrays, of external plans."""
+
+RULES = "rules"
+"""Key of the settings of rules of one's own, which plans without them leave out."""
 
 MAX_COEFFICIENT = 1e5
 """[m], [N] Largest coefficient of a plan: sums of such numbers stay far from overflow."""
@@ -62,19 +66,30 @@ class Records(NamedTuple):
 
 
 class SavedPlan(NamedTuple):
-    """Contents of a plan file: the flight, its title, and the text of its problem if known."""
+    """Contents of a plan file: the flight, its title, and the text of its problem if known.
+
+    ``stated_rules`` are the rules of one's own that were certified when it was saved.
+    """
 
     flight: Flight
-    title: str
-    problem: str
+    title: str = ""
+    problem: str = ""
+    stated_rules: tuple[StatedRule, ...] = ()
 
 
-def write_plan(path: Path, flight: Flight, title: str = "", problem: str = "") -> None:
+def write_plan(
+    path: Path,
+    flight: Flight,
+    title: str = "",
+    problem: str = "",
+    stated_rules: tuple[StatedRule, ...] = (),
+) -> None:
     """Write a plan, with the text of its problem file if known, to a new file or over an old one.
 
     The same plan gives the same bytes. Raises OSError if the file cannot be written.
     """
-    settings = json.dumps(_settings(flight, title, problem), allow_nan=False)
+    saved = SavedPlan(flight, title, problem, stated_rules)
+    settings = json.dumps(_settings(saved), allow_nan=False)
     arrays = {"format": np.array(FORMAT), "settings": np.array(settings)}
     for folder, teams in ((GROUPS, flight.teams), (OTHERS, flight.others)):
         for i, each in enumerate(teams):
@@ -83,15 +98,16 @@ def write_plan(path: Path, flight: Flight, title: str = "", problem: str = "") -
         np.savez(file, allow_pickle=False, **arrays)
 
 
-def _settings(flight: Flight, title: str, problem: str) -> dict[str, Any]:
+def _settings(saved: SavedPlan) -> dict[str, Any]:
     """Return everything but arrays, as JSON values."""
     heads = {
         key: [_head(each) for each in teams]
-        for key, teams in ((GROUPS, flight.teams), (OTHERS, flight.others))
+        for key, teams in ((GROUPS, saved.flight.teams), (OTHERS, saved.flight.others))
     }
-    data = parse_yaml(problem, "problem") if problem else None
+    data = parse_yaml(saved.problem, "problem") if saved.problem else None
     request = data if isinstance(data, dict) else None
-    return {"title": title, "problem": problem, "request": request, **heads}
+    settings = {"title": saved.title, "problem": saved.problem, "request": request, **heads}
+    return settings | ({RULES: encoded(saved.stated_rules)} if saved.stated_rules else {})
 
 
 def _head(flown: TeamMotion) -> dict[str, Any]:
@@ -223,9 +239,10 @@ def _saved_plan(path: Path) -> SavedPlan:
     )
     _check_teams(teams)
     title, problem = line("title", settings["title"]), text("problem", settings["problem"])
-    flight = Flight(teams, others)
-    check_same("", _settings(flight, title, problem), settings, "as plans are written")
-    return SavedPlan(flight, title, problem)
+    rules = decoded(tuple[StatedRule, ...], settings.get(RULES, []))
+    saved = SavedPlan(Flight(teams, others), title, problem, rules)
+    check_same("", _settings(saved), settings, "as plans are written")
+    return saved
 
 
 def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> TeamMotion:

@@ -26,7 +26,9 @@ from .teams import Pair, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
 GROSS, JUMP = 10.0, 0.01  # ratio to a limit, and jump [m], of curves that are no plan at all
-PASSING = {"proven", "warning"}  # the ground is unknown without an arena, hence warnings
+STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
+# Verdicts that do not fail: the ground is unknown without an arena, hence warnings
+PASSING = {"proven", "warning", STATED}
 
 
 def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
@@ -192,10 +194,24 @@ def plan_rows(p: Plan) -> Iterator[Row]:
     yield from (*jumps(p), *interlacing(p), *vertex_errors(p))
 
 
+def stated_rules(p: Plan) -> Iterator[Row]:
+    """Yield the rules of the user that a file states; nothing of them is proven."""
+    for rule in p.stated:
+        worst = np.nan if rule["worst"] is None else float(rule["worst"])
+        values = rule["name"], rule["unit"], STATED, worst, float(rule["limit"]), rule["sense"]
+        yield Row(*values, time=np.nan, where="", samples=0)
+
+
 def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; UnreadableError if the file is not a plan."""
     path = Path(path)
     own, others = read(path / "plan.npz" if path.is_dir() else path)
+    yield from proofs(own, others)
+    yield from stated_rules(own[0])
+
+
+def proofs(own: Sequence[Plan], others: Sequence[Plan]) -> Iterator[Row]:
+    """Yield a row for every limit of the plans of teams, next to other plans."""
     order = "violated", "not proven", "proven"
     if rows := [row for p in own for row in hopeless(p)]:
         yield from {row.name: row for row in rows}.values()
@@ -228,14 +244,20 @@ def cells(row: Row) -> tuple[str, ...]:
     """Return cells of a row: check, worst, limit, unit, place, time and verdict."""
     shape, sense = row.unit in ("turn", "wrap", "bend"), "≥" if row.sense == "min" else "≤"
     name, unit = (f"{row.name} ({row.unit})", "") if shape else (row.name, row.unit.strip("1"))
-    worst, limit, when = f"{row.worst:.5g}", f"{sense} {row.limit:.4g}", f"{row.time:.3f} s"
+    worst = "–" if np.isnan(row.worst) else f"{row.worst:.5g}"
+    limit = f"{sense} {row.limit:.4g}"
+    when = "" if row.verdict == STATED else f"{row.time:.3f} s"
     return name, worst, limit, unit, row.where, when, row.verdict
 
 
 def verdict(rows: Sequence[Row]) -> str:
     """Return the verdict of all rows in words."""
     bad = dict.fromkeys(row.name for row in rows if row.verdict not in PASSING)
-    return f"not proven: {', '.join(bad)}" if bad else "proven: every limit holds at all times"
+    stated = ", ".join(row.name for row in rows if row.verdict == STATED)
+    rest = f"; not recomputed: {stated}" if stated else ""
+    if bad:
+        return f"not proven: {', '.join(bad)}{rest}"
+    return f"proven: every limit holds at all times{rest}"
 
 
 def main(arguments: Sequence[str]) -> int:

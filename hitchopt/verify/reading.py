@@ -53,7 +53,8 @@ STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, BENT, "none"}
 
 # Keys of settings and their types: ? nullable, [] list, [2] list of two; keys with * may be absent.
 TYPES = {
-    "settings": "title:text problem:text request:any groups:group[] others:group[]",
+    "settings": "title:text problem:text request:any groups:group[] others:group[] rules*:rule[]",
+    "rule": "name:text unit:text sense:text limit:number worst:number?",
     "group": "name:text plan:text digest:text records:records",
     "records": "team:any requirements:requirements phases:phase[] assignment:roles?",
     "requirements": "limits:limits separation:separation arena:arena? keep_out:prism[] objects:any",
@@ -157,6 +158,7 @@ class Plan:
 
     erring_bodies = 1  # of drones and what is below them: objects that stand have no errors
     asked: dict[str, Any] = {}  # noqa: RUF012  # of the problem: the sections of this team alone
+    stated: Sequence[dict[str, Any]] = ()  # rules of the user, whose formulas are not in the file
 
     def __init__(self, file: Any, head: dict[str, Any], folder: str = "") -> None:
         self.file, self.folder, records = file, folder, head["records"]
@@ -538,6 +540,7 @@ def plans_of_teams(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]
             plans.append(Plan(file, head, f"{key}/{i}/"))
     teams = s["groups"]
     own = plans[: len(teams)]
+    own[0].stated = s.get("rules", [])
     for plan in own:
         plan.asked = asked_of(s["request"], plan.label.rstrip("."))
     if max(abs(p.breaks[-1] - own[0].breaks[-1]) for p in own) > POS_TOL:

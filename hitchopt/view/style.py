@@ -117,7 +117,9 @@ def verdict(certificate: Certificate) -> str:
     """Return the result of a certificate as text."""
     total = sum(check.limit is not None for check in certificate.checks)
     if certificate.certified:
-        return f"certified for all t: {total} of {total} limits hold"
+        stated = ", ".join(rule.name for rule in certificate.not_recomputed)
+        holds = f"certified for all t: {total} of {total} limits hold"
+        return holds + (f"; not recomputed: {stated}" if stated else "")
     return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
 
 

@@ -21,6 +21,7 @@ from hitchopt.hitch import Quadrotor, Swarm
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
+from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -108,6 +109,5 @@ def task_of(
 
 def exported(flown: Motion | Flight, name: str, folder: Path, **options: Any) -> tuple[Export, ...]:
     """Export a flight, with slack cables where nothing holds their tension."""
-    return export_flight(
-        Flight.of(flown), "A plan", ExportOptions(name, **{"allow_slack": True, **options}), folder
-    )
+    saved = SavedPlan(Flight.of(flown), "A plan")
+    return export_flight(saved, ExportOptions(name, **{"allow_slack": True, **options}), folder)

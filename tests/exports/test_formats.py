@@ -37,6 +37,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState
+from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.view.style import drone_colours
 
@@ -299,7 +300,7 @@ def test_bags_are_readable_by_releases(distro: str | None, storage: str, tmp_pat
     written if nobody says which release is read by all of them."""
     asked: dict[str, Any] = {} if distro is None else {"ros_distro": distro}
     options = ExportOptions("ros2bag", rate=RATE, storage=storage, **asked)
-    (part,) = export_flight(ho.Flight.of(swarm_plan()), "A plan", options, tmp_path)
+    (part,) = export_flight(SavedPlan(ho.Flight.of(swarm_plan()), "A plan"), options, tmp_path)
     assert part.verdict.position.worst < 1e-6
     bag = YAML(typ="safe").load(tmp_path / "metadata.yaml")["rosbag2_bagfile_information"]
     topics = [topic["topic_metadata"] for topic in bag["topics_with_message_count"]]

@@ -179,7 +179,7 @@ def test_a_plan_is_restored_bit_by_bit_with_its_request(
     else:
         flight = ho.Flight.of(kind())
     write_plan(tmp_path / "plan.npz", flight, TITLE)
-    restored, title, _ = read_saved_plan(tmp_path / "plan.npz")
+    restored, title, *_ = read_saved_plan(tmp_path / "plan.npz")
     assert (bits(restored), title) == (bits(flight), TITLE)
     assert {next(consistency(own)).verdict for own in read(tmp_path / "plan.npz")[0]} == {"proven"}
     write_plan(tmp_path / "again.npz", restored, TITLE)
@@ -604,7 +604,7 @@ def test_every_byte_edit_is_the_same_plan_or_a_file_error(tmp_path: Path) -> Non
     for damaged in edits(path.read_bytes(), random.Random(13)):
         path.write_bytes(damaged)
         try:
-            read, title, _ = read_saved_plan(path)
+            read, title, *_ = read_saved_plan(path)
         except FileError:
             refused += 1
         else:

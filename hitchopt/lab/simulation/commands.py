@@ -18,6 +18,7 @@ from hitchopt.hitch.flight_controller import HELD, STOCK, Gains, latency_scale
 from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Commands, Received, Task
 from hitchopt.motion.flight import Flight
+from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import HOVER, attitudes
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -140,7 +141,7 @@ def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
         options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)
         try:
             with tempfile.TemporaryDirectory() as folder:
-                parts = export_flight(flight, "", options, folder)
+                parts = export_flight(SavedPlan(flight), options, folder)
                 curves = [_read(kind, part, team.drone_names) for part in parts]
             break
         except InfeasibleError as error:

@@ -1,0 +1,188 @@
+"""Saved plans state rules of one's own as not recomputed, and are else as without rules."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hitchopt as ho
+from hitchopt.cli import main
+from hitchopt.plan import read_requested_plan
+from hitchopt.verify import UnreadableError, verify
+
+TEAM = ho.Team(robots=3, cable_length=2.4)
+START = ho.Hitch.spread(TEAM, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
+GOAL = [[0, -0.6], [-0.4, 0.5], [0.4, 0.5]]
+LEG_ANGLE = ho.Rule(
+    "leg_angle", "deg", "min", 35.0, ho.ClaspSpans, lambda clasp: clasp.q_leg.angle_to(clasp.r_leg)
+)
+CEILING = ho.Rule("ceiling", "m", "max", 1.5, ho.DroneSpans, lambda drone: drone.position[2])
+RULES: list[ho.Rule[Any]] = [LEG_ANGLE, CEILING]
+
+
+@cache
+def plan() -> ho.Plan:
+    """Return a plan that keeps two rules."""
+    return ho.Mission(TEAM, START, rules=RULES).morph(GOAL).solve()
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    """Save the plan."""
+    return plan().save(tmp_path / "ruled", picture=False)
+
+
+def settings_of(folder: Path) -> dict[str, Any]:
+    """Return the settings of a plan file."""
+    with np.load(folder / "plan.npz") as file:
+        settings: dict[str, Any] = json.loads(str(file["settings"]))
+    return settings
+
+
+def run(*arguments: object) -> tuple[int, str]:
+    """Return exit code and output of a command."""
+    result = CliRunner().invoke(main, [*map(str, arguments)])
+    return result.exit_code, result.output
+
+
+def test_loaded_plans_list_rules_as_not_recomputed_until_they_are(saved: Path) -> None:
+    loaded = ho.load(saved)
+    angle, ceiling = loaded.certificate.not_recomputed
+    assert angle.worst == plan().certificate["leg_angle"].worst
+    assert (angle.name, angle.unit, angle.sense, angle.limit) == ("leg_angle", "deg", "min", 35.0)
+    assert (ceiling.worst, ceiling.limit) == (plan().certificate["ceiling"].worst, 1.5)
+    with pytest.raises(KeyError):  # no check, which would hold or not
+        loaded.certificate["leg_angle"]
+    content = loaded.certificate.to_dict()
+    assert content["not_recomputed"][0]["worst"] == angle.worst
+    assert "not recomputed: leg_angle (39." in loaded.certificate._repr_html_()
+    assert repr(loaded).endswith("limits hold, 2 not recomputed)")
+    one = ho.certify(loaded, rules=[LEG_ANGLE])
+    assert one["leg_angle"] == plan().certificate["leg_angle"]
+    assert [rule.name for rule in one.not_recomputed] == ["ceiling"]
+    assert ho.certify(loaded, rules=RULES).checks == ho.certify(plan(), rules=RULES).checks
+    assert ho.certify(loaded.flight).not_recomputed == ()
+    stricter = replace(LEG_ANGLE, limit=60.0)
+    assert [x.name for x in ho.certify(loaded, rules=[stricter]).violated] == ["leg_angle"]
+
+
+def test_plans_are_saved_again_as_they_were(saved: Path, tmp_path: Path) -> None:
+    ho.load(saved).save(tmp_path / "again", picture=False)
+    first, again = (folder / "plan.npz" for folder in (saved, tmp_path / "again"))
+    assert first.read_bytes() == again.read_bytes()
+    assert ho.load(saved).draw(saved).exists()  # the picture of the same plan
+    assert pickle.loads(pickle.dumps(ho.load(saved))).certificate.not_recomputed
+
+
+def test_plans_without_rules_state_nothing(saved: Path, tmp_path: Path) -> None:
+    bare = ho.Mission(TEAM, START).morph(GOAL).solve()
+    bare.save(tmp_path / "bare", picture=False)
+    assert [*settings_of(tmp_path / "bare")] == ["title", "problem", "request", "groups", "others"]
+    content = json.loads((tmp_path / "bare" / "certificate.json").read_text())
+    assert [*content] == ["format", "certified", "duration", "checks", "plan", "tables"]
+    assert not any("custom" in check for check in content["checks"])
+    ruled = settings_of(saved)
+    assert [rule["name"] for rule in ruled.pop("rules")] == ["leg_angle", "ceiling"]
+    assert ruled == settings_of(tmp_path / "bare")
+    for name in ("setpoints.csv", "vertices.csv"):
+        assert (saved / name).read_bytes() == (tmp_path / "bare" / name).read_bytes()
+
+
+def test_the_certificate_that_is_saved_marks_rules(saved: Path) -> None:
+    checks = json.loads((saved / "certificate.json").read_text())["checks"]
+    assert [x["name"] for x in checks if x.get("custom")] == ["leg_angle", "ceiling"]
+
+
+def test_check_and_verify_list_rules_as_not_recomputed(saved: Path) -> None:
+    code, output = run("check", saved)
+    assert code == 0
+    assert (
+        "not recomputed: leg_angle (39.97 deg, limit ≥ 35 deg), ceiling (1 m, limit ≤ 1.5 m)"
+        in output
+    )
+    assert f"certified; recomputed from {saved / 'plan.npz'}, but not leg_angle, ceiling" in output
+    code, output = run("check", saved, "--json")
+    certificate = json.loads(output)["certificate"]
+    assert "leg_angle" not in [check["name"] for check in certificate["checks"]]
+    assert [x["name"] for x in certificate["not_recomputed"]] == ["leg_angle", "ceiling"]
+    code, output = run("verify", saved)
+    assert code == 0
+    assert output.rstrip().endswith("times; not recomputed: leg_angle, ceiling")
+    rows = {row.name: row for row in verify(saved)}
+    assert {row.verdict for row in rows.values()} == {"proven", "not recomputed"}
+    assert rows["ceiling"].worst == ho.load(saved).stated_rules[1].worst
+    assert run("verify", saved, "--json")[0] == 0
+
+
+def test_exports_say_that_rules_are_not_recomputed(saved: Path, tmp_path: Path) -> None:
+    code, output = run("export", saved, "--format", "csv", "-o", tmp_path / "csv")
+    assert code == 0
+    assert "note: own rules are not recomputed in the export: leg_angle, ceiling" in output
+
+
+def test_plans_that_violate_a_rule_are_neither_saved_nor_exported(tmp_path: Path) -> None:
+    broken = replace(plan(), certificate=ho.certify(plan(), rules=[replace(CEILING, limit=0.5)]))
+    for write in (broken.save, lambda folder: broken.export("csv", folder)):
+        with pytest.raises(ho.CertificateError, match="ceiling: 1 m is above the limit"):
+            write(tmp_path / "broken")
+    assert not (tmp_path / "broken").exists()
+
+
+def test_other_flights_of_a_plan_do_not_claim_its_rules() -> None:
+    abort = plan().abort(0.1)
+    assert [(x.name, x.worst) for x in abort.stated_rules] == [
+        ("leg_angle", None),
+        ("ceiling", None),
+    ]
+    moved = ho.transport(START, [5.0, 0.0, 1.0])
+    both = ho.combine(plan(), moved, at=2.0)
+    assert both.certificate.not_recomputed == plan().stated_rules
+
+
+def test_rules_without_items_have_no_worst_value(tmp_path: Path) -> None:
+    team = ho.Swarm(2)
+    mission = ho.Mission(team, [[0, 0, 1], [2, 0, 1]], rules=[LEG_ANGLE])
+    folder = (
+        mission.then(ho.Fly(np.array([[0, 1, 1], [2, 1, 1]]))).solve().save(tmp_path, picture=False)
+    )
+    (rule,) = ho.load(folder).stated_rules
+    assert rule.worst is None
+    assert "leg_angle (no value, limit ≥ 35 deg)" in run("check", folder)[1]
+    assert run("verify", folder)[0] == 0
+
+
+LIES: list[tuple[str, Callable[[dict[str, Any]], object], bool]] = [
+    ("a check's name", lambda rule: rule.update(name="separation"), False),
+    ("an invalid name", lambda rule: rule.update(name="Leg angle"), False),
+    ("no limit", lambda rule: rule.pop("limit"), True),
+    ("a limit of another type", lambda rule: rule.update(limit="35"), True),
+    ("a verdict", lambda rule: rule.update(holds=True), True),
+    ("another sense", lambda rule: rule.update(sense="above"), False),
+]
+
+
+@pytest.mark.parametrize(("words", "change", "is_form"), LIES, ids=[words for words, *_ in LIES])
+def test_damaged_rules_are_refused(
+    words: str, change: Callable[[dict[str, Any]], object], is_form: bool, saved: Path
+) -> None:
+    settings, path = settings_of(saved), saved / "plan.npz"
+    change(settings["rules"][0])
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file}
+    np.savez(path, allow_pickle=False, **(arrays | {"settings": np.array(json.dumps(settings))}))
+    with pytest.raises(ho.FileError):
+        read_requested_plan(path)
+    assert run("check", saved)[0] == 2, words
+    assert run("verify", saved)[0] == 2
+    if is_form:
+        with pytest.raises(UnreadableError):
+            list(verify(saved))
