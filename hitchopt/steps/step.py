@@ -25,7 +25,7 @@ from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import HoldBy, Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
-from hitchopt.planners.carrying.planner import OPENING_TENSIONS, GraspState, MovePlanner
+from hitchopt.planners.carrying.planner import LOW_OPENING_TENSION, GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, ByValue, Indices, finite, per_robot
 from hitchopt.values.fields import (
@@ -418,7 +418,7 @@ class RequestedHold:
 
         Edges that grip pull less than their legs, which lean against friction.
         """
-        smallest = min(OPENING_TENSIONS[0], lowest, *map(np.min, tensions))
+        smallest = min(LOW_OPENING_TENSION, lowest, *map(np.min, tensions))
         if by is HoldBy.GRIP:
             smallest *= math.exp(-math.pi * team.cable_friction)
         return cls(by, (smallest, max(map(np.max, tensions))))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,12 +25,17 @@ from hitchopt.planners.carrying.moves import Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.values import Array
 
-LIFT_SPEED, BELOW_RIM = 0.1, 0.01
-"""Vertical speed with an object and toward its rim [m/s]; depth of cables below a rim in addition
-to ``separation.object`` [m]."""
+LIFT_SPEED = 0.1
+"""[m/s] Vertical speed with an object, and of clasps toward its rim."""
 
-CARRY_ACCELERATION, LIFT_ACCELERATION = 1.0, 0.3
-"""[m/s²] Largest accelerations of objects: carried, and lifted or set down."""
+BELOW_RIM = 0.01
+"""[m] Depth of cables below a rim, in addition to ``separation.object``."""
+
+CARRY_ACCELERATION = 1.0
+"""[m/s²] Largest acceleration of objects that are carried."""
+
+LIFT_ACCELERATION = 0.3
+"""[m/s²] Largest acceleration of objects that are lifted or set down."""
 
 CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearance")
 """Checks to which moves of a carried object are slowed down."""
@@ -38,33 +43,73 @@ CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearan
 LOAD_LAW = SmoothLaw(0.75)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
-MIN_PATH = 1e-6  # [m] Length of paths up to which clasps do not move
+MIN_PATH = 1e-6
+"""[m] Length of paths up to which clasps do not move."""
 
-MAX_SLOWINGS, SLOWING_FACTOR = 5, 1.5
-"""Maximum number of slowings of a move, and factor of a slowing if the required one is unknown."""
+MAX_SLOWINGS = 5
+"""Maximum number of slowings of a move."""
 
-OPENING_TENSIONS = (0.3, 0.6)
-"""[N] Candidate tensions for opening grips. With low tensions cables hold each other less, but sag
-more. The first one is also the lowest for closing, if edges would push the object."""
+SLOWING_FACTOR = 1.5
+"""Factor of a slowing if the required one is unknown."""
 
-FRICTION_SHARES, FEEDFORWARD_CHECKS = (0.9, 0.6, 0.3, 0.0), ("separation", "cable_length")
+SLOWING_RESERVE = 1.01
+"""Factor of a slowing over the required one."""
+
+LOW_OPENING_TENSION = 0.3
+"""[N] Preferred tension of cables as grips open, and the lowest one as they close, if edges would
+push the object. With low tensions cables hold each other less, but sag more."""
+
+HIGH_OPENING_TENSION = 0.6
+"""[N] Other candidate tension of cables as grips open."""
+
+FRICTION_SHARES = (0.9, 0.6, 0.3, 0.0)
 """Candidate friction feed-forwards of closing and opening, as shares of clasp friction, in order of
-preference, and checks that reject them: the sag of edges jumps at other corners."""
+preference."""
 
-MAX_RESIDUAL_GRIP, MAX_PUSH = 0.5, 0.9
-"""Largest residual slip load of an open hitch over the weight, and largest push of edges on a
-standing object over the friction with its support."""
+FEEDFORWARD_CHECKS = ("separation", "cable_length")
+"""Checks that reject a friction feed-forward: the sag of edges jumps at other corners."""
+
+MAX_RESIDUAL_GRIP = 0.5
+"""Largest residual slip load of an open hitch over the weight."""
+
+MAX_PUSH = 0.9
+"""Largest push of edges on a standing object over the friction with its support."""
+
+PUSH_ROUNDING = 1e-9
+"""Relative rounding of a push that equals its limit."""
+
+MIN_PUSH = 1e-9
+"""[N] Smallest push by which a limit is divided."""
 
 
 @dataclass(frozen=True, eq=False)
 class GraspState:
     """An object that a hitch encloses or holds."""
 
-    object: str  # its name
-    polygons: HoldPolygons  # of the hitch, in the object's frame
-    tension: Array  # (n,) [N], of cables from grasping to loosening
-    hold: HoldingHitch | None = None  # the hitch that holds it; None while it only encloses it
-    carried: bool = False  # whether clasps carry its weight
+    object: str
+    """Name of the object."""
+
+    polygons: HoldPolygons
+    """Polygons of the hitch, in the object's frame."""
+
+    tension: Array
+    """(n,) [N], of cables from grasping to loosening."""
+
+    hold: HoldingHitch | None = None
+    """The hitch that holds the object; None while it only encloses it."""
+
+    carried: bool = False
+    """Whether clasps carry the object's weight."""
+
+
+class Passage(NamedTuple):
+    """The closing or the opening of a grip."""
+
+    motion: Motion
+    """The motion, as one phase."""
+
+    moves: list[Move]
+    """Its consecutive moves."""
 
 
 def one_phase(
@@ -75,34 +120,46 @@ def one_phase(
     hold: PhaseHold | None = None,
 ) -> Motion:
     """Return consecutive motions as one phase of a step, with all remarks."""
-    motion = concatenated([each.replaced(requirements=requirements) for each in parts])
-    pulls, tension = motion.tensions.coefficients, None
-    if np.any(pulls != motion.team.tension[:, None]):
-        tension = float(np.min(pulls)), float(np.max(pulls))
-    remark = "; ".join(dict.fromkeys(each.remark for each in motion.phases if each.remark))
-    phase = Phase(name, step, 0.0, motion.duration, remark, tension=tension, hold=hold)
+    motion = concatenated([part.replaced(requirements=requirements) for part in parts])
+    tensions = motion.tensions.coefficients
+    tension_range = None
+    if np.any(tensions != motion.team.tension[:, None]):
+        tension_range = float(np.min(tensions)), float(np.max(tensions))
+    remarks = dict.fromkeys(phase.remark for phase in motion.phases if phase.remark)
+    phase = Phase(
+        name, step, 0.0, motion.duration, "; ".join(remarks), tension=tension_range, hold=hold
+    )
     return replace(motion, phases=(phase,))
 
 
 def first_violated(motion: Motion, checks: Sequence[str]) -> Check | None:
     """Return the first check, of these names, that a motion violates; None if all hold."""
     with value_cache():
-        results = filter(None, (RULE_OF[name].check(motion) for name in checks))
-        return next((check for check in results if not check.holds), None)
+        for name in checks:
+            check = RULE_OF[name].check(motion)
+            if check is not None and not check.holds:
+                return check
+    return None
 
 
 @dataclass(frozen=True, eq=False)
 class MovePlanner:
     """A planner of moves of a hitch with the object that it holds."""
 
-    state: GraspState  # initial state of the grasp
-    requirements: Requirements  # limits, and objects at their current positions
-    step: int  # index of the step in its mission
+    state: GraspState
+    """Initial state of the grasp."""
+
+    requirements: Requirements
+    """Limits, and objects at their current positions."""
+
+    step: int
+    """Index of the step in its mission."""
 
     @property
     def hold(self) -> HoldingHitch:
         """The hitch with the object; raises InputError without one."""
-        if (hold := self.state.hold) is None:
+        hold = self.state.hold
+        if hold is None:
             raise InputError("object", self.state.object, "one that is held", "grasp it before")
         return hold
 
@@ -131,11 +188,19 @@ class MovePlanner:
         parts = [self.hold.motion(move, self.requirements, phase) for move in moves]
         return one_phase(parts, self.requirements, self.step, name, hold)
 
-    def move(self, law: SmoothLaw, **changes: Any) -> Move:
-        """Return a move from the state with the given changes."""
-        place, share = self.body.place, float(self.state.carried)
-        tensions = changes.pop("tension", (self.state.tension, self.state.tension))
-        return replace(Move(place, place, np.stack(tensions), (share, share), law), **changes)
+    def move(
+        self, law: SmoothLaw, tension: tuple[Array, Array] | None = None, **changes: Any
+    ) -> Move:
+        """Return a move from the state with the given changes.
+
+        ``tension`` is the one before and after, (n,) [N] each; None if it does not change.
+        """
+        if tension is None:
+            tension = (self.state.tension, self.state.tension)
+        place = self.body.place
+        load_share = float(self.state.carried)
+        rest = Move(place, place, np.stack(tension), (load_share, load_share), law)
+        return replace(rest, **changes)
 
     def rest(self, seconds: float) -> Move:
         """Return a pause [s] as a move."""
@@ -159,14 +224,18 @@ class MovePlanner:
 
     def rim_move(self, before: float, after: float) -> Move:
         """Return the move between two depths below the rim [m], one of which is 0."""
-        law = self._slow_law(max(before, after))
-        return self.within_limits(self.move(law, below=(before, after)))
+        distance = max(before, after)
+        move = self.move(self._slow_law(distance), below=(before, after))
+        return self.within_limits(move)
 
     def _slow_law(self, length: float) -> SmoothLaw:
         """Return the law of a slow motion over a length [m]."""
         limits = self.requirements.limits
-        rates = LIFT_SPEED, 0.5 * limits.acceleration, 0.5 * limits.jerk
-        return SmoothLaw.fastest(*(rate / length for rate in rates))
+        return SmoothLaw.fastest(
+            speed=LIFT_SPEED / length,
+            acceleration=0.5 * limits.acceleration / length,
+            jerk=0.5 * limits.jerk / length,
+        )
 
     def carry(self, to: Array, speed: float) -> Move:
         """Return the fastest straight move of the object to (4,) x, y, z [m] and yaw [rad].
@@ -174,44 +243,55 @@ class MovePlanner:
         The speed of the object and of the drones about it is at most ``speed`` [m/s]. Raises
         InfeasibleError if it cannot be carried.
         """
-        start, hold, limits = self.body.place, self.hold, self.requirements.limits
-        length = float(np.linalg.norm((to - start)[:3])) + abs(float(to[3] - start[3])) * hold.reach
-        vertical = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
-        of_object = LIFT_ACCELERATION if vertical else CARRY_ACCELERATION
+        start = self.body.place
+        hold = self.hold
+        limits = self.requirements.limits
+        distance = float(np.linalg.norm((to - start)[:3]))
+        turned_arc = abs(float(to[3] - start[3])) * hold.reach
+        length = distance + turned_arc
+        is_vertical = bool(np.all(start[[0, 1, 3]] == to[[0, 1, 3]]))
+        of_object = LIFT_ACCELERATION if is_vertical else CARRY_ACCELERATION
         acceleration = min(of_object, limits.acceleration, hold.largest_acceleration)
         law = SmoothLaw(0.5)
         if length > 0.0 and acceleration > 0.0:
-            top = min(speed, limits.speed, limits.vertex_speed)
-            law = SmoothLaw.fastest(top / length, acceleration / length, limits.jerk / length)
+            top_speed = min(speed, limits.speed, limits.vertex_speed)
+            law = SmoothLaw.fastest(top_speed / length, acceleration / length, limits.jerk / length)
         carrying = self.from_state(carried=True)
         return carrying.within_limits(carrying.move(law, start=start, end=to), *CARRY_CHECKS)
 
     def within_limits(self, move: Move, *checks: str) -> Move:
         """Return a move slowed down to the limits of motion and to some checks, by name."""
-        from hitchopt.planners.timing.timed_motion import needed_stretch
-
         for _ in range(MAX_SLOWINGS):
-            try:
-                motion = self.motion([move])
-                factor = needed_stretch(motion)
-                if factor <= 1.0 and first_violated(motion, checks):
-                    factor = math.inf
-            except InfeasibleError:
-                if not checks:
-                    raise
-                factor = math.inf
-            if factor == math.inf and checks:
-                factor = SLOWING_FACTOR
+            factor = self._needed_slowing(move, checks)
             if not 1.0 < factor < math.inf:
                 break
-            move = replace(move, law=move.law.slowed(1.01 * factor))
+            move = replace(move, law=move.law.slowed(SLOWING_RESERVE * factor))
         return move
+
+    def _needed_slowing(self, move: Move, checks: Sequence[str]) -> float:
+        """Return the factor by which a move must be slowed; at most 1 if it is slow enough.
+
+        The factor of limits of motion is known, inf if no slowing satisfies them. That of checks is
+        not: for a move that violates one, or that the hold cannot carry, it is SLOWING_FACTOR.
+        """
+        from hitchopt.planners.timing.timed_motion import needed_stretch
+
+        try:
+            motion = self.motion([move])
+            factor = needed_stretch(motion)
+            violates_check = factor <= 1.0 and first_violated(motion, checks) is not None
+        except InfeasibleError:
+            if not checks:
+                raise
+            return SLOWING_FACTOR
+        is_unknown = violates_check or factor == math.inf
+        return SLOWING_FACTOR if checks and is_unknown else factor
 
     # Grips.
 
     def close_grip(self, before: Array, name: str) -> Motion:
         """Return the motion from around the object, with tensions (n,) [N], to the grip."""
-        return self._passage((before, self.state.tension), (0.0, 1.0), name)[0]
+        return self._passage((before, self.state.tension), (0.0, 1.0), name).motion
 
     def draw_grip(self, after: Array) -> list[Motion]:
         """Return the motions that draw cables to the grip as they were tied, and raise tensions.
@@ -219,7 +299,7 @@ class MovePlanner:
         The tension stays as it is until they grip, and rises to ``after`` (n,) [N] then.
         """
         before = self.state.tension
-        motions = [self._passage((before, before), (0.0, 1.0), "draw")[0]]
+        motions = [self._passage((before, before), (0.0, 1.0), "draw").motion]
         if np.any(before != after):
             motions.append(self.motion([self.move(LOAD_LAW, tension=(before, after))], "tighten"))
         return motions
@@ -229,106 +309,162 @@ class MovePlanner:
 
         Raises InfeasibleError if clasps would stick with too large a residual grip.
         """
-        motion, moves = self._passage((self.state.tension, after), (1.0, 0.0), name)
-        hold, layout, body = self.hold, self.hold.team.layout, self.body
-        if hold.team.robots == 2:  # whose clasps are untied before they leave
-            return motion
-        last = [move for move in moves if move.closure[0] > move.closure[1]][-1]
-        end = hold.curves(last, np.array([last.law.duration]))
+        passage = self._passage((self.state.tension, after), (1.0, 0.0), name)
+        are_untied = self.hold.team.robots == 2  # clasps of two cables, before they leave
+        if not are_untied:
+            self._check_residual_grip(passage.moves)
+        return passage.motion
+
+    def _check_residual_grip(self, moves: Sequence[Move]) -> None:
+        """Raise InfeasibleError if clasps that stick after these moves hold too much weight."""
+        team = self.hold.team
+        layout = team.layout
+        body = self.body
+        last_opening = [move for move in moves if move.closure[0] > move.closure[1]][-1]
+        end = self.hold.curves(last_opening, np.array([last_opening.law.duration]))
         legs = (end["drones"] - end["vertices"][:, layout.anchors])[0, :, :2]
-        pairs = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
-        residual = residual_grip(pairs, last.tension[1], hold.team.cable_friction, body.friction)
+        legs_at_clasps = np.stack([legs[2 * layout.ahead], legs[2 * layout.behind + 1]], axis=1)
+        residual = residual_grip(
+            legs_at_clasps, last_opening.tension[1], team.cable_friction, body.friction
+        )
         limit = MAX_RESIDUAL_GRIP * body.mass * GRAVITY
         if residual > limit:
-            where, when = (f"objects.{self.state.object}",), "left as clasps stick"
+            where = (f"objects.{self.state.object}",)
+            when = "left as clasps stick"
             remedy = (
                 "use smoother cables (team.cable_friction), longer ones, or a hitch tied larger"
             )
             violation = Violation("grip", residual, limit, "max", "N", where, when, remedy)
             raise InfeasibleError([violation])
-        return motion
 
     def _passage(
         self, tension: tuple[Array, Array], closure: tuple[float, float], name: str
-    ) -> tuple[Motion, list[Move]]:
-        """Return the motion that closes or opens a hitch, and its moves.
+    ) -> Passage:
+        """Return the passage that closes or opens a hitch.
 
-        Tensions are so low that edges do not displace the object. ``tension`` (n,) [N] and
-        ``closure`` of the hitch are those before and after.
+        Tensions in between are so low that edges do not displace the object. ``tension`` (n,) [N]
+        and ``closure`` of the hitch are those before and after.
         """
-        hold, opens = self.grip, closure[0] > closure[1]
-        friction, errors = bool(hold.team.cable_friction), list[InfeasibleError]()
-        tensions = self._passage_tensions(hold, opens)
-        for between, share in product(tensions, FRICTION_SHARES if friction else (0.0,)):
-            ends = (tension[0], between, closure[0]), (between, tension[1], closure[1])
-            first, last = (
-                [self.move(LOAD_LAW, tension=(p, q), closure=(at, at))] if np.any(p != q) else []
-                for p, q, at in ends
-            )
-            remark = f"legs lean against {share:.0%} of clasp friction" if friction else ""
+        hold = self.grip
+        opens = closure[0] > closure[1]
+        has_friction = hold.team.cable_friction > 0.0
+        friction_shares = FRICTION_SHARES if has_friction else (0.0,)
+        tensions_between = self._tensions_between(hold, opens)
+        errors = list[InfeasibleError]()
+        for between, friction_share in product(tensions_between, friction_shares):
+            feedforward = -friction_share if opens else friction_share
+            remark = ""
+            if has_friction:
+                remark = f"legs lean against {friction_share:.0%} of clasp friction"
             try:
-                planner = self.from_state(tension=between)
-                passage = planner.closure_moves(hold, *closure, -share if opens else share)
-                moves = [*first, *passage, *last]
+                moves = self._passage_moves(hold, tension, between, closure, feedforward)
                 motion = self.motion(moves, name, remark)
             except InfeasibleError as error:  # legs cannot pull so much harder
                 errors.append(error)
                 continue
-            check = first_violated(motion, FEEDFORWARD_CHECKS)
-            if check is None:
-                return motion, moves
-            when = (
-                f"as the hitch {'opens' if opens else 'closes'} around objects.{self.state.object}"
-            )
+            violated = first_violated(motion, FEEDFORWARD_CHECKS)
+            if violated is None:
+                return Passage(motion, moves)
+            verb = "opens" if opens else "closes"
+            when = f"as the hitch {verb} around objects.{self.state.object}"
             remedy = "use lighter cables or other lengths of them, or smooth the outline"
-            errors.append(InfeasibleError([check.violation(when, remedy)]))
+            errors.append(InfeasibleError([violated.violation(when, remedy)]))
         raise errors[0]
 
-    def _passage_tensions(self, hold: GripHold, opens: bool) -> list[Array]:
+    def _passage_moves(
+        self,
+        hold: GripHold,
+        tension: tuple[Array, Array],
+        between: Array,
+        closure: tuple[float, float],
+        feedforward: float,
+    ) -> list[Move]:
+        """Return the moves of a passage: to the tension in between, of clasps, and from it.
+
+        Parameters
+        ----------
+        hold: the grip.
+        tension: (n,) [N], before and after.
+        between: (n,) [N], tension while clasps move.
+        closure: before and after.
+        feedforward: share of clasp friction, negative as the hitch opens.
+        """
+        before, after = tension
+        start, end = closure
+        moves = list[Move]()
+        if np.any(before != between):
+            moves.append(self.move(LOAD_LAW, tension=(before, between), closure=(start, start)))
+        planner = self.from_state(tension=between)
+        moves.extend(planner.closure_moves(hold, start, end, feedforward))
+        if np.any(between != after):
+            moves.append(self.move(LOAD_LAW, tension=(between, after), closure=(end, end)))
+        return moves
+
+    def _tensions_between(self, hold: GripHold, opens: bool) -> list[Array]:
         """Return tensions (n,) [N] with which edges do not displace the object in the passage."""
-        tension, body = self.state.tension, self.body
+        tension = self.state.tension
+        low = np.minimum(tension, LOW_OPENING_TENSION)
+        high = np.minimum(tension, HIGH_OPENING_TENSION)
+        body = self.body
         limit = MAX_PUSH * body.friction * body.mass * GRAVITY
-        low, high = (np.minimum(tension, each) for each in OPENING_TENSIONS)
-        reduced = tension * min(1.0, limit / max(hold.largest_push(tension), 1e-9))
-        candidates = (low, high) if opens else (tension, np.maximum(low, reduced))
-        tensions = [each for each in candidates if hold.largest_push(each) <= limit * (1.0 + 1e-9)]
+        if opens:
+            candidates = (low, high)
+        else:
+            push = max(hold.largest_push(tension), MIN_PUSH)
+            reduced = tension * min(1.0, limit / push)
+            candidates = (tension, np.maximum(low, reduced))
+        rounded_limit = limit * (1.0 + PUSH_ROUNDING)
+        tensions = [
+            candidate for candidate in candidates if hold.largest_push(candidate) <= rounded_limit
+        ]
         if not tensions:
-            name, push = f"objects.{self.state.object}", hold.largest_push(low)
-            remedy = f"give it more weight, or raise {name}.friction"
+            name = f"objects.{self.state.object}"
+            push = hold.largest_push(low)
             when = "on its support, which its edges push it along"
-            raise InfeasibleError(
-                [Violation("grip", push, limit, "max", "N", (name,), when, remedy)]
-            )
+            remedy = f"give it more weight, or raise {name}.friction"
+            violation = Violation("grip", push, limit, "max", "N", (name,), when, remedy)
+            raise InfeasibleError([violation])
         return tensions
 
     def closure_moves(
-        self, hold: GripHold, start: float, end: float, share: float
+        self, hold: GripHold, start: float, end: float, friction_share: float
     ) -> Iterator[Move]:
         """Yield the moves from one closure to another, with friction feed-forward in between."""
-        if share:
-            yield self.move(LOAD_LAW, closure=(start, start), friction_share=(0.0, share))
+        if friction_share:
+            rising = (0.0, friction_share)
+            yield self.move(LOAD_LAW, closure=(start, start), friction_share=rising)
         closures = np.unique([start, *hold.events, end])
-        for one, other in pairwise((closures if start < end else closures[::-1]).tolist()):
-            path = hold.travel * abs(other - one)
+        if start > end:
+            closures = closures[::-1]
+        for before, after in pairwise(closures.tolist()):
+            path = hold.travel * abs(after - before)
             # Clasps that are tied where they grip do not move, but their drones may
             law = self._slow_law(path) if path > MIN_PATH else LOAD_LAW
-            move = self.move(law, closure=(one, other), friction_share=(share, share))
+            constant = (friction_share, friction_share)
+            move = self.move(law, closure=(before, after), friction_share=constant)
             yield self.within_limits(move)
-        if share:
-            yield self.move(LOAD_LAW, closure=(end, end), friction_share=(share, 0.0))
+        if friction_share:
+            falling = (friction_share, 0.0)
+            yield self.move(LOAD_LAW, closure=(end, end), friction_share=falling)
 
 
 MAX_SLOPE = 0.065
 """Weight at a clasp over the tension with which cables are tied by default. The length that sags
 jumps at corners of objects, by a tenth of a millimetre at this slope."""
 
-MIN_TENSION = 0.15  # [N] Smallest default of that tension, unless the team's is smaller
+MIN_TENSION = 0.15
+"""[N] Smallest default of that tension, unless the team's is smaller."""
 
 
 def tying_tension(team: Team) -> float:
     """Return the tension [N] with which cables are tied if the problem states none."""
-    weight = 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
-    return min(max(weight / MAX_SLOPE, MIN_TENSION), float(np.min(team.tension)))
+    weight_at_clasp = 0.25 * GRAVITY * team.cable_density * float(np.max(team.cable_length))
+    tension = max(weight_at_clasp / MAX_SLOPE, MIN_TENSION)
+    return min(tension, float(np.min(team.tension)))
+
+
+TILT_RESERVE = 5.0
+"""[deg] Reserve of a suggested ``limits.tilt_deg`` over the tilt that a pull at rest needs."""
 
 
 def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
@@ -339,8 +475,9 @@ def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
     remedy = f"grasp with a tension of {limit:.3g} N or less"
     if binding == "tilt":
         tilt = np.degrees(requirements.limits.tilt)
-        needed = np.ceil(np.degrees(np.arctan(tension / (GRAVITY * team.mass[0])))) + 5
-        raised = f"limits.tilt_deg of {needed:.0f}, above {tilt:.3g}"
+        tilt_of_pull = np.degrees(np.arctan(tension / (GRAVITY * team.mass[0])))
+        suggested = np.ceil(tilt_of_pull) + TILT_RESERVE
+        raised = f"limits.tilt_deg of {suggested:.0f}, above {tilt:.3g}"
         remedy = f"level pulls of {tension:.3g} N need {raised}; or {remedy}"
     violation = Violation(binding, tension, limit, "max", "N", (), "to grip at rest", remedy)
     raise InfeasibleError([violation])
@@ -364,27 +501,41 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     requirements: the distance of drones.
     remedy: alternative to smoother cables, for the message.
     """
-    friction, layout = hitch.team.cable_friction, hitch.team.layout
+    team = hitch.team
+    friction = team.cable_friction
     if friction == 0.0 or np.any(hitch.roll):
         return
     vertices = hitch.polygon.vertices
-    ahead, behind = (unit(np.roll(vertices, shift, axis=0) - vertices) for shift in (-1, 1))
-    moved = (around - np.mean(around, axis=0)) - (vertices - np.mean(vertices, axis=0))
-    opens = -np.sum(unit(ahead + behind) * moved, axis=1) > OPENING_DISTANCE
-    edges = np.arccos(np.clip(np.sum(ahead * behind, axis=1), -1.0, 1.0))
-    d, e = hitch.legs[layout.ahead, 0], hitch.legs[layout.behind, 1]
-    distance = 2.0 * requirements.separation.radius
-    legs = np.arccos(np.clip((d**2 + e**2 - distance**2) / (2.0 * d * e), -1.0, 1.0))
-    turns, log_ratio = 0.5 * (edges + legs), np.log(np.cos(0.5 * legs) / np.cos(0.5 * edges))
+    to_next = unit(np.roll(vertices, -1, axis=0) - vertices)
+    to_previous = unit(np.roll(vertices, 1, axis=0) - vertices)
+    inward = unit(to_next + to_previous)
+    motion = (around - np.mean(around, axis=0)) - (vertices - np.mean(vertices, axis=0))
+    outward_motion = -np.sum(inward * motion, axis=1)
+    opens = outward_motion > OPENING_DISTANCE
+
+    edge_angles = np.arccos(np.clip(np.sum(to_next * to_previous, axis=1), -1.0, 1.0))
+    leg_angles = _smallest_leg_angles(hitch, 2.0 * requirements.separation.radius)
+    turns = 0.5 * (edge_angles + leg_angles)
+    log_ratio = np.log(np.cos(0.5 * leg_angles) / np.cos(0.5 * edge_angles))
     utilization = np.where(opens, np.exp(friction * turns - log_ratio), 0.0)
     worst = int(np.argmax(utilization))
     if utilization[worst] <= 1.0:
         return
-    where, ratio = (hitch.team.point_names[layout.clasps[worst]],), float(utilization[worst])
-    smoother = log_ratio[worst] / turns[worst]
-    if smoother > 0.0:
-        smoother = math.floor(1000.0 * smoother) / 1000.0
-        remedy = f"{remedy}, or use smoother cables, team.cable_friction {smoother:.3g} or less"
+    largest_friction = log_ratio[worst] / turns[worst]
+    if largest_friction > 0.0:
+        rounded = math.floor(1000.0 * largest_friction) / 1000.0
+        remedy = f"{remedy}, or use smoother cables, team.cable_friction {rounded:.3g} or less"
+    where = (team.point_names[team.layout.clasps[worst]],)
     when = "as the hitch opens"
+    ratio = float(utilization[worst])
     violation = Violation("equilibrium", ratio, 1.0, "max", "ratio", where, when, remedy)
     raise InfeasibleError([violation])
+
+
+def _smallest_leg_angles(hitch: Hitch, distance: float) -> Array:
+    """Return the angles (clasps,) [rad] between two legs whose drones are at a distance [m]."""
+    layout = hitch.team.layout
+    d = hitch.legs[layout.ahead, 0]
+    e = hitch.legs[layout.behind, 1]
+    cosine = (d**2 + e**2 - distance**2) / (2.0 * d * e)
+    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))
