@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,60 +36,175 @@ from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 
-# EA of a braided polyethylene line of 1 mm [N]. Without stretch, tensions of rigid drones would be
-# undetermined
 AXIAL_STIFFNESS = 1e4
+"""[N] EA of a braided polyethylene line of 1 mm. Without stretch, tensions of rigid drones would be
+undetermined."""
 
-# A cable is slack if a level span of its largest length would sag by more than the chord over
-# this
 SAG_RATIO = 4.0
+"""A cable is slack if a level span of its largest length would sag by more than the chord over
+this."""
 
-TENSION_TOLERANCE = 1e-10  # Relative tolerance of a cable's tension
-TENSION_ITERATIONS = 100  # Largest number of iterations of a cable's tension
-COMPLEX_STEP = 1e-30  # Step of complex-step derivatives [m], [N]
+TENSION_TOLERANCE = 1e-10
+"""Relative tolerance of a cable's tension."""
 
-FORCE_TOLERANCE = 1e-11  # Force tolerance of all nodes without friction [N]
-FRICTION_TOLERANCE = 1e-7  # Force tolerance of all nodes with friction [N]
-# Rounding error of forces over the cables' stiffness times the coordinates
+TENSION_ITERATIONS = 100
+"""Largest number of iterations of a cable's tension."""
+
+COMPLEX_STEP = 1e-30
+"""[m], [N] Step of complex-step derivatives."""
+
+FORCE_TOLERANCE = 1e-11
+"""[N] Force tolerance of all nodes without friction."""
+
+FRICTION_TOLERANCE = 1e-7
+"""[N] Force tolerance of all nodes with friction."""
+
 FORCE_ROUNDING = 16.0 * float(np.finfo(np.float64).eps)
+"""Rounding error of forces over the cables' stiffness times the coordinates."""
 
-# Damping that is always added to the Hessian's diagonal [N/m], as clasps of slack cables are free
 MIN_DAMPING = 1e-9
-FIRST_DAMPING = 1e-3  # Damping after the first failed step [N/m]
-MAX_DAMPING = 1e6  # Largest damping [N/m]
+"""[N/m] Damping that is always added to the Hessian's diagonal, as clasps of slack cables are
+free."""
 
-NEWTON_ITERATIONS = 200  # Largest number of Newton iterations
-FRICTION_ITERATIONS = 20  # Largest number of Newton iterations per friction level
-HALVINGS = 30  # Largest number of halvings of a step
+FIRST_DAMPING = 1e-3
+"""[N/m] Damping after the first failed step."""
 
-DESCENT = 1e-4  # Fraction of the linear decrease that a step must attain (Armijo)
-ROUNDING = 1e-14  # Relative rounding error of energies
-MAX_STEP = 0.3  # Largest displacement of a node in a step without friction [m]
-MAX_FRICTION_STEP = 0.1  # Largest displacement of a node in a step with friction [m]
-INTEGRAL_ERROR = 1e-4  # Position error within which an integral's force is not saturated [m]
+MAX_DAMPING = 1e6
+"""[N/m] Largest damping."""
 
-# Fractions of the friction coefficient on the continuation path to an end of the band
+NEWTON_ITERATIONS = 200
+"""Largest number of Newton iterations."""
+
+FRICTION_ITERATIONS = 20
+"""Largest number of Newton iterations per friction level."""
+
+HALVINGS = 30
+"""Largest number of halvings of a step."""
+
+DESCENT = 1e-4
+"""Fraction of the linear decrease that a step must attain (Armijo)."""
+
+ROUNDING = 1e-14
+"""Relative rounding error of energies."""
+
+MAX_STEP = 0.3
+"""[m] Largest displacement of a node in a step without friction."""
+
+MAX_FRICTION_STEP = 0.1
+"""[m] Largest displacement of a node in a step with friction."""
+
+INTEGRAL_ERROR = 1e-4
+"""[m] Position error within which an integral's force is not saturated."""
+
 FRICTION_LEVELS = np.linspace(0.1, 1.0, 10)
+"""Fractions of the friction coefficient on the continuation path to an end of the band."""
+
+CABLE_COORDINATES = 12
+"""Number of coordinates of the four nodes of a cable."""
+
+
+class Spans(NamedTuple):
+    """Chords between consecutive nodes of cables: q-leg, edge and r-leg."""
+
+    chords: Any
+    """(…, S, n, 3, 3) [m], zero where a span does not exist."""
+
+    lengths: Any
+    """(…, S, n, 3) [m]"""
+
+    heights: Any
+    """(…, S, n, 3) [m], of their midpoints over the height at which a cable has its tension."""
+
+    @property
+    def directions(self) -> Any:
+        """(…, S, n, 3, 3): unit vectors, zero where a span does not exist."""
+        return self.chords / np.where(self.lengths.real > 0.0, self.lengths, 1.0)[..., None]
+
+
+class CableForces(NamedTuple):
+    """Forces and energies of cables."""
+
+    on_ends: Any
+    """(…, S, n, 4, 3) [N], minus the forces of a cable on its nodes."""
+
+    lengths: Any
+    """(…, S, n) [m], sums of the arcs of a cable."""
+
+    energies: Any
+    """(…, S, n) [J]"""
+
+
+class SpringForces(NamedTuple):
+    """Energies of position loops and their derivatives by positions of drones, (S, 2n, 3) each."""
+
+    energies: Array
+    """[J]"""
+
+    slopes: Array
+    """[N]"""
+
+    curvatures: Array
+    """[N/m]"""
+
+
+class CableSlopes(NamedTuple):
+    """Derivatives of the cables' forces and tensions."""
+
+    forces: Array
+    """(S, n, 12, 13), of forces by a cable's nodes, with T varying, and by T."""
+
+    tensions: Array
+    """(S, n, 12) [N/m], of T by the nodes."""
+
+    softness: Array
+    """(S, n) [N/m], minus that of T by the length, zero for slack cables."""
 
 
 @dataclass(frozen=True, eq=False)
 class HitchEnergy:
     """The energy of S samples of a hitch."""
 
-    nodes: Indices  # (n, 4), nodes of each cable
-    exist: NDArray[np.bool_]  # (n, 3), whether q-leg, edge and r-leg exist
-    points: Indices  # (points,), node of each point
-    free: NDArray[np.bool_]  # (nodes, 3), whether a node moves along an axis: drones may be rigid
-    start: Array  # (S, nodes, 3) [m], setpoints of drones and planned clasps
-    stiffness: Array  # (2n, 3) [N/m], zero for rigid drones
-    integral: Array  # (2n, 3) [N], largest force of integrals, zero for rigid drones
-    loads: Array  # (S, nodes, 3) [N], feed-forward on drones and weights at clasps
-    lengths: Array  # (S, n) [m], L at the tension T₀
-    weight: float  # weight of cables per length [N/m]
-    compliance: Array  # (n,) [m/N], a: stretch of a cable per tension
-    reference: Array  # (S, n) [N], T₀
-    heights: Array  # (S, n) [m], z₀
-    slack_tension: Array  # (S, n) [N], tension at which a cable becomes slack
+    nodes: Indices
+    """(n, 4), nodes of each cable."""
+
+    exist: NDArray[np.bool_]
+    """(n, 3), whether q-leg, edge and r-leg exist."""
+
+    points: Indices
+    """(points,), node of each point."""
+
+    free: NDArray[np.bool_]
+    """(nodes, 3), whether a node moves along an axis: drones may be rigid."""
+
+    start: Array
+    """(S, nodes, 3) [m], setpoints of drones and planned clasps."""
+
+    stiffness: Array
+    """(2n, 3) [N/m], zero for rigid drones."""
+
+    integral: Array
+    """(2n, 3) [N], largest force of integrals, zero for rigid drones."""
+
+    loads: Array
+    """(S, nodes, 3) [N], feed-forward on drones and weights at clasps."""
+
+    lengths: Array
+    """(S, n) [m], L at the tension T₀."""
+
+    weight: float
+    """Weight of cables per length [N/m]."""
+
+    compliance: Array
+    """(n,) [m/N], a: stretch of a cable per tension."""
+
+    reference: Array
+    """(S, n) [N], T₀."""
+
+    heights: Array
+    """(S, n) [m], z₀."""
+
+    slack_tension: Array
+    """(S, n) [N], tension at which a cable becomes slack."""
 
     @property
     def drones(self) -> int:
@@ -101,159 +216,187 @@ class HitchEnergy:
         """Rounding error of forces per coordinate [N/m]."""
         return FORCE_ROUNDING / float(np.min(self.compliance))
 
-    def spans(self, ends: Any) -> tuple[Any, Any, Any]:
-        """Return chords (…, S, n, 3, 3) of nodes (…, S, n, 4, 3), lengths and midpoint heights."""
+    def spans(self, ends: Any) -> Spans:
+        """Return the spans of cables with nodes (…, S, n, 4, 3) [m]."""
         chords = np.where(self.exist[..., None], np.diff(ends, axis=-2), 0.0)
-        sizes = np.sqrt(np.sum(chords * chords, axis=-1))
+        lengths = np.sqrt(np.sum(chords * chords, axis=-1))
         middles = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
-        return chords, sizes, middles - self.heights[..., None]
+        return Spans(chords, lengths, middles - self.heights[..., None])
 
-    def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> tuple[Any, Any, Any]:
-        """Return forces (…, S, n, 4, 3) [N], lengths [m] and energies [J] of cables (…, S, n).
+    def forces(self, ends: Any, T: Any, friction: Any = 0.0) -> CableForces:
+        """Return the forces and energies of cables.
 
-        Forces are minus those of cables on their nodes; without friction, gradients of the energy.
-        Nodes (…, S, n, 4, 3) [m] and tensions T (…, S, n) [N] are real or complex. The friction of
-        all legs, or of each (…, S, n, 2), is positive if legs pull more than edges.
+        Without friction, forces are gradients of the energy. Nodes (…, S, n, 4, 3) [m] and tensions
+        T (…, S, n) [N] are real or complex. The friction of all legs, or of each (…, S, n, 2), is
+        positive if legs pull more than edges.
         """
-        chords, sizes, heights = self.spans(ends)
-        units = chords / np.where(sizes.real > 0.0, sizes, 1.0)[..., None]
-        m = T[..., None] + self.weight * heights
-        sag, bounded = self._sag(m)
-        slope = -sag * (2.0 * bounded - m)  # derivative of the energy by s h²
-        level = chords[..., 0] ** 2 + chords[..., 1] ** 2
-        pulls = (m + slope * level)[..., None] * units
-        pulls[..., :2] += (2.0 * slope * sizes)[..., None] * chords[..., :2]
-        arcs = sizes * (1.0 + sag * level)
-        stretched = T - self.reference
-        energies = np.sum(sizes * (m + slope * level), axis=-1) - T * self.lengths
-        energies = energies - 0.5 * self.compliance * stretched * stretched
+        spans = self.spans(ends)
+        m = T[..., None] + self.weight * spans.heights
+        sag, bounded_m = self._sag(m)
+        sag_energy = -sag * (2.0 * bounded_m - m)  # derivative of the energy by s h²
+        squared_level = spans.chords[..., 0] ** 2 + spans.chords[..., 1] ** 2
+        directions = spans.directions
+        pulls = (m + sag_energy * squared_level)[..., None] * directions
+        pulls[..., :2] += (2.0 * sag_energy * spans.lengths)[..., None] * spans.chords[..., :2]
+        arcs = spans.lengths * (1.0 + sag * squared_level)
+        span_energies = spans.lengths * (m + sag_energy * squared_level)
+        energies = np.sum(span_energies, axis=-1) - T * self.lengths
+        excess_tension = T - self.reference
+        energies = energies - 0.5 * self.compliance * excess_tension * excess_tension
         if np.any(friction):
-            pulls[..., 0::2, :] *= np.exp(friction * bends_of(units))[..., None]
-        forces = np.zeros(ends.shape, dtype=pulls.dtype)
-        forces[..., 1:, :] += pulls
-        forces[..., :-1, :] -= pulls
-        forces[..., 1:, 2] += 0.5 * self.weight * arcs
-        forces[..., :-1, 2] += 0.5 * self.weight * arcs
-        return forces, np.sum(arcs, axis=-1), energies
+            pulls[..., 0::2, :] *= np.exp(friction * bends_of(directions))[..., None]
+        on_ends = np.zeros(ends.shape, dtype=pulls.dtype)
+        on_ends[..., 1:, :] += pulls
+        on_ends[..., :-1, :] -= pulls
+        on_ends[..., 1:, 2] += 0.5 * self.weight * arcs
+        on_ends[..., :-1, 2] += 0.5 * self.weight * arcs
+        return CableForces(on_ends, np.sum(arcs, axis=-1), energies)
 
     def _sag(self, m: Any) -> tuple[Any, Any]:
         """Return derivatives of arcs by s h², and tensions m (…, 3) [N] bounded from below."""
-        bounded = np.where(m.real > self.slack_tension[..., None], m, self.slack_tension[..., None])
-        return self.weight**2 / 24.0 / np.where(bounded.real > 0.0, bounded, 1.0) ** 2, bounded
+        slack = self.slack_tension[..., None]
+        bounded_m = np.where(m.real > slack, m, slack)
+        sag = self.weight**2 / 24.0 / np.where(bounded_m.real > 0.0, bounded_m, 1.0) ** 2
+        return sag, bounded_m
 
     def tensions(self, x: Array) -> Array:
         """Return T (S, n) [N] for which cables over nodes x (S, nodes, 3) [m] have their lengths.
 
         Arcs are convex in T: Newton's iteration from below does not overshoot.
         """
-        chords, sizes, heights = self.spans(x[:, self.nodes])
-        missing = np.sum(sizes, axis=-1) - self.lengths + self.compliance * self.reference
-        bulges = sizes * (chords[..., 0] ** 2 + chords[..., 1] ** 2)
+        spans = self.spans(x[:, self.nodes])
+        chord_sum = np.sum(spans.lengths, axis=-1)
+        missing = chord_sum - self.lengths + self.compliance * self.reference
+        bulges = spans.lengths * (spans.chords[..., 0] ** 2 + spans.chords[..., 1] ** 2)
         T = np.maximum(self.slack_tension, missing / self.compliance)
         for _ in range(TENSION_ITERATIONS if self.weight else 0):
-            sag, bounded = self._sag(T[..., None] + self.weight * heights)
+            sag, bounded_m = self._sag(T[..., None] + self.weight * spans.heights)
             excess = missing - self.compliance * T + np.sum(sag * bulges, axis=-1)
-            slope = self.compliance + np.sum(2.0 * sag * bulges / bounded, axis=-1)
-            previous, T = T, np.maximum(self.slack_tension, T + excess / slope)
+            slope = self.compliance + np.sum(2.0 * sag * bulges / bounded_m, axis=-1)
+            previous = T
+            T = np.maximum(self.slack_tension, T + excess / slope)
             if np.all(np.abs(T - previous) <= TENSION_TOLERANCE * T):
                 break
         return np.asarray(T)
 
     def values(self, x: Array) -> Array:
         """Return energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
-        energies = np.sum(self.forces(x[:, self.nodes], self.tensions(x))[2], axis=-1)
-        energies += np.sum(self.springs(x)[0], axis=(1, 2))
+        cables = self.forces(x[:, self.nodes], self.tensions(x))
+        energies = np.sum(cables.energies, axis=-1)
+        energies += np.sum(self.springs(x).energies, axis=(1, 2))
         return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
 
     def slopes(self, x: Array, friction: float | Array = 0.0) -> Array:
         """Return minus the force on every node (S, nodes, 3) [N], zero for rigid drones."""
-        slopes = self.pulls(self.forces(x[:, self.nodes], self.tensions(x), friction)[0])
-        slopes[:, : self.drones] += self.springs(x)[1]
+        cables = self.forces(x[:, self.nodes], self.tensions(x), friction)
+        slopes = self.pulls(cables.on_ends)
+        slopes[:, : self.drones] += self.springs(x).slopes
         return np.where(self.free, slopes, 0.0)
 
-    def springs(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return energies of position loops, first and second derivatives, (S, 2n, 3) each.
+    def springs(self, x: Array) -> SpringForces:
+        """Return energies of position loops and their derivatives.
 
         At rest, an integral has removed the error e or saturates at its largest force b, which has
         the energy b |e|, smoothed within INTEGRAL_ERROR.
         """
         errors = (x - self.start)[:, : self.drones]
-        k, b, smoothed = self.stiffness, self.integral, np.hypot(errors, INTEGRAL_ERROR)
-        energies = 0.5 * k * errors * errors + b * (smoothed - INTEGRAL_ERROR)
-        return energies, (k + b / smoothed) * errors, k + b * INTEGRAL_ERROR**2 / smoothed**3
+        smoothed = np.hypot(errors, INTEGRAL_ERROR)
+        of_stiffness = 0.5 * self.stiffness * errors * errors
+        of_integral = self.integral * (smoothed - INTEGRAL_ERROR)
+        return SpringForces(
+            energies=of_stiffness + of_integral,
+            slopes=(self.stiffness + self.integral / smoothed) * errors,
+            curvatures=self.stiffness + self.integral * INTEGRAL_ERROR**2 / smoothed**3,
+        )
 
     def bends(self, x: Array) -> Array:
         """Return angles (S, n, 2) [rad] between each edge and its legs, zero without a leg."""
-        chords, sizes, _ = self.spans(x[:, self.nodes])
-        angles = bends_of(chords / np.where(sizes > 0.0, sizes, 1.0)[..., None])
+        angles = bends_of(self.spans(x[:, self.nodes]).directions)
         return np.where(self.exist[:, ::2], angles, 0.0)
 
     def leg_pulls(self, x: Array) -> Array:
         """Return tensions of legs along them (S, n, 2, 3) [N], toward the end of the cable."""
-        chords, sizes, heights = self.spans(x[:, self.nodes])
-        units = chords / np.where(sizes > 0.0, sizes, 1.0)[..., None]
-        m = self.tensions(x)[..., None] + self.weight * heights
-        return np.asarray((m[..., None] * units)[..., ::2, :])
+        spans = self.spans(x[:, self.nodes])
+        m = self.tensions(x)[..., None] + self.weight * spans.heights
+        pulls = m[..., None] * spans.directions
+        return np.asarray(pulls[..., ::2, :])
 
-    def pulls(self, at_ends: Any) -> Any:
+    def pulls(self, on_ends: Any) -> Any:
         """Return minus the forces of cables and loads on nodes (S, nodes, 3) [N]."""
-        pulls = -self.loads.astype(at_ends.dtype)
-        np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(at_ends, 0, 2))
+        pulls = -self.loads.astype(on_ends.dtype)
+        np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(on_ends, 0, 2))
         return pulls
 
-    def linear(self, x: Array, friction: float | Array = 0.0) -> tuple[Array, Array, Array]:
+    def linear(self, x: Array, friction: float | Array = 0.0) -> CableSlopes:
         """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
 
-        These are (S, n, 12, 13) of forces by a cable's nodes, with T varying, and by T; (S, n, 12)
-        of T by the nodes; and (S, n) minus that of T by the length, zero for slack cables.
+        They are complex-step derivatives by the 12 coordinates of a cable's nodes, then by T.
         """
-        ends, T = x[:, self.nodes], self.tensions(x)
-        steps = 1j * COMPLEX_STEP * np.eye(13).reshape(13, 1, 1, 13)
-        perturbed = ends + steps[..., :12].reshape(13, 1, 1, 4, 3)
-        forces, arcs, _ = self.forces(perturbed, T + steps[..., 12], friction)
-        columns = np.moveaxis(forces.imag / COMPLEX_STEP, 0, -1).reshape(*T.shape, 12, 13)
-        arc_slopes = np.moveaxis(arcs.imag / COMPLEX_STEP, 0, -1)
-        softness = 1.0 / (self.compliance - arc_slopes[..., 12])
+        ends = x[:, self.nodes]
+        T = self.tensions(x)
+        variables = CABLE_COORDINATES + 1
+        steps = 1j * COMPLEX_STEP * np.eye(variables).reshape(variables, 1, 1, variables)
+        end_steps = steps[..., :CABLE_COORDINATES].reshape(variables, 1, 1, 4, 3)
+        tension_steps = steps[..., CABLE_COORDINATES]
+        perturbed = self.forces(ends + end_steps, T + tension_steps, friction)
+        by_variable = np.moveaxis(perturbed.on_ends.imag / COMPLEX_STEP, 0, -1)
+        forces = by_variable.reshape(*T.shape, CABLE_COORDINATES, variables)
+        lengths = np.moveaxis(perturbed.lengths.imag / COMPLEX_STEP, 0, -1)
+        softness = 1.0 / (self.compliance - lengths[..., CABLE_COORDINATES])
         softness = np.where(self.slack_tension >= T, 0.0, softness)
-        tensions = softness[..., None] * arc_slopes[..., :12]
-        columns[..., :12] += columns[..., 12:] * tensions[..., None, :]
-        return columns, tensions, softness
+        tensions = softness[..., None] * lengths[..., :CABLE_COORDINATES]
+        by_tension = forces[..., CABLE_COORDINATES:]
+        forces[..., :CABLE_COORDINATES] += by_tension * tensions[..., None, :]
+        return CableSlopes(forces, tensions, softness)
 
-    def matrix(self, x: Array, blocks: Array, damping: Array | float = MIN_DAMPING) -> csc_array:
+    def matrix(
+        self, x: Array, force_slopes: Array, damping: Array | float = MIN_DAMPING
+    ) -> csc_array:
         """Return the block-diagonal Hessian (S N, S N) [N/m] of all samples, N = 3 nodes.
 
-        Nodes are at x (S, nodes, 3) [m]; ``blocks`` are those of ``linear``; ``damping`` (S,) [N/m]
-        is added to the diagonal.
+        Nodes are at x (S, nodes, 3) [m]; ``force_slopes`` are the ``forces`` of ``linear``;
+        ``damping`` (S,) [N/m] is added to the diagonal.
         """
-        samples, size = len(blocks), 3 * len(self.free)
-        shift = size * np.arange(samples)[:, None, None]
-        own = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, 12) + shift
-        rows, columns = np.broadcast_arrays(own[..., :, None], own[..., None, :])
+        samples = len(force_slopes)
+        size = 3 * len(self.free)
+        first_rows = size * np.arange(samples)[:, None, None]
+        coordinates = (3 * self.nodes[:, :, None] + np.arange(3)).reshape(-1, CABLE_COORDINATES)
+        cable_rows = coordinates + first_rows
+        rows, columns = np.broadcast_arrays(cable_rows[..., :, None], cable_rows[..., None, :])
         diagonal = np.zeros((samples, size)) + np.reshape(damping, (-1, 1))
-        diagonal[:, : 3 * self.drones] += self.springs(x)[2].reshape(samples, -1)
-        all_ = np.arange(samples * size)
-        entries = np.concatenate([blocks[..., :12].ravel(), diagonal.ravel()])
-        places = np.concatenate([[rows.ravel(), columns.ravel()], [all_, all_]], axis=1)
-        return coo_array((entries, places), shape=(samples * size,) * 2).tocsc()
+        diagonal[:, : 3 * self.drones] += self.springs(x).curvatures.reshape(samples, -1)
+        diagonal_rows = np.arange(samples * size)
+        of_cables = force_slopes[..., :CABLE_COORDINATES].ravel()
+        entries = np.concatenate([of_cables, diagonal.ravel()])
+        all_rows = np.concatenate([rows.ravel(), diagonal_rows])
+        all_columns = np.concatenate([columns.ravel(), diagonal_rows])
+        shape = (samples * size, samples * size)
+        return coo_array((entries, (all_rows, all_columns)), shape=shape).tocsc()
 
     def solved(self, matrix: csc_array, forces: Array) -> Array:
         """Return displacements (S, nodes, 3, …) [m] caused by forces of this shape [N]."""
-        free = np.flatnonzero(np.tile(self.free.ravel(), len(forces)))
-        displacements = np.zeros((forces.shape[0] * forces.shape[1] * 3, *forces.shape[3:]))
-        # The matrix is nearly symmetric: pivots are taken from the diagonal.
-        order: Any = {"permc_spec": "MMD_AT_PLUS_A", "options": {"SymmetricMode": True}}
-        factors = splu(matrix[free][:, free], diag_pivot_thresh=0.0, **order)
+        samples, nodes, axes, *right_sides = forces.shape
+        free = np.flatnonzero(np.tile(self.free.ravel(), samples))
+        displacements = np.zeros((samples * nodes * axes, *right_sides))
+        factors = splu(
+            matrix[free][:, free],
+            # The matrix is nearly symmetric: pivots are taken from the diagonal.
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
         displacements[free] = factors.solve(forces.reshape(displacements.shape)[free])
         return displacements.reshape(forces.shape)
 
     def steps(
         self, x: Array, damping: Array | float, max_length: float, friction: float | Array
-    ) -> Any:
+    ) -> tuple[Array, Array]:
         """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes."""
         slopes = self.slopes(x, friction)
-        steps = self.solved(self.matrix(x, self.linear(x, friction)[0], damping), -slopes)
-        sizes = np.max(np.linalg.norm(steps, axis=-1), axis=1)
-        shares = np.minimum(1.0, max_length / np.maximum(sizes, 1e-300))
+        matrix = self.matrix(x, self.linear(x, friction).forces, damping)
+        steps = self.solved(matrix, -slopes)
+        longest = np.max(np.linalg.norm(steps, axis=-1), axis=1)
+        shares = np.minimum(1.0, max_length / np.maximum(longest, 1e-300))
         return steps * shares[:, None, None], slopes
 
     def at_rest(self) -> Array:
@@ -263,26 +406,31 @@ class HitchEnergy:
         are no merit function, as steps along stiff cables increase them. The caller recomputes the
         residuals.
         """
-        x, damping = self.start, np.full(len(self.start), MIN_DAMPING)
+        x = self.start
+        damping = np.full(len(x), MIN_DAMPING)
         values = self.values(x)
         for _ in range(NEWTON_ITERATIONS):
             steps, slopes = self.steps(x, damping, MAX_STEP, 0.0)
-            small = FORCE_TOLERANCE + self.accuracy * np.max(np.abs(x), axis=(1, 2))
-            active = np.max(np.abs(slopes), axis=(1, 2)) > small
+            tolerance = FORCE_TOLERANCE + self.accuracy * np.max(np.abs(x), axis=(1, 2))
+            active = np.max(np.abs(slopes), axis=(1, 2)) > tolerance
             if not active.any():
                 break
-            falls, previous = -np.einsum("sni,sni->s", steps, slopes), values
-            shares = np.where(active & (falls > 0.0), 1.0, 0.0)
+            decreases = -np.einsum("sni,sni->s", steps, slopes)  # of the linear model
+            previous = values
+            rounding = ROUNDING * (1.0 + np.abs(previous))
+            shares = np.where(active & (decreases > 0.0), 1.0, 0.0)
             for _ in range(HALVINGS):
                 trial = x + shares[:, None, None] * steps
-                values, rounding = self.values(trial), ROUNDING * (1.0 + np.abs(previous))
-                high = values > previous - DESCENT * shares * falls + rounding
-                if not high.any():
+                values = self.values(trial)
+                too_high = values > previous - DESCENT * shares * decreases + rounding
+                if not too_high.any():
                     break
-                shares = np.where(high, 0.5 * shares, shares)
-            x, failed = trial, (shares == 0.0) | high
+                shares = np.where(too_high, 0.5 * shares, shares)
+            x = trial
+            failed = (shares == 0.0) | too_high
             raised = np.clip(10.0 * damping, FIRST_DAMPING, MAX_DAMPING)
-            damping = np.where(failed, raised, np.maximum(0.1 * damping, MIN_DAMPING))
+            lowered = np.maximum(0.1 * damping, MIN_DAMPING)
+            damping = np.where(failed, raised, lowered)
         return x
 
     def rest_with_friction(self, rest: Array, friction: float | Array) -> Array:
@@ -291,12 +439,14 @@ class HitchEnergy:
         ``rest`` are the nodes without friction. A positive coefficient lets legs pull more than
         edges, a negative one less; it is that of all legs, or of each (S, n, 2).
         """
-        x, failed = rest, np.zeros((len(rest), 1, 1), dtype=np.bool_)
-        small = FRICTION_TOLERANCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
+        x = rest
+        failed = np.zeros((len(rest), 1, 1), dtype=np.bool_)
+        tolerance = FRICTION_TOLERANCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
         for share in FRICTION_LEVELS if np.any(friction) else ():
             for _ in range(FRICTION_ITERATIONS):
                 steps, slopes = self.steps(x, MIN_DAMPING, MAX_FRICTION_STEP, share * friction)
-                moving = ~failed & ~(np.max(np.abs(slopes), axis=(1, 2), keepdims=True) <= small)
+                largest = np.max(np.abs(slopes), axis=(1, 2), keepdims=True)
+                moving = ~failed & ~(largest <= tolerance)
                 if not np.any(moving):
                     break
                 x = np.where(moving, x + steps, x)
@@ -312,20 +462,23 @@ def energy_of(
     """Return the energy of samples, see ``samples_of``."""
     layout = team.layout
     clasps = team.drones + np.arange(len(layout.clasps))
+    count = team.drones + len(clasps)
     points = np.zeros(layout.points, dtype=np.intp)
     points[-1] = team.drones - 1  # ends of a chain are its outer drones
     points[layout.clasps] = clasps
     nodes = np.append(points, np.arange(team.drones))[layout.routes]
-    drones, vertices = samples["positions"], samples["vertices"][:, layout.clasps]
+    drones = samples["positions"]
+    vertices = samples["vertices"][:, layout.clasps]
     ends = np.concatenate([drones, vertices], axis=1)[:, nodes]
     longest = np.max(length(np.diff(ends, axis=2)), axis=-1)
+    edge_heights = 0.5 * (ends[:, :, 1, 2] + ends[:, :, 2, 2])
     weight = GRAVITY * float(conditions["cable_density"])
     rigid = np.isinf(conditions["stiffness"])
-    loads = np.zeros((len(ends), team.drones + len(clasps), 3))
+    loads = np.zeros((len(ends), count, 3))
     feed_forward = conditions["feed_forward"][:, None] * samples["cable_forces"]
     loads[:, : team.drones] = samples["forces"] - feed_forward
     loads[:, team.drones :, 2] = -GRAVITY * conditions["load"]
-    free = np.ones((team.drones + len(clasps), 3), dtype=np.bool_)
+    free = np.ones((count, 3), dtype=np.bool_)
     free[: team.drones] = ~rigid
     return HitchEnergy(
         nodes,
@@ -340,12 +493,13 @@ def energy_of(
         weight=weight,
         compliance=team.cable_length / conditions["axial_stiffness"],
         reference=samples["tensions"],
-        heights=0.5 * (ends[:, :, 1, 2] + ends[:, :, 2, 2]),
+        heights=edge_heights,
         slack_tension=weight * SAG_RATIO / 8.0 * longest,
     )
 
 
-def bends_of(units: Any) -> Any:
+def bends_of(directions: Any) -> Any:
     """Return angles (…, 2) [rad] between consecutive spans with directions (…, 3, 3)."""
-    cosines = np.sum(units[..., 1:, :] * units[..., :-1, :], axis=-1)
-    return np.arccos(np.where(np.abs(cosines.real) < 1.0, cosines, np.sign(cosines.real)))
+    cosines = np.sum(directions[..., 1:, :] * directions[..., :-1, :], axis=-1)
+    valid = np.abs(cosines.real) < 1.0
+    return np.arccos(np.where(valid, cosines, np.sign(cosines.real)))

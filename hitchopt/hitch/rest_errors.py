@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch.energy import AXIAL_STIFFNESS, HitchEnergy, energy_of
+from hitchopt.hitch.energy import AXIAL_STIFFNESS, CABLE_COORDINATES, HitchEnergy, energy_of
 from hitchopt.hitch.flight_controller import STOCK, Tube
 from hitchopt.hitch.team import Errors, Team
 from hitchopt.values import Array
@@ -29,7 +29,8 @@ REMAINDER_FACTOR = 2.0
 UNSTATED_ERROR = 0.02
 """[m] Error of drones at rest without controllers, measurements and ``limits.tracking``."""
 
-MAX_RESIDUAL = 1e-6  # Largest force residual of a hitch at rest [N]
+MAX_RESIDUAL = 1e-6
+"""[N] Largest force residual of a hitch at rest."""
 
 
 def responses(energy: HitchEnergy, x: Array) -> Array:
@@ -39,32 +40,47 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
     of a leg's tension over its edge's, as first components. Nodes x (1, nodes, 3) [m] are those of
     one sample at rest.
     """
-    nodes, cables = energy.nodes, np.arange(len(energy.nodes))
-    blocks, tensions, softness = energy.linear(x)
-    count = len(cables) + 3 * len(energy.points)
-    seeds = np.zeros((*x.shape, count))  # outputs by nodes
-    slopes = tensions[0].reshape(-1, 4, 3)
-    slopes[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
+    nodes = energy.nodes
+    cables = np.arange(len(nodes))
+    outputs = len(cables) + 3 * len(energy.points)
+    slopes = energy.linear(x)
+
+    # Derivatives B of the outputs by the nodes
+    seeds = np.zeros((*x.shape, outputs))
+    tensions = slopes.tensions[0].reshape(-1, 4, 3)
+    tensions[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
     for k in range(4):  # one by one, as the end of a chain occurs twice
-        seeds[0, nodes[:, k], :, cables] += slopes[:, k]
+        seeds[0, nodes[:, k], :, cables] += tensions[:, k]
     for axis in range(3):
-        seeds[0, energy.points, axis, np.arange(len(cables) + axis, count, 3)] = 1.0
-    matrix = energy.matrix(x, blocks)
-    y = energy.solved(matrix, seeds)
-    direct = seeds.reshape(-1, count) - matrix @ y.reshape(-1, count)
-    y, direct = y[0].T.swapaxes(1, 2), direct.T.reshape(count, -1, 3)
-    pulls = softness[0, :, None] * blocks[0, ..., 12]
-    cable = np.einsum("onai,nai->on", y[:, nodes], pulls.reshape(-1, 4, 3))
-    cable[cables, cables] -= softness[0]
-    force, curvature = y[:, : energy.drones], energy.springs(x)[2][0]
-    position = np.where(curvature > 0.0, curvature * force, direct[:, : energy.drones])
+        coordinates = np.arange(len(cables) + axis, outputs, 3)
+        seeds[0, energy.points, axis, coordinates] = 1.0
+
+    # The adjoint Y = H⁻¹ B, and what of B rigid drones cause directly
+    matrix = energy.matrix(x, slopes.forces)
+    solution = energy.solved(matrix, seeds)
+    residual = seeds.reshape(-1, outputs) - matrix @ solution.reshape(-1, outputs)
+    adjoint = solution[0].T.swapaxes(1, 2)  # (o, nodes, 3)
+    direct = residual.T.reshape(outputs, -1, 3)
+
+    by_tension = slopes.forces[0, ..., CABLE_COORDINATES]
+    pulls = slopes.softness[0, :, None] * by_tension
+    by_lengths = np.einsum("onai,nai->on", adjoint[:, nodes], pulls.reshape(-1, 4, 3))
+    by_lengths[cables, cables] -= slopes.softness[0]
+    by_forces = adjoint[:, : energy.drones]
+    curvatures = energy.springs(x).curvatures[0]
+    held = curvatures * by_forces
+    by_setpoints = np.where(curvatures > 0.0, held, direct[:, : energy.drones])
     leg_pulls = energy.leg_pulls(x)[0]
-    inner_over_outer = y[:, nodes[:, [1, 3]]] - y[:, nodes[:, [0, 2]]]
-    friction = -np.einsum("onli,nli->onl", inner_over_outer, leg_pulls).reshape(count, -1)
-    lengths, ratios = (
-        np.pad(row[..., None], ((0, 0), (0, 0), (0, 2))) for row in (cable, friction)
+    inner_over_outer = adjoint[:, nodes[:, [1, 3]]] - adjoint[:, nodes[:, [0, 2]]]
+    by_ratios = -np.einsum("onli,nli->onl", inner_over_outer, leg_pulls).reshape(outputs, -1)
+    return np.concatenate(
+        [_as_vectors(by_lengths), by_setpoints, by_forces, _as_vectors(by_ratios)], axis=1
     )
-    return np.concatenate([lengths, position, force, ratios], axis=1)
+
+
+def _as_vectors(scalars: Array) -> Array:
+    """Return scalars (o, k) as first components of vectors (o, k, 3)."""
+    return np.pad(scalars[..., None], ((0, 0), (0, 0), (0, 2)))
 
 
 def enclosing_ellipsoids(ellipsoids: Array) -> Array:
@@ -128,64 +144,86 @@ def vertex_errors(team: Team, samples: Mapping[str, Array], sizes: ErrorSizes) -
     Position loops hold the planned pulls by their feed-forward. Their stiffness is that of the
     controllers, of rigid ones the largest that flies. Integrals are not counted.
     """
-    n, loops = team.robots, loops_of(team)
+    loops = loops_of(team)
     energy = energy_of(team, loops, samples)
     nodes = energy.at_rest()
     vertices = nodes[:, energy.points]
-    of_samples = [
-        _first_order(
-            energy_of(team, loops, {name: x[i : i + 1] for name, x in samples.items()}),
-            nodes[i : i + 1],
-            sizes,
-        )
-        for i in range(len(nodes))
-    ]
-    radii, parts, predicted, corners = (
-        np.array(values) for values in zip(*of_samples, strict=True)
-    )
-    lengths, offsets, friction = np.split(corners, [n, n + team.drones], axis=1)
+    of_samples = list[FirstOrder]()
+    for i in range(len(nodes)):
+        one_sample = {name: values[i : i + 1] for name, values in samples.items()}
+        of_sample = energy_of(team, loops, one_sample)
+        of_samples.append(FirstOrder.of(of_sample, nodes[i : i + 1], sizes))
+    predicted = np.array([sample.moves for sample in of_samples])
+    worst_errors = np.array([sample.worst_errors for sample in of_samples])
     differences = list[Array]()
     for sign in (1.0, -1.0):
-        errors = sign * lengths[..., 0], sign * offsets, sign * friction[..., 0].reshape(-1, n, 2)
-        moved = settled(team, samples, *errors) - vertices
-        differences.append(np.max(length(moved - sign * predicted), axis=1))
+        moves = _settled_with(team, samples, sign * worst_errors) - vertices
+        differences.append(np.max(length(moves - sign * predicted), axis=1))
     beyond = REMAINDER_FACTOR * np.max(differences, axis=0)
     remainder = np.where(np.isfinite(beyond), beyond, np.inf)
     displaced = length(vertices - samples["vertices"])
+    radii = np.array([sample.radii for sample in of_samples])
+    parts = np.array([sample.parts for sample in of_samples])
     return VertexErrors(radii + displaced + remainder[:, None], parts)
 
 
-def _first_order(
-    energy: HitchEnergy, x: Array, sizes: ErrorSizes
-) -> tuple[Array, Array, Array, Array]:
-    """Return what errors move to first order, of one sample at rest with nodes x (1, nodes, 3) [m].
+@dataclass(frozen=True, eq=False)
+class FirstOrder:
+    """What errors move to first order, in one sample at rest."""
 
-    These are bounds for all vertices (points,) [m], and their ``parts`` (points, 3) [m]; the moves
-    (points, 3) [m] by the errors that move the worst vertex farthest; and these errors, vectors
-    (5n, 3): n of lengths and 2n coefficients of friction as first components, 2n of setpoints.
-    """
-    n, drones = len(energy.nodes), energy.drones
-    rows = responses(energy, x)[n:]
-    by_lengths, by_setpoints, _, by_ratios = np.split(rows, [n, n + drones, n + 2 * drones], axis=1)
-    scale = sizes.drone.level * np.array([1.0, 1.0, sizes.drone.ratio])
-    by_friction = energy.bends(x)[0].reshape(-1, 1) * by_ratios
-    size = np.concatenate(
-        [
-            np.full((n, 3), sizes.cable),
-            np.tile(scale, (drones, 1)),
-            np.full((2 * n, 3), sizes.friction),
-        ]
-    )
-    moves = size * np.concatenate([by_lengths, by_setpoints, by_friction], axis=1)
-    moves = moves.reshape(-1, 3, len(size), 3)
-    squares = np.einsum("pijc,pkjc->jpik", moves, moves)
-    axes, directions = np.linalg.eigh(enclosing_ellipsoids(squares))
-    radii = np.sqrt(np.maximum(axes[:, -1], 0.0))
-    pushes = np.einsum("pi,pijc->pjc", directions[..., -1], moves)
-    by_kind = np.split(length(pushes), [n, n + drones], axis=-1)
-    parts = np.stack([np.sum(values, axis=-1) for values in by_kind], axis=-1)
-    worst = unit(pushes[int(np.argmax(radii))])
-    return radii, parts, np.einsum("pijc,jc->pi", moves, worst), size * worst
+    radii: Array
+    """(points,) [m], bounds for all vertices."""
+
+    parts: Array
+    """(points, 3) [m], contributions as in ``VertexErrors``."""
+
+    moves: Array
+    """(points, 3) [m], moves by the errors that move the worst vertex farthest."""
+
+    worst_errors: Array
+    """(5n, 3), these errors: of n lengths, first components [m], of 2n setpoints [m], and 2n
+    coefficients of friction, first components."""
+
+    @classmethod
+    def of(cls, energy: HitchEnergy, x: Array, sizes: ErrorSizes) -> FirstOrder:
+        """Return what errors move at nodes x (1, nodes, 3) [m]."""
+        n = len(energy.nodes)
+        drones = energy.drones
+        by_errors = responses(energy, x)[n:]  # of points
+        by_lengths, by_setpoints, _, by_ratios = np.split(
+            by_errors, [n, n + drones, n + 2 * drones], axis=1
+        )
+        by_friction = energy.bends(x)[0].reshape(-1, 1) * by_ratios
+        derivatives = np.concatenate([by_lengths, by_setpoints, by_friction], axis=1)
+        of_drones = sizes.drone.level * np.array([1.0, 1.0, sizes.drone.ratio])
+        largest = np.concatenate(
+            [
+                np.full((n, 3), sizes.cable),
+                np.tile(of_drones, (drones, 1)),
+                np.full((2 * n, 3), sizes.friction),
+            ]
+        )
+        moves = (largest * derivatives).reshape(-1, 3, len(largest), 3)  # (points, 3, errors, 3)
+        ellipsoids = np.einsum("pijc,pkjc->jpik", moves, moves)
+        squared_axes, directions = np.linalg.eigh(enclosing_ellipsoids(ellipsoids))
+        radii = np.sqrt(np.maximum(squared_axes[:, -1], 0.0))
+        along_longest = np.einsum("pi,pijc->pjc", directions[..., -1], moves)
+        by_kind = np.split(length(along_longest), [n, n + drones], axis=-1)
+        parts = np.stack([np.sum(values, axis=-1) for values in by_kind], axis=-1)
+        worst = unit(along_longest[int(np.argmax(radii))])
+        return cls(
+            radii=radii,
+            parts=parts,
+            moves=np.einsum("pijc,jc->pi", moves, worst),
+            worst_errors=largest * worst,
+        )
+
+
+def _settled_with(team: Team, samples: Mapping[str, Array], errors: Array) -> Array:
+    """Return vertices (S, points, 3) [m] at rest with errors (S, 5n, 3) as in ``FirstOrder``."""
+    n = team.robots
+    lengths, offsets, friction = np.split(errors, [n, n + team.drones], axis=1)
+    return settled(team, samples, lengths[..., 0], offsets, friction[..., 0].reshape(-1, n, 2))
 
 
 def settled(
@@ -202,12 +240,12 @@ def settled(
         "offsets": samples["offsets"] + offsets,
     }
     energy = energy_of(team, loops_of(team), perturbed)
-    x = energy.at_rest()
-    residual = np.max(np.abs(energy.slopes(x)), axis=(1, 2))
-    x = np.where((residual <= MAX_RESIDUAL)[:, None, None], x, np.nan)
+    nodes = energy.at_rest()
+    residuals = np.max(np.abs(energy.slopes(nodes)), axis=(1, 2))
+    nodes = np.where((residuals <= MAX_RESIDUAL)[:, None, None], nodes, np.nan)
     if np.any(friction):
-        x = energy.rest_with_friction(x, friction)
-    return np.asarray(x[:, energy.points])
+        nodes = energy.rest_with_friction(nodes, friction)
+    return np.asarray(nodes[:, energy.points])
 
 
 def loops_of(team: Team) -> dict[str, Array]:

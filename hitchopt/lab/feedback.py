@@ -284,7 +284,7 @@ def vertex_responses(
     matrices = []
     for time in np.atleast_1d(as_array(times)).tolist():
         energy = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
-        arcs = energy.forces(energy.start[:, energy.nodes], energy.reference)[1]
+        arcs = energy.forces(energy.start[:, energy.nodes], energy.reference).lengths
         energy = replace(energy, lengths=arcs)  # with the planned tensions
         by_setpoints = slice(team.robots, 3 * team.robots)
         rows = responses(energy, energy.start)[clasps.ravel(), by_setpoints]

@@ -58,7 +58,7 @@ def balance_clasps(
         angles = np.stack([bends[0, ahead, 0], bends[0, behind, 1]], axis=-1)
         sliding = np.stack([rates[2 * ahead], rates[2 * behind + 1]], axis=-1)
         used[ahead, 0], used[behind, 1] = friction * (friction_pulls(angles, sliding) / angles).T
-        forces = energy.forces(at[:, nodes], team.tension[None], used)[0]
+        forces = energy.forces(at[:, nodes], team.tension[None], used).on_ends
         return np.asarray(energy.pulls(forces)[0])
 
     def missing(x: Array) -> Array:

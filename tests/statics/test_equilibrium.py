@@ -132,7 +132,7 @@ def test_slopes_and_derivatives_are_those_of_the_energy() -> None:
     change = (energy.values(up) - energy.values(down))[0] / (2.0 * h)
     assert np.sum(energy.slopes(x) * direction) == pytest.approx(change, rel=1e-5)
     for friction in (0.0, 0.1):
-        matrix = energy.matrix(x, energy.linear(x, friction)[0])
+        matrix = energy.matrix(x, energy.linear(x, friction).forces)
         change = (energy.slopes(up, friction) - energy.slopes(down, friction)).ravel() / (2.0 * h)
         np.testing.assert_allclose(matrix @ direction.ravel(), change, rtol=1e-5, atol=1e-3)
 
@@ -265,7 +265,9 @@ def test_exact_catenaries_are_in_balance_to_a_millimetre(seed: int, density: flo
             residuals[[first, last]] += pulls
     np.testing.assert_allclose(lengths, hitch.team.cable_length, rtol=1e-3)  # arcs: 1 %
     energy = resting_energy(hitch)
-    movements = energy.solved(energy.matrix(x[None], energy.linear(x[None])[0]), residuals[None])[0]
+    movements = energy.solved(
+        energy.matrix(x[None], energy.linear(x[None]).forces), residuals[None]
+    )[0]
     assert np.max(np.linalg.norm(movements, axis=-1)) < 1e-3
 
 

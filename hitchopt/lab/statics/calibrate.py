@@ -308,7 +308,7 @@ def calibrate(
     balance = _Balance.of(task, windows, conditions, kind_of_drone)
     friction, tensions = _friction(task, recording, windows, balance, expected)
     tensions = np.clip(tensions, windows.tensions / 3.0, 3.0 * windows.tensions)
-    arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions)[1]
+    arcs = balance.energy.forces(balance.x[:, balance.energy.nodes], tensions).lengths
     visible = windows.visible[:, team.layout.starts] & windows.visible[:, team.layout.ends]
     lengths = [_median(arcs[visible[:, edge], edge]) for edge in range(team.robots)]
     level = np.exp(-expected[: len(kinds)])[kind_of_drone]
@@ -471,8 +471,8 @@ class _Balance:
         The scatter (windows, nodes) is in [m] for drones and in [N] for clasps.
         """
         energy, many, used = self.energy, self.energy.drones, own[..., 1:]
-        at_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used)[0]
-        pulls = energy.pulls(at_ends)
+        on_ends = energy.forces(self.x[:, energy.nodes], own[..., 0], used).on_ends
+        pulls = energy.pulls(on_ends)
         pulls[:, :many, :2] -= common[-3:-1]
         drones = np.exp(common[self.kinds])[:, None] * self.relative_compliance * pulls[:, :many]
         drones = (drones + (self.x - energy.start)[:, :many]) / scales[:, :many, None]

@@ -277,11 +277,11 @@ def _rest(
         values = "settling", float(force[worst]), MAX_RESIDUAL, "max", "N", (), when, remedy
         raise InfeasibleError([Violation(*values)], "the hitch finds no rest in these conditions")
     T, ends, points = energy.tensions(x), x[:, energy.nodes], energy.points
-    excess = energy.forces(ends, T)[1] - energy.lengths
+    excess = energy.forces(ends, T).lengths - energy.lengths
     excess -= energy.compliance * (T - energy.reference)
     slack = np.maximum(energy.slack_tension, SLACK_RATIO * energy.reference) >= T
     friction = float(conditions["friction"])
-    tensions = T + energy.weight * energy.spans(ends)[2][..., 1]
+    tensions = T + energy.weight * energy.spans(ends).heights[..., 1]
     rests = [energy.rest_with_friction(x, sense * friction)[:, points] for sense in (-1.0, 1.0)]
     return {
         "t": samples["t"],
