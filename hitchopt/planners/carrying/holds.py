@@ -12,7 +12,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -60,33 +60,43 @@ def leg_chords(
     factors: (…, n) [1/m²], those of ``sag_factors``.
     clasps: (…, n, 3) [m]
     """
-    legs = (leg_vectors(lengths[..., i], directions[i], factors) for i in (0, 1))
-    both = np.stack([*legs], axis=-2)
-    anchors = clasps[..., team.layout.anchors, :].reshape(*clasps.shape[:-2], *both.shape[-3:])
-    return (anchors + both).reshape(*both.shape[:-3], -1, 3), length(both)
+    q_directions, r_directions = directions
+    q_legs = leg_vectors(lengths[..., 0], q_directions, factors)
+    r_legs = leg_vectors(lengths[..., 1], r_directions, factors)
+    legs = np.stack([q_legs, r_legs], axis=-2)  # (…, n, 2, 3)
+    anchors = clasps[..., team.layout.anchors, :].reshape(*clasps.shape[:-2], *legs.shape[-3:])
+    drones = (anchors + legs).reshape(*legs.shape[:-3], -1, 3)
+    return drones, length(legs)
 
 
 @dataclass(frozen=True, eq=False)
 class HoldingHitch(ABC):
     """A hitch that holds an object, in the object's frame.
 
-    Attributes
-    ----------
-    team: of the hitch.
-    body: the object.
-    polygon: (n, 2) [m], the clasps that hold it.
-    height: of the plane of contact above the object's base [m].
-    fractions: (n,), slack split ``d_k / (d_k + e_k)``.
-    roll: (n,) [rad], of the legs, as in ``Hitch``.
+    The slack split is ``d_k / (d_k + e_k)``, and the plane of contact is that of the rim, or of the
+    edges around the object.
     """
 
     by: ClassVar[HoldBy]
+    """Method of holding."""
+
     team: Team
+    """Team of the hitch."""
+
     body: SolidObject
+    """The object."""
+
     polygon: Array
+    """(n, 2) [m], the clasps that hold it."""
+
     height: float
+    """Height of the plane of contact above the object's base [m]."""
+
     fractions: Array
+    """(n,), slack split."""
+
     roll: Array
+    """(n,) [rad], of the legs, as in ``Hitch``."""
 
     @property
     def largest_acceleration(self) -> float:
@@ -96,9 +106,7 @@ class HoldingHitch(ABC):
     @property
     def reach(self) -> float:
         """Largest horizontal distance [m] of a drone from the object's origin without a load."""
-        tensions, origin = np.stack([self.team.tension, self.team.tension]), np.zeros(4)
-        rest = Move(origin, origin, tensions, (0.0, 0.0), SmoothLaw(1.0))
-        drones = self.curves(rest, np.zeros(1))["drones"]
+        drones = self._at_rest(self.team.tension, load_share=0.0)["drones"]
         return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
 
     def drop(self, tension: Array, load_share: Array | float) -> Array:
@@ -107,7 +115,8 @@ class HoldingHitch(ABC):
 
     def hitch(self, body: SolidObject, depth: float = 0.0) -> Hitch:
         """Return the unloaded hitch about ``body``, ``depth`` [m] below the plane of contact."""
-        polygon, altitude = polygon_at(body, self.polygon), float(body.at[2]) + self.height - depth
+        polygon = polygon_at(body, self.polygon)
+        altitude = float(body.at[2]) + self.height - depth
         q_legs = self.fractions * cable_slack(self.team, polygon)
         return Hitch(self.team, polygon, altitude, q_legs, self.roll)
 
@@ -120,27 +129,46 @@ class HoldingHitch(ABC):
         InfeasibleError: a weight that the tensions cannot carry.
         """
 
+    def _at_rest(self, tension: Array, load_share: float) -> dict[str, Array]:
+        """Return all curves at one time, at rest at the origin, for tensions (n,) [N]."""
+        origin = np.zeros(4)
+        tensions = np.stack([tension, tension])
+        rest = Move(origin, origin, tensions, (load_share, load_share), SmoothLaw(1.0))
+        return self.curves(rest, np.zeros(1))
+
     def motion(self, move: Move, requirements: Requirements, phase: Phase) -> Motion:
         """Return the motion of a move as one phase; all other objects are at rest."""
-        parts: dict[str, Any] = polynomials(move, lambda t: self.curves(move, t))
-        index = list(requirements.objects).index(phase.hold.object if phase.hold else "")
-        breaks = parts["pose"].breaks
-        pose, share = parts.pop("pose").coefficients, parts["load_share"].coefficients
-        poses = np.repeat(poses_of(requirements.objects)[None, :, :, None], len(pose), axis=0)
-        poses = np.repeat(poses, pose.shape[-1], axis=-1)
-        poses[:, index] = pose
-        shares = np.zeros((len(share), len(requirements.objects), share.shape[-1]))
-        shares[:, index] = np.clip(share, 0.0, 1.0)  # polynomials overshoot by 1e-6
-        parts |= {"poses": PiecewisePolynomial(breaks, poses)}
-        parts |= {"load_share": PiecewisePolynomial(breaks, shares)}
+        curves: dict[str, Any] = polynomials(move, lambda t: self.curves(move, t))
+        objects = requirements.objects
+        held = list(objects).index(phase.hold.object if phase.hold else "")
+
+        pose = curves.pop("pose")
+        pieces, _, order = pose.coefficients.shape
+        at_rest = poses_of(objects)[:, :, None]  # (objects, 5, 1)
+        poses = np.empty((pieces, *at_rest.shape[:2], order))
+        poses[:] = at_rest
+        poses[:, held] = pose.coefficients
+        curves["poses"] = PiecewisePolynomial(pose.breaks, poses)
+
+        load_share = curves["load_share"].coefficients
+        load_shares = np.zeros((pieces, len(objects), load_share.shape[-1]))
+        load_shares[:, held] = np.clip(load_share, 0.0, 1.0)  # polynomials overshoot by 1e-6
+        curves["load_share"] = PiecewisePolynomial(pose.breaks, load_shares)
+
         phases = (phase.retimed(0.0, move.law.duration),)
-        return Motion(self.team, requirements, **parts, phases=phases)
+        return Motion(self.team, requirements, **curves, phases=phases)
 
 
-MAX_REST_ACCELERATION, USED_SHARE = 0.4, 0.8
-"""[m/s²] Largest acceleration of an object that rests on clasps, and used share of the acceleration
-that friction and supports permit. At 1 m/s² simulated clasps without clasp friction slid on a rim
-by 3 to 8 cm at the start of a carry, since drones lag and small forces move such clasps."""
+MAX_REST_ACCELERATION = 0.4
+"""[m/s²] Largest acceleration of an object that rests on clasps. At 1 m/s² simulated clasps without
+clasp friction slid on a rim by 3 to 8 cm at the start of a carry, since drones lag and small forces
+move such clasps."""
+
+USED_SHARE = 0.8
+"""Used share of the acceleration that friction and supports permit."""
+
+MIN_MASS_HEIGHT = 1e-9
+"""[m] Smallest height of the centre of mass above the clasps at which an object can tip over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +196,8 @@ class RestHold(HoldingHitch):
     def largest_acceleration(self) -> float:
         """Largest acceleration [m/s²] with friction and supports, at most MAX_REST_ACCELERATION."""
         _, offsets = sides_of(self.polygon - self.body.centre_of_mass[:2])
-        tipping = GRAVITY * float(np.min(offsets)) / max(abs(self._mass_height), 1e-9)
+        lever = max(abs(self._mass_height), MIN_MASS_HEIGHT)
+        tipping = GRAVITY * float(np.min(offsets)) / lever
         sliding = self.body.friction * GRAVITY
         return min(MAX_REST_ACCELERATION, USED_SHARE * min(sliding, tipping))
 
@@ -230,60 +259,110 @@ class RestHold(HoldingHitch):
 
         That is at rest without and with the whole weight, for tensions (n,) [N].
         """
-        assert self.body.rim is not None
-        tensions, origin = np.stack([tension, tension]), np.zeros(4)
-        for share in (0.0, 1.0):
-            rest = Move(origin, origin, tensions, (share, share), SmoothLaw(1.0))
-            at_rest = self.curves(rest, np.zeros(1))
-            clasps = at_rest["vertices"][0, self.team.layout.anchors]
-            legs = at_rest["drones"][0] - clasps
-            level = length(legs[:, :2])
-            inside = self.body.rim.section.reach(clasps[:, :2], legs[:, :2] / level[:, None])
-            heights = clasps[:, 2] + inside * legs[:, 2] / level - self.height
+        for load_share in (0.0, 1.0):
+            heights = self._leg_heights_at_rim(tension, load_share)
             worst = int(np.argmax(heights))
             if heights[worst] > RIM_CUT:
-                where, remedy = (f"cable {self.team.labels[worst // 2]}", "the rim"), RIM_REMEDY
-                cut = "object_clearance", 0.0, RIM_CUT, "min", "m", where, "", remedy
-                raise InfeasibleError([Violation(*cut)])
+                where = (f"cable {self.team.labels[worst // 2]}", "the rim")
+                violation = Violation(
+                    "object_clearance", 0.0, RIM_CUT, "min", "m", where, "", RIM_REMEDY
+                )
+                raise InfeasibleError([violation])
+
+    def _leg_heights_at_rim(self, tension: Array, load_share: float) -> Array:
+        """Return the heights (2n,) [m] of straight legs above the rim's edge where they leave it.
+
+        Parameters
+        ----------
+        tension: (n,) [N]
+        load_share: fraction of the weight on clasps.
+        """
+        assert self.body.rim is not None
+        at_rest = self._at_rest(tension, load_share)
+        clasps = at_rest["vertices"][0, self.team.layout.anchors]
+        legs = at_rest["drones"][0] - clasps
+        level_lengths = length(legs[:, :2])
+        level_directions = legs[:, :2] / level_lengths[:, None]
+        within_rim = self.body.rim.section.reach(clasps[:, :2], level_directions)
+        return np.asarray(clasps[:, 2] + within_rim * legs[:, 2] / level_lengths - self.height)
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
-        state, team, body, supports = move.state(t), self.team, self.body, self.supports
-        forces = np.zeros((*t.shape, *self.clasps.shape))
-        if move.lifted:
-            accelerations = state.accelerations(self.clasps) + np.array([0.0, 0.0, GRAVITY])
-            forces = -body.mass * supports.shares[:, None] * accelerations
-            centre = state.accelerations(body.centre_of_mass[None])[..., 0, :2]
-            forces[..., 2] += body.mass * self._mass_height * (centre @ supports.gains.T)
-        else:
-            forces[..., 2] = -state.load_share[..., None] * (GRAVITY * body.mass * supports.shares)
-        tension, share = state.tension, state.load_share
-        edges, squared = length(np.roll(self.clasps, -1, axis=0) - self.clasps), share**2
-        strut = squared * strut_share(team, body.mass, edges, tension)
-        saved = squared[..., None, None] * rim_savings(team, body, self.polygon, tension)
-        drones, legs = self.drones(tension, forces, strut, saved)
-        depth = state.between(*move.below) + self.drop(tension, share)
-        down = np.stack([0 * depth, 0 * depth, depth], axis=-1)[..., None, :]
+        state = move.state(t)
+        tension = state.tension
+        load_share = state.load_share
+        edges = length(np.roll(self.clasps, -1, axis=0) - self.clasps)
+        bent_share = load_share**2  # the rim's effects on legs grow with the load's square
+        strut = bent_share * strut_share(self.team, self.body.mass, edges, tension)
+        savings = rim_savings(self.team, self.body, self.polygon, tension)
+        saved = bent_share[..., None, None] * savings
+        drones, legs = self.drones(tension, self._forces(move, state), strut, saved)
+
+        depth = state.between(*move.below) + self.drop(tension, load_share)
+        down = depth[..., None, None] * [0.0, 0.0, 1.0]
         clasps = np.broadcast_to(self.clasps, (*t.shape, *self.clasps.shape))
+        pose = state.pose
+        pose_of_points = pose[..., None, :]
         return {
-            "drones": in_world(state.pose[..., None, :], drones - down),
-            "vertices": in_world(state.pose[..., None, :], clasps - down),
+            "drones": in_world(pose_of_points, drones - down),
+            "vertices": in_world(pose_of_points, clasps - down),
             "legs": legs,
             "tensions": tension,
-            "pose": state.pose,
-            "load_share": share,
+            "pose": pose,
+            "load_share": load_share,
         }
 
+    def _forces(self, move: Move, state: MoveState) -> Array:
+        """Return the forces (…, n, 3) [N] of the object on clasps, in its frame."""
+        mass = self.body.mass
+        supports = self.supports
+        if not move.lifted:
+            forces = np.zeros((*state.load_share.shape, *self.clasps.shape))
+            forces[..., 2] = -state.load_share[..., None] * (GRAVITY * mass * supports.shares)
+            return forces
+        accelerations = state.accelerations(self.clasps) + np.array([0.0, 0.0, GRAVITY])
+        forces = np.asarray(-mass * supports.shares[:, None] * accelerations)
+        centre_of_mass = self.body.centre_of_mass[None]
+        level_acceleration = state.accelerations(centre_of_mass)[..., 0, :2]
+        forces[..., 2] += mass * self._mass_height * (level_acceleration @ supports.gains.T)
+        return forces
 
-MAX_NEWTON_STEPS, STEP_TOLERANCE = 20, 1e-12
-"""Maximum number of Newton steps for clasps, and size of the last one [m]."""
 
-EVENT_TOLERANCE, PAST_EVENT = 1e-6, 3e-6
-"""Fractions of the path: distance of distinct events, and distance beyond an event."""
+MAX_NEWTON_STEPS = 20
+"""Maximum number of Newton steps for clasps."""
 
-PATH_SAMPLES, BISECTIONS = 400, 60
-"""Samples of the path from around the object to the grip at which edges are compared, and steps
-that locate an event between two samples."""
+STEP_TOLERANCE = 1e-12
+"""[m] Size of the last Newton step."""
+
+PATH_SAMPLES = 400
+"""Samples of the path from around the object to the grip at which edges are compared."""
+
+BISECTIONS = 60
+"""Steps that locate an event between two samples of the path."""
+
+EVENT_TOLERANCE = 1e-6
+"""Distance of distinct events, as a fraction of the path."""
+
+PAST_EVENT = 3e-6
+"""Distance beyond an event, as a fraction of the path, at which edges bend about other corners."""
+
+
+class BearingEdges(NamedTuple):
+    """Edges around an object that they bear, and their clasps."""
+
+    polygon: Array
+    """(…, n, 2) [m], clasps."""
+
+    heights: Array
+    """(…, n) [m], of clasps above the plane of contact."""
+
+    wraps: Wraps
+    """The edges, seen from above."""
+
+    @property
+    def straight_parts(self) -> tuple[Array, Array]:
+        """(…, n, 3) [m] each: straight parts of edges at ``p_k``, and at ``p_{k+1}``."""
+        return straight_parts(self.polygon, self.wraps.contacts, self.heights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,14 +370,27 @@ class GripHold(HoldingHitch):
     """A hitch that closes around an object and grips it, without roll."""
 
     by: ClassVar[HoldBy] = HoldBy.GRIP
-    around: Array  # (n, 2) [m], clasps around the object
-    open_fractions: Array  # (n,), slack split there
+
+    around: Array
+    """(n, 2) [m], clasps around the object."""
+
+    open_fractions: Array
+    """(n,), slack split there."""
 
     @classmethod
     def tied(cls, team: Team, body: SolidObject, clasps: Array, height: float) -> GripHold:
         """Return the grip of two cables with clasps (2, 2) [m], and equal legs."""
         halves = np.full(team.robots, 0.5)
-        return cls(team, body, clasps, height, halves, np.zeros(2), clasps, halves)
+        return cls(
+            team,
+            body,
+            clasps,
+            height,
+            fractions=halves,
+            roll=np.zeros(2),
+            around=clasps,
+            open_fractions=halves,
+        )
 
     @property
     def travel(self) -> float:
@@ -312,18 +404,26 @@ class GripHold(HoldingHitch):
         There legs start to turn, so that drones rest.
         """
         shares = np.linspace(0.0, 1.0, PATH_SAMPLES + 1)
-        bends, events = self._bends(shares), list[float]()
+        bends = self._bends(shares)
+        events = list[float]()
         for i in np.flatnonzero(bends[1:].differ(bends[:-1])):
-            share, last = shares[i], bends[i + 1]
-            while (before := self._bends(share)).differ(last):
-                low, high = share, shares[i + 1]
-                for _ in range(BISECTIONS):
-                    middle = 0.5 * (low + high)
-                    equal = not self._bends(middle).differ(before)
-                    low, high = (middle, high) if equal else (low, middle)
-                events.append(high)
-                share = high
-        return np.array(events)[np.diff(events, prepend=-1.0) > EVENT_TOLERANCE]
+            share = shares[i]
+            while self._bends(share).differ(bends[i + 1]):
+                share = self._next_event(share, shares[i + 1])
+                events.append(share)
+        is_distinct = np.diff(events, prepend=-1.0) > EVENT_TOLERANCE
+        return np.array(events)[is_distinct]
+
+    def _next_event(self, start: float, end: float) -> float:
+        """Return the share from which on bends differ from those at ``start``, up to ``end``."""
+        bends = self._bends(start)
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (start + end)
+            if self._bends(middle).differ(bends):
+                end = middle
+            else:
+                start = middle
+        return end
 
     def largest_push(self, tension: Array) -> float:
         """Return the largest horizontal force [N] of edges on a standing object.
@@ -332,8 +432,8 @@ class GripHold(HoldingHitch):
         """
         shares = np.linspace(0.0, 1.0, PATH_SAMPLES + 1)
         wraps = wraps_around(self.body.section, self._polygon(shares))
-        force = np.sum(tension[:, None] * (wraps.arriving - wraps.leaving), axis=-2)
-        return float(np.max(length(force)))
+        forces = np.sum(tension[:, None] * (wraps.arriving - wraps.leaving), axis=-2)
+        return float(np.max(length(forces)))
 
     @property
     def opened(self) -> GripHold:
@@ -356,13 +456,18 @@ class GripHold(HoldingHitch):
         moves before and after such an event at ``share`` meet halfway.
         """
         polygon = self._polygon(share)
-        nearby = self._bends(np.clip(share + PAST_EVENT * np.array([-1.0, 1.0]), 0.0, None))
-        others = [each for each in (nearby[0], nearby[1]) if each.differ(bends)]
-        spans = []
-        for each in (bends, *others[:1]):
-            contacts = wraps_around(self.body.section, polygon, each).contacts
-            spans.append(_span(*straight_parts(polygon, contacts, np.zeros(len(polygon)))))
-        return 0.5 * (spans[-1] - spans[0])
+        shares_nearby = np.clip([share - PAST_EVENT, share + PAST_EVENT], 0.0, None)
+        bends_nearby = self._bends(shares_nearby)
+        neighbours = (bends_nearby[0], bends_nearby[1])
+        others = [neighbour for neighbour in neighbours if neighbour.differ(bends)]
+        if not others:
+            return np.zeros(len(polygon))
+        return 0.5 * (self._level_spans(polygon, others[0]) - self._level_spans(polygon, bends))
+
+    def _level_spans(self, polygon: Array, bends: Bends) -> Array:
+        """Return the spans (n,) [m³] of edges in the plane of contact, for clasps (n, 2) [m]."""
+        wraps = wraps_around(self.body.section, polygon, bends)
+        return _spans(*straight_parts(polygon, wraps.contacts, np.zeros(len(polygon))))
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s].
@@ -371,97 +476,125 @@ class GripHold(HoldingHitch):
         the share of clasp friction, and θ the angle by which both cables turn at a clasp, the mean
         of the angles between edges and between legs.
         """
-        state, team = move.state(t), self.team
-        share, T = state.between(*move.closure), state.tension
-        pulls, has_feedforward = np.stack([T, T], axis=-1), move.friction_share != (0.0, 0.0)
+        team = self.team
+        state = move.state(t)
+        closure = state.between(*move.closure)
         bends = self._bends(0.5 * sum(move.closure))
-        polygon, z, wraps = self._balanced(move, state, self._polygon(share), bends)
-        leaving, arriving = straight_parts(polygon, wraps.contacts, z)
-        if has_feedforward:
-            friction_share = state.between(*move.friction_share)
-            T = T * edge_ratios(team.cable_friction * friction_share, wraps.clasp_angles)
-        factors, edges = sag_factors(team, T), wraps.arcs + (length(leaving) + length(arriving))
-        if team.cable_density > 0.0:
-            spans = _span(leaving, arriving)
-            if move.closure[0] != move.closure[1]:
-                before, after = (self._seam(end, bends) for end in move.closure)
-                spans = spans + state.between(before, after)
-            edges = edges + factors * spans
-        slack = team.cable_length - edges
-        split = self.open_fractions + share[..., None] * (self.fractions - self.open_fractions)
-        q_legs = split * slack
-        roll = state.between(*move.roll)[..., None] if np.any(move.roll) else None
-        loads, onward = clasp_loads(team, q_legs, slack, roll), unit(arriving)
-        leg_pulls = pulls if has_feedforward else None
-        directions = leg_directions(unit(leaving), T, team.topology, loads, onward, leg_pulls)
-        clasps = np.concatenate([polygon, self.height + z[..., None]], axis=-1)
-        lengths = np.stack([q_legs, slack - q_legs], axis=-1)
-        drones, legs = leg_chords(team, lengths, directions, factors, clasps)
-        heights = np.full((*wraps.contacts.shape[:-1], 1), self.height)
-        contacts = np.concatenate([wraps.contacts, heights], axis=-1)
-        pose = state.pose[..., None, :]
-        return {
-            "drones": in_world(pose, drones),
-            "vertices": in_world(pose, clasps),
-            "legs": legs,
-            "tensions": T,
-            "contacts": in_world(pose[..., None, :], contacts),
-            "pose": state.pose,
-            "load_share": state.load_share,
-        } | ({"leg_tensions": pulls} if has_feedforward else {})
+        edges = self._bearing_edges(move, state, self._polygon(closure), bends)
+        leaving, arriving = edges.straight_parts
 
-    def _balanced(
+        leg_tension = state.tension
+        edge_tension = leg_tension
+        leg_pulls = None
+        if move.friction_share != (0.0, 0.0):
+            friction = team.cable_friction * state.between(*move.friction_share)
+            edge_tension = leg_tension * edge_ratios(friction, edges.wraps.clasp_angles)
+            leg_pulls = np.stack([leg_tension, leg_tension], axis=-1)
+
+        sag = sag_factors(team, edge_tension)
+        edge_lengths = edges.wraps.arcs + (length(leaving) + length(arriving))
+        if team.cable_density > 0.0:
+            spans = _spans(leaving, arriving)
+            if move.closure[0] != move.closure[1]:
+                seams = [self._seam(end, bends) for end in move.closure]
+                spans = spans + state.between(*seams)
+            edge_lengths = edge_lengths + sag * spans
+
+        slack = team.cable_length - edge_lengths
+        split_change = closure[..., None] * (self.fractions - self.open_fractions)
+        q_legs = (self.open_fractions + split_change) * slack
+        roll = state.between(*move.roll)[..., None] if np.any(move.roll) else None
+        loads = clasp_loads(team, q_legs, slack, roll)
+        directions = leg_directions(
+            unit(leaving), edge_tension, team.topology, loads, unit(arriving), leg_pulls
+        )
+        leg_lengths = np.stack([q_legs, slack - q_legs], axis=-1)
+        clasp_heights = self.height + edges.heights
+        clasps = np.concatenate([edges.polygon, clasp_heights[..., None]], axis=-1)
+        drones, legs = leg_chords(team, leg_lengths, directions, sag, clasps)
+
+        level_contacts = edges.wraps.contacts
+        contact_heights = np.full((*level_contacts.shape[:-1], 1), self.height)
+        contacts = np.concatenate([level_contacts, contact_heights], axis=-1)
+        pose = state.pose
+        curves = {
+            "drones": in_world(pose[..., None, :], drones),
+            "vertices": in_world(pose[..., None, :], clasps),
+            "legs": legs,
+            "tensions": edge_tension,
+            "contacts": in_world(pose[..., None, None, :], contacts),
+            "pose": pose,
+            "load_share": state.load_share,
+        }
+        if leg_pulls is not None:
+            curves["leg_tensions"] = leg_pulls
+        return curves
+
+    def _bearing_edges(
         self, move: Move, state: MoveState, planned: Array, bends: Bends
-    ) -> tuple[Array, Array, Wraps]:
-        """Return clasps (…, n, 2) [m], their heights (…, n) [m], and edges that bear the load.
+    ) -> BearingEdges:
+        """Return edges that bear the load, for planned clasps (…, n, 2) [m].
 
         While the object stands, edges bear horizontal forces in proportion to their load share.
         """
-        section, T, share = self.body.section, state.tension, state.load_share
-        polygon, z = planned, np.zeros(planned.shape[:-1])
+        section = self.body.section
+        load_share = state.load_share
+        polygon = planned
+        heights = np.zeros(planned.shape[:-1])
         wraps = wraps_around(section, polygon, bends)
-        if not np.any(share):
-            return polygon, z, wraps
-        load = np.zeros((*share.shape, 3))
-        load[..., 2] = GRAVITY * share
-        if move.lifted:
-            load += state.accelerations(self.body.centre_of_mass[None])[..., 0, :]
-        load, centre = self.body.mass * load, self.body.centre_of_mass[:2]
+        if not np.any(load_share):
+            return BearingEdges(polygon, heights, wraps)
+        centre = self.body.centre_of_mass[:2]
+        load = self._load(move, state)
         for _ in range(MAX_NEWTON_STEPS):
-            before = np.concatenate([polygon - centre, z[..., None]], axis=-1)
+            before = np.concatenate([polygon - centre, heights[..., None]], axis=-1)
             arms = wraps.contacts - centre
-            after = balanced(before, T, arms, load, (planned - centre, share))
-            polygon, z = centre + after[..., :2], after[..., 2]
+            displaced_from = (planned - centre, load_share)
+            after = balanced(before, state.tension, arms, load, displaced_from)
+            polygon = centre + after[..., :2]
+            heights = after[..., 2]
             wraps = wraps_around(section, polygon, bends)
             if np.max(np.abs(after - before)) < STEP_TOLERANCE:
-                break
-        else:
-            _check_balance(straight_parts(polygon, wraps.contacts, z), T, load, share)
-        return polygon, z, wraps
+                return BearingEdges(polygon, heights, wraps)
+        edges = BearingEdges(polygon, heights, wraps)
+        _check_balance(edges, state.tension, load, load_share)
+        return edges
+
+    def _load(self, move: Move, state: MoveState) -> Array:
+        """Return the force (…, 3) [N] of edges on the object, in its frame."""
+        acceleration = np.zeros((*state.load_share.shape, 3))
+        acceleration[..., 2] = GRAVITY * state.load_share
+        if move.lifted:
+            centre_of_mass = self.body.centre_of_mass[None]
+            acceleration += state.accelerations(centre_of_mass)[..., 0, :]
+        return self.body.mass * acceleration
 
 
-def _check_balance(parts: tuple[Array, Array], T: Array, load: Array, load_share: Array) -> None:
+def _check_balance(edges: BearingEdges, tension: Array, load: Array, load_share: Array) -> None:
     """Raise InfeasibleError if edges do not bear a load (…, 3) [N].
 
     Parameters
     ----------
-    parts: (…, n, 3) [m], straight parts of edges at ``p_k`` and at ``p_{k+1}``.
-    T: (…, n) [N], tensions of edges.
+    edges: around the object.
+    tension: (…, n) [N], of edges.
+    load: (…, 3) [N]
     load_share: (…), of edges; below 1 the object's support bears horizontal forces too.
     """
-    leaving, arriving = parts
-    residual = np.sum(T[..., None] * (unit(arriving) - unit(leaving)), axis=-2) - load
-    residual[..., :2] *= (load_share == 1.0)[..., None]
-    worst = float(np.max(length(residual) / np.min(T, axis=-1)))
+    leaving, arriving = edges.straight_parts
+    pulls = tension[..., None] * (unit(arriving) - unit(leaving))
+    residual = np.sum(pulls, axis=-2) - load
+    is_lifted = load_share == 1.0
+    residual[..., :2] *= is_lifted[..., None]
+    worst = float(np.max(length(residual) / np.min(tension, axis=-1)))
     if worst > BALANCE_LIMIT:
-        remedy = "lower the object's mass, raise the tension, or use more robots"
         when = "where edges bear the object"
-        raise InfeasibleError(
-            [Violation("equilibrium", worst, BALANCE_LIMIT, "max", "", (), when, remedy)]
-        )
+        remedy = "lower the object's mass, raise the tension, or use more robots"
+        violation = Violation("equilibrium", worst, BALANCE_LIMIT, "max", "", (), when, remedy)
+        raise InfeasibleError([violation])
 
 
-def _span(leaving: Array, arriving: Array) -> Array:
+def _spans(leaving: Array, arriving: Array) -> Array:
     """Return lengths of edges' straight parts times their squared horizontal spans (…, n) [m³]."""
-    total, straight = leaving + arriving, length(leaving) + length(arriving)
-    return np.asarray(straight * (total[..., 0] ** 2 + total[..., 1] ** 2))
+    lengths = length(leaving) + length(arriving)
+    chord = leaving + arriving
+    return np.asarray(lengths * (chord[..., 0] ** 2 + chord[..., 1] ** 2))
