@@ -58,6 +58,7 @@ PUBLIC_NAMES = {
     "objects": ("Rim", "Section", "SolidObject"),
     "plan": ("Plan", "closest", "combine", "load"),
     "planners.forming": ("SwapSettings",),
+    "planners.morph.path": ("Path",),
     "single_steps": (
         "adjust",
         "follow_vertex",
@@ -72,6 +73,7 @@ PUBLIC_NAMES = {
         "settle",
         "transport",
     ),
+    "stages": ("route", "time"),
     "steps.carrying": (
         "Carry",
         "Enclose",

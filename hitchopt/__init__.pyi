@@ -61,11 +61,13 @@ from hitchopt.motion.states import States as States
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
+from hitchopt.planners.morph.path import Path as Path
 from hitchopt.single_steps import adjust as adjust, follow_vertex as follow_vertex, form as form
 from hitchopt.single_steps import hold as hold, land as land, morph as morph
 from hitchopt.single_steps import move_edge as move_edge, move_vertex as move_vertex
 from hitchopt.single_steps import open_vertex as open_vertex, release as release
 from hitchopt.single_steps import settle as settle, transport as transport
+from hitchopt.stages import route as route, time as time
 from hitchopt.steps.carrying import Carry as Carry, Enclose as Enclose, Grasp as Grasp
 from hitchopt.steps.carrying import Leave as Leave, Lift as Lift, Loosen as Loosen
 from hitchopt.steps.carrying import SetDown as SetDown, TransportObject as TransportObject

@@ -7,6 +7,8 @@ object or an open vertex are steps of a ``Mission`` only.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -533,12 +535,19 @@ class Required:
             positive("limit", self.limit)
 
 
-def _plan_from_hitch(start: Hitch, step: Step, required: Required) -> Plan:
-    """Return the certified plan of a step from a hitch."""
+def problem_from_hitch(start: Hitch, step: Step, required: Required) -> Problem:
+    """Return the problem of a step from a hitch; errors name its arguments as a function's."""
     check_instance("start", start, Hitch)
     resolved = step.resolved_for(start.team)  # invalid arguments are reported first
     resolved.checked_polygon_after(start.team, start.polygon)
-    return _plan_of_step(start.team, start, resolved, required)
+    return _problem_of_step(start.team, start, resolved, required)
+
+
+def _plan_from_hitch(start: Hitch, step: Step, required: Required) -> Plan:
+    """Return the certified plan of a step from a hitch."""
+    problem = problem_from_hitch(start, step, required)
+    with step_errors(step):
+        return solve(problem, limit=required.limit)
 
 
 def _plan_from_drones(team: Team, q: Any, r: Any, step: Step, required: Required) -> Plan:
@@ -547,19 +556,28 @@ def _plan_from_drones(team: Team, q: Any, r: Any, step: Step, required: Required
     check_instance("team", team, Team)
     resolved = step.resolved_for(team)  # invalid arguments are reported first
     resolved.checked_polygon_after(team, None)
-    return _plan_of_step(team, start, resolved, required)
+    problem = _problem_of_step(team, start, resolved, required)
+    with step_errors(step):
+        return solve(problem, limit=required.limit)
 
 
-def _plan_of_step(team: Team, start: Start, step: Step, required: Required) -> Plan:
-    """Return the certified plan of one step; errors name its arguments as a function's."""
+def _problem_of_step(team: Team, start: Start, step: Step, required: Required) -> Problem:
+    """Return the problem of one step; errors name its arguments as a function's."""
     requirements: dict[str, Any] = {
         "limits": required.limits,
         "separation": required.separation,
         "arena": required.arena,
     }
     given = {name: value for name, value in requirements.items() if value is not None}
+    with step_errors(step):
+        return Problem(team, start, (step,), **given)
+
+
+@contextmanager
+def step_errors(step: Step) -> Iterator[None]:
+    """Name the arguments in errors of a step as those of a function."""
     try:
-        return solve(Problem(team, start, (step,), **given), limit=required.limit)
+        yield
     except InputError as error:
         nested = rf"^(start\.drones|mission\[0\]\.{step.name})\b\.?"
         raise error.renamed(lambda key: re.sub(nested, "", key) or step.name) from None

@@ -30,6 +30,7 @@ R = [[0.6, -1.2, 0.0], [0.6, 0.0, 0.0], [0.6, 1.2, 0.0]]
 TEAM = ho.Team(3, 2.4)
 START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
 PLAN = ho.hold(START, 1.0)
+PATH = ho.Path.of(TEAM, [START.vertices, 1.01 * START.vertices, START.vertices])
 PAIR = ho.Swarm(2)
 LOWER, UPPER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
 SECTION = ho.Section(radius=0.1)
@@ -93,6 +94,12 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     *((call, {"directory": NOWHERE}) for call in (ho.load, ho.load_sweep)),
     *((call, {"plan": PLAN, "t": AFTER}) for call in (ho.equilibrium, ho.tolerance)),
     (ho.certify, {"flight": PLAN.flight}),
+    (ho.route, {"start": START, "polygon": TRIANGLE, "legs": "balanced", "optimize": False,
+                "tension": None, **REST, "limit": None}),
+    (ho.time, {"path": PATH, "duration": None, **REST}),
+    (ho.Path.of, {"team": TEAM, "vertices": [TRIANGLE] * 3, "legs": None, "roll": None,
+                  "altitude": 1.0}),
+    (PATH.shapes, {"s": [0.0]}), (PATH.drones, {"s": [0.0]}),
     (ho.closest, {"plan": PLAN, "spans": 2}),
     (ho.hanging_cable, {"first": [0, 0, 0], "second": [1, 0, 0], "length": 2.0, "points": 5}),
     (ho.regular_polygon, {"n": 3, "edge": 1.0, "angle": 0.0}),

@@ -7,7 +7,7 @@ import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -35,6 +35,9 @@ from hitchopt.steps.certified_motions import (
 )
 from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
 from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    from hitchopt.planners.morph.path import Path
 
 AT_START = "at the start (t = 0)"  # When a limit is violated before the first step
 UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned
@@ -141,6 +144,12 @@ def _plan_teams(problem: Problem, report: Progress, *, optimiser: bool) -> Certi
     return CertifiedFlight(Flight.of(only.motion), only.certificate)
 
 
+def route_of(problem: Problem) -> Path | None:
+    """Return the path of the only step of one team's problem; None if nothing moves."""
+    (mission,) = problem.teams.values()
+    return _plan_alone(mission, lambda _: None, optimiser=True).paths[0]
+
+
 def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
     """Return the certified plan of one team alone."""
 
@@ -192,7 +201,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         raise _with_advice(CertifiedMotion(motion, certificate), steps)
     if isinstance(mission.start, DronesStart):
         check_above_ground(motion)
-    return CertifiedMotion(motion, certificate)
+    return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
 
 
 CACHE_SIZE = 32  # Capacity of the cache in steps; one of 1000 robots takes 76 MB

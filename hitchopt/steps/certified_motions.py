@@ -28,7 +28,7 @@ from hitchopt.values import Points
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
-    from hitchopt.planners.morph.path import ShapePath
+    from hitchopt.planners.morph.path import Path
 
 LEVEL_TOLERANCE = 1e-3
 """Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
@@ -41,6 +41,8 @@ class CertifiedMotion:
 
     motion: Motion
     certificate: Certificate
+    # paths of the groups of steps; None for one that has none, or several
+    paths: tuple[Path | None, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,29 +287,47 @@ def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
     )
 
 
+def plan_along(
+    task: StepTask, path: Path, end: Hitch, phase: Phase, duration: float | None = None
+) -> StepPlan:
+    """Time a path, and return the plan of its motion, which is certified when that is asked for.
+
+    Parameters
+    ----------
+    path: route to the hitch ``end``.
+    phase: with the step's name, index, remark and range of tensions.
+    duration: prescribed duration [s]; None for the fastest one.
+    """
+    from hitchopt.planners.timing.timed_motion import motion_along
+
+    motion = motion_along(path, task.requirements, duration)
+    phases = (phase.retimed(0.0, motion.duration),)
+    return replace(task.plan_ending(motion.replaced(phases=phases), end), path=path)
+
+
+def straight_plan(
+    task: StepTask, end: Hitch, phase: Phase, duration: float | None = None
+) -> StepPlan:
+    """Return the plan along the straight path to a hitch; of one at rest without a path."""
+    from hitchopt.planners.morph.morph import moves, straight_path
+
+    if not moves(task.hitch, end):
+        rest = rest_motion(end, task.requirements, duration or IDLE, phase)
+        return task.plan_ending(rest, end)
+    path = straight_path(task.hitch, end, task.requirements)
+    return plan_along(task, path, end, phase, duration)
+
+
 def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
     """Return the plan of a morph to a hitch at any altitude, on a straight route or a faster one.
 
     ``phase`` has the name and the index of the step. Raises InfeasibleError if no route was found.
     """
-    from hitchopt.planners.morph.morph import StraightMorph
-
-    start, requirements = task.hitch, task.requirements
-    straight = StraightMorph(start, end, requirements)
-
-    def flown_straight() -> StepPlan:
-        motion = straight.solve()
-        if motion is None:
-            return task.plan_ending(rest_motion(end, requirements, IDLE, phase), end)
-        phases = (phase.retimed(0.0, motion.duration),)
-        return require_certified(task.plan_ending(motion.replaced(phases=phases), end))
-
-    direct = attempt(flown_straight)
+    direct = attempt(lambda: require_certified(straight_plan(task, end, phase)))
     if isinstance(direct, StepPlan):
-        if not task.optimiser or not is_slow(direct, start, end):
+        if not task.optimiser or direct.path is None or not is_slow(direct, task.hitch, end):
             return direct
-        path = straight.problem
-        faster = attempt(lambda: optimised_plan(task, end, phase, straight=path))
+        faster = attempt(lambda: optimised_plan(task, end, phase, straight=direct.path))
         return faster if isinstance(faster, StepPlan) else direct
     if not task.optimiser:
         raise direct
@@ -323,7 +343,7 @@ def optimised_plan(
     phase: Phase,
     duration: float | None = None,
     *,
-    straight: ShapePath | None = None,
+    straight: Path | None = None,
     allow_slides: bool = False,
 ) -> StepPlan:
     """Return the fastest plan that the optimiser finds to a hitch, at the same altitude or not.
@@ -339,35 +359,30 @@ def optimised_plan(
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
     from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
-    from hitchopt.planners.timing.timed_motion import check_duration, fly, in_duration
+    from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
     start, requirements = task.hitch, task.requirements
     climb = end.altitude - start.altitude
-    certified: dict[Motion, tuple[ShapePath, StepPlan]] = {}
+    certified: dict[Motion, StepPlan] = {}
 
-    def plan_of(motion: Motion) -> StepPlan:
-        phases = (replace(phase, end=motion.duration),)
-        return task.plan_ending(motion.replaced(phases=phases), end)
-
-    def climbing(path: ShapePath) -> ShapePath:
+    def climbing(path: Path) -> Path:
         """Return a path of the search, which is level, with the climb to the end."""
         return path if path is straight or climb == 0.0 else path.climbing(climb)
 
-    def certified_motion(path: ShapePath) -> Motion | None:
+    def certified_motion(path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
         path = climbing(path)
         variants = with_slides(path, requirements.limits) if allow_slides else ()
         for each in (*(p for p in variants if legs_clear(p, requirements)), path):
             try:
-                motion = fly(each, requirements)
+                plan = plan_along(task, each, end, phase)
             except HitchoptError:
                 if each is path:
                     raise
                 continue
-            plan = plan_of(motion)
             if plan.certificate.certified:
-                certified[motion] = each, plan
-                return motion
+                certified[plan.motion] = plan
+                return plan.motion
         return None
 
     morph = OptimisedMorph(start, end, requirements, certified_motion, phase.tension, straight)
@@ -375,42 +390,40 @@ def optimised_plan(
         candidates = morph.solve()
     except NoRouteError as error:
         path = climbing(error.best.path)
-        return _flown_along(path, error.best.name, requirements, plan_of)
+        return _plan_along_best(task, path, error.best.name, end, phase)
     if not candidates:
         raise HitchoptError("no route was found")
-    best, name = candidates[0].motion, candidates[0].name
-    path, plan = certified[best]
+    name, plan = candidates[0].name, certified[candidates[0].motion]
     if duration is not None:
-        check_duration(duration, best.duration)
-        plan = require_certified(plan_of(in_duration(best, duration)))
-    if path is straight:
+        check_duration(duration, plan.motion.duration)
+        slower = in_duration(plan.motion, duration)
+        slower = slower.replaced(phases=(phase.retimed(0.0, duration),))
+        plan = require_certified(replace(plan, motion=slower))
+    if plan.path is straight:
         return plan
     route = f"on an optimised route, first guess {name}" if name else "legs lead and lag"
     is_feasible = any(not candidate.name for candidate in candidates)
     return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
 
 
-def _flown_along(
-    path: ShapePath, name: str, requirements: Requirements, plan_of: Callable[[Motion], StepPlan]
-) -> StepPlan:
+def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: Phase) -> StepPlan:
     """Return the plan along the best route that was tried; ``name`` is that of its guess.
 
     Raises InfeasibleError with the limits that it breaks, and where along the route.
     """
     from hitchopt.planners.morph.morph import check_loads, check_shapes
-    from hitchopt.planners.timing.timed_motion import fly
 
     route = f"along {BEST_ROUTE} ({name})"
     try:
         check_shapes(path)
-        check_loads(path, requirements.limits)
+        check_loads(path, task.requirements.limits)
     except InfeasibleError as error:
         violations = [
             replace(each, when=re.sub(r"of the path( on)?", route, each.when))
             for each in error.violations
         ]
         raise InfeasibleError(violations, error.note) from None
-    plan = plan_of(fly(path, requirements))
+    plan = plan_along(task, path, end, phase)
     if plan.certificate.certified:
         return plan
     motion, violated = plan.motion, plan.certificate.violated
@@ -493,7 +506,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     One path leads through the end hitches of all steps and is timed as a whole; each phase ends as
     the path passes its step's hitch. Raises InputError for a step without motion.
     """
-    from hitchopt.planners.morph.morph import POSITION_TOLERANCE, BlendedMorph
+    from hitchopt.planners.morph.morph import BlendedMorph, moves
 
     requirements, hitches = task.requirements, [task.hitch]
     for i, step in enumerate(steps, task.index):
@@ -501,7 +514,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
         step_task = StepTask(RestState(start.team, start.drones, start), i, requirements)
         end = step.end(step_task).hitch
         step.check_end(end, step_task)
-        if np.max(np.abs(end.drones - start.drones)) < POSITION_TOLERANCE:
+        if not moves(start, end):
             bound = "a step that moves something where steps are blended"
             remedy = "leave it out, or leave out blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)

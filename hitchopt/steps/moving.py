@@ -32,6 +32,7 @@ from hitchopt.steps.certified_motions import (
     require_certified,
     rest_motion,
     settling_plan,
+    straight_plan,
     with_friction_feedforward,
 )
 from hitchopt.steps.step import (
@@ -121,12 +122,12 @@ class ShapeStep(HitchStep):
         """Return the hitch after the step."""
 
     @abstractmethod
-    def direct_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion along the direct route, with the step's own leg lengths."""
+    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan along the direct route, with the step's own leg lengths."""
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
-        from hitchopt.planners.morph.morph import POSITION_TOLERANCE, StraightMorph
+        from hitchopt.planners.morph.morph import moves, straight_path
 
         start, end, duration = task.hitch, self.end(task), self.prescribed_duration
         tension: tuple[float, float] | None = getattr(self, "tension", None)
@@ -136,24 +137,22 @@ class ShapeStep(HitchStep):
             optimised_plan, task, end.hitch, phase, duration, allow_slides=allow_slides
         )
         optimised: StepPlan | HitchoptError | None = None
-        moves = np.max(np.abs(end.hitch.drones - start.drones)) >= POSITION_TOLERANCE
-        if task.optimiser and moves and duration is None and (allow_slides or tension):
+        requested = (allow_slides or tension) and moves(start, end.hitch)
+        if task.optimiser and requested and duration is None:
             try:
-                straight = StraightMorph(start, end.hitch, task.requirements).problem
+                straight = straight_path(start, end.hitch, task.requirements)
             except InfeasibleError:
                 straight = None
             optimised = attempt(partial(optimise, straight=straight))
             if isinstance(optimised, StepPlan):
                 return optimised
-        direct = attempt(
-            lambda: require_certified(task.plan_ending(self.direct_motion(task, end), end.hitch))
-        )
+        direct = attempt(lambda: require_certified(self.direct_plan(task, end)))
         if isinstance(direct, StepPlan):
             searches = self.searches_faster_routes and task.optimiser and duration is None
-            if optimised is not None or not searches or not is_slow(direct, start, end.hitch):
+            searches = searches and optimised is None and direct.path is not None
+            if not searches or not is_slow(direct, start, end.hitch):
                 return direct
-            straight = StraightMorph(start, end.hitch, task.requirements).problem
-            optimised = attempt(partial(optimise, straight=straight))
+            optimised = attempt(partial(optimise, straight=direct.path))
             return optimised if isinstance(optimised, StepPlan) else direct
         for hitch in (start, end.hitch):
             self.check_end(hitch, task)
@@ -185,13 +184,14 @@ class ActionStep(ShapeStep):
         """Return the hitch after the action."""
         return end_of_action(self.action(task), self.legs, task.requirements)
 
-    def direct_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion of the action to its end hitch."""
+    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan of the action to its end hitch."""
         from hitchopt.planners.morph.actions import ActionMorph
 
         action = self.action(task)
         flying = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration).solve()
-        return self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
+        motion = self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
+        return replace(task.plan_ending(motion, end.hitch), path=flying.path)
 
     def _remark(self, action: Action, end: End, flying: FlownAction) -> str:
         """Return in words the further drones that move, with reasons."""
@@ -343,12 +343,10 @@ class Morph(ShapeStep):
             return False
         return True
 
-    def direct_motion(self, task: StepTask, end: End) -> Motion:
-        """Return the motion along straight lines."""
-        from hitchopt.planners.morph.morph import StraightMorph
-
-        morph = StraightMorph(task.hitch, end.hitch, task.requirements, self.duration)
-        return self.in_phase(task, morph.solve(), end.hitch)
+    def direct_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan along straight lines."""
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        return straight_plan(task, end.hitch, phase, self.duration)
 
 
 class MoveStep(ActionStep):
@@ -577,19 +575,20 @@ class FollowVertex(ActionStep):
         end = self.end(task)
         self.check_end(end.hitch, task)
         if self.speed is None:
-            return task.plan_ending(self.direct_motion(task, end), end.hitch)
+            return self.direct_plan(task, end)
         limits, when = task.requirements.limits, f"in step {task.index} ({self.name})"
         if self.speed > limits.vertex_speed:
             values = self.speed, limits.vertex_speed, "max", "m/s", (f"p{self.vertex}",), when
             remedy = "lower the step's speed, or raise limits.vertex_speed"
             raise InfeasibleError([Violation("vertex_speed", *values, remedy)])
         slow = replace(task.requirements, limits=with_fields(limits, vertex_speed=self.speed))
-        motion = self.direct_motion(task.within(slow, task.before), end)
+        plan = self.direct_plan(task.within(slow, task.before), end)
+        motion = plan.motion
         check = VERTEX_SPEED.check(motion)
         if check is not None and not check.holds:  # of points with times
             remedy = "give the points more time or none, or raise the step's speed"
             raise InfeasibleError([check.violation(f"at t = {check.time:.4g} s, {when}", remedy)])
-        return task.plan_ending(motion.replaced(requirements=task.requirements), end.hitch)
+        return replace(plan, motion=motion.replaced(requirements=task.requirements))
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the speed, and the times of points, to be scaled up or down."""
@@ -637,7 +636,7 @@ class Transport(HitchStep):
         """Return the plan of a rigid motion."""
         from hitchopt.planners.morph.morph import check_loads
         from hitchopt.planners.morph.path import RigidPath
-        from hitchopt.planners.timing.timed_motion import fly
+        from hitchopt.planners.timing.timed_motion import motion_along
 
         start = task.hitch
         path = RigidPath(start, self.to, self.yaw)
@@ -647,7 +646,7 @@ class Transport(HitchStep):
         motion = None
         if not path.is_constant:
             check_loads(path, task.requirements.limits)
-            motion = fly(path, task.requirements, self.duration)
+            motion = motion_along(path, task.requirements, self.duration)
         return task.plan_ending(self.in_phase(task, motion, end), end)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002

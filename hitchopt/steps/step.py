@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cache, cached_property
-from typing import Annotated, Any, ClassVar, Final, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,6 +51,9 @@ from hitchopt.values.units import (
     warn_of_unit,
     within_usual,
 )
+
+if TYPE_CHECKING:
+    from hitchopt.planners.morph.path import Path
 
 # Kinds of values, and fields shared by several kinds of steps.
 
@@ -296,6 +299,7 @@ class StepPlan:
 
     motion: Motion
     after: RestState
+    path: Path | None = None  # path along which the motion was timed; None for other motions
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -315,7 +319,7 @@ class StepPlan:
             replace(phase, remark=f"{phase.remark}; {remark}" if phase.remark else remark)
             for phase in self.motion.phases
         ]
-        plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after)
+        plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after, self.path)
         if "certificate" in vars(self):  # independent of remarks
             vars(plan)["certificate"] = self.certificate
         return plan

@@ -394,10 +394,10 @@ def vertical_motion(
 ) -> Motion:
     """Return the motion of a hitch straight up or down, in a phase whose end it sets."""
     from hitchopt.planners.morph.path import RigidPath
-    from hitchopt.planners.timing.timed_motion import fly
+    from hitchopt.planners.timing.timed_motion import motion_along
 
     path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
-    motion = fly(path, requirements)
+    motion = motion_along(path, requirements)
     return motion.replaced(phases=(replace(phase, end=motion.duration),))
 
 

@@ -22,7 +22,7 @@ from hitchopt.planners.forming.circles import (
     CircularHitches,
     circular_polygon,
 )
-from hitchopt.planners.morph.path import ShapePath
+from hitchopt.planners.morph.path import Path as HitchPath
 from hitchopt.steps.certified_motions import rest_plan
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
@@ -91,7 +91,7 @@ def test_a_path_climbs_evenly() -> None:
     """Bernstein coefficients of a climb, against values at samples."""
     start, end = (Hitch.balanced(Team(3, 2.4), size * TRIANGLE, 1.0) for size in (1.0, 1.2))
     s = np.linspace(0.0, 1.0, 11)
-    level = ShapePath.straight(start, end)
+    level = HitchPath.straight(start, end)
     halves = replace(
         level, vertices=on_breaks(level.vertices.elevated(5), np.array([0.0, 0.3, 1.0]))
     )

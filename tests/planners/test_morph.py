@@ -16,15 +16,15 @@ from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
-from hitchopt.planners.morph.morph import StraightMorph
-from hitchopt.planners.morph.path import ShapePath, shapes_along
+from hitchopt.planners.morph.morph import moves, straight_path
+from hitchopt.planners.morph.path import Path, shapes_along
 from hitchopt.planners.optimise import program, search
 from hitchopt.planners.optimise.guesses import polygon_guesses
 from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.planners.optimise.times import acceleration_rows, speed_rows, step_times
-from hitchopt.planners.timing.timed_motion import fly
+from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array
 
 FREE = Requirements()
@@ -51,7 +51,7 @@ def test_renumbering_gives_the_same_duration() -> None:
 
 def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Motion]:
     """The optimizer's motions with a judge that accepts every flight, the fastest first."""
-    given = OptimisedMorph(start, end, FREE, lambda path: fly(path, FREE), tension).solve()
+    given = OptimisedMorph(start, end, FREE, lambda path: motion_along(path, FREE), tension).solve()
     flights = [candidate.motion for candidate in given]
     durations = [flight.duration for flight in flights]
     assert durations == sorted(durations) != []
@@ -212,7 +212,7 @@ def test_optimised_plans_are_repeated_bit_by_bit() -> None:
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 
 
-def distances_on_the_way(path: ShapePath) -> float:
+def distances_on_the_way(path: Path) -> float:
     s = np.linspace(0.0, 1.0, 301)
     return leg_task_along(path, FREE, s, 1.0).reference_margin()
 
@@ -222,16 +222,16 @@ def test_leg_laws_keep_distances_that_linear_fractions_do_not() -> None:
     team = Team(3, 2.4)
     start = Hitch.spread(team, TRIANGLE)
     end = Hitch(team, TRIANGLE, 1.0, start.slack - start.q_legs)
-    linear = ShapePath.straight(start, end)
+    linear = Path.straight(start, end)
     assert distances_on_the_way(linear) < 1.0
     clear = with_legs_clear(linear, FREE)
     assert distances_on_the_way(clear) >= 1.0
     legs = shapes_along(clear, np.array([0.0, 1.0])).legs
     np.testing.assert_allclose(legs, [start.legs, end.legs], atol=1e-9)
-    flight = StraightMorph(start, end, FREE).solve()
-    assert flight is not None
+    flight = motion_along(straight_path(start, end, FREE), FREE)
     np.testing.assert_allclose(flight.drones.at(flight.duration), end.drones, atol=1e-9)
-    assert StraightMorph(start, start, FREE).solve() is None  # nothing to do
+    assert moves(start, end)
+    assert not moves(start, start)  # nothing to do
 
 
 def test_a_straight_path_that_loses_convexity_names_the_vertex() -> None:
@@ -249,7 +249,7 @@ def test_a_straight_path_that_loses_convexity_names_the_vertex() -> None:
         with pytest.raises(
             ho.InfeasibleError, match=r"convexity: .* at p\d .*of the path"
         ) as caught:
-            StraightMorph(start, end, FREE).solve()
+            straight_path(start, end, FREE)
         assert caught.value.violations[0].value == pytest.approx(0.0, abs=0.01)
 
 
@@ -258,12 +258,11 @@ def test_too_little_thrust_at_rest_is_refused_before_timing(thrust: float) -> No
     needed = np.hypot(0.132 * 9.81, 0.4)  # 1.356 N
     team = Team(3, 2.4, quadrotor=ho.Quadrotor(0.132, thrust))
     start, end = (Hitch.spread(team, [[0.0, y], *TRIANGLE[1:]]) for y in (-1.0, -0.8))
-    morph = StraightMorph(start, end, FREE)
     if thrust > needed:
-        assert morph.solve() is not None
+        assert motion_along(straight_path(start, end, FREE), FREE).duration > 0.0
         return
     with pytest.raises(ho.InfeasibleError, match="thrust") as caught:
-        morph.solve()
+        straight_path(start, end, FREE)
     assert caught.value.violations[0].value == pytest.approx(needed, rel=1e-9)
 
 

@@ -17,7 +17,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
 from hitchopt.mission.loading import load_problem
-from hitchopt.planners.morph.path import ShapePath
+from hitchopt.planners.morph.path import Path
 from hitchopt.planners.timing.clock import ClockedPath, RateRows
 from hitchopt.planners.timing.profile import (
     Demands,
@@ -27,7 +27,12 @@ from hitchopt.planners.timing.profile import (
     path_grid,
 )
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
-from hitchopt.planners.timing.timed_motion import GRID, fly, needed_stretch, turning_stretch
+from hitchopt.planners.timing.timed_motion import (
+    GRID,
+    motion_along,
+    needed_stretch,
+    turning_stretch,
+)
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 
@@ -60,12 +65,12 @@ def test_a_rigid_shift_takes_the_known_time(distance: float) -> None:
     """By trapezoids without a jerk limit: D/v + v/a; with one as the fastest clock takes."""
     v, a, j = 0.8, 2.0, 20.0
     limits = Limits(v, a, j, tilt=1.5, vertex_speed=100.0)
-    path = ShapePath.straight(*ends(4, 3, limits, (0.6 * distance, 0.8 * distance)))
+    path = Path.straight(*ends(4, 3, limits, (0.6 * distance, 0.8 * distance)))
     bang = distance / v + v / a if distance > v * v / a else 2.0 * math.sqrt(distance / a)
     profile = fastest_profile(path_grid(GRID), Demands.along(path, limits, path_grid(GRID)))
     assert profile.duration == pytest.approx(bang, rel=2e-3)
     optimum = fastest_clock(distance, v, a, j).duration
-    assert optimum <= fly(path, Requirements(limits)).duration <= 1.02 * optimum
+    assert optimum <= motion_along(path, Requirements(limits)).duration <= 1.02 * optimum
 
 
 def line_demands(progress: np.ndarray, rate: np.ndarray, distance: float) -> Demands:
@@ -126,7 +131,7 @@ def test_one_limit_binds_near_the_optimal_duration(limits: Limits, binding: str)
     assert plan.certificate.certified
     assert check.worst >= 0.985 * (check.limit or 0.0)
     fine = np.linspace(0.0, 1.0, 1001)
-    exact = Demands.along(ShapePath.straight(start, goal), limits, fine)
+    exact = Demands.along(Path.straight(start, goal), limits, fine)
     optimum = fastest_profile(fine, exact).duration
     assert plan.duration <= 1.03 * optimum + limits.acceleration / limits.jerk
 
@@ -135,8 +140,8 @@ def test_one_limit_binds_near_the_optimal_duration(limits: Limits, binding: str)
 def test_flights_take_a_little_longer_than_their_estimates(seed: int) -> None:
     """And forever where a path cannot even be held at rest."""
     for limits in (Limits(), Limits(speed=0.5, vertex_speed=5.0, acceleration=1.0)):
-        path = ShapePath.straight(*ends(3 + seed, seed, limits))
-        duration = fly(path, Requirements(limits)).duration
+        path = Path.straight(*ends(3 + seed, seed, limits))
+        duration = motion_along(path, Requirements(limits)).duration
         assert 0.995 * duration - 0.05 < flight_estimate(path, limits) < duration
         tensions = PiecewisePolynomial.constant([0.0, 1.0], 0.6 * np.ones(path.team.robots))
         slow = replace(path, tensions=tensions)
@@ -146,7 +151,7 @@ def test_flights_take_a_little_longer_than_their_estimates(seed: int) -> None:
     assert flight_estimate(path, limits) == math.inf
     assert flight_estimates([path, path], limits) == [math.inf, math.inf]
     with pytest.raises(ho.HitchoptError):
-        fly(path, Requirements(limits))
+        motion_along(path, Requirements(limits))
 
 
 def clocked(seed: int, samples: int) -> ClockedPath:

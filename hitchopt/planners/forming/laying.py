@@ -41,7 +41,7 @@ from hitchopt.planners.forming.stages import (
 )
 from hitchopt.planners.morph.morph import check_loads
 from hitchopt.planners.morph.path import drones_along
-from hitchopt.planners.timing.timed_motion import fly
+from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.values import Array, Indices
 
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))
@@ -272,6 +272,6 @@ def roll_motion(path: RollPath, requirements: Requirements, phase: Phase) -> Mot
     Raises InfeasibleError if the cables' vertical forces exceed the limits of drones.
     """
     check_loads(path, requirements.limits)
-    motion = fly(path, requirements)
+    motion = motion_along(path, requirements)
     phase = replace(phase, end=motion.duration, state=CableState.ROLLING)
     return motion.replaced(phases=(phase,))

@@ -22,7 +22,7 @@ from hitchopt.planners.morph.legs import PATH_SAMPLES, with_legs_clear, worst_po
 from hitchopt.planners.morph.morph import MIN_LEG, POSITION_TOLERANCE, check_loads, check_shapes
 from hitchopt.planners.morph.path import (
     LegLaw,
-    ShapePath,
+    Path,
     drones_along,
     path_jets,
     roll_between,
@@ -32,8 +32,8 @@ from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,
     cable_error,
-    fly,
     in_duration,
+    motion_along,
 )
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.splines import interpolated
@@ -69,7 +69,7 @@ class Action:
         slack = cable_slack(self.start.team, self.polygon)
         return self.start.team.layout.q_legs_of(self.length + self.share * slack, slack)
 
-    def path(self, end: Hitch | None = None) -> ShapePath:
+    def path(self, end: Hitch | None = None) -> Path:
         """Return the path that ends with the legs and roll of a hitch, or by the law if None."""
         deviation = np.zeros_like(self.length) if end is None else end.q_legs - self.legs_by_law
         # Linear in s, or at rest at both ends if s is time.
@@ -84,7 +84,7 @@ class Action:
             last = np.column_stack([points, np.full(len(points), self.start.altitude)])
             both = np.stack([self.start.vertices, last], axis=-1)
             track = PiecewisePolynomial(UNIT_BREAKS, both[None])
-        return ShapePath(self.start.team, track, law, roll=roll)
+        return Path(self.start.team, track, law, roll=roll)
 
 
 START_TOLERANCE = 1e-6  # [m] Largest distance of a point at t = 0 from the vertex
@@ -215,6 +215,7 @@ class FlownAction:
     """The motion of an action, with names of further drones that move."""
 
     motion: Motion | None  # without phases; None if nothing moves
+    path: Path | None = None  # path that was timed; None if nothing moves, or s is time
     # drones that the law moves only because of unequal tensions or weight
     turning: tuple[str, ...] = ()
     sliding: tuple[str, ...] = ()  # drones that move only because the law was infeasible
@@ -231,13 +232,13 @@ class ActionMorph:
     duration: float | None = None  # prescribed duration [s]; None for the fastest one
 
     @cached_property
-    def own_path(self) -> ShapePath:
+    def own_path(self) -> Path:
         """The path by the action's own law."""
         return self.action.path(self.end)
 
     @cached_property
-    def problem(self) -> ShapePath:
-        """The path to be timed; raises InfeasibleError as that of a straight morph."""
+    def problem(self) -> Path:
+        """The path to be timed; raises InfeasibleError as ``straight_path``."""
         own = self.own_path
         try:
             check_shapes(own)
@@ -252,7 +253,7 @@ class ActionMorph:
         return path
 
     def solve(self) -> FlownAction:
-        """Return the flight; errors are those of ``StraightMorph.solve``."""
+        """Return the flight; errors are those of ``problem`` and ``motion_along``."""
         action, seconds = self.action, self.action.seconds
         team = action.start.team
         distance = np.max(np.abs(self.end.drones - action.start.drones))
@@ -260,7 +261,7 @@ class ActionMorph:
             return FlownAction(None)
         path = self.problem
         if seconds is None:
-            motion = fly(path, self.requirements, self.duration)
+            motion = motion_along(path, self.requirements, self.duration)
         else:
             motion = fly_timed(path, self.requirements, seconds)
         # The action's own drones are those that the law moves with equal tensions and no weight.
@@ -279,10 +280,11 @@ class ActionMorph:
         turning = tuple(names[further & by_law].tolist())
         sliding = tuple(names[further & ~by_law].tolist())
         worst = None if path is self.own_path else worst_point(self.own_path, self.requirements)
-        return FlownAction(motion, turning, sliding, worst)
+        timed_path = path if seconds is None else None
+        return FlownAction(motion, timed_path, turning, sliding, worst)
 
 
-def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
+def _moving(path: Path, s: Array) -> NDArray[np.bool_]:
     """Return the mask (2n,) of drones that move between points s of a path."""
     drones = drones_along(path, s).positions[..., 0]
     moving: NDArray[np.bool_]
@@ -290,7 +292,7 @@ def _moving(path: ShapePath, s: Array) -> NDArray[np.bool_]:
     return moving
 
 
-def fly_timed(path: ShapePath, requirements: Requirements, seconds: float) -> Motion:
+def fly_timed(path: Path, requirements: Requirements, seconds: float) -> Motion:
     """Return the motion on which the path's s is time over ``seconds`` [s].
 
     Polynomials do not extend over joints of the vertices' path. All pieces are refined until the

@@ -9,7 +9,7 @@ import numpy as np
 
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, LegTask
-from hitchopt.planners.morph.path import LegLaw, ShapePath, Shapes, drones_along, shapes_along
+from hitchopt.planners.morph.path import LegLaw, Path, Shapes, drones_along, shapes_along
 from hitchopt.planners.timing.profile import demands_along, flight_estimate, flight_estimates
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
@@ -35,8 +35,8 @@ SLIDING_TOLERANCE = 1e-6  # [m] Change of legs below which a cable keeps its law
 
 
 def with_legs_clear(
-    path: ShapePath, requirements: Requirements, *, few: bool = False, at_rest: bool = False
-) -> ShapePath:
+    path: Path, requirements: Requirements, *, few: bool = False, at_rest: bool = False
+) -> Path:
     """Return the path with a leg law that keeps all distances.
 
     If the path's own law does not, leg lengths are optimized at knots, all at once, with the
@@ -57,7 +57,7 @@ def with_legs_clear(
     return path
 
 
-def _nearby_laws(path: ShapePath, requirements: Requirements, at_rest: bool) -> Iterator[ShapePath]:
+def _nearby_laws(path: Path, requirements: Requirements, at_rest: bool) -> Iterator[Path]:
     """Yield the path with other leg laws, one per refinement, until leg lengths are infeasible."""
     for count, margin in REFINEMENTS:
         s = np.linspace(0.0, 1.0, count)
@@ -72,7 +72,7 @@ def _nearby_laws(path: ShapePath, requirements: Requirements, at_rest: bool) -> 
         yield replace(path, legs=LegLaw.of_fractions(spline))
 
 
-def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
+def legs_clear(path: Path, requirements: Requirements) -> bool:
     """Return whether legs are long enough and distances hold at samples of the path."""
     s = np.linspace(0.0, 1.0, PATH_SAMPLES)
     shapes = shapes_along(path, s)
@@ -85,14 +85,14 @@ def legs_clear(path: ShapePath, requirements: Requirements) -> bool:
 
 
 def leg_task_along(
-    path: ShapePath, requirements: Requirements, s: Array, margin: float | Array
+    path: Path, requirements: Requirements, s: Array, margin: float | Array
 ) -> LegTask:
     """Return the leg task at points s (J,) of a path, with fixed ends."""
     return leg_task_of(path, requirements, shapes_along(path, s), margin)
 
 
 def leg_task_of(
-    path: ShapePath, requirements: Requirements, shapes: Shapes, margin: float | Array
+    path: Path, requirements: Requirements, shapes: Shapes, margin: float | Array
 ) -> LegTask:
     """Return the leg task of shapes of a path, of which the first and the last are fixed."""
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
@@ -101,7 +101,7 @@ def leg_task_of(
     return LegTask(path.team, requirements, shapes.polygons, *arguments, roll=shapes.roll)
 
 
-def _few_sliding(path: ShapePath, candidate: ShapePath) -> ShapePath:
+def _few_sliding(path: Path, candidate: Path) -> Path:
     """Return the candidate with the path's own law for all cables that hardly slide."""
     s = np.linspace(0.0, 1.0, PATH_SAMPLES)
     changes = np.abs(shapes_along(candidate, s).legs - shapes_along(path, s).legs)
@@ -117,7 +117,7 @@ def _few_sliding(path: ShapePath, candidate: ShapePath) -> ShapePath:
     return replace(path, legs=LegLaw(lengths, merged(candidate.legs.share, path.legs.share)))
 
 
-def worst_point(path: ShapePath, requirements: Requirements) -> float:
+def worst_point(path: Path, requirements: Requirements) -> float:
     """Return s with the smallest margin of the path's law."""
     s = np.linspace(0.0, 1.0, PATH_SAMPLES)[1:-1]
     legs = shapes_along(path, s).legs[:, path.team.layout.has_leg]
@@ -139,7 +139,7 @@ MAX_DURATION_RATIO = 0.995
 """Largest estimated duration of a path with slides over that of the original path."""
 
 
-def with_slides(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
+def with_slides(path: Path, limits: Limits) -> Iterator[Path]:
     """Yield a path with the same vertices and a shorter estimated duration, if there is one.
 
     Speed limits bound vertices, while acceleration limits bound drones too. If cables slide while
@@ -157,7 +157,7 @@ def with_slides(path: ShapePath, limits: Limits) -> Iterator[ShapePath]:
         yield candidates[estimates.index(shortest)]
 
 
-def _slopes(path: ShapePath, limits: Limits) -> Array:
+def _slopes(path: Path, limits: Limits) -> Array:
     """Return the slides' slopes (2, n) [m] at s = 0 and 1 that minimize the drones' derivatives.
 
     The derivative of a drone by s is linear in that of its leg, along the leg.
@@ -171,7 +171,7 @@ def _slopes(path: ShapePath, limits: Limits) -> Array:
     return slopes
 
 
-def _with_slide(path: ShapePath, slopes: Array) -> ShapePath:
+def _with_slide(path: Path, slopes: Array) -> Path:
     """Return the path with a slide of its legs, with slopes (2, n) [m] at the ends."""
     law = path.legs.length.coefficients[0]
     slide = np.zeros((path.team.robots, DEGREE + 1))

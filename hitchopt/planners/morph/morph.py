@@ -16,9 +16,9 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import with_legs_clear
-from hitchopt.planners.morph.path import LegLaw, Path, ShapePath, drones_along, shapes_along
+from hitchopt.planners.morph.path import FlatPath, LegLaw, Path, drones_along, shapes_along
 from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
-from hitchopt.planners.timing.timed_motion import GRID, fly
+from hitchopt.planners.timing.timed_motion import GRID, motion_along
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
@@ -26,43 +26,25 @@ from hitchopt.values import Array
 POSITION_TOLERANCE = 1e-9  # [m] Distance below which positions are equal
 
 
-@dataclass(frozen=True, eq=False)
-class StraightMorph:
-    """A planner of morphs with straight vertex paths.
+def moves(start: Hitch, end: Hitch) -> bool:
+    """Return whether any drone moves from one hitch to another."""
+    return bool(np.max(np.abs(end.drones - start.drones)) >= POSITION_TOLERANCE)
+
+
+def straight_path(start: Hitch, end: Hitch, requirements: Requirements) -> Path:
+    """Return the path with straight vertices between two hitches, to be timed.
 
     Leg lengths change so that distances hold at samples of the path; the certificate bounds all
     limits in continuous time.
+
+    Raises InfeasibleError if the polygon loses its convexity, a leg vanishes, or forces at rest
+    exceed limits.
     """
-
-    start: Hitch  # the hitch before
-    end: Hitch  # the hitch after
-    requirements: Requirements  # limits and distances
-    duration: float | None = None  # prescribed duration [s]; None for the fastest one
-
-    @cached_property
-    def problem(self) -> ShapePath:
-        """The path to be timed.
-
-        Raises InfeasibleError if the polygon loses its convexity, a leg vanishes, or forces at rest
-        exceed limits.
-        """
-        straight = ShapePath.straight(self.start, self.end)
-        check_shapes(straight)
-        path = with_legs_clear(straight, self.requirements)
-        check_loads(path, self.requirements.limits)
-        return path
-
-    def solve(self) -> Motion | None:
-        """Return the motion, or None if the hitches are equal.
-
-        Raises
-        ------
-        InfeasibleError: as in ``problem``, or ``duration`` is too short.
-        TimingError: no timing was found.
-        """
-        if np.max(np.abs(self.end.drones - self.start.drones)) < POSITION_TOLERANCE:
-            return None
-        return fly(self.problem, self.requirements, self.duration)
+    straight = Path.straight(start, end)
+    check_shapes(straight)
+    path = with_legs_clear(straight, requirements)
+    check_loads(path, requirements.limits)
+    return path
 
 
 MIN_ANGLE = math.radians(0.01)
@@ -83,7 +65,7 @@ def exterior_angles(layout: Layout, edges: Array) -> Array:
     return turn(ahead, behind)
 
 
-def check_shapes(path: Path) -> None:
+def check_shapes(path: FlatPath) -> None:
     """Raise InfeasibleError if a polygon on the path is not convex, or an edge or leg vanishes."""
     s = np.linspace(0.0, 1.0, SHAPE_SAMPLES)
     shapes, layout = shapes_along(path, s), path.team.layout
@@ -112,7 +94,7 @@ def check_shapes(path: Path) -> None:
         )
 
 
-def check_loads(path: Path, limits: Limits) -> None:
+def check_loads(path: FlatPath, limits: Limits) -> None:
     """Raise InfeasibleError if hovering violates a limit at a point at which the path is timed."""
     when = [f"at rest, {s:.0%} of the path on" for s in path_grid(GRID)]
     thrust, tilt = "give the drone more thrust", "allow more tilt, or use heavier drones"
@@ -152,7 +134,7 @@ class BlendedMorph:
         return interpolated(self.knots, np.stack(values), zero_orders=(3, 4))
 
     @cached_property
-    def problem(self) -> ShapePath:
+    def problem(self) -> Path:
         """The path to be timed.
 
         Raises InfeasibleError as for a straight morph, or if the path has a point of zero speed.
@@ -160,7 +142,7 @@ class BlendedMorph:
         vertices = self._spline([hitch.vertices for hitch in self.hitches])
         fractions = self._spline([hitch.fractions for hitch in self.hitches])
         roll = self._spline([hitch.roll for hitch in self.hitches])
-        path = ShapePath(
+        path = Path(
             self.hitches[0].team,
             vertices,
             LegLaw.of_fractions(fractions),
@@ -186,7 +168,7 @@ class BlendedMorph:
         Raises InfeasibleError as in ``problem``, or TimingError if no timing was found.
         """
         path = self.problem
-        motion = fly(path, self.requirements)
+        motion = motion_along(path, self.requirements)
         # Path and flight agree at equal distances covered by vertices and fractions.
         t = np.linspace(0.0, motion.duration, DISTANCE_SAMPLES)
         s = np.linspace(0.0, 1.0, DISTANCE_SAMPLES)

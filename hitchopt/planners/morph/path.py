@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
 from hitchopt.hitch.series import JET, Series, product
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.trajectory.splines import evenly_interpolated, interpolated
+from hitchopt.values import Array, Points, as_array, bounded_points, check_instance, coordinate
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
-class Path(Protocol):
+class FlatPath(Protocol):
     """A path that can be timed; hashed and compared by identity."""
 
     def __hash__(self) -> int: ...
@@ -29,12 +35,12 @@ class Path(Protocol):
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
 
 
-def drones_along(path: Path, s: Array) -> DroneJets:
+def drones_along(path: FlatPath, s: Array) -> DroneJets:
     """Return the drones' jets in s at s (J,)."""
     return drone_jets(path.team, path.flat(s))
 
 
-def path_jets(path: Path, s: Array) -> tuple[Array, Array, Array, Array]:
+def path_jets(path: FlatPath, s: Array) -> tuple[Array, Array, Array, Array]:
     """Return jets (J, *shape, 4) in s of drones, vertices, legs and tensions at s (J,)."""
     flat = path.flat(s)
     drones = drone_jets(path.team, flat)
@@ -66,18 +72,125 @@ class LegLaw:
         return self.length.jet(s, count) + part if np.any(self.length.coefficients) else part
 
 
-@dataclass(frozen=True, eq=False)
-class ShapePath:
-    """A path with polynomial vertices and a leg law."""
+FUNCTION_SAMPLES = 65
+"""Number of samples of a function of s."""
 
-    team: Team  # of the hitch
-    vertices: PiecewisePolynomial  # of shape (points, 3) over s in [0, 1] [m]
-    legs: LegLaw  # law of the q-legs, except at the ends of a chain
-    tensions: PiecewisePolynomial | None = None  # of shape (n,) over s [N], or None for the team's
-    roll: PiecewisePolynomial | None = None  # of shape (clasps,) over s [rad], or None for none
+MIN_KNOTS = 3  # Smallest number of knots of a natural quintic spline
+
+PLOTTED_SHAPES = 7  # Number of outlines in a picture of a path
+PLOTTED_SAMPLES = 201  # Number of samples of the drones in a picture of a path
+
+Samples = Points | Callable[[float], Points]
+"""Values over s: a function of s from 0 to 1, or knots (J, …) at evenly spaced s."""
+
+
+@dataclass(frozen=True, eq=False)
+class Path(OneLine):
+    """The shapes of a hitch over a parameter s from 0 to 1: polynomials without timing.
+
+    ``ho.route`` searches one, ``Path.of`` makes one by hand, and ``ho.time`` times both.
+
+    Parameters
+    ----------
+    team: the robots.
+    vertices: shape (points, 3) over s [m].
+    legs: law of the q-legs d_k, except at the ends of a chain.
+    tensions: shape (n,) over s [N]; None for the team's.
+    roll: shape (clasps,) over s [rad]; None for none.
+    """
+
+    team: Team
+    vertices: PiecewisePolynomial
+    legs: LegLaw
+    tensions: PiecewisePolynomial | None = None
+    roll: PiecewisePolynomial | None = None
 
     @classmethod
-    def straight(cls, start: Hitch, end: Hitch) -> ShapePath:
+    def of(
+        cls,
+        team: Team,
+        vertices: Samples,
+        legs: Samples | None = None,
+        roll: Samples | None = None,
+        altitude: float = 1.0,
+    ) -> Path:
+        """Return a path of one's own.
+
+        A function of s is sampled, and the spline through the samples has four continuous
+        derivatives. Knots are joined by a natural quintic spline, which minimizes the third
+        derivative. Shapes are checked by ``ho.time``, limits by ``ho.certify``.
+
+        Parameters
+        ----------
+        team: the robots.
+        vertices: a function of s from 0 to 1 that returns [x, y] or [x, y, z] [m] of all points; or
+            knots (J, points, 2 or 3) [m] at evenly spaced s, three or more.
+        legs: q-legs d_k [m], a function of s that returns (n,), or knots (J, n); by default each
+            cable's slack is split evenly.
+        roll: roll of the legs at each clasp [rad], a function that returns (clasps,), or knots.
+        altitude: height of vertices [x, y] [m].
+
+        Raises
+        ------
+        InputError: values of another shape, or that are not finite.
+        """
+        check_instance("team", team, Team)
+        points, height = team.layout.points, coordinate("altitude", altitude)
+        places = _sampled("vertices", vertices, ((points, 2), (points, 3)))
+        places = replace(places, values=bounded_points("vertices", places.values))
+        if places.values.shape[-1] == 2:
+            heights = np.full((*places.values.shape[:2], 1), height)
+            places = replace(places, values=np.concatenate([places.values, heights], axis=-1))
+        even = PiecewisePolynomial.constant([0.0, 1.0], np.full(team.robots, 0.5))
+        law = LegLaw.of_fractions(even)
+        if legs is not None:
+            q_legs = _sampled("legs", legs, ((team.robots,),)).spline
+            law = LegLaw(q_legs, PiecewisePolynomial.constant([0.0, 1.0], np.zeros(team.robots)))
+        rolled = None
+        if roll is not None:
+            rolled = _sampled("roll", roll, ((len(team.layout.clasps),),)).spline
+        return cls(team, places.spline, law, roll=rolled)
+
+    def _parts(self) -> Iterator[str]:
+        yield f"{self.team.drones} drones"
+        yield f"pieces: {self.vertices.pieces}"
+
+    def shapes(self, s: ArrayLike) -> Shapes:
+        """Return the shapes at s (J,) from 0 to 1.
+
+        They have ``polygons`` (J, points, 2) [m], ``legs`` (J, n, 2) [m], d_k and e_k, and ``roll``
+        (J, clasps) [rad], None for none.
+        """
+        return shapes_along(self, _checked_s(s))
+
+    def drones(self, s: ArrayLike) -> Array:
+        """Return the positions (J, 2n, 3) [m] of drones at s (J,), in the order q0, r0, q1, …."""
+        positions: Array = drones_along(self, _checked_s(s)).positions[..., 0]
+        return positions
+
+    def plot(self, axes: Axes | None = None) -> Axes:
+        """Draw outlines from above, darker from first to last, and the curves of the drones.
+
+        Without ``axes``, a new pyplot figure is created.
+        """
+        from matplotlib import pyplot
+
+        if axes is None:
+            axes = pyplot.subplots(figsize=(6.5, 6.5), layout="constrained")[1]
+        drones = self.drones(np.linspace(0.0, 1.0, PLOTTED_SAMPLES))
+        for k in range(self.team.drones):
+            axes.plot(drones[:, k, 0], drones[:, k, 1], color="0.75", linewidth=0.8)
+        for s in np.linspace(0.0, 1.0, PLOTTED_SHAPES):
+            outline = self.vertices.at(float(s))
+            if self.team.layout.closed:
+                outline = np.vstack([outline, outline[:1]])
+            grey = 0.7 * (1.0 - float(s))
+            axes.plot(outline[:, 0], outline[:, 1], "o-", color=str(grey), markersize=3.0)
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        return axes
+
+    @classmethod
+    def straight(cls, start: Hitch, end: Hitch) -> Path:
         """Return the path with linear vertices, fractions and roll."""
         breaks = np.array([0.0, 1.0])
         vertices = np.stack([start.vertices, end.vertices], axis=-1)
@@ -89,7 +202,7 @@ class ShapePath:
             roll=roll_between(start, end),
         )
 
-    def climbing(self, by: float) -> ShapePath:
+    def climbing(self, by: float) -> Path:
         """Return the path with a climb of the hitch's plane [m], linear in s."""
         breaks, heights = self.vertices.breaks, self.vertices.coefficients.copy()
         shares = np.linspace(0.0, 1.0, heights.shape[-1])
@@ -140,6 +253,56 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class _Samples:
+    """Values over evenly spaced s."""
+
+    values: Array  # (J, *shape)
+    smooth: bool  # whether they are samples of a function, not knots
+
+    @property
+    def spline(self) -> PiecewisePolynomial:
+        """The quintic spline through the values."""
+        if self.smooth:
+            return evenly_interpolated(self.values)
+        s = np.linspace(0.0, 1.0, len(self.values))
+        return interpolated(s, self.values, zero_orders=(3, 4))
+
+
+def _sampled(key: str, given: Samples, shapes: tuple[tuple[int, ...], ...]) -> _Samples:
+    """Return samples of a function of s, or knots, whose values have one of the shapes."""
+    words = " or ".join(map(str, shapes))
+    if callable(given):
+        bound = f"a function of s to shape {words}"
+        try:
+            rows = [as_array(given(float(s))) for s in np.linspace(0.0, 1.0, FUNCTION_SAMPLES)]
+        except (TypeError, ValueError) as error:
+            raise InputError(key, given, bound, f"it raises {error}") from error
+        wrong = next((row for row in rows if row.shape not in shapes), None)
+        if wrong is not None or len({row.shape for row in rows}) > 1:
+            found = rows[0].shape if wrong is None else wrong.shape
+            remedy = "return a row per point or robot, as numbers"
+            raise InputError(key, f"shape {found}", bound, remedy)
+        values, smooth = np.stack(rows), True
+    else:
+        values, smooth = as_array(given), False
+        if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
+            bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {words}"
+            remedy = "give a knot for each of evenly spaced s from 0 to 1"
+            raise InputError(key, given, bound, remedy)
+    if not np.all(np.isfinite(values)):
+        raise InputError(key, "nan or infinite", "finite for s from 0 to 1", "check its formula")
+    return _Samples(values, smooth)
+
+
+def _checked_s(s: ArrayLike) -> Array:
+    """Return parameters (J,) of a path, or raise InputError."""
+    values = as_array(s)
+    if values.ndim != 1 or not len(values) or not np.all((values >= 0.0) & (values <= 1.0)):
+        raise InputError("s", s, "a list of numbers from 0 to 1", "0 is the start, 1 the end")
+    return values
+
+
+@dataclass(frozen=True, eq=False)
 class Shapes:
     """Shapes at J points of a path."""
 
@@ -154,7 +317,7 @@ class Shapes:
         return Shapes(self.polygons[mask], self.legs[mask], roll)
 
 
-def shapes_along(path: Path, s: Array) -> Shapes:
+def shapes_along(path: FlatPath, s: Array) -> Shapes:
     """Return the shapes at s (J,)."""
     return shapes_of(path.team, path.flat(s, 1))
 

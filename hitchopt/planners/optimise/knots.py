@@ -20,7 +20,7 @@ from hitchopt.hitch.forces import (
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.path import LegLaw, ShapePath, shapes_of
+from hitchopt.planners.morph.path import LegLaw, Path, shapes_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import evenly_interpolated
 from hitchopt.values import Array, Indices
@@ -104,11 +104,11 @@ class KnotPath:
         return cable_slack_of(self.team, self.edges, self.tensions)
 
     @cached_property
-    def path(self) -> ShapePath:
+    def path(self) -> Path:
         """The smooth path through the knots."""
         heights = np.full((*self.polygons.shape[:2], 1), self.altitude)
         is_constant = np.all(self.tensions == self.tensions[0])
-        return ShapePath(
+        return Path(
             self.team,
             _knot_spline(np.concatenate([self.polygons, heights], axis=-1)),
             LegLaw.of_fractions(_knot_spline(self.q_legs / self.slack)),
@@ -197,7 +197,7 @@ MARGIN_RAMP = 2.0
 """Number of knots over which the margin changes from that of an end, since a jump would bend the
 path."""
 
-Judge = Callable[[ShapePath], Motion | None]
+Judge = Callable[[Path], Motion | None]
 """Function that returns the certified motion along a path, or None if it violates a limit."""
 
 

@@ -20,7 +20,7 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
 from hitchopt.planners.morph.morph import check_loads, check_shapes
-from hitchopt.planners.morph.path import ShapePath
+from hitchopt.planners.morph.path import Path
 from hitchopt.planners.optimise.guesses import (
     STRAIGHT,
     WIDENED,
@@ -184,7 +184,7 @@ class OptimisedMorph:
     judge: Judge  # accepts or rejects paths; rejected ones are refined
     # smallest and largest [N] of variable tensions, or None
     tension: tuple[float, float] | None = None
-    straight: ShapePath | None = None  # path with straight vertices; None if it is infeasible
+    straight: Path | None = None  # path with straight vertices; None if it is infeasible
 
     @property
     def min_duration(self) -> float:
@@ -469,7 +469,7 @@ def _worst_margin(path: KnotPath, requirements: Requirements) -> float:
     return float(np.min(distance_margins([between], requirements)))
 
 
-def _judged(path: ShapePath, judge: Judge) -> Motion | None:
+def _judged(path: Path, judge: Judge) -> Motion | None:
     """Return the motion along a path, or None if the judge or its timing rejects it."""
     try:
         return judge(path)

@@ -21,7 +21,7 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.model import FlatJets, drone_jets
 from hitchopt.hitch.requirements import Limits
-from hitchopt.planners.morph.path import Path
+from hitchopt.planners.morph.path import FlatPath
 from hitchopt.values import Array, Indices
 
 LIMIT_SHARE = 0.999  # Fraction of the limits at samples, with a reserve for the times between
@@ -44,7 +44,7 @@ class Demands:
     share: float = LIMIT_SHARE  # enforced fraction of the limits
 
     @classmethod
-    def along(cls, path: Path, limits: Limits, s: Array) -> Demands:
+    def along(cls, path: FlatPath, limits: Limits, s: Array) -> Demands:
         """Return the demands of a path at its points s (J,)."""
         return cls.of(path.team, path.flat(s), limits)
 
@@ -357,13 +357,13 @@ from rest to full speed."""
 
 
 @lru_cache(maxsize=3)
-def demands_along(path: Path, limits: Limits, steps: int = GRID) -> Demands:
+def demands_along(path: FlatPath, limits: Limits, steps: int = GRID) -> Demands:
     """Return the demands of a path on a grid, cached for the last paths."""
     return Demands.along(path, limits, path_grid(steps))
 
 
 @lru_cache(maxsize=16)
-def flight_estimate(path: Path, limits: Limits) -> float:
+def flight_estimate(path: FlatPath, limits: Limits) -> float:
     """Return an estimate of the duration [s] of a flight along a path; infinite if there is none.
 
     Most flights are longer, by up to a tenth of the ramp.
@@ -371,7 +371,7 @@ def flight_estimate(path: Path, limits: Limits) -> float:
     return _estimates(demands_along(path, limits))[0]
 
 
-def flight_estimates(paths: Sequence[Path], limits: Limits) -> list[float]:
+def flight_estimates(paths: Sequence[FlatPath], limits: Limits) -> list[float]:
     """Return the ``flight_estimate`` of each of several paths of one team, evaluated together."""
     flat = FlatJets.concatenated([path.flat(path_grid(GRID)) for path in paths])
     return _estimates(Demands.of(paths[0].team, flat, limits))

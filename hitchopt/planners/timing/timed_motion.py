@@ -20,7 +20,7 @@ from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.series import chained
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.path import Path, path_jets
+from hitchopt.planners.morph.path import FlatPath, path_jets
 from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
 from hitchopt.planners.timing.profile import (
     FINAL_SHARE,
@@ -66,7 +66,9 @@ MIN_DURATION = 0.05
 """[s] Shortest duration if none is prescribed; shorter moves would be dominated by rounding."""
 
 
-def fly(path: Path, requirements: Requirements, duration: float | None = None) -> Motion:
+def motion_along(
+    path: FlatPath, requirements: Requirements, duration: float | None = None
+) -> Motion:
     """Return the motion along a path, from rest to rest and without phases.
 
     Parameters
@@ -103,7 +105,7 @@ def fly(path: Path, requirements: Requirements, duration: float | None = None) -
     return in_duration(motion, duration)
 
 
-def _motion(path: Path, requirements: Requirements, clock: Clock) -> Motion:
+def _motion(path: FlatPath, requirements: Requirements, clock: Clock) -> Motion:
     """Return the motion with the path's value and three derivatives at every breakpoint."""
     breaks, progress = clock.breaks, clock.jets()
     s = np.clip(progress[:, 0], 0.0, 1.0)

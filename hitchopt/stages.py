@@ -1,0 +1,124 @@
+"""The stages of a plan one by one: ``route``, ``time``, and ``certify`` of ``checks``.
+
+``morph`` and all steps that reshape a hitch pass through the same stages: a route is searched,
+timed (``motion_along``) and certified.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hitchopt.api import Legs, Polygon, new_step
+from hitchopt.errors import InputError, time_limit
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
+from hitchopt.mission.solving import route_of
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.morph.morph import check_loads, check_shapes
+from hitchopt.planners.morph.path import Path
+from hitchopt.planners.timing.timed_motion import motion_along
+from hitchopt.single_steps import Required, problem_from_hitch, step_errors
+from hitchopt.steps.moving import Morph
+from hitchopt.values import check_instance, positive
+from hitchopt.values.fields import suggest_keywords
+
+
+@suggest_keywords
+def route(
+    start: Hitch,
+    polygon: Polygon,
+    legs: Legs | None = None,
+    optimize: bool = False,
+    tension: tuple[float, float] | None = None,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+    limit: float | None = None,
+) -> Path:
+    """Return the path on which ``morph`` changes the polygon.
+
+    Vertices move straight, with the leg lengths nearest to linear ones that keep all distances. If
+    that path is infeasible or slow, a sequence of sparse quadratic programs moves vertices and legs
+    at the knots of a spline, with exact derivatives by casadi; PIQP solves them (``casadi.conic``).
+    A path is accepted if its motion, by ``time``, is certified: routing takes as long as planning.
+
+    Parameters
+    ----------
+    start: the hitch at s = 0.
+    polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
+        more of the convex arc of an open chain.
+    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
+        with this as sharing, and a roll_deg, at the end.
+    optimize: search for a faster route even if the straight one is feasible.
+    tension: range of tensions [N].
+    limits, separation, arena: requirements of the plan; defaults as in a problem file.
+    limit: time limit [s]; None for none.
+
+    Raises
+    ------
+    InputError: an argument is invalid, or the polygon and legs are those of the start.
+    InfeasibleError: there is no route; lists the limits that bind, where and when.
+    TimeLimitError: no route within ``limit``.
+    """
+    step = new_step(
+        Morph, polygon=polygon, legs=legs, optimize=optimize, tension=tension, settle=False
+    )
+    required = Required(limits, separation, arena, limit)
+    problem = problem_from_hitch(start, step, required)
+    with step_errors(step), time_limit(required.limit):
+        path = route_of(problem)
+    if path is None:
+        raise InputError("polygon", polygon, "another one than the start's", "nothing moves")
+    return path
+
+
+@suggest_keywords
+def time(
+    path: Path,
+    duration: float | None = None,
+    *,
+    limits: Limits | None = None,
+    separation: Separation | None = None,
+    arena: Arena | None = None,
+) -> Motion:
+    """Return the motion along a path, from rest to rest, as fast as the limits of motion allow.
+
+    TOPP-RA (H. Pham and Q.-C. Pham, IEEE T-RO 34, 2018), by ``toppra.algorithm.TOPPRA``, computes
+    the fastest speed without a jerk limit, in polygons of (s̈, ṡ²) of all drones' limits. The
+    jerk-limited clock after it is ours: a cubic spline of the squared rate (after F. Debrouwere et
+    al., IEEE T-RO 29, 2013). Polynomials with the path's derivatives at every breakpoint are slowed
+    down until the limits hold between breakpoints.
+
+    Distances, arena and cable lengths follow from the path: ``certify`` checks them.
+
+    Parameters
+    ----------
+    path: by ``route`` or ``Path.of``.
+    duration: exact duration [s]; default: as fast as the limits allow.
+    limits: limits of motion; default as in a problem file.
+    separation, arena: requirements that ``certify`` checks; defaults as in a problem file.
+
+    Raises
+    ------
+    InputError: an argument is invalid.
+    InfeasibleError: a polygon on the path is not convex, a leg vanishes, drones cannot hover there,
+        or the duration is too short.
+    """
+    check_instance("path", path, Path)
+    seconds = None if duration is None else positive("duration", duration)
+    requirements = Requirements(
+        Limits() if limits is None else limits,
+        Separation() if separation is None else separation,
+        arena,
+    )
+    enforced = requirements.with_reserve
+    check_shapes(path)
+    check_loads(path, enforced.limits)
+    motion = motion_along(path, enforced, seconds)
+    span = None
+    if path.tensions is not None:
+        tensions = motion.tensions.coefficients
+        span = float(np.min(tensions)), float(np.max(tensions))
+    phase = Phase("path", 0, 0.0, motion.duration, tension=span)
+    return motion.replaced(phases=(phase,), requirements=requirements)

@@ -1,0 +1,112 @@
+"""The stages of a plan one by one, and paths of one's own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hitchopt as ho
+from hitchopt.values import Array
+
+SQUARE = ho.regular_polygon(4, 1.2)
+TEAM = ho.Team(robots=4, cable_length=2.4)
+START = ho.Hitch.spread(TEAM, SQUARE)
+TURNED = SQUARE.rotated(1.0)  # the straight path is slow
+SMALLER = ho.regular_polygon(4, 1.1)  # the straight path is fast
+
+
+@pytest.mark.parametrize(
+    ("goal", "tension"), [(SMALLER, None), (TURNED, None), (TURNED, (0.3, 0.6))]
+)
+def test_route_and_time_are_the_stages_of_a_morph(
+    goal: ho.ConvexPolygon, tension: tuple[float, float] | None
+) -> None:
+    plan = ho.morph(START, goal, tension=tension)
+    motion = ho.time(ho.route(START, goal, tension=tension))
+    for part, planned in (
+        (motion.drones, plan.motion.drones),
+        (motion.legs, plan.motion.legs),
+        (motion.tensions, plan.motion.tensions),
+    ):
+        np.testing.assert_array_equal(part.breaks, planned.breaks)
+        np.testing.assert_array_equal(part.coefficients, planned.coefficients)
+    assert ho.certify(motion).certified
+
+
+def test_a_route_has_the_shapes_of_its_ends_and_plots_itself() -> None:
+    path = ho.route(START, TURNED)
+    shapes = path.shapes([0.0, 1.0])
+    np.testing.assert_allclose(shapes.polygons[0], SQUARE.vertices, atol=1e-9)
+    np.testing.assert_allclose(shapes.polygons[1], TURNED.vertices, atol=1e-9)
+    np.testing.assert_allclose(shapes.legs[0], START.legs, atol=1e-9)
+    np.testing.assert_allclose(path.drones([0.0])[0], START.drones, atol=1e-9)
+    assert len(path.plot().lines) > TEAM.drones
+
+
+def test_limits_and_durations_are_those_of_the_timing() -> None:
+    path = ho.route(START, SMALLER)
+    slow = ho.time(path, limits=ho.Limits(speed=0.1))
+    assert ho.certify(slow)["speed"].worst <= 0.1
+    assert ho.time(path, 5.0).duration == 5.0
+    with pytest.raises(ho.InfeasibleError, match="duration"):
+        ho.time(path, 0.1)
+    assert not ho.certify(ho.time(path, arena=ho.Arena([-1, -1, 0], [1, 1, 2]))).certified
+
+
+def on_circle(s: float) -> Array:
+    """Return the square, its first vertex on a circle of 0.1 m."""
+    vertices = SQUARE.vertices.copy()
+    angle = 2.0 * np.pi * s
+    vertices[0] += [0.1 * np.cos(angle) - 0.1, 0.1 * np.sin(angle)]
+    return vertices
+
+
+def test_a_path_by_hand_is_timed_and_certified() -> None:
+    path = ho.Path.of(TEAM, on_circle, altitude=1.5)
+    s = np.linspace(0.0, 1.0, 501)
+    exact = np.stack([on_circle(each) for each in s])
+    np.testing.assert_allclose(path.shapes(s).polygons, exact, atol=1e-8)
+    motion = ho.time(path)
+    assert ho.certify(motion).certified
+    distances = np.linalg.norm(
+        motion.vertices.at(np.linspace(0.0, motion.duration, 300))[:, 0]
+        - [*(SQUARE.vertices[0] - [0.1, 0.0]), 1.5],
+        axis=1,
+    )
+    np.testing.assert_allclose(distances, 0.1, atol=1e-5)
+
+
+def test_a_path_by_knots_passes_them_with_legs_and_roll() -> None:
+    knots = np.stack([START.vertices, 0.98 * START.vertices + [0, 0, 0.1], START.vertices])
+    path = ho.Path.of(TEAM, knots, legs=lambda s: START.q_legs - 0.05 * s, roll=[[0.0] * 4] * 3)
+    np.testing.assert_allclose(path.vertices.at(np.array([0.0, 0.5, 1.0])), knots, atol=1e-12)
+    q_legs = path.shapes([0.0, 1.0]).legs[..., 0]
+    np.testing.assert_allclose(q_legs, [START.q_legs, START.q_legs - 0.05], atol=1e-12)
+    assert ho.certify(ho.time(path)).certified
+
+
+def test_rolled_legs_leave_the_plane() -> None:
+    level, rolled = (
+        ho.Path.of(TEAM, on_circle, roll=lambda s, angle=angle: [angle * s] * 4)  # type: ignore[misc]
+        for angle in (0.0, 0.3)
+    )
+    heights = [np.ptp(path.drones([1.0])[0, :, 2]) for path in (level, rolled)]
+    assert heights[0] < 1e-9
+    assert heights[1] > 0.1
+
+
+def test_impossible_shapes_are_refused_where_they_are() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"convexity: .* of the path"):
+        ho.time(ho.Path.of(TEAM, lambda s: SQUARE.vertices * (1.0, 1.0 - 1.5 * s)))
+    with pytest.raises(ho.InfeasibleError, match=r"legs: .* of the path"):
+        ho.time(ho.Path.of(TEAM, lambda s: SQUARE.vertices * (1.0 + s)))
+    with pytest.raises(ho.InputError, match=r"polygon .* nothing moves"):
+        ho.route(START, SQUARE)
+    with pytest.raises(ho.InputError, match=r"shape \(3, 2\)"):
+        ho.Path.of(TEAM, lambda _: SQUARE.vertices[:3])
+    with pytest.raises(ho.InputError, match="3 or more knots"):
+        ho.Path.of(TEAM, [SQUARE.vertices, TURNED.vertices])
+    with pytest.raises(ho.InputError, match="vertices"):
+        ho.Path.of(TEAM, lambda s: SQUARE.vertices / s if s else SQUARE.vertices * np.nan)
+    with pytest.raises(ho.InputError, match=r"^s = "):
+        ho.Path.of(TEAM, on_circle).shapes([1.5])
