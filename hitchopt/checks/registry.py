@@ -132,7 +132,7 @@ def certify(
         whose formula does not return one number per item.
     """
     stated: tuple[StatedRule, ...] = ()
-    if isinstance(flight, Planned):
+    if not isinstance(flight, Flight | Motion) and isinstance(flight, Planned):
         stated = flight.stated_rules
         flight = flight.flight
     check_instance("flight", flight, Flight, Motion)

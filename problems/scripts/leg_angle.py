@@ -10,6 +10,7 @@ start = ho.Hitch.spread(team, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
 mission = ho.Mission(team, start, rules=[leg_angle])
 check = mission.morph([[0, -0.7], [-0.4, 0.5], [0.4, 0.5]]).solve().certificate["leg_angle"]
 print(f"smallest angle: {check.worst:.3f} deg at {check.where[0]}, {check.time:.2f} s")
+broken = ""
 try:
     mission.morph([[0, -0.9], [-0.4, 0.5], [0.4, 0.5]]).solve()
 except ho.InfeasibleError as error:
