@@ -13,6 +13,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -54,14 +55,21 @@ of robots; horizontal axes do so for up to about seven."""
 MIN_SEPARATION = 1.05
 """Minimum separation [1] of drones in planned stages, such as a pair that turns."""
 
-MAX_SPAN_RATIO = 0.97  # Largest distance of the drones of a hanging cable, over its length
-CLEARANCE = 1.05  # Clearance of drones to cables, over ``Separation.cable``
+SAMPLED_SEPARATION = 0.99 * MIN_SEPARATION
+"""Smallest separation [1] at samples of the swaps, whose ellipses are made for MIN_SEPARATION."""
+
+MAX_SPAN_RATIO = 0.97
+"""Largest distance of the drones of a hanging cable, over its length."""
+
+CLEARANCE = 1.05
+"""Clearance of drones to cables, over ``Separation.cable``."""
 
 MIN_LINK = 0.05
 """[m] Smallest length of two cables beyond the crossing of their chords at a clasp, in plan view
 after the first swap: cables that do not cross there do not clasp."""
 
-ANGLES = 73  # Number of sampled angles; the certificate bounds all of them
+ANGLES = 73
+"""Number of sampled angles; the certificate bounds all of them."""
 
 SAMPLES = np.linspace(0.0, 1.0, 41)
 """Sampled fractions of a hanging cable's length and of straight flights."""
@@ -75,11 +83,20 @@ MAX_PIECE_ANGLE = 0.3
 TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Fractions of the acceleration that are centripetal at full speed; the rest is tangential."""
 
-JERK_SHARE = 0.7  # Fraction of the jerk for the angle's own rate
-TURN_ANGLES = 25  # Number of angles of half a turn at which usable accelerations are computed
+JERK_SHARE = 0.7
+"""Fraction of the jerk for the angle's own rate."""
+
+TURN_ANGLES = 25
+"""Number of angles of half a turn at which usable accelerations are computed."""
+
+MIN_TANGENTIAL = 1e-6
+"""[m/s²] Smallest acceleration along an ellipse, if the centripetal one takes all."""
 
 CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Fractions of the line from pre-hitch to hitch that are candidates for the clasps."""
+
+MIN_VALUE = 1e-9
+"""[m or 1] Smallest value of a bound by which its limit is divided."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,19 +112,33 @@ class SwapEllipses:
     vertex with nearly collinear edges, it would fly into the loop of its neighbour's hanging cable.
     """
 
-    team: Team  # of the drones
-    centres: Array  # (c, 3) [m]
-    along: Array  # (c, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``
-    upward: Array  # (c, 3), w: unit vectors normal to t, upward and tilted inward
-    half: Array  # (c,) [m], a: half of the chord
-    rise: Array  # (c,) [m], h: the other semi-axis, negative if q_k goes down first
-    ends: Array  # (k, 3) [m]: drones at the ends of a chain, which do not turn
+    team: Team
+    """Team of the drones."""
+
+    centres: Array
+    """(clasps, 3) [m], c."""
+
+    along: Array
+    """(clasps, 3), t: horizontal unit vectors from ``r_{k-1}`` to ``q_k``."""
+
+    upward: Array
+    """(clasps, 3), w: unit vectors normal to t, upward and tilted inward."""
+
+    half: Array
+    """(clasps,) [m], a: half of the chord."""
+
+    rise: Array
+    """(clasps,) [m], h: the other semi-axis, negative if q_k goes down first."""
+
+    ends: Array
+    """(k, 3) [m]: drones at the ends of a chain, which do not turn."""
 
     def drones(self, angle: Array | float, derivative: int = 0) -> Array:
         """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative by the angle."""
         theta = np.asarray(angle, dtype=np.float64)[..., None, None] + 0.5 * np.pi * derivative
-        offset = (self.half[:, None] * self.along) * np.cos(theta)
-        offset = offset + (self.rise[:, None] * self.upward) * np.sin(theta)
+        along_chord = (self.half[:, None] * self.along) * np.cos(theta)
+        normal_to_chord = (self.rise[:, None] * self.upward) * np.sin(theta)
+        offset = along_chord + normal_to_chord
         centre = self.centres if derivative == 0 else np.zeros_like(self.centres)
         layout = self.team.layout
         drones = np.zeros((*offset.shape[:-2], 2 * layout.robots, 3))
@@ -138,17 +169,26 @@ class SwapEllipses:
         usable = float(np.min(usable_accelerations(self.team, limits, self.drones(angles))))
         size = float(max(np.max(self.half), np.max(np.abs(self.rise))))
 
-        def turn(share: float) -> PiecewisePolynomial:
+        def turn(centripetal_share: float) -> PiecewisePolynomial:
             """Return the turn with a centripetal share of the acceleration, within all limits."""
-            speed = min(limits.speed / size, math.sqrt(share * usable / size))
-            tangential = math.sqrt(max(usable * usable - (speed * speed * size) ** 2, 1e-12)) / size
-            clock = fastest_clock(math.pi, speed, tangential, JERK_SHARE * limits.jerk / size)
+            top_rate = min(limits.speed / size, math.sqrt(centripetal_share * usable / size))
+            centripetal = top_rate * top_rate * size
+            remaining = usable * usable - centripetal**2
+            tangential = math.sqrt(max(remaining, MIN_TANGENTIAL**2))
+            clock = fastest_clock(
+                math.pi, top_rate, tangential / size, JERK_SHARE * limits.jerk / size
+            )
             return timed_curve(
-                lambda at, k: self.drones(start + at, k), clock, MAX_PIECE_ANGLE, limits, usable
+                lambda angle, k: self.drones(start + angle, k),
+                clock,
+                MAX_PIECE_ANGLE,
+                limits,
+                usable,
             )
 
         fastest = min(map(turn, TURNING_SHARES), key=lambda drones: drones.duration)
-        return fastest.stretched(max(1.0, (seconds or 0.0) / fastest.duration))
+        shortest = seconds or 0.0
+        return fastest.stretched(max(1.0, shortest / fastest.duration))
 
     @property
     def link_length(self) -> float:
@@ -158,12 +198,16 @@ class SwapEllipses:
         """
         layout = self.team.layout
         drones = self.drones(math.pi)[:, :2]
-        r, q = drones[2 * layout.behind + 1], drones[2 * layout.ahead]
-        back, onward = unit(drones[2 * layout.behind] - r), unit(drones[2 * layout.ahead + 1] - q)
-        turn, offset = cross(back, onward), q - r
+        r = drones[2 * layout.behind + 1]
+        q = drones[2 * layout.ahead]
+        back = unit(drones[2 * layout.behind] - r)
+        onward = unit(drones[2 * layout.ahead + 1] - q)
+        offset = q - r
         # offset = s back - t onward, at the lengths s and t beyond the crossing
-        both = np.stack([cross(offset, onward), cross(offset, back)])
-        lengths = np.divide(both, turn, out=np.full_like(both, -np.inf), where=turn != 0.0)
+        determinant = cross(back, onward)
+        numerators = np.stack([cross(offset, onward), cross(offset, back)])
+        parallel = np.full_like(numerators, -np.inf)
+        lengths = np.divide(numerators, determinant, out=parallel, where=determinant != 0.0)
         return float(np.min(lengths, initial=np.inf))
 
     def clasp_points(self, hitch: Hitch) -> Array:
@@ -185,19 +229,30 @@ class SwapEllipses:
 class Bound(NamedTuple):
     """A requirement of the pre-hitch at samples, under the name of the certificate's check."""
 
-    ratio: float  # above 1 if it is violated
-    constraint: str  # name of the check
-    value: float  # worst value of the samples [unit]
-    limit: float  # [unit]
-    sense: Literal["min", "max"]  # of the limit
-    unit: str  # of value and limit
+    ratio: float
+    """Above 1 if the requirement is violated."""
+
+    constraint: str
+    """Name of the check."""
+
+    value: float
+    """Worst value of the samples [unit]."""
+
+    limit: float
+    """Its limit [unit]."""
+
+    sense: Literal["min", "max"]
+    """Sense of the limit."""
+
+    unit: str
+    """Unit of value and limit."""
 
     @classmethod
     def least(
         cls, constraint: str, value: float, limit: float, unit: str, scale: float = 0.0
     ) -> Bound:
         """Return a lower bound; its ratio is relative to ``scale``, to the value without one."""
-        ratio = limit / max(value, 1e-9) if scale == 0.0 else (limit - value + scale) / scale
+        ratio = (limit - value + scale) / scale if scale > 0.0 else limit / max(value, MIN_VALUE)
         return cls(ratio, constraint, value, limit, "min", unit)
 
     @classmethod
@@ -210,13 +265,26 @@ class Bound(NamedTuple):
 class PreHitch:
     """A pre-hitch: drones and cables before and after the swaps."""
 
-    hitch: Hitch  # to be tied, at the altitude of the swaps
-    settings: SwapSettings  # of the swaps
-    ellipses: SwapEllipses  # of all pairs
-    share: float  # of the hitch's legs
-    depth: float  # largest depth of a cable below the drones' plane during the swaps [m]
-    linked: bool  # whether cables cross at all clasps after the first swap
-    tightest: Bound  # the requirement that is closest to its limit, or violated most
+    hitch: Hitch
+    """The hitch to be tied, at the altitude of the swaps."""
+
+    settings: SwapSettings
+    """Settings of the swaps."""
+
+    ellipses: SwapEllipses
+    """Ellipses of all pairs."""
+
+    share: float
+    """Share of the hitch's legs."""
+
+    depth: float
+    """Largest depth of a cable below the drones' plane during the swaps [m]."""
+
+    linked: bool
+    """Whether cables cross at all clasps after the first swap."""
+
+    tightest: Bound
+    """The requirement that is closest to its limit, or violated most."""
 
     @property
     def violation(self) -> float:
@@ -240,18 +308,21 @@ class PreHitch:
 
     def clear_of_ground(self, requirements: Requirements) -> PreHitch:
         """Return the pre-hitch at the altitude that its cables need, hanging as they are tied."""
-        hitch, start = self.hitch, self.drones_hanging
-        tightening = (start + x * (hitch.drones - start) for x in TIGHTENING_SHARES)
-        hanging = (hover_altitude(hitch.team, drones, requirements) for drones in tightening)
-        clearance = ground_clearance(requirements)
-        altitude = max(hitch.altitude, requirements.floor + clearance + self.depth, *hanging)
+        hitch = self.hitch
+        start = self.drones_hanging
+        altitudes = [
+            hover_altitude(hitch.team, start + share * (hitch.drones - start), requirements)
+            for share in TIGHTENING_SHARES
+        ]
+        lowest_of_swaps = requirements.floor + ground_clearance(requirements) + self.depth
+        altitude = max(hitch.altitude, lowest_of_swaps, *altitudes)
         rise = altitude - hitch.altitude
         if rise <= ALTITUDE_TOLERANCE:
             return self
         return replace(self, hitch=hitch.at_altitude(altitude), ellipses=self.ellipses.raised(rise))
 
     def with_senses(self, senses: Array) -> PreHitch:
-        """Return the pre-hitch with turning senses (c,): 1 if q_k goes up first, -1 if down."""
+        """Return the pre-hitch with senses (clasps,): 1 if q_k goes up first, -1 if down."""
         turned = replace(self.ellipses, rise=np.abs(self.ellipses.rise) * senses)
         return replace(self, ellipses=turned)
 
@@ -261,22 +332,48 @@ class PreHitch:
         While drones move out, clasps move on lines too. Their ends are within reach of all cables,
         and since the lengths of routes are convex, so are the points between.
         """
-        hitch, team, limits = self.hitch, self.hitch.team, requirements.limits
-        start, context = self.drones_hanging, (team, requirements, index)
-        # Upper bound of the drones' motion for any polygon.
-        distance = (1.0 - self.share) * float(np.max(hitch.legs))
-        progress = line_progress(team, limits, start, hitch.drones, distance)
-        clasps = on_lines(progress, self.ellipses.clasp_points(hitch), hitch.vertices)
-        outward, stages = on_lines(progress, start, hitch.drones), list[Motion]()
+        hitch = self.hitch
+        team = hitch.team
+        limits = requirements.limits
+        start = self.drones_hanging
+        stages = list[Motion]()
         for k in (0, 1):
             turn = self.ellipses.half_turn(limits, k, self.settings.seconds)
             still = PiecewisePolynomial.constant(turn.breaks, hitch.vertices)
-            state = CableState.CLASPING
-            stages.append(stage(f"swap {k + 1}", turn, *context, state, vertices=still))
-        stages.append(stage("tighten", outward, *context, CableState.TIGHTENING, vertices=clasps))
-        at_rest = hitch.drones, hitch.legs, rise_seconds(team)
-        tied = tension_stage(hitch, *at_rest, requirements, index, CableState.HITCHED)
-        return [*stages, tied]
+            swap = stage(
+                f"swap {k + 1}",
+                turn,
+                team,
+                requirements,
+                index,
+                CableState.CLASPING,
+                vertices=still,
+            )
+            stages.append(swap)
+        # Upper bound of the drones' motion for any polygon.
+        distance = (1.0 - self.share) * float(np.max(hitch.legs))
+        progress = line_progress(team, limits, start, hitch.drones, distance)
+        outward = on_lines(progress, start, hitch.drones)
+        clasps = on_lines(progress, self.ellipses.clasp_points(hitch), hitch.vertices)
+        tighten = stage(
+            "tighten",
+            outward,
+            team,
+            requirements,
+            index,
+            CableState.TIGHTENING,
+            vertices=clasps,
+        )
+        tension = tension_stage(
+            hitch,
+            hitch.drones,
+            hitch.legs,
+            rise_seconds(team),
+            requirements,
+            index,
+            CableState.HITCHED,
+        )
+        return [*stages, tighten, tension]
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
@@ -312,13 +409,16 @@ def _ellipses(
     If legs or tensions at a vertex differ much, the chord of its drones may be too oblique for
     their cables to cross after a swap; ``across`` lays chords along the vertices' bisectors.
     """
-    layout, drones = hitch.team.layout, hitch.drones
+    layout = hitch.team.layout
+    drones = hitch.drones
     tilt = DEFAULT_TILT if settings.tilt is None else settings.tilt
     centre = np.append(hitch.polygon.centroid, hitch.altitude)
     vertices = hitch.vertices[layout.clasps]
-    q, r = drones[2 * layout.ahead], drones[2 * layout.behind + 1]
+    q = drones[2 * layout.ahead]
+    r = drones[2 * layout.behind + 1]
     chord = (q - r) * [1.0, 1.0, 0.0]  # pairs swap at equal heights
-    lengths, along = np.linalg.norm(chord, axis=1), unit(chord)
+    chord_lengths = np.linalg.norm(chord, axis=1)
+    along = unit(chord)
     offsets = 0.5 * (q + r) - vertices
     if across:
         edges = unit(layout.edges(hitch.vertices))
@@ -326,19 +426,121 @@ def _ellipses(
         offsets -= np.sum(offsets * along, axis=1, keepdims=True) * along
     outward = left_of(along)
     upward = math.cos(tilt) * np.array([0.0, 0.0, 1.0]) - math.sin(tilt) * outward
-    # The scaled chord and w are orthogonal: both axes of the ellipse need the separation.
-    w = separation.scale * [0.0, math.sin(tilt), math.cos(tilt)]
-    rise = max(settings.radius, 0.5 * MIN_SEPARATION / float(np.linalg.norm(w)))
+    # The scaled chord and normal are orthogonal: both axes of the ellipse need the separation.
+    scaled_normal = separation.scale * [0.0, math.sin(tilt), math.cos(tilt)]
+    rise = max(settings.radius, 0.5 * MIN_SEPARATION / float(np.linalg.norm(scaled_normal)))
+    smallest_half = max(settings.radius, MIN_SEPARATION * separation.radius)
+    sense = settings.sense or 1
     ends = drones[~layout.has_leg.ravel()]
     return SwapEllipses(
         hitch.team,
-        vertices + share * offsets + (scale - 1.0) * (vertices - centre),
-        along,
-        upward,
-        np.maximum(0.5 * share * lengths, max(settings.radius, MIN_SEPARATION * separation.radius)),
-        (settings.sense or 1) * np.full(len(along), rise),
-        ends + (scale - 1.0) * (ends - centre),
+        centres=vertices + share * offsets + (scale - 1.0) * (vertices - centre),
+        along=along,
+        upward=upward,
+        half=np.maximum(0.5 * share * chord_lengths, smallest_half),
+        rise=sense * np.full(len(along), rise),
+        ends=ends + (scale - 1.0) * (ends - centre),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class SampledSwaps:
+    """Drones and hanging cables at samples of the two swaps."""
+
+    ellipses: SwapEllipses
+    """Ellipses of all pairs."""
+
+    requirements: Requirements
+    """Distances to keep, and tracking errors."""
+
+    @cached_property
+    def drones(self) -> Array:
+        """(angles, 2n, 3) [m]: drones on two half turns."""
+        return self.ellipses.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
+
+    @property
+    def q(self) -> Array:
+        """(angles, n, 3) [m]: drones at the first ends of cables."""
+        return self.drones[:, 0::2]
+
+    @property
+    def r(self) -> Array:
+        """(angles, n, 3) [m]: drones at the last ends of cables."""
+        return self.drones[:, 1::2]
+
+    @cached_property
+    def cables(self) -> Catenary:
+        """The hanging cables (angles, n)."""
+        return Catenary.between(self.q, self.r, self.ellipses.team.cable_length)
+
+    @cached_property
+    def cable_points(self) -> Array:
+        """(samples, angles, n, 3) [m]: points of the cables."""
+        parameter = self.cables.parameter(SAMPLES[:, None, None])
+        chord_share = 0.5 * (1.0 + parameter)
+        points = self.q + chord_share[..., None] * (self.r - self.q)
+        points[..., 2] -= self.cables.depth(parameter)
+        return points
+
+    @cached_property
+    def displacement(self) -> float:
+        """Largest displacement [m] of cables beyond that of their drones by tracking errors."""
+        position_error = self.requirements.position_error
+        height_ratio = self.requirements.height_ratio
+        return float(np.max(self.cables.extra_displacement(position_error, height_ratio)))
+
+    @property
+    def depth(self) -> float:
+        """Largest depth [m] of a cable below the drones' plane."""
+        lowest = float(np.min(self.cable_points[..., 2]))
+        plane = float(self.ellipses.centres[0, 2])
+        return plane - lowest + self.requirements.height_ratio * self.displacement
+
+    @property
+    def span_ratio(self) -> float:
+        """Largest distance of a cable's drones, over its length."""
+        spans = np.linalg.norm(self.r - self.q, axis=-1)
+        return float(np.max(spans / self.ellipses.team.cable_length))
+
+    def opening(self, hitch: Hitch) -> float:
+        """Return the smallest distance [m] from q to r along a cable's edge, before the swaps.
+
+        If it is negative, pairs would swap on the wrong side.
+        """
+        edge_directions = unit(self.ellipses.team.layout.edges(hitch.vertices))
+        chords = self.r[0] - self.q[0]
+        return float(np.min(np.sum(chords * edge_directions, axis=-1)))
+
+    @property
+    def cable_clearance(self) -> float:
+        """Smallest distance [m] of a drone to the other cable at its clasp, heights scaled."""
+        layout = self.ellipses.team.layout
+        q = self.q[:, layout.ahead]
+        r = self.r[:, layout.behind]
+        to_q = self.cable_points[:, :, layout.behind] - q
+        to_r = self.cable_points[:, :, layout.ahead] - r
+        scale = np.array([1.0, 1.0, 1.0 / self.requirements.height_ratio])
+        distances = np.linalg.norm(np.stack([to_q, to_r]) * scale, axis=-1)
+        return float(np.min(distances, initial=np.inf))
+
+    def bounds(self, hitch: Hitch) -> list[Bound]:
+        """Return the requirements of the swaps that lead to a hitch."""
+        separation = self.requirements.separation
+        radius = separation.radius
+        closest = smallest_separation(self.drones, separation)
+        diameter = 2.0 * MIN_SEPARATION * radius
+        opening = self.opening(hitch)
+        link_length = self.ellipses.link_length
+        bounds = [
+            Bound.largest("span", self.span_ratio, MAX_SPAN_RATIO, "ratio"),
+            Bound.least("separation", opening, diameter, "m", scale=radius),
+            Bound.least("interlacing", link_length, MIN_LINK, "m", scale=radius),
+            Bound.least("separation", closest, SAMPLED_SEPARATION, "ratio"),
+        ]
+        if separation.cable > 0.0:
+            limit = CLEARANCE * (separation.cable + self.displacement)
+            bounds.append(Bound.least("cable_clearance", self.cable_clearance, limit, "m"))
+        return bounds
 
 
 def _evaluate(
@@ -349,47 +551,30 @@ def _evaluate(
     share: float,
 ) -> PreHitch:
     """Return the pre-hitch with these ellipses, sampled over the swaps and up to the hitch."""
-    drones = ellipses.drones(np.linspace(0.0, 2.0 * math.pi, ANGLES))
-    q, r = drones[:, 0::2], drones[:, 1::2]
-    layout, length = ellipses.team.layout, ellipses.team.cable_length
-    cables = Catenary.between(q, r, length)
-    mu = cables.parameter(SAMPLES[:, None, None])
-    points = q + (0.5 * (1.0 + mu))[..., None] * (r - q)  # (samples, angles, n, 3)
-    points[..., 2] -= cables.depth(mu)
-    separation = requirements.separation
-    off, ratio = requirements.position_error, requirements.height_ratio
-    displacement = float(np.max(cables.extra_displacement(off, ratio)))
-    depth = float(ellipses.centres[0, 2]) - float(np.min(points[..., 2])) + ratio * displacement
-    # Distance from q to r along the edge: if negative, pairs would swap on the wrong side.
-    opening = float(np.min(np.sum((r[0] - q[0]) * unit(layout.edges(hitch.vertices)), axis=-1)))
-    link_length, radius = ellipses.link_length, separation.radius
-    diameter, closest = 2.0 * MIN_SEPARATION * radius, smallest_separation(drones, separation)
-    longest = float(np.max(np.linalg.norm(r - q, axis=-1) / length))
-    bounds = [
-        Bound.largest("span", longest, MAX_SPAN_RATIO, "ratio"),
-        Bound.least("separation", opening, diameter, "m", scale=radius),
-        Bound.least("interlacing", link_length, MIN_LINK, "m", scale=radius),
-        Bound.least("separation", closest, 0.99 * MIN_SEPARATION, "ratio"),
-    ]
-    if separation.cable > 0.0:
-        pairs = (q[:, layout.ahead], layout.behind), (r[:, layout.behind], layout.ahead)
-        scale = np.array([1.0, 1.0, 1.0 / ratio])
-        offsets = [(points[:, :, cable] - drone) * scale for drone, cable in pairs]
-        clearance = float(np.min(np.linalg.norm(offsets, axis=-1), initial=np.inf))
-        limit = CLEARANCE * (separation.cable + displacement)
-        bounds.append(Bound.least("cable_clearance", clearance, limit, "m"))
+    swaps = SampledSwaps(ellipses, requirements)
+    bounds = swaps.bounds(hitch)
     if all(bound.ratio <= 1.0 for bound in bounds):
-        start, move = drones[0], hitch.drones - drones[0]
-        closest = smallest_separation(start + SAMPLES[:, None, None] * move, separation)
-        clasps = ellipses.clasp_points(hitch)
-        gap, limit = _tightening_gap(hitch, start, clasps), CLEARANCE * separation.cable
-        bounds += [
-            Bound.least("separation", closest, 1.0, "ratio"),
-            Bound.largest("cable_length", _route_ratio(hitch.team, start, clasps), 1.0, "ratio"),
-            Bound.least("cable_clearance", gap, limit, "m"),
-        ]
+        bounds += _bounds_of_tightening(ellipses, hitch, requirements.separation)
     tightest = max(bounds, key=lambda bound: bound.ratio)
-    return PreHitch(hitch, settings, ellipses, share, depth, link_length >= MIN_LINK, tightest)
+    linked = ellipses.link_length >= MIN_LINK
+    return PreHitch(hitch, settings, ellipses, share, swaps.depth, linked, tightest)
+
+
+def _bounds_of_tightening(
+    ellipses: SwapEllipses, hitch: Hitch, separation: Separation
+) -> list[Bound]:
+    """Return the requirements of the move from the swaps to the hitch, at its samples."""
+    start = ellipses.drones(0.0)
+    clasps = ellipses.clasp_points(hitch)
+    drones = start + SAMPLES[:, None, None] * (hitch.drones - start)
+    closest = smallest_separation(drones, separation)
+    route = _route_ratio(hitch.team, start, clasps)
+    gap = _tightening_gap(hitch, start, clasps)
+    return [
+        Bound.least("separation", closest, 1.0, "ratio"),
+        Bound.largest("cable_length", route, 1.0, "ratio"),
+        Bound.least("cable_clearance", gap, CLEARANCE * separation.cable, "m"),
+    ]
 
 
 def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
@@ -397,22 +582,40 @@ def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
 
     Seen from above, at samples of the move to the hitch; see ``checks.bodies``.
     """
-    layout, share = hitch.team.layout, np.array(TIGHTENING_SHARES)[:, None, None]
+    layout = hitch.team.layout
+    share = np.array(TIGHTENING_SHARES)[:, None, None]
     drones = start + share * (hitch.drones - start)
     points = clasps + share * (hitch.vertices - clasps)
     taut = np.broadcast_to(hitch.vertices, points.shape)
     regions = clasped_outlines(layout, drones, points, taut)[..., :2]
-    pairs = (2 * layout.behind + 1, layout.ahead), (2 * layout.ahead, layout.behind)
-    gaps = [hull_distance(regions[:, cable], drones[:, drone, None, :2]) for drone, cable in pairs]
-    return max(float(np.min(gaps, initial=np.inf)), 1e-9)
+    q = drones[:, 2 * layout.ahead, None, :2]
+    r = drones[:, 2 * layout.behind + 1, None, :2]
+    gaps = [
+        hull_distance(regions[:, layout.ahead], r),
+        hull_distance(regions[:, layout.behind], q),
+    ]
+    return max(float(np.min(gaps, initial=np.inf)), MIN_VALUE)
 
 
 def smallest_separation(drones: Array, separation: Separation) -> float:
-    """Return the minimum separation [1] of drones (J, m, 3) [m] at J times."""
+    """Return the minimum separation [1] of drones (J, m, 3) [m] at J times.
+
+    The drones of all times are in one tree. Its fourth axis keeps those of two times farther apart
+    than any two drones of one time. The smallest separation of the first time bounds the search.
+    """
     from scipy.spatial import cKDTree
 
     scaled = drones * separation.scale
-    return min(float(np.min(cKDTree(points).query(points, k=[2])[0])) for points in scaled)
+    times, count, _ = scaled.shape
+    extent = np.ptp(scaled.reshape(-1, 3), axis=0)
+    distance_of_times = float(np.linalg.norm(extent)) + 1.0
+    fourth = np.repeat(distance_of_times * np.arange(times), count)
+    points = np.column_stack([scaled.reshape(-1, 3), fourth])
+    tree = cKDTree(points, balanced_tree=False)
+    second_nearest = [2]  # the nearest point is the drone itself
+    first = float(np.min(tree.query(points[:count], k=second_nearest)[0]))
+    distances, _ = tree.query(points[count:], k=second_nearest, distance_upper_bound=first)
+    return min(first, float(np.min(distances, initial=np.inf)))
 
 
 def _route_ratio(team: Team, drones: Array, points: Array) -> float:
