@@ -45,13 +45,22 @@ from hitchopt.values import Array, lazy
 
 Mask = NDArray[np.bool_]
 
-# Relative: 0.2 mm of a cable of 2 m, well below the length of a knot or a strain of 0.5 N
 LENGTH_LIMIT = 1e-4
-EXPORTED_LIMIT = 1e-3  # Relative: for files that store millimetres
-# [N] A quarter of a thousandth of a usual tension, far below what a drone can measure
+"""Largest relative error of a cable's length: 0.2 mm of a cable of 2 m, well below the length of a
+knot or a strain of 0.5 N."""
+
+EXPORTED_LIMIT = 1e-3
+"""The same for files, which store millimetres."""
+
 TENSION_LIMIT = 1e-4
-SAG_SHARE = 0.2  # largest error of the chord of a laid cable, relative to its sag
-RATIO_ORDER = 4  # degree of a weight over a tension: both hardly change on spans that matter
+"""[N] Largest error of a tension: a quarter of a thousandth of a usual one, far below what a drone
+can measure."""
+
+SAG_SHARE = 0.2
+"""Largest error of the chord of a laid cable, relative to its sag."""
+
+RATIO_ORDER = 4
+"""Degree of a weight over a tension: both hardly change on spans that matter."""
 
 
 _saved_lengths = cached(saved_lengths)
@@ -69,8 +78,10 @@ class Cables(MotionSpans):
 
     def scaled(self, table: Array, noise: float = 0.0) -> Enclosed:
         """Return vectors or scalars of a table, relative to the cable's length."""
-        c = self.read(table)
-        return Enclosed(c[:, None] if c.ndim == 2 else c, noise) * self.scale
+        values = self.read(table)
+        if values.ndim == 2:
+            values = values[:, None]
+        return Enclosed(values, noise) * self.scale
 
     @lazy
     def parts(self) -> Enclosed:
@@ -85,7 +96,9 @@ class Cables(MotionSpans):
             arcs = self.read(wrapped_arcs(self.source))
             length = length + arc_lengths(arcs * self.scale[..., None])
         savings = _saved_lengths(self.source)
-        return length - 1.0 if savings is None else length - self.scaled(savings) - 1.0
+        if savings is not None:
+            length = length - self.scaled(savings)
+        return length - 1.0
 
     @lazy
     def sag(self) -> Enclosed:
@@ -109,20 +122,29 @@ def _parts(motion: Motion, whole: bool = False) -> Array:
 
     With ``whole``, both straight parts of an edge are their sum.
     """
-    legs, edges = leg_vectors(motion), bent_edges(motion)
-    edges = (edges[0] + edges[1],) * 2 if whole else edges
-    rows = legs[:, 0::2], legs[:, 1::2], *(edges if motion.has_wraps else edges[:1])
-    return joined_arrays([row[:, :, None] for row in rows], axis=2)
+    legs = leg_vectors(motion)
+    leaving, arriving = bent_edges(motion)
+    if not motion.has_wraps:
+        edges = [leaving]
+    elif whole:
+        edges = [leaving + arriving, leaving + arriving]
+    else:
+        edges = [leaving, arriving]
+    parts = [legs[:, 0::2], legs[:, 1::2], *edges]
+    return joined_arrays([part[:, :, None] for part in parts], axis=2)
 
 
 def _length_error(spans: Cables) -> Bound:
     """Return the largest of ``|leg + edge + leg - L| / L`` and of errors of the plan's legs."""
-    has_weight = spans.source.team.cable_density > 0.0
-    excess = spans.excess + spans.sag if has_weight else spans.excess
-    stored = Enclosed(spans.read(spans.source.legs.coefficients)[:, :, None]) * spans.scale[:, None]
-    errors = (stored - select(spans.parts.norm, [0, 1])).norm_upper
-    each = [Bound(errors.value[:, i], errors.x[:, i]) for i in (0, 1)]
-    return largest_of([excess.norm_upper, *each])
+    excess = spans.excess
+    if spans.source.team.cable_density > 0.0:
+        excess = excess + spans.sag
+    stored_legs = spans.read(spans.source.legs.coefficients)[:, :, None]
+    legs = Enclosed(stored_legs) * spans.scale[:, None]
+    errors = (legs - select(spans.parts.norm, [0, 1])).norm_upper
+    q_error = Bound(errors.value[:, 0], errors.x[:, 0])
+    r_error = Bound(errors.value[:, 1], errors.x[:, 1])
+    return largest_of([excess.norm_upper, q_error, r_error])
 
 
 def _shortfall(spans: Cables) -> Bound:
@@ -142,7 +164,8 @@ def _taut_error(spans: Cables) -> Bound:
     The error is relative to the length with the sag at the team's tension. Within SAG_SHARE, the
     tension is within an eighth of the team's.
     """
-    team, drones = spans.source.team, spans.source.drones.coefficients
+    team = spans.source.team
+    drones = spans.source.drones.coefficients
     chord = spans.scaled(drones[:, 1::2] - drones[:, 0::2], noise=spans.noise)
     sag = sag_factors(team, team.tension) * team.cable_length**2
     sag_excess = chord.norm * chord.xy.dot(chord.xy) * sag[spans.item, None]
@@ -190,9 +213,10 @@ SPAN = CheckRule(
 @cached
 def _leg_and_edge(motion: Motion) -> list[Array]:
     """Return the pull of every drone's leg, and its cable's tension [N], without common zeros."""
-    tension = np.repeat(motion.tensions.coefficients, 2, axis=1)
-    pairs = without_shared_zeros([motion.pulls.coefficients[:, :, None], tension[:, :, None]])
-    return [each[:, :, 0] for each in pairs]
+    pulls = motion.pulls.coefficients
+    tensions = np.repeat(motion.tensions.coefficients, 2, axis=1)
+    tables = without_shared_zeros([pulls[:, :, None], tensions[:, :, None]])
+    return [table[:, :, 0] for table in tables]
 
 
 class FrictionLegs(Drones):
@@ -203,9 +227,10 @@ class FrictionLegs(Drones):
         """(spans,) ``e^{μ θ}``, θ the smallest wrap angle of the cable at its clasp."""
         leaving, arriving = bent_edges(self.source)
         edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
-        cosine = self.along.dot(Enclosed(self.read(edges), self.noise).direction).lower.value
-        turn = np.pi - np.arccos(np.clip(cosine - ROUNDING, -1.0, 1.0))
-        return np.asarray(np.exp(self.source.team.cable_friction * turn))
+        edge_directions = Enclosed(self.read(edges), self.noise).direction
+        cosine = self.along.dot(edge_directions).lower.value - ROUNDING
+        wrap_angle = np.pi - np.arccos(np.clip(cosine, -1.0, 1.0))
+        return np.asarray(np.exp(self.source.team.cable_friction * wrap_angle))
 
 
 def leg_excess(spans: FrictionLegs) -> Bound:
@@ -214,11 +239,14 @@ def leg_excess(spans: FrictionLegs) -> Bound:
     The range is from ``e^{-μ θ}`` to ``e^{μ θ}`` times the edge's pull. A quotient of polynomials
     with a positive divisor lies between the quotients of their coefficients.
     """
-    pull, tension = same_degree(*map(spans.read, _leg_and_edge(spans.source)))
+    pulls, tensions = _leg_and_edge(spans.source)
+    pull, tension = same_degree(spans.read(pulls), spans.read(tensions))
     ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
-    highest, lowest = np.max(ratios, -1) * (1.0 + ROUNDING), np.min(ratios, -1) * (1.0 - ROUNDING)
-    value = np.maximum(highest - spans.friction_ratio, 1.0 / spans.friction_ratio - lowest)
-    return Bound(value, np.full(len(spans), 0.5))
+    highest = np.max(ratios, axis=-1) * (1.0 + ROUNDING)
+    lowest = np.min(ratios, axis=-1) * (1.0 - ROUNDING)
+    above = highest - spans.friction_ratio
+    below = 1.0 / spans.friction_ratio - lowest
+    return Bound(np.maximum(above, below), np.full(len(spans), 0.5))
 
 
 def friction_excess(motion: Motion) -> WorstCase:
@@ -237,46 +265,60 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
     """
     cases = [_pull_jump(motion), _thrust_jump(motion)]
     if np.any(motion.taut):
-        ranges = np.moveaxis(stated_tensions(motion), -1, 0)
-        if not np.all(motion.taut):  # ramps are next to spans without a hitch
-            ramps = _ramps(motion)
-            ranges = np.where(ramps, [np.zeros_like(ranges[0]), ranges[0]], ranges)
-        cases += [_out_of_range(motion, Cables, motion.tensions.coefficients, ranges)]
-        cases += [_end_deviation(motion)]
+        ranges = _tension_ranges(motion)
+        cases.append(_out_of_range(motion, Cables, motion.tensions.coefficients, ranges))
+        cases.append(_end_deviation(motion))
         if motion.has_friction:
-            twice = np.repeat(ranges, 2, axis=2)
-            cases += [_out_of_range(motion, FrictionLegs, motion.pulls.coefficients, twice)]
-    return max(cases, key=lambda each: each.worst)
+            of_legs = np.repeat(ranges, 2, axis=2)
+            cases.append(_out_of_range(motion, FrictionLegs, motion.pulls.coefficients, of_legs))
+    return max(cases, key=lambda case: case.worst)
+
+
+def _tension_ranges(motion: Motion) -> Array:
+    """Return the smallest and the largest admissible tensions (2, pieces, n) [N]."""
+    smallest, largest = np.moveaxis(stated_tensions(motion), -1, 0)
+    if not np.all(motion.taut):  # ramps are next to spans without a hitch
+        ramps = _ramps(motion)
+        largest = np.where(ramps, smallest, largest)
+        smallest = np.where(ramps, 0.0, smallest)
+    return np.stack([smallest, largest])
 
 
 def _pull_jump(motion: Motion) -> WorstCase:
     """Return the largest jump of a cable's tension or of a leg's pull."""
-    parts = motion.tensions.coefficients, motion.pulls.coefficients
-    each = np.concatenate([part[..., [0, -1]] for part in parts], axis=1)
+    curves = motion.tensions.coefficients, motion.pulls.coefficients
+    end_values = np.concatenate([curve[..., [0, -1]] for curve in curves], axis=1)
+    end_values = np.where(motion.taut[:, None, None], end_values, 0.0)
+    at_start = end_values[..., 0]
+    at_end = end_values[..., 1]
+    noise = ROUNDING * (np.abs(at_start[1:]) + np.abs(at_end[:-1]))
+    jumps = np.abs(at_start[1:] - at_end[:-1]) + noise
     names = [*cable_names(motion), *motion.team.drone_names]
-    left, right = np.moveaxis(np.where(motion.taut[:, None, None], each, 0.0), -1, 0)
-    noise = ROUNDING * (np.abs(left[1:]) + np.abs(right[:-1]))
-    return worst_at_joint(np.abs(left[1:] - right[:-1]) + noise, motion.drones.breaks[1:], names)
+    return worst_at_joint(jumps, motion.drones.breaks[1:], names)
 
 
 def _thrust_jump(motion: Motion) -> WorstCase:
     """Return the largest jump of a drone's thrust, by its norm."""
-    (left, right), (before, after) = end_thrusts(motion)
-    jumps = length(left[1:] - right[:-1]) + before[1:] + after[:-1]
+    (at_start, at_end), (start_error, end_error) = end_thrusts(motion)
+    jumps = length(at_start[1:] - at_end[:-1]) + start_error[1:] + end_error[:-1]
     return worst_at_joint(jumps, motion.drones.breaks[1:], motion.team.drone_names)
 
 
 def end_thrusts(motion: Motion) -> tuple[Array, Array]:
     """Return thrusts (2, pieces, 2n, 3) [N] at starts and ends of all pieces, and their errors."""
-    shape, parts = (2, motion.drones.pieces, motion.team.drones), list[Array]()
+    thrusts = list[Array]()
+    errors = list[Array]()
     for spans in Drones.of(motion):
         count = len(spans)
-        x, index = np.repeat([0.0, 1.0], count), np.tile(np.arange(count), 2)
-        thrust = spans.at(x, index).thrust
-        errors = np.broadcast_to(thrust.r, 2 * count)
-        parts.append(np.column_stack([thrust.c[..., 0], errors]).reshape(2, count, 4))
-    each = np.concatenate(parts, axis=1).reshape(*shape, 4)
-    return each[..., :3], each[..., 3]
+        x = np.repeat([0.0, 1.0], count)
+        thrust = spans.at(x, np.tile(np.arange(count), 2)).thrust
+        thrusts.append(thrust.c[..., 0].reshape(2, count, 3))
+        errors.append(np.broadcast_to(thrust.r, 2 * count).reshape(2, count))
+    shape = (2, motion.drones.pieces, motion.team.drones)
+    return (
+        np.concatenate(thrusts, axis=1).reshape(*shape, 3),
+        np.concatenate(errors, axis=1).reshape(shape),
+    )
 
 
 def _out_of_range(
@@ -289,9 +331,11 @@ def _out_of_range(
         pull = Enclosed(spans.read(pulls)[:, None], margin)
         friction = spans.friction_ratio if isinstance(spans, FrictionLegs) else 1.0
         smallest, largest = ranges[:, spans.piece, spans.item]
-        high, low = pull.upper, pull.lower
-        over = Bound(high.value - largest * friction, high.x)
-        return largest_of([over, Bound(smallest / friction - low.value, low.x)], 0.0)
+        high = pull.upper
+        low = pull.lower
+        above = Bound(high.value - largest * friction, high.x)
+        below = Bound(smallest / friction - low.value, low.x)
+        return largest_of([above, below], 0.0)
 
     spans: Iterator[MotionSpans]
     spans = spans_type.all_of(motion, motion.drones.breaks, pulls.shape[1], motion.taut)
@@ -306,18 +350,20 @@ def _end_deviation(motion: Motion) -> WorstCase:
     Ends at which an object is held before and after are excluded: all steps of a grasp share its
     range. So are bent cables, which are held by the tension at which they are tied.
     """
-    index = np.concatenate([[-1], ranged_phases(motion), [-1]])
+    ranged = np.concatenate([[-1], ranged_phases(motion), [-1]])  # with none before and after
     holds = [phase.hold is not None for phase in motion.phases] or [False]
     holding = np.pad(np.array(holds)[motion.phase_of_piece], 1, mode="edge")
-    c, team = motion.tensions.coefficients, motion.team.tension
     bent = motion.in_states(frozenset({CableState.BENT}))
-    deviation = np.zeros((motion.drones.pieces + 1, motion.team.robots))
-    for end, other, shift in ((0, slice(0, -2), 0), (-1, slice(2, None), 1)):
-        changes = (index[1:-1] != index[other]) & (index[1:-1] >= 0) & motion.taut
-        changes &= ~(holding[1:-1] & holding[other]) & ~bent
-        joints = np.flatnonzero(changes) + shift
-        deviation[joints] = np.maximum(deviation[joints], np.abs(c[changes][..., end] - team))
-    return worst_at_joint(deviation, motion.drones.breaks, Cables.names(motion))
+    states_range = (ranged[1:-1] >= 0) & motion.taut & ~bent
+    errors = np.abs(motion.tensions.coefficients[..., [0, -1]] - motion.team.tension[:, None])
+    deviations = np.zeros((motion.drones.pieces + 1, motion.team.robots))
+    for end, neighbour in ((0, slice(0, -2)), (1, slice(2, None))):
+        changes = (ranged[1:-1] != ranged[neighbour]) & states_range
+        changes &= ~(holding[1:-1] & holding[neighbour])
+        pieces = np.flatnonzero(changes)
+        joints = pieces + end
+        deviations[joints] = np.maximum(deviations[joints], errors[pieces, :, end])
+    return worst_at_joint(deviations, motion.drones.breaks, Cables.names(motion))
 
 
 def _ramps(motion: Motion) -> Mask:
@@ -325,13 +371,15 @@ def _ramps(motion: Motion) -> Mask:
 
     The mask is (pieces, n).
     """
-    resting, unhitched = motion.taut, ~motion.taut
-    for part in (motion.drones, motion.vertices):
-        resting = resting & (np.max(np.ptp(part.coefficients, axis=-1), axis=(1, 2)) <= REST_DRIFT)
-    ends = motion.tensions.coefficients[..., [0, -1]]
-    lowest = stated_tensions(motion)[..., 0]
-    is_low = lowest[..., None] - ends > TENSION_LIMIT
-    low_at_start, low_at_end = is_low[..., 0], is_low[..., 1]
+    resting = motion.taut
+    for curve in (motion.drones, motion.vertices):
+        travel = np.max(np.ptp(curve.coefficients, axis=-1), axis=(1, 2))
+        resting = resting & (travel <= REST_DRIFT)
+    unhitched = ~motion.taut
+    smallest = stated_tensions(motion)[..., 0]
+    tensions = motion.tensions.coefficients
+    low_at_start = smallest - tensions[..., 0] > TENSION_LIMIT
+    low_at_end = smallest - tensions[..., -1] > TENSION_LIMIT
     rising = _rising(resting, unhitched, low_at_start, low_at_end)
     # A tension that falls rises backward in time.
     falling = _rising(resting[::-1], unhitched[::-1], low_at_end[::-1], low_at_start[::-1])[::-1]
