@@ -52,13 +52,23 @@ from hitchopt.trajectory.enclosed import Bound
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array
 
-GAMMA = 1.0  # default ratio of vertex errors to drone errors
-# Checks whose slack bounds the radius; the last one only if ``limits.tracking`` is stated
+GAMMA = 1.0
+"""Default ratio of vertex errors to drone errors."""
+
 RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)
-HANGING_CHECKS = ("cable_clearance", "object_clearance")  # distances of cables that hang
-HALVINGS = 40  # bisection steps for the radius of hanging cables
-NEWTON = 12  # iterations for the nearest point; an inexact normal only costs tightness
-PROJECTIONS = 24  # alternating ones onto an ellipsoid and a body, to the same effect
+"""Checks whose slack bounds the radius; the last one only if ``limits.tracking`` is stated."""
+
+HANGING_CHECKS = ("cable_clearance", "object_clearance")
+"""Distances of cables that hang."""
+
+HALVINGS = 40
+"""Bisection steps for the radius of hanging cables."""
+
+NEWTON_ITERATIONS = 12
+"""Iterations for the nearest point of an ellipsoid; an inexact normal only costs tightness."""
+
+PROJECTIONS = 24
+"""Alternating projections onto an ellipsoid and a body, to the same effect."""
 
 
 def flattened(requirements: Requirements) -> Requirements:
@@ -143,7 +153,7 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
     """
     limited = bool(motion.requirements.limits.tube.level)
     for name in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
-        hanging = [each for each in results[name] if _is_hanging(each)]
+        hanging = [result for result in results[name] if _is_hanging(result)]
         spans = motion.spans(hanging[0].states) if hanging else ()
         for result, span in zip(hanging, spans, strict=True):
             if not limited or name != CABLE_CLEARANCE.name:
@@ -160,7 +170,7 @@ def _slack(check: Check) -> float:
 
 
 def _is_hanging(result: SpanResult) -> bool:
-    on_chords = {CableState.GROUND}, {CableState.DRAWN}
+    on_chords = ({CableState.GROUND}, {CableState.DRAWN})
     return result.states.isdisjoint(TAUT_STATES) and result.states not in on_chords
 
 
@@ -169,11 +179,13 @@ def _excess(spans: Drones) -> Bound:
 
     If errors are larger upright, chords grow by 2r horizontally and by ``2r ratio`` upright.
     """
-    chord, ratio = spans.partner.norm_upper, spans.source.requirements.height_ratio
+    ratio = spans.source.requirements.height_ratio
+    chord = spans.partner.norm_upper
     excess = spans.length - chord.value
     if ratio == 1.0:
         return Bound(excess, chord.x)
-    across, height = spans.partner.xy.norm_upper.value, spans.partner[2].norm_upper.value
+    across = spans.partner.xy.norm_upper.value
+    height = spans.partner[2].norm_upper.value
     # 2r is the positive root x of a x² + 2 b x = c, of chords longer by x and by x ratio upright
     a = 1.0 + ratio**2
     b = across + ratio * height
@@ -186,12 +198,17 @@ def _hanging_radius(span: Motion, check: Check) -> float:
     """Return the largest radius at which hanging cables keep their clearance [m]."""
     if not check.is_evaluated:
         return math.inf
-    slack, approach = _slack(check), approach_of(span)
-    low, high = 0.0, slack
+    slack = _slack(check)
+    approach = approach_of(span)
+    sufficient = 0.0
+    insufficient = slack
     for _ in range(HALVINGS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if approach(middle) <= slack else (low, middle)
-    return low
+        radius = 0.5 * (sufficient + insufficient)
+        if approach(radius) <= slack:
+            sufficient = radius
+        else:
+            insufficient = radius
+    return sufficient
 
 
 def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
@@ -200,10 +217,11 @@ def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
     For a ratio s, the smallest semi-axis times s - 1 is a lower bound: if it suffices, no pair is
     evaluated.
     """
-    axes, names = ellipsoid_axes(motion.requirements), motion.team.drone_names
+    axes = ellipsoid_axes(motion.requirements)
     lower = max(0.5 * float(np.min(axes)) * (check.worst - 1.0), 0.0)
     if term.worst <= lower:
         return term
+    names = motion.team.drone_names
     points = motion.drones.coefficients[:, :, None]
     moving = Moving.of(motion, points, names=(names, names))
     moving = replace(moving.flattened(motion.requirements.height_ratio), shape=Ellipsoid(axes))
@@ -240,15 +258,21 @@ class Ellipsoid(Shape):
         ellipsoid. Newton's method finds t from the left, on a convex decreasing function.
         """
         offsets = corners[..., 0, :]
-        a, b = float(self.axes[0]), float(self.axes[2])
-        across, upward = np.hypot(offsets[..., 0], offsets[..., 1]), np.abs(offsets[..., 2])
+        a = float(self.axes[0])
+        b = float(self.axes[2])
+        across = np.hypot(offsets[..., 0], offsets[..., 1])
+        upward = np.abs(offsets[..., 2])
         outside = (across / a) ** 2 + (upward / b) ** 2 > 1.0
         t = np.maximum(np.maximum(a * across - a * a, b * upward - b * b), 0.0)
-        for _ in range(NEWTON):
-            x, z = a * across / (t + a * a), b * upward / (t + b * b)
+        for _ in range(NEWTON_ITERATIONS):
+            # The nearest point over the semi-axes, on the unit circle at the solution
+            x = a * across / (t + a * a)
+            z = b * upward / (t + b * b)
+            excess = x * x + z * z - 1.0
             slope = 2.0 * (x * x / (t + a * a) + z * z / (t + b * b))
-            t = t + np.where(outside, (x * x + z * z - 1.0) / np.where(outside, slope, 1.0), 0.0)
-        return unit(np.where(outside[..., None], offsets / (t[..., None] + self.axes**2), 0.0))
+            t = t + np.where(outside, excess / np.where(outside, slope, 1.0), 0.0)
+        normals = offsets / (t[..., None] + self.axes**2)
+        return unit(np.where(outside[..., None], normals, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,20 +288,24 @@ class Wash(Shape):
     def support(self, directions: Array) -> Array:
         """Return the support function (…) [m] along directions (…, 3)."""
         reach = Ellipsoid(self.axes).support(directions)
-        return reach if self.slab is None else np.asarray(reach + self.slab.support(directions))
+        if self.slab is None:
+            return reach
+        return np.asarray(reach + self.slab.support(directions))
 
     def normals(self, corners: Array) -> Array:
         """Return outward normals (…, 3) nearest to hulls (…, corners, 3), by projections in turn.
 
         With a slab, hulls are points.
         """
-        ellipsoid, inner = Ellipsoid(self.axes), np.zeros_like(corners[..., 0, :])
+        ellipsoid = Ellipsoid(self.axes)
+        inner = np.zeros_like(corners[..., 0, :])
         for _ in range(PROJECTIONS):
             offsets = self._offsets(corners - inner[..., None, :]) + inner
             normals = ellipsoid.normals(offsets[..., None, :])
+            is_outside = np.any(normals != 0.0, axis=-1)[..., None]
             # The ellipsoid's point with that normal; the offset itself inside
             on_surface = normals * self.axes**2 / _lengths(normals * self.axes)
-            inner = np.where(np.any(normals != 0.0, axis=-1)[..., None], on_surface, offsets)
+            inner = np.where(is_outside, on_surface, offsets)
         return normals
 
     def _offsets(self, corners: Array) -> Array:
@@ -313,13 +341,13 @@ def downwash_radius(
     """
     scale = np.array([1.0, 1.0, 1.0 / requirements.height_ratio])
     axes = 0.5 * ellipsoid_axes(requirements)
-    worst = WorstCase(math.inf, 0.0)
+    least = WorstCase(math.inf, 0.0)
     for moving in pairs(scale, formula=_error, shape=partial(Wash, axes=axes)):
-        pair = smallest(moving, incumbent=worst.worst * approach)
+        pair = smallest(moving, incumbent=least.worst * approach)
         radius = max(pair.worst, 0.0) / approach
-        if pair.item >= 0 and radius < worst.worst:
-            worst = WorstCase(radius, pair.time, moving.pair_names(pair.item))
-    return worst
+        if pair.item >= 0 and radius < least.worst:
+            least = WorstCase(radius, pair.time, moving.pair_names(pair.item))
+    return least
 
 
 TRACKING_RADIUS = ReportRule(

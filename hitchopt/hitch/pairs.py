@@ -103,7 +103,8 @@ def limits_of(separation: Separation) -> Array:
 
 def scales_of(requirements: Requirements) -> Array:
     """Return the scale factors (3, 3) of the axes in distances, by kind of pairs."""
-    scales, separation = np.ones((3, 3)), requirements.separation
+    separation = requirements.separation
+    scales = np.ones((3, 3))
     scales[:, 2] = 1.0 / requirements.height_ratio
     scales[SEPARATION, 2] = separation.radius / separation.height
     return scales
@@ -113,8 +114,11 @@ def scales_of(requirements: Requirements) -> Array:
 class TautBodies:
     """The bodies of a hitch."""
 
-    layout: Layout  # its indices
-    nodes: Indices  # (bodies, 2), both ends
+    layout: Layout
+    """Its indices."""
+
+    nodes: Indices
+    """(bodies, 2), both ends."""
 
     @classmethod
     @lru_cache(maxsize=64)
@@ -134,14 +138,18 @@ class TautBodies:
         A drone may touch the part that ends at it (its leg, or its edge without one), and parts may
         touch at a common clasp.
         """
-        layout, drones = self.layout, 2 * self.layout.robots
-        is_drone, other_is_drone = i < drones, j < drones
-        has_leg, drone = layout.has_leg.ravel(), np.minimum(i, drones - 1)
-        own_end = np.where(has_leg[drone], layout.points + drone, layout.anchors[drone])
+        layout = self.layout
+        drones = 2 * layout.robots
+        is_drone = i < drones
+        other_is_drone = j < drones
+        drone = np.minimum(i, drones - 1)
+        has_leg = layout.has_leg.ravel()[drone]
+        own_end = np.where(has_leg, layout.points + drone, layout.anchors[drone])
         is_foreign = np.all(self.nodes[j] != own_end[:, None], axis=1)
-        vertices, other_vertices = self._vertices(i), self._vertices(j)
-        is_common = vertices[:, :, None] == other_vertices[:, None, :]
-        clasped = np.any(is_common & (vertices[:, :, None] >= 0), axis=(1, 2))
+        vertices = self._vertices(i)[:, :, None]
+        other_vertices = self._vertices(j)[:, None, :]
+        is_common = (vertices == other_vertices) & (vertices >= 0)
+        clasped = np.any(is_common, axis=(1, 2))
         kind = np.where(is_drone | clasped, -1, CROSSING)
         kind[is_drone & ~other_is_drone & is_foreign] = CABLE
         kind[is_drone & other_is_drone] = SEPARATION
@@ -177,13 +185,19 @@ class TautBodies:
                 last = self.near(lowest[half:], highest[half:], limits, cutoff)
                 last[0] += half
                 return np.concatenate([first, last], axis=1)
-            i, j = pairs.first, pairs.second
+            i = pairs.first
+            j = pairs.second
             kind = self.kind(i, j)
             limited = (kind >= 0) & (limits[kind] > 0.0)
-        i, j, kind = i[limited], j[limited], kind[limited]
+        i = i[limited]
+        j = j[limited]
+        kind = kind[limited]
         frame, pair = _are_close(lowest, highest, i, j, cutoff).nonzero()
         near = np.empty((4, len(frame)), dtype=np.intp)
-        near[0], near[1], near[2], near[3] = frame, i[pair], j[pair], kind[pair]
+        near[0] = frame
+        near[1] = i[pair]
+        near[2] = j[pair]
+        near[3] = kind[pair]
         return near
 
     @cached_property
@@ -191,18 +205,20 @@ class TautBodies:
         """Both bodies and the kind of all pairs that may not touch."""
         i, j = np.triu_indices(len(self.nodes), 1)
         kind = self.kind(i, j)
-        return i[kind >= 0], j[kind >= 0], kind[kind >= 0]
+        apart = kind >= 0
+        return i[apart], j[apart], kind[apart]
 
 
 def _are_close(
     lowest: Array, highest: Array, i: Indices, j: Indices, cutoff: float
 ) -> NDArray[np.bool_]:
     """Return whether boxes i and j (pairs,) with corners (…, bodies, 2) are within ``cutoff``."""
-    gaps = np.maximum(
-        lowest[..., i, :] - highest[..., j, :], lowest[..., j, :] - highest[..., i, :]
-    )
-    x, y = np.maximum(gaps[..., 0], 0.0), np.maximum(gaps[..., 1], 0.0)
-    close: NDArray[np.bool_] = x * x + y * y <= cutoff * cutoff
+    behind = lowest[..., i, :] - highest[..., j, :]
+    ahead = lowest[..., j, :] - highest[..., i, :]
+    gaps = np.maximum(behind, ahead)
+    x_gap = np.maximum(gaps[..., 0], 0.0)
+    y_gap = np.maximum(gaps[..., 1], 0.0)
+    close: NDArray[np.bool_] = x_gap * x_gap + y_gap * y_gap <= cutoff * cutoff
     return close
 
 
@@ -214,13 +230,18 @@ def end_combinations(
     Bodies are separated by as much as all their ends are along a normal. Pairs have kinds (m,) and
     nodes (m, 2) at the ends of their bodies; a drone's are the same.
     """
-    rows: list[tuple[Indices, Indices, Indices]] = []
-    for which, ends, other_ends in (
-        (SEPARATION, (0,), (0,)),
-        (CABLE, (0,), (0, 1)),
-        (CROSSING, (0, 1), (0, 1)),
-    ):
+    ends_of_kind = {
+        SEPARATION: [(0, 0)],
+        CABLE: [(0, 0), (0, 1)],
+        CROSSING: [(0, 0), (0, 1), (1, 0), (1, 1)],
+    }
+    pairs = list[Indices]()
+    first_nodes = list[Indices]()
+    second_nodes = list[Indices]()
+    for which, combinations in ends_of_kind.items():
         pair = np.flatnonzero(kind == which)
-        rows += [(pair, first[pair, a], second[pair, b]) for a in ends for b in other_ends]
-    pairs, a, b = (np.concatenate(column) for column in zip(*rows, strict=True))
-    return pairs, a, b
+        for first_end, second_end in combinations:
+            pairs.append(pair)
+            first_nodes.append(first[pair, first_end])
+            second_nodes.append(second[pair, second_end])
+    return np.concatenate(pairs), np.concatenate(first_nodes), np.concatenate(second_nodes)
