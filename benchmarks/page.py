@@ -85,12 +85,12 @@ MAX_SIZES = 8
 SHOWN_FAMILIES = ("form", "carry", "morph", "heavy_morph", "box", "door", "corridor")
 
 LIMITS = (
-    "Limits and tolerances are the defaults; plans are certified for all times. Rivals know no jerk limits or cable clearances, exceed "
+    "Limits and tolerances are the defaults; plans are certified for all times. Rivals have no jerk limits or cable clearances, exceed "
     "limits between their samples by up to {excess:.1f} %, and get {limit:g} s per pair, their programs built before. Failures have no times."
 )
 
 FAMILIES_TEXT = (
-    "Both ends of each problem are certified before it is planned, and none is left out. `form` ties irregular hitches of scattered robots, "
+    "Both ends of each problem are certified before it is planned, and none is omitted. `form` ties irregular hitches of scattered robots, "
     "`carry` holds objects by rims or grips, `box`, `door` and `corridor` move single drones; `python -m benchmarks families` draws more."
 )
 

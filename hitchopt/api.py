@@ -76,8 +76,8 @@ def solve(
     ----------
     problem: a problem, or the path of a problem file.
     progress: status callback.
-    limit: time limit [s]; None for none.
-    rules: limits of one's own, in addition to those of the problem.
+    limit: time limit [s]; None: unlimited.
+    rules: custom limits, in addition to those of the problem.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def repair(
 
 
 def _seconds(limit: Any) -> float | None:
-    """Return a time limit [s], None for none; raise InputError if it is not positive."""
+    """Return a time limit [s], None if there is none; raise InputError if it is not positive."""
     return None if limit is None else positive("limit", limit)
 
 
@@ -220,18 +220,18 @@ class Mission(Problem):
         tension: tuple[float, float] | None = None,
         settle: SettleTime = "auto",
     ) -> Self:
-        """Change the polygon: every vertex moves to its place.
+        """Change the polygon: every vertex moves to its goal.
 
         Parameters
         ----------
         polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot;
             one more of the convex arc of an open chain.
         legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-            with this as sharing, and a roll_deg, at the step's end.
+            with sharing (one of these) and roll_deg, at the step's end.
         duration: exact duration [s]; default: as fast as the limits allow.
         blend: continue into the next step without a stop.
         optimize: search for a faster route even if the straight one is feasible; by default only if
-            that takes more than 1.3 times as long as every drone and vertex alone.
+            that takes more than 1.3 times its lower bound.
         tension: range of tensions during the step [N].
         settle: duration of the swings that end the step where cables slid against friction, added
             to its duration [s]; auto: as far as limits allow; or false.
@@ -281,7 +281,7 @@ class Mission(Problem):
         to: goal [x, y] [m].
         by: displacement [dx, dy] [m], instead of to.
         legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-            with this as sharing, and a roll_deg, at the step's end.
+            with sharing (one of these) and roll_deg, at the step's end.
         duration: exact duration [s]; default: as fast as the limits allow.
         blend: continue into the next step without a stop.
         settle: duration of the swings that end the step where cables slid against friction, added
@@ -321,7 +321,7 @@ class Mission(Problem):
         to: goals of its ends, [[x, y], [x, y]] [m], its first vertex first.
         by: displacement [dx, dy] [m], instead of to.
         legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-            with this as sharing, and a roll_deg, at the step's end.
+            with sharing (one of these) and roll_deg, at the step's end.
         duration: exact duration [s]; default: as fast as the limits allow.
         blend: continue into the next step without a stop.
         settle: duration of the swings that end the step where cables slid against friction, added
@@ -348,12 +348,12 @@ class Mission(Problem):
         blend: bool = False,
         settle: SettleTime = "auto",
     ) -> Self:
-        """Slide cables through their clasps; the outline stays.
+        """Slide cables through their clasps; the outline does not change.
 
         Parameters
         ----------
         legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-            with this as sharing, and a roll_deg.
+            with sharing (one of these) and roll_deg.
         duration: exact duration [s]; default: as fast as the limits allow.
         blend: continue into the next step without a stop.
         settle: duration of the swings that end the step where cables slid against friction, added
@@ -373,17 +373,17 @@ class Mission(Problem):
         """Move one vertex through points, at rest before and after.
 
         It meets timed points at their times. With a speed, points need no times: it moves at this
-        speed on a smooth path through them. It stops at points where it turns by more than a right
-        angle, and is slower where a drone's limit binds.
+        speed on a smooth path through them. It stops where the path turns by more than 90°, and
+        slows down where a drone's limit binds.
 
         Parameters
         ----------
         vertex: index, from 0.
-        path: points [t, x, y] [s, m, m], t from the step's start, increasing; between equal points
-            that follow each other the vertex stands still; with a speed also points [x, y].
+        path: points [t, x, y] [s, m, m], t from the step's start, increasing; the vertex rests
+            between equal consecutive points; with a speed also points [x, y].
         legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-            with this as sharing, and a roll_deg, at the step's end.
-        speed: largest speed of the vertex, which it keeps on its path through points [x, y] [m/s];
+            with sharing (one of these) and roll_deg, at the step's end.
+        speed: largest speed of the vertex on its path through points [x, y] [m/s];
             None: limits.vertex_speed.
         settle: duration of the swings that end the step where cables slid against friction, added
             to its duration [s]; auto: as far as limits allow; or false.
@@ -394,7 +394,7 @@ class Mission(Problem):
 
     @suggest_keywords
     def transport(self, to: ArrayLike, yaw: float = 0.0, duration: float | None = None) -> Self:
-        """Move the whole hitch and turn it about its centroid; its shape and legs stay.
+        """Move the whole hitch and turn it about its centroid, without changing its shape or legs.
 
         Parameters
         ----------
@@ -408,7 +408,7 @@ class Mission(Problem):
     def settle(self, seconds: float | Literal["auto"] = "auto") -> Self:
         """Swing the drones to remove friction hysteresis at the clasps.
 
-        Drones swing about their places with decreasing amplitude; vertices stay as planned.
+        Drones swing about their places with decreasing amplitude; planned vertices do not move.
 
         Parameters
         ----------
@@ -429,7 +429,7 @@ class Mission(Problem):
         order: ArrayLike | Literal["auto"] = "auto",
         duration: float | None = None,
     ) -> Self:
-        """Tie a hitch from drones with hanging cables, which the team's tension then pulls.
+        """Tie a hitch from hanging cables, then raise the tension to the team's.
 
         Without ``legs`` they are spread, with a margin to the cables where drones stand close to
         them.
@@ -440,7 +440,7 @@ class Mission(Problem):
             one more of the convex arc of an open chain.
         altitude: height of the hitch's plane [m].
         legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-            with this as sharing, and a roll_deg, at the step's end; spread without it.
+            with sharing (one of these) and roll_deg, at the step's end; spread without it.
         assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
         swap: how drones turn in pairs.
         settle: duration of the swings that end the step where cables slid against friction, added
@@ -467,9 +467,9 @@ class Mission(Problem):
 
     @suggest_keywords
     def open_vertex(self, vertex: int, duration: float | None = None) -> Self:
-        """Roll a vertex's pair until both cables run straight through and lie on one another.
+        """Roll a vertex's pair until both cables run straight and lie on each other.
 
-        What is left is a chain on the same lines: all other vertices hold.
+        The rest is a chain on the same lines, with all other vertices intact.
 
         Parameters
         ----------
@@ -511,9 +511,9 @@ class Mission(Problem):
 
     @suggest_keywords
     def enclose(self, object: str, duration: float | None = None) -> Self:
-        """Rise above an object, take a polygon around it, and descend around it.
+        """Rise above an object, change to a polygon around it, and descend.
 
-        It ends just below the object's rim, or, without one, as high as the centre of mass.
+        It ends just below the object's rim, or at the height of its centre of mass if it has none.
 
         Parameters
         ----------
@@ -543,7 +543,7 @@ class Mission(Problem):
 
     @suggest_keywords
     def lift(self, by: float, duration: float | None = None) -> Self:
-        """Pass the object's weight to the clasps, and lift it straight up.
+        """Transfer the object's weight to the clasps, and lift it vertically.
 
         Parameters
         ----------
@@ -556,7 +556,7 @@ class Mission(Problem):
     def carry(
         self, object: str, to: ArrayLike, yaw: float = 0.0, duration: float | None = None
     ) -> Self:
-        """Fly the object on a straight line and turn it, so gently that it stays on its supports.
+        """Fly the object along a straight line, gently enough that it stays on its supports.
 
         Parameters
         ----------
@@ -569,7 +569,7 @@ class Mission(Problem):
 
     @suggest_keywords
     def set_down(self, object: str, duration: float | None = None) -> Self:
-        """Lower the object until it stands, and pass its weight to its support.
+        """Lower the object onto its support, and transfer its weight to it.
 
         Parameters
         ----------
@@ -591,7 +591,7 @@ class Mission(Problem):
 
     @suggest_keywords
     def leave(self, object: str, duration: float | None = None) -> Self:
-        """Rise straight up until the hitch is above all objects.
+        """Rise vertically until the hitch is above all objects.
 
         Parameters
         ----------
@@ -649,14 +649,16 @@ class Mission(Problem):
     ) -> Self:
         """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
-        The cables come down beside the object and bend around it, and each pair of drones turns
-        fully. They then grip the object with the team's tension.
+        The cables are lowered beside the object and bent around it, and each pair of drones makes a
+        full turn. They then grip the object with the team's tension.
 
         Parameters
         ----------
         around: name of the object.
-        at: height of the clasps above its base [m]; None: high, but below its rim.
-        tension: tension of all cables while they are tied [N]; None: low, as their weight permits.
+        at: height of the clasps above its base [m]; None: as high as is safe, but
+            below its rim.
+        tension: tension of all cables while they are tied [N]; None: as low as their weight
+            permits.
         duration: exact duration [s]; default: as fast as the limits allow.
         """
         return self.then(new_step(Tie, around=around, at=at, tension=tension, duration=duration))

@@ -121,7 +121,7 @@ class Plan(OneLine):
         from hitchopt.view.pictures import plot_from_above
 
         if axes is not None and not isinstance(axes, mpl_axes.Axes):
-            raise InputError("axes", axes, "matplotlib axes", "leave it out for a new figure")
+            raise InputError("axes", axes, "matplotlib axes", "omit it for a new figure")
         return plot_from_above(self.flight, axes)
 
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
@@ -276,8 +276,8 @@ class Plan(OneLine):
         """
         if save is not None:
             if ghost is not None:
-                bound = "None where a plan is written to a file"
-                raise InputError("ghost", str(ghost), bound, "leave out save: it is shown live")
+                bound = "None when a plan is written to a file"
+                raise InputError("ghost", str(ghost), bound, "omit save: it is shown live")
             from hitchopt.view.report import save_view
 
             content = self.flight, self.certificate, self.title, self.problem

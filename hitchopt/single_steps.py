@@ -60,15 +60,15 @@ def morph(
     polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
         more of the convex arc of an open chain.
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg, at the step's end.
+        with sharing (one of these) and roll_deg, at the step's end.
     duration: exact duration [s]; default: as fast as the limits allow.
     optimize: search for a faster route even if the straight one is feasible; by default only if
-        that takes more than 1.3 times as long as every drone and vertex alone.
+        that takes more than 1.3 times its lower bound.
     tension: range of tensions during the step [N].
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def hold(
     start: the hitch at t = 0.
     seconds: duration [s].
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -146,12 +146,12 @@ def move_vertex(
     to: goal [x, y] [m].
     by: displacement [dx, dy] [m], instead of to.
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg, at the step's end.
+        with sharing (one of these) and roll_deg, at the step's end.
     duration: exact duration [s]; default: as fast as the limits allow.
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -192,12 +192,12 @@ def move_edge(
     to: goals of its ends, [[x, y], [x, y]] [m], its first vertex first.
     by: displacement [dx, dy] [m], instead of to.
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg, at the step's end.
+        with sharing (one of these) and roll_deg, at the step's end.
     duration: exact duration [s]; default: as fast as the limits allow.
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -228,12 +228,12 @@ def adjust(
     ----------
     start: the hitch at t = 0.
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg.
+        with sharing (one of these) and roll_deg.
     duration: exact duration [s]; default: as fast as the limits allow.
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -263,23 +263,23 @@ def follow_vertex(
     """Return the certified plan of moving one vertex through points, at rest before and after.
 
     It meets timed points at their times. With a speed, points need no times: it moves at this speed
-    on a smooth path through them. It stops at points where it turns by more than a right angle, and
-    is slower where a drone's limit binds.
+    on a smooth path through them. It stops where the path turns by more than 90°, and slows down
+    where a drone's limit binds.
 
     Parameters
     ----------
     start: the hitch at t = 0.
     vertex: index, from 0.
-    path: points [t, x, y] [s, m, m], t from the step's start, increasing; between equal points that
-        follow each other the vertex stands still; with a speed also points [x, y].
+    path: points [t, x, y] [s, m, m], t from the step's start, increasing; the vertex rests between
+        equal consecutive points; with a speed also points [x, y].
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg, at the step's end.
-    speed: largest speed of the vertex, which it keeps on its path through points [x, y] [m/s];
+        with sharing (one of these) and roll_deg, at the step's end.
+    speed: largest speed of the vertex on its path through points [x, y] [m/s];
         None: limits.vertex_speed.
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -313,7 +313,7 @@ def transport(
     yaw: rotation, counter-clockwise [rad].
     duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -358,7 +358,7 @@ def form(
         more of the convex arc of an open chain.
     altitude: height of the hitch's plane [m].
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg, at the step's end; spread without it.
+        with sharing (one of these) and roll_deg, at the step's end; spread without it.
     assign: auto: choose which robot takes which edge, and which end is its q; fixed: in order.
     swap: how drones turn in pairs.
     settle: duration of the swings that end the step where cables slid against friction, added to
@@ -368,7 +368,7 @@ def form(
     order: order of laying, robots from bottom to top; auto: alternating levels.
     duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -404,14 +404,14 @@ def settle(
 ) -> Plan:
     """Return the certified plan of swings that remove friction hysteresis at the clasps.
 
-    Drones swing about their places with decreasing amplitude; vertices stay as planned.
+    Drones swing about their places with decreasing amplitude; planned vertices do not move.
 
     Parameters
     ----------
     start: the hitch at t = 0.
     seconds: duration [s]; auto: four swings, slower where limits require it.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -437,7 +437,7 @@ def open_vertex(
 ) -> Plan:
     """Return the certified plan of rolling a vertex's pair until both its cables run straight.
 
-    What is left is a chain on the same lines: all other vertices hold.
+    The rest is a chain on the same lines, with all other vertices intact.
 
     Parameters
     ----------
@@ -445,7 +445,7 @@ def open_vertex(
     vertex: index, from 0.
     duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -475,7 +475,7 @@ def release(
     start: the hitch at t = 0.
     duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------
@@ -508,7 +508,7 @@ def land(
     q, r: (n, 3) [m], at rest: hovering, or on the ground with their cables between them.
     duration: exact duration [s]; default: as fast as the limits allow.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------

@@ -108,7 +108,7 @@ def _imported(nodes: list[ast.AST], names: set[str]) -> set[str]:
 def defined(tree: ast.AST) -> Iterator[tuple[ast.AST, str]]:
     """The public names that a module defines, and the public methods of its classes.
 
-    Decorated functions are left out, since a decorator may register them; not so properties and the
+    Decorated functions are omitted, since a decorator may register them; not so properties and the
     like.
     """
     assert isinstance(tree, ast.Module)

@@ -240,7 +240,7 @@ REFUSED: list[Refusal] = [
     (lambda: ho.Team(3, 2e4), "cable_length", "from 0.001 to 10000 m; if millimetres"),
     (lambda: ho.Limits(tilt=45), "tilt", "below 1.571 rad; if degrees were meant, 0.785"),
     (lambda: ho.Limits(tilt_deg=95), "tilt_deg", "below 90 °"),
-    (lambda: ho.Limits(tilt=0.5, tilt_deg=30), "tilt_deg", "left out where tilt is given"),
+    (lambda: ho.Limits(tilt=0.5, tilt_deg=30), "tilt_deg", "omitted if tilt is given"),
     (lambda: ho.Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
     (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
     (lambda: parse_problem(written("0.1, gains: {kp: 1}")), "team.quadrotor.gains", "= {'kp': [1"),

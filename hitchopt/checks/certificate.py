@@ -32,8 +32,8 @@ GROUPS = {
 }  # fmt: skip
 """Checks under the headings of the certificate's table; the rest goes under "other"."""
 
-CUSTOM = "own rules"
-"""Heading of rules of one's own, which ``hitchopt verify`` does not prove."""
+CUSTOM = "custom rules"
+"""Heading of custom rules, which ``hitchopt verify`` does not prove."""
 
 ERRORS = ("cable_length", "equilibrium", "tension")  # checks of errors, titled as such in tables
 TIE = 1e-9  # relative difference of utilization up to which checks tie
@@ -75,7 +75,7 @@ class Check(OneLine):
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
-    custom: whether it is a rule of one's own, which ``hitchopt verify`` does not prove.
+    custom: whether it is a custom rule, which ``hitchopt verify`` does not prove.
     """
 
     name: str
@@ -315,7 +315,7 @@ def _stated(check: Check) -> StatedRule:
 
 
 def _entry(check: Check) -> dict[str, Any]:
-    """Return a check's entry in ``certificate.json``; gamma and custom are left out if unset."""
+    """Return a check's entry in ``certificate.json``; gamma and custom are omitted if unset."""
     entry = asdict(check) | {"where": list(check.where)}
     entry |= {"worst": check.worst if check.is_evaluated else None}
     if check.gamma is None:

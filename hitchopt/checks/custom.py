@@ -1,4 +1,4 @@
-"""Rules of one's own: limits on quantities of drones, vertices or clasps, certified for all t.
+"""Custom rules: limits on quantities of drones, vertices or clasps, certified for all t.
 
 A rule is a formula over spans, like every check. ``hitchopt verify`` does not know the formula and
 does not prove the rule.
@@ -112,7 +112,7 @@ S = TypeVar("S", bound=RuleSpans)
 
 @dataclass(frozen=True, eq=False)
 class Rule(ByValue, Generic[S]):
-    """A limit of one's own, certified for all t like those of hitchopt.
+    """A custom limit, certified for all t like those of hitchopt.
 
     The formula is arithmetic with enclosed values: ``+``, ``-``, ``*``, ``dot``, ``cross``,
     ``norm``, ``direction``, ``inverse``, ``root``, ``xy``, components such as ``[2]``, and

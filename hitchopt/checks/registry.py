@@ -77,12 +77,12 @@ TeamResults = dict[str, tuple[SpanResult, ...]]
 """Results of one team's checks, by the rules' names."""
 
 NAMES = (*RULE_OF, *(report.name for report in REPORTS), "survivable")
-"""Names of all checks, which rules of one's own cannot take."""
+"""Names of all checks, which custom rules cannot take."""
 
 _CERTIFICATES: WeakKeyDictionary[Motion | Flight, Certificate] = WeakKeyDictionary()
 """Certificates that this process has computed; those of a team that flies alone by its motion.
 
-They have no rules of one's own."""
+They have no custom rules."""
 
 
 @runtime_checkable
@@ -216,7 +216,7 @@ def with_rules(
     rules: Sequence[Rule[Any]],
     progress: Callable[[str], None] | None = None,
 ) -> Certificate:
-    """Return the certificate of a flight with the checks of rules of one's own, of every team."""
+    """Return the certificate of a flight with the checks of custom rules, of every team."""
     checks = list[Check]()
     for rule in rules:
         if progress is not None:

@@ -1,4 +1,4 @@
-"""Exit codes and stderr lines of errors; no mistake of a user ends in a traceback."""
+"""Exit codes and stderr lines of errors; user errors never end in a traceback."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class SafeGroup(click.Group):
 
 
 def _reporter() -> Callable[..., None]:
-    """Return a function that reports warnings; of copies of a value, under shorter keys, once."""
+    """Return a function that reports warnings, once for copies of a value under shorter keys."""
     shown = set[tuple[str, str]]()
 
     def report(warning: Warning, *_: object) -> None:

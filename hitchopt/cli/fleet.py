@@ -169,10 +169,10 @@ def _rule_options() -> Sequence[click.Option]:
 
 @command("path PATH", _rule_options)
 def lint(path: Path, limits: dict[str, float]) -> None:
-    """Check fleet files of any origin and report errors.
+    """Check fleet files from any source and report errors.
 
     PATH is a file or a folder of any format that `export` writes. Limits that a show declares are
-    always checked. Ends with 3 if there are errors.
+    always checked. Exits with code 3 if there are errors.
     """
     from hitchopt.exports.lint import Rules
 
@@ -201,14 +201,17 @@ def _say_report(report: Report) -> None:
     figures: list[tuple[str, float | None, float | None]] = [
         ("speed [m/s]", flight.speed, flight.speed_limit),
         ("acceleration [m/s²]", flight.acceleration, flight.acceleration_limit),
-        *((f"{own.name} [{own.unit}], the show's own", own.worst, own.limit) for own in flight.own),
+        *(
+            (f"{own.name} [{own.unit}], declared by the show", own.worst, own.limit)
+            for own in flight.own
+        ),
         ("separation [ellipsoids]", flight.separation, 1.0),
-        ("reach from the origin [m]", flight.reach, None),
+        ("largest distance from the origin [m]", flight.reach, None),
         ("pieces of a drone", max(fact.pieces or 0 for fact in facts) or None, None),
         ("bytes of a drone", max(fact.size or 0 for fact in facts) or None, BYTES),
     ]
     for size, unit in zip(flight.jumps, ("m", "m/s", "m/s²"), strict=False):
-        figures.append((f"jump where pieces join [{unit}]", size, None))
+        figures.append((f"jump between pieces [{unit}]", size, None))
     frame = f", frame {report.frame}" if report.frame else ""
     title = f"{report.path}: {report.kind}, {len(facts)} drones{frame}, {flight.duration:.3f} s"
     heads = ("figure", "worst", "limit")
@@ -238,9 +241,9 @@ def _say_report(report: Report) -> None:
 def abort(directory: Path, how: str | None, every: float) -> None:
     """Plan and certify aborts from all times of the plan in DIR.
 
-    Writes aborts.json and aborts.zip to DIR. From any time, the common clock runs on to the next
-    entry and slows to rest, where the entry's plan continues. Ends with 3 if there are times from
-    which no abort was found.
+    Writes aborts.json and aborts.zip to DIR. From any time, the common clock runs to the next
+    entry and slows to rest, where the entry's plan continues. Exits with code 3 if no abort was
+    found from some times.
     """
     from hitchopt.checks.drones import largest_at_rest, thrust_share, tilt
     from hitchopt.live.abort import abort_table, save_aborts
@@ -263,7 +266,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         for quantity in (thrust_share, tilt)
     )
     needed = f"{thrust:.1%} of a drone's thrust and a tilt of {angle:.2f}°"
-    say(f"hovering anywhere on the paths takes up to {needed}")
+    say(f"hovering anywhere on the paths needs up to {needed}")
     save_aborts(path.parent, aborts)
     say(
         f"aborts.json and aborts.zip are in {path.parent}",
@@ -274,7 +277,7 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         missing=[list(span) for span in aborts.missing],
     )
     if aborts.entries:
-        say(f"at rest {aborts.longest:.3f} s at most after any command")
+        say(f"at rest within {aborts.longest:.3f} s of any command")
     if aborts.missing:
         spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in aborts.missing)
         say(f"no abort was found for commands from {spans}", err=True)
@@ -337,10 +340,10 @@ def fly(
 ) -> None:
     """Stream the setpoints of the plan in DIR to drones, controlled by keys.
 
-    The stream begins at rest at the plan's start. Keys: space to resume and to pause, b back,
-    a abort, l land, q quit before the start; Ctrl-C lands. All changes of the clock and all aborts
+    The stream begins at rest at the plan's start. Keys: space resumes and pauses, b flies back, a
+    aborts, l lands, q quits before the start; Ctrl-C lands. All changes of the clock and all aborts
     are certified; aborts are planned first. A lost operator or lost measurements lead to a hold,
-    then to a landing. Ends with 3 unless the drones have landed.
+    then to a landing. Exits with code 3 unless the drones have landed.
     """
     from hitchopt.live.fly import CommandedPlan, SetpointStream
     from hitchopt.live.links import KEYS_HELP, Operator
@@ -426,7 +429,7 @@ def _abort_tables(flight: ho.Flight, how: str | None) -> dict[str, AbortTable]:
         for each in dict.fromkeys(("land", how)):
             aborts[each] = abort_table(flight, each, progress=progress)
             if not aborts[each].entries:
-                remedy = "a lost link could not end on the ground; choose another --how"
+                remedy = "after a lost link, drones could not land; choose another --how"
                 raise InfeasibleError([], f"no abort {each} was found; {remedy}")
     return {"land": aborts["land"], "abort": aborts[how]}
 

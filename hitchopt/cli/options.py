@@ -19,7 +19,7 @@ SUFFIXES = (".yaml", ".yml")  # Suffixes of problem files
 
 
 class NonEmptyPath(click.Path):
-    """A path that is not empty, as the value of an unset shell variable is."""
+    """A path that is not empty, unlike the value of an unset shell variable."""
 
     def __init__(self) -> None:
         super().__init__(path_type=Path)
@@ -139,7 +139,7 @@ Options = click.Option | Callable[[], Sequence[click.Option]]
 
 
 class Command(click.Command):
-    """A command whose options are declared when they are first used; ``--help`` lists it without.
+    """A command whose options are declared on first use, not when ``--help`` lists it.
 
     Parameters are those of ``click.Command``; ``params`` may contain functions (``Options``).
     """

@@ -63,7 +63,7 @@ def output() -> Output:
 
 
 def say(text: str, *, err: bool = False, **results: Any) -> None:
-    """Print text to stdout, unless it is disabled, or to stderr; record the ``results``."""
+    """Print text to stdout, unless output is disabled, or to stderr; record the ``results``."""
     record(**results)
     if err or not (output().quiet or output().json):
         text = in_options(text)
@@ -247,8 +247,8 @@ def phase_table(phases: Sequence[ho.Phase]) -> str:
 def certificate_table(certificate: ho.Certificate) -> str:
     """Return the table of a certificate's checks, with their worst values over all time.
 
-    Checks are listed by groups. If some do not hold, there is a column with verdicts; otherwise the
-    last line names the limits that bind.
+    Checks are listed by groups. If a check fails, a column shows the verdicts; otherwise the last
+    line names the limits that bind.
     """
     rows: list[dict[str, object]] = []
     for heading, checks in certificate.groups.items():

@@ -84,8 +84,8 @@ def view(
             raise FileError(f"{recording}: its plan is not in {path}; keep the two together")
     if save is not None:
         if ghost is not None:
-            bound = "no ghost where a plan is written to a file"
-            raise InputError("ghost", str(ghost), bound, "leave --save out: it is shown live")
+            bound = "no ghost when a plan is written to a file"
+            raise InputError("ghost", str(ghost), bound, "omit --save: it is shown live")
         _save(save, path, recording if is_flight else None, width)
         return
     from hitchopt.storage.interrupts import how_to_end

@@ -136,7 +136,7 @@ def solve(
 
 
 def _draw(plan: ho.Plan, folder: Path) -> None:
-    """Draw the picture of a plan that is stored, unless ``--quiet``; a failure is a warning."""
+    """Draw the picture of a saved plan, unless ``--quiet``; a failure is only a warning."""
     if output().quiet:
         return
     with contained("summary.png"), ProgressBar("drawing"):
@@ -181,7 +181,7 @@ def _plan(
 
 
 def _show_vertex_errors(flight: ho.Flight) -> None:
-    """Report how far vertices of each team may be off at rest, and by what."""
+    """Report the largest errors of each team's vertices at rest, with their causes."""
     from hitchopt.checks.vertex_errors import error_in_words
 
     for each in flight.teams:
@@ -210,7 +210,7 @@ def _leave_diagnosis(
 ) -> NoReturn:
     """Report and save the diagnosis of an error, and exit with its code.
 
-    If there is a problem, changes that make it feasible are searched for in the remaining time
+    Changes that make the problem, if any, feasible are searched for in the remaining time
     ``seconds`` [s]. The problem's text with one change is written to a file: ``repair_to`` is the
     text, the file and the number of the change.
     """
@@ -239,7 +239,7 @@ def _leave_diagnosis(
 
 
 def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[ho.Suggestion]) -> None:
-    """Write a problem's text with the suggestion of a number, from 1 on, if there is one."""
+    """Write a problem's text with the suggestion numbered ``take``, from 1, if it exists."""
     from hitchopt.mission.changes import with_edits_in
 
     if take > len(suggestions):
@@ -342,7 +342,7 @@ def check(
 def _differences_from_request(path: Path) -> Iterator[str]:
     """Yield messages on keys of the problem that the plan contradicts, as ``verify`` compares them.
 
-    Keys of the problem's team, limits and ends of steps are compared before, as a plan is read.
+    Keys of the problem's team, limits and ends of steps are compared earlier, when a plan is read.
     """
     from hitchopt.verify import UnreadableError, read, requested
 
@@ -380,7 +380,7 @@ def _changed_others(flight: Flight, path: Path) -> Iterator[str]:
 def verify(directory: Path) -> None:
     """Prove the limits of the plan in DIR with an independent verifier.
 
-    Ends with 0 if all are proven, with 3 if one is violated or not proven.
+    Exits with code 0 if all are proven, and 3 if one is violated or not proven.
     """
     _show_verified(plan_path(directory))
 
@@ -388,7 +388,7 @@ def verify(directory: Path) -> None:
 def _show_verified(path: Path) -> None:
     """Prove and report the limits of a plan.npz; exit with 3 unless all are proven.
 
-    The plan is compared with its problem's text before.
+    First, the plan is compared with its problem's text.
     """
     from hitchopt.plan import read_requested_plan
     from hitchopt.verify import PASSING, UnreadableError, cells, verdict, verify
@@ -399,7 +399,7 @@ def _show_verified(path: Path) -> None:
         with ProgressBar("proving") as progress:
             for row in verify(path):
                 rows.append(row)
-                progress(f"proven or not: {row.name}")
+                progress(f"checked: {row.name}")
     except UnreadableError as error:
         raise _unverifiable(path, error) from error
     heads = ["check", "worst", "limit", "unit", "where", "when"]
@@ -411,7 +411,7 @@ def _show_verified(path: Path) -> None:
 
 
 def example_files() -> list[Path]:
-    """Return the examples of the installed package or the checkout, without those with others."""
+    """Return the examples of the installed package or the checkout that need no other plan."""
     installed = PACKAGE / "examples"
     folder = installed if installed.is_dir() else PACKAGE.parent / "problems"
     files = sorted([*folder.glob("*.yaml"), *(folder / "swarms").glob("*.yaml")])
@@ -490,7 +490,7 @@ def init(
     options = {"example": example, "kind": kind, "drone": model, "robots": robots}
     first, *others = [key for key, value in options.items() if value is not None] or [""]
     if others and first != "drone":
-        bound = f"left out with --{first}"
+        bound = f"omitted with --{first}"
         raise InputError(f"--{others[0]}", options[others[0]], bound, "give one of the two")
     template = PACKAGE / (KINDS[kind] if kind else "mission/template.yaml")
     source = files[example] if example else template

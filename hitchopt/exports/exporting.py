@@ -110,12 +110,12 @@ def export_flight(
     kind, roles, place = format_of(options.format), flight.team.listed_names, Path(folder)
     plan = flight.stretched(options.stretch)
     if options.rate is not None and kind.rate == 0.0:
-        bound = f"left out for {kind.name}"
+        bound = f"omitted for {kind.name}"
         raise InputError("rate", options.rate, bound, "it does not sample")
     frame = ReferenceFrame(options.frame or kind.frames[0], options.origin, options.yaw)
     if frame.name not in kind.frames:
         bound = f"one of {', '.join(kind.frames)} for {kind.name}"
-        raise InputError("frame", frame.name, bound, f"leave it out for {kind.frames[0]}")
+        raise InputError("frame", frame.name, bound, f"omit it for {kind.frames[0]}")
     if options.fleet is None:
         fleet = placeholder_fleet(roles, dotted=kind.dotted)
     else:
@@ -245,7 +245,7 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
             break
     message = (
         f"{kind.name}: drones that follow positions alone {size}, more than distances allow for. "
-        f"{remedy}, or leave out positions_only and fly full setpoints."
+        f"{remedy}, or omit positions_only and fly full setpoints."
     )
     raise InfeasibleError([check.violation("", TRAILING_REMEDY)], message)
 
@@ -268,7 +268,7 @@ def _in_files(tube: Tube) -> str:
 def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
     """Raise InputError for gains that a format does not use, or that a named controller has."""
     if options.positions_only and not kind.flown_by:
-        bound = f"left out for {kind.name}"
+        bound = f"omitted for {kind.name}"
         raise InputError("positions_only", True, bound, "its files are not flown")
     controllers, is_used = _controllers(team), kind.needs_stiffness or kind.has_gains
     is_used |= options.hold_tension or options.positions_only
@@ -276,10 +276,10 @@ def _check_gains(kind: Format, team: Team, options: ExportOptions) -> None:
         if (value := getattr(options, option)) is None:
             continue
         if not is_used:
-            bound = f"left out for {kind.name} without hold_tension=True"
+            bound = f"omitted for {kind.name} without hold_tension=True"
             raise InputError(option, value, bound, "add hold_tension=True")
         if controllers:
-            bound = f"left out with controller {controllers[0]}, whose gains are exported"
+            bound = f"omitted with controller {controllers[0]}, whose gains are exported"
             raise InputError(option, value, bound, "set team.quadrotor.gains")
 
 

@@ -123,8 +123,8 @@ def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Param
         }
     else:
         if kind.gains not in (None, Gains()):
-            bound = "left out for pid: its gains are not those of a firmware's parameters"
-            raise InputError("team.quadrotor.gains", kind.gains, bound, "leave them out")
+            bound = "omitted for pid: its gains are not those of a firmware's parameters"
+            raise InputError("team.quadrotor.gains", kind.gains, bound, "omit them")
         base = round(factor * MAX_COMMAND * mass * GRAVITY / kind.max_thrust)
         parameters["posCtlPid"] = {"thrustBase": base}
     return {key: {k: _rounded(x) for k, x in group.items()} for key, group in parameters.items()}

@@ -230,7 +230,7 @@ class Format(ABC):
 
     @abstractmethod
     def load(self, files: Sequence[Path]) -> FileContents:
-        """Read files of any origin; raises FileError if they are damaged."""
+        """Read files from any source; raises FileError if they are damaged."""
 
     def sent(self, files: Sequence[Path], manifest: Mapping[str, Any]) -> FileContents:  # noqa: ARG002
         """Read exported files of a plan as a receiver gets them, from the plan's start on.

@@ -1,4 +1,4 @@
-"""Pre-flight lint: read fleet files of any origin and report errors.
+"""Pre-flight lint: read fleet files from any source and report errors.
 
 The formats read files and report errors of single files. The rules for the joint flight of all
 drones are here: limits, jumps, motion at the end, ranges and rates.
@@ -131,11 +131,11 @@ class Rules(Record):
 
     speed: Annotated[
         float | None,
-        Key(SPEED, "Largest speed; null: the show's own, or a warning above 3"),
+        Key(SPEED, "Largest speed; null: the show's, or a warning above 3"),
     ] = None
     acceleration: Annotated[
         float | None,
-        Key(ACCELERATION, "Largest acceleration; null: the show's own, or a warning above 10"),
+        Key(ACCELERATION, "Largest acceleration; null: the show's, or a warning above 10"),
     ] = None
     separation: Separation = field(default_factory=Separation)
     jumps: tuple[float, float, float] = (2e-3, 0.1, 2.0)
@@ -281,7 +281,7 @@ def _joint_flight(
             raise FileError(f"{farthest[1]} {reason}")
         if (shortest := np.min(window.durations)) < MIN_PIECE:
             at = float(window.breaks[np.argmin(window.durations)])
-            raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; leave it out")
+            raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; omit it")
         reach = max(reach, farthest)
         for check in _checks(contents, window, limits, None if is_relative else rules.separation):
             checks[check.name] = worst_of([checks.get(check.name), check]) or check

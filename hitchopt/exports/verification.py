@@ -83,7 +83,7 @@ class Verdict:
             violations.append(check.violation(when, remedy))
         worst, when = self.position.worst, f"at t = {self.position.time:.4g} s"
         if worst > accuracy:
-            remedy = "choose another format, such as csv, or a higher rate= where it samples"
+            remedy = "choose another format, such as csv, or a higher rate= if it samples"
             where = (self.position.drone,)
             error = Violation("position_error", worst, accuracy, "max", "m", where, when, remedy)
             violations.append(error)

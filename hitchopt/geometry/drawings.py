@@ -153,7 +153,7 @@ def _read_svg(path: Path, notes: list[str]) -> Lines:
                 drawn[_is_visible(shape)].append(points * [scale, -scale])
     if drawn[True] and drawn[False]:
         size = format_size(np.concatenate(drawn[False]))
-        notes.append(f"invisible shapes (no lines, white or no fill) are left out: {size} in all")
+        notes.append(f"invisible shapes (no lines, white or no fill) are omitted: {size} in all")
     return drawn[True] or drawn[False]
 
 
@@ -208,7 +208,7 @@ def _read_dxf(path: Path, notes: list[str]) -> Lines:
             lines.append(scale * points)
     if hidden:
         layers = ", ".join(sorted(hidden))
-        notes.append(f"layers that are off, frozen or not plotted are left out: {layers}")
+        notes.append(f"layers that are off, frozen or not plotted are omitted: {layers}")
     return lines
 
 
@@ -378,7 +378,7 @@ def _note_holes(outlines: Sequence[Any], faces: Sequence[Any], notes: list[str])
     if len(outlines) == 1 and holes:
         fills_box = outlines[0].area > (1.0 - PAGE_TOLERANCE) * outlines[0].envelope.area
         question = "; if it is a page or a frame around the part, hide it" if fills_box else ""
-        notes.append(f"left out as holes within it: {_format_sizes(holes)}{question}")
+        notes.append(f"omitted as holes within it: {_format_sizes(holes)}{question}")
 
 
 def _format_sizes(outlines: Sequence[Any]) -> str:

@@ -145,7 +145,7 @@ def model(
     """Return a hitch in motion as a casadi function of its flat outputs at one time.
 
     Values and derivatives are exact, and so is what casadi derives from them. Its ``map(J)`` takes
-    J times at once, a column each. Inputs that are left out are zero. Values are nan where tensions
+    J times at once, a column each. Inputs that are omitted are zero. Values are nan where tensions
     cannot carry the loads.
 
     Inputs are columns of values, first and second time derivatives:

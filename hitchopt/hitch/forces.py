@@ -127,7 +127,7 @@ def clasp_loads(
     Parameters
     ----------
     q_legs, slack: (…, n) [m], cable lengths.
-    roll: (…, clasps) [rad], or None for none.
+    roll: (…, clasps) [rad], or None.
     """
     if not team.loaded and (roll is None or not np.any(roll)):
         return None
@@ -186,7 +186,7 @@ def closed_triangle(
     ----------
     V: ``P_{k-1} u_{k-1} - P_k u_k - w_k``, the pull of the edges minus the load [N].
     onward: a vector on q_k's side of V without roll, in the plane of both legs.
-    roll: angle ψ of m from that side toward ``m_1 = m_0 × v̂`` [rad]; None for none.
+    roll: angle ψ of m from that side toward ``m_1 = m_0 × v̂`` [rad]; None if there is none.
     tensions: of both legs at the clasp [N].
     half_weights: half of the weights of both legs [N]; None for weightless legs.
     check: called with the values of the given side and of the lengths of both others; raises if

@@ -43,7 +43,7 @@ def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
     closed, points = team.layout.closed, team.layout.points
     if closed and team.robots == 2:
         remedy = "tie two cables around an object, or use three"
-        raise InputError("robots", 2, "at least 3 where cables hold a polygon", remedy)
+        raise InputError("robots", 2, "at least 3 if cables hold a polygon", remedy)
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
     value, bound = polygon.vertices.tolist(), ""

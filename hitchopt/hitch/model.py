@@ -32,7 +32,7 @@ class Edge:
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
-        """Return the edge along a vector; ``weight`` is that of cables [N/m], None for none."""
+        """Return the edge along a vector; ``weight`` is that of cables [N/m], or None."""
         cable, chord, sag = cable_of_span(vector, tension, weight)
         pull = tension if weight is None else chord_pull(tension, cable * (0.5 * weight))
         return cls(vector / chord, cable, pull, tension, sag)
@@ -48,7 +48,7 @@ class Edge:
 def cable_of_span(vector: Series, tension: Series, weight: Any) -> tuple[Series, Series, Any]:
     """Return cable length and chord [m] of a span, and its factor of ``forces.cable_of``.
 
-    ``weight`` is that of cables [N/m]; None for none, as is then the factor.
+    ``weight`` is that of cables [N/m]; None if there is none, as is then the factor.
     """
     chord = vector.dot(vector).root
     if weight is None:
@@ -78,9 +78,9 @@ def clasp_legs(
     ----------
     edges, q_legs: of both cables; the q-leg of cable k-1 is at ``p_{k-1}``.
     cable_length: of cable k-1 [m].
-    load: external force on the clasp [N]; None for none.
-    weight: of cables per length [N/m]; None for none.
-    roll: of the clasp [rad]; None for none.
+    load: external force on the clasp [N]; None if there is none.
+    weight: of cables per length [N/m]; None if there is none.
+    roll: of the clasp [rad]; None if there is none.
     equal: whether all tensions are equal. Without load, weight and roll, legs then continue the
         neighbouring edges.
     """
@@ -126,7 +126,7 @@ class FlatJets:
     """Flat outputs at J values of a parameter, with derivatives by it up to the third.
 
     Vertices (J, points, 3, 4) [m], cable lengths of q-legs (J, n, 4) [m], tensions (J, n, 4) [N]
-    and roll (J, clasps, 4) [rad], None for none.
+    and roll (J, clasps, 4) [rad], None if there is none.
     """
 
     vertices: Array

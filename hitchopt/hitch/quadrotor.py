@@ -202,13 +202,13 @@ class Quadrotor(OneLine):
         if self.controller is None:
             for name in ("gains", "latency"):
                 if (value := getattr(self, name)) is not None:
-                    bound, remedy = "left out without a controller", "name one, or give stiffness"
+                    bound, remedy = "omitted without a controller", "name one, or give stiffness"
                     raise InputError(name, value, bound, remedy)
             return
         for name in ("stiffness", "integral", "feed_forward"):
             if (value := getattr(self, name)) is not None:
-                bound = f"left out with controller {self.controller}, from which it follows"
-                raise InputError(name, value, bound, "leave it out, or give gains")
+                bound = f"omitted with controller {self.controller}, from which it follows"
+                raise InputError(name, value, bound, "omit it, or give gains")
         _loop(self)
 
     @property
@@ -247,7 +247,7 @@ class Quadrotor(OneLine):
 
 
 MEASURED = ("trim", "thrust_factor", "tracking")
-"""Fields that are measured on single drones; plan files leave them out where they are None."""
+"""Fields that are measured on single drones; plan files omit them where they are None."""
 
 
 @lru_cache(maxsize=1024)

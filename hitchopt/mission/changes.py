@@ -75,7 +75,7 @@ class Change(OneLine):
     def after(self, before: Change) -> Change:
         """Return this change, of a problem changed by ``before``, combined with ``before``.
 
-        Changes of the same quantity are merged, and left out where the last undoes the others.
+        Changes of the same quantity are merged, and omitted where the last undoes the others.
         """
         merged = dict[str, Change]()
         for each in (*before.together(), *self.together()):

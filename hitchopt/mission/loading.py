@@ -198,7 +198,7 @@ def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Prob
             form = TEAMS_FORM
             check_team_names(*(values.get(key) for key in ("teams", "start", "mission")))
             if "team" in values:
-                bound, remedy = "left out next to teams", "keep one of the two"
+                bound, remedy = "omitted next to teams", "keep one of the two"
                 raise InputError("team", values["team"], bound, remedy)
         values = with_outlines(values, folder)
         others = values.get("others")

@@ -158,19 +158,19 @@ def _check_blend(steps: tuple[Step, ...], i: int, *, complete: bool) -> None:
     """Raise InputError if step i cannot continue into the next one, or has options of its own."""
     step, following = steps[i], steps[i + 1 : i + 2]
     if step.blends and complete and not following:
-        raise InputError("blend", True, "false in the last step", "leave it out: nothing follows")
+        raise InputError("blend", True, "false in the last step", "omit it: nothing follows")
     if step.blends and following and not following[0].blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
-        remedy = f"leave it out: only {names} go on into one another"
+        remedy = f"omit it: only {names} go on into one another"
         raise InputError("blend", True, f"false before a {following[0].name}", remedy)
     if step.blends and isinstance(step.settling, float):
-        bound = "left out: steps settle where they stop"
-        raise InputError("settle", step.settling, bound, "leave out settle or blend")
+        bound = "omitted: steps settle where they stop"
+        raise InputError("settle", step.settling, bound, "omit settle or blend")
     is_blended = step.blends or (i > 0 and steps[i - 1].blends)
     for key in ("optimize", "tension", "duration") if is_blended else ():
         if vars(step).get(key):
-            bound = "left out: it is not allowed on blended steps"
-            raise InputError(key, vars(step)[key], bound, f"leave out {key} or blend")
+            bound = "omitted: it is not allowed on blended steps"
+            raise InputError(key, vars(step)[key], bound, f"omit {key} or blend")
 
 
 @documented
@@ -327,7 +327,7 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
     if team.layout.closed and team.robots == 2 and not isinstance(start, DronesStart):
         key = f"teams.{name}.robots" if name else "team.robots"
         remedy = "start two robots with drones, and tie their cables around an object"
-        raise InputError(key, 2, "at least 3 where the start is a hitch", remedy)
+        raise InputError(key, 2, "at least 3 if the start is a hitch", remedy)
     if isinstance(start, Hitch):
         if start.team is not team:
             raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")
@@ -429,7 +429,7 @@ class Problem(ByValue):
     are done. A team alone carries an object that a step of it names; all others are obstacles of
     all teams.
 
-    ``rules`` are limits of one's own, which files do not have. Planners do not know them: a plan
+    ``rules`` are custom limits, which files do not have. Planners do not know them: a plan
     that violates one is refused.
 
     ``teams`` has start, steps and requirements of every team by name; a single team has the name
@@ -495,7 +495,7 @@ class Problem(ByValue):
                 object.__setattr__(self, name, value)
         if self.keep_out and self.kind != "swarm":
             remedy = "add objects with fixed=True"
-            bound = "left out unless single drones fly alone"
+            bound = "omitted unless single drones fly alone"
             raise InputError("keep_out", f"{len(self.keep_out)} prisms", bound, remedy)
 
     def _requirements(self, team: Team, objects: Mapping[str, SolidObject]) -> Requirements:
@@ -585,7 +585,7 @@ class Problem(ByValue):
         for key, step, is_last in steps:
             if is_last and step.blends:
                 bound = "false in the last step of an item"
-                remedy = "leave it out: the next item begins when all rest"
+                remedy = "omit it: the next item begins when all rest"
                 raise InputError(f"{key}.{step.name}.blend", True, bound, remedy)
         bodies = {k: body for k, body in self.objects.items() if owners.get(k, name) == name}
         requirements = self._requirements(team, bodies)

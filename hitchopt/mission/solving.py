@@ -119,7 +119,7 @@ def solve_problem(
     ``progress`` is a status callback. With other plans in the air a team may wait before each step.
 
     Raises InfeasibleError with the violated limits, places and times: a team cannot fly alone, no
-    start time separates it from the others, or the plan violates a rule of one's own. Raises
+    start time separates it from the others, or the plan violates a custom rule. Raises
     HitchoptError if a planner failed on a problem that may be feasible.
     """
     report = progress or (lambda _: None)
@@ -305,7 +305,7 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
             when = re.sub(rf"step {first} \(\w+\)", f"step {names}", when)
         if f"step {first}" not in when and "end of step" not in when:
             when = f"{when} of step {names}".strip()
-        remedy = _remedy(violation, "leave out blend" if len(group) > 1 else "")
+        remedy = _remedy(violation, "omit blend" if len(group) > 1 else "")
         violations.append(replace(violation, when=when, remedy=remedy))
     return InfeasibleError(violations, error.note)
 
@@ -319,7 +319,7 @@ def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> Infeasibl
         neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
         is_blended = check.name != "duration" and any(step.blends for step in neighbours)
         of_steps = (steps[k].advice(check.name, f"mission[{k}].{steps[k].name}") for k in indices)
-        advice = next(filter(None, of_steps), "leave out blend" if is_blended else "")
+        advice = next(filter(None, of_steps), "omit blend" if is_blended else "")
         violations.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(violations, error.note)
 

@@ -177,7 +177,7 @@ SHARE_TOLERANCE = 2.0**-40
 class Motion(OneLine):
     """The motion of one team: drones, vertices, legs and tensions, and the requirements on them.
 
-    While no hitch exists, vertices and legs have no meaning and tensions are 0. Swarms of single
+    While no hitch exists, vertices and legs are undefined and tensions are 0. Swarms of single
     drones have none of them.
 
     Parameters

@@ -172,7 +172,7 @@ def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[TeamMotio
     """Return the teams of a plan file as those of an external plan that starts at ``at`` [s].
 
     They are named ``name``, or ``name.a``, ``name.b`` for several teams; ``plan`` is the path as
-    written. External plans of that plan are left out. Errors are those of ``read_saved_plan``.
+    written. External plans of that plan are omitted. Errors are those of ``read_saved_plan``.
     """
     return tuple(
         TeamMotion(

@@ -47,7 +47,7 @@ OMITTED: dict[type, tuple[str, ...]] = {
     Team: ("errors",),
     Limits: ("vertex_error",),
 }
-"""Fields of records that plan files leave out where they are None."""
+"""Fields of records that plan files omit where they are None."""
 
 SLACK = {"request.start": POSITION_TOLERANCE, "request.mission": POSITION_TOLERANCE}
 
@@ -139,8 +139,8 @@ def check_same(
         allowed = max([by for name, by in (slack or {}).items() if key.startswith(name)] or [0.0])
         in_both = key in requested and key in actual
         if not (in_both and _equal(requested[key], actual[key], allowed)):
-            bound = f"{requested[key]!r} {suffix}" if key in requested else f"left out {suffix}"
-            raise InputError(key, actual.get(key, "left out"), bound, REMEDY)
+            bound = f"{requested[key]!r} {suffix}" if key in requested else f"omitted {suffix}"
+            raise InputError(key, actual.get(key, "omitted"), bound, REMEDY)
 
 
 def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:

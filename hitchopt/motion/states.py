@@ -188,7 +188,7 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
 def sample_times(duration: float, rate: float) -> Array:
     """Return times (samples,) [s]: all multiples of 1/rate [Hz] from 0, and the plan's end.
 
-    The end is left out within 1e-6 s of the last multiple.
+    The end is omitted within 1e-6 s of the last multiple.
 
     Raises InputError for a number out of its range, or more than MAX_SAMPLES samples.
     """
@@ -215,7 +215,7 @@ def states_at(motion: Motion, t: ArrayLike) -> States:
 def flight_states_at(flight: Flight, t: ArrayLike) -> States:
     """Return the states of all drones of a flight, as ``states_at``.
 
-    Of several teams, vertices, legs and tensions are left out: they are those of each team.
+    Of several teams, vertices, legs and tensions are omitted: they are those of each team.
     """
     requested = as_array(t)
     if requested.size == 0 or not np.all((requested >= -TIME_TOLERANCE) & np.isfinite(requested)):
@@ -235,7 +235,7 @@ def flight_states_at(flight: Flight, t: ArrayLike) -> States:
 def iterate_flight_states(flight: Flight, times: Array, block_size: int) -> Iterator[States]:
     """Yield the states of all drones of a flight in blocks, as ``iterate_states``.
 
-    Of several teams, vertices, legs and tensions are left out: they are those of each team.
+    Of several teams, vertices, legs and tensions are omitted: they are those of each team.
     """
     each_team = [iterate_states(each.motion, times, block_size) for each in flight.teams]
     if len(each_team) == 1:

@@ -64,7 +64,7 @@ class Section(ByValue):
     def __init__(self, outline: Points | None = None, radius: float | None = None) -> None:
         if (outline is None) == (radius is None):
             remedy = "give either an outline or a circle's radius"
-            raise InputError("outline", outline, "given where no radius is", remedy)
+            raise InputError("outline", outline, "given if there is no radius", remedy)
         size = None if radius is None else coordinate("radius", positive("radius", radius))
         object.__setattr__(self, "outline", None if outline is None else _clockwise(outline))
         object.__setattr__(self, "radius", size)

@@ -113,12 +113,12 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     objects, key = task.requirements.objects, f"objects.{name}"
     body = objects[name]
     if not task.before.team.layout.closed:
-        raise InputError("team.topology", "open", "closed where objects are held", "close it")
+        raise InputError("team.topology", "open", "closed if objects are held", "close it")
     if body.fixed:
-        remedy = "leave it out, or only tie two cables around it"
-        raise InputError(f"{key}.fixed", True, "false where it is lifted", remedy)
+        remedy = "omit it, or only tie two cables around it"
+        raise InputError(f"{key}.fixed", True, "false if it is lifted", remedy)
     if body.friction == 0.0:
-        bound, remedy = "above 0 where it is held", "only friction moves it along with the cables"
+        bound, remedy = "above 0 if it is held", "only friction moves it along with the cables"
         raise InputError(f"{key}.friction", 0.0, bound, remedy)
     for other in stacked_on(objects, name, task.requirements.floor):
         at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held alone"
@@ -161,7 +161,7 @@ def require_hold(task: StepTask, planner: MovePlanner) -> None:
 
 
 def check_hold(task: StepTask, planner: MovePlanner) -> None:
-    """Raise the error of ``require_hold``, with what the hold can carry."""
+    """Raise the error of ``require_hold``, with the capacity of the hold."""
     try:
         require_hold(task, planner)
     except InfeasibleError as error:
@@ -169,7 +169,7 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
 
 
 def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
-    """Return the error of a hold with what it can carry, and what to change."""
+    """Return the error of a hold, with its capacity and a suggested change."""
     hold, name = planner.hold, f"objects.{planner.state.object}"
     robots = "use more robots, as hitchopt fit counts them"
     capacities, max_mass, rim_mass = hold_capacity(planner, task.requirements)
@@ -189,7 +189,7 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
 
 
 def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str, float, float]:
-    """Return in words the capacities of the hold and of a rim, and their maximum masses [kg].
+    """Describe the capacities of the hold and of a rim; return also their maximum masses [kg].
 
     The hold's mass is inf if it cannot be computed, the rim's 0; at least three robots rest it.
     """
@@ -239,9 +239,9 @@ def requirements_near(task: StepTask, name: str) -> Requirements:
 @documented
 @dataclass(frozen=True)
 class Enclose(Step):
-    """Rise above an object, take a polygon around it, and descend around it.
+    """Rise above an object, change to a polygon around it, and descend.
 
-    It ends just below the object's rim, or, without one, as high as the centre of mass.
+    It ends just below the object's rim, or at the height of its centre of mass if it has none.
     """
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.AROUND)
@@ -249,11 +249,11 @@ class Enclose(Step):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan to a hitch around the object, in the first feasible orientation."""
+        """Plan the change to a hitch around the object, in the first feasible orientation."""
         return first_orientation(self.orientations(task), task)
 
     def orientations(self, task: StepTask) -> list[Callable[[StepTask], StepPlan]]:
-        """Return the planners of hitches around the object, the one that holds it best first.
+        """Return the planners of hitches around the object, in order of decreasing capacity.
 
         There are several if obstacles may be in the way of some.
         """
@@ -275,7 +275,7 @@ class Enclose(Step):
     def _around(
         self, task: StepTask, body: SolidObject, polygons: HoldPolygons, polygon: ConvexPolygon
     ) -> StepPlan:
-        """Return the plan to a polygon around the object."""
+        """Plan the change to a polygon around the object."""
         requirements, hitch, team = task.requirements, task.hitch, task.before.team
         clearance = requirements.separation.object
         altitude = float(body.at[2] + body.centre_of_mass[2])
@@ -426,13 +426,13 @@ class Grasp(TensionStep):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan to clasps below the object's rim, or to edges that grip the object."""
+        """Plan how clasps close below the object's rim, or edges close around the object."""
         body, team = object_of(task, self.object), task.before.team
         tension = self.tension_for(team)
         if self.by == "grip":
             return self._grip(task, body, tension)
         if body.rim is None:
-            key, bound = f"objects.{self.object}.rim", "given where it is held by rest"
+            key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
         polygons, requirements = task.grasp.polygons, requirements_near(task, self.object)
         own = requirements.separation
@@ -465,12 +465,12 @@ class Grasp(TensionStep):
         raise best_hold_error(task, failures)
 
     def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
-        """Return the plan to cables that grip the object with tensions (n,) [N]."""
+        """Plan how cables grip the object with tensions (n,) [N]."""
         team, polygons = task.before.team, task.grasp.polygons
         if body.rim is not None:
             key = f"mission[{task.index}].{self.name}.by"
-            bound = "rest where the object has a rim, which the hitch is below"
-            raise InputError(key, "grip", bound, "leave out the rim")
+            bound = "rest if the hitch is below the object's rim"
+            raise InputError(key, "grip", bound, "omit the rim")
         check_pull(float(np.max(tension)), team, task.requirements)
         height = float(body.centre_of_mass[2])
         fractions, roll = np.full(team.robots, 0.5), np.zeros(team.robots)
@@ -498,7 +498,7 @@ def best_hold_error(task: StepTask, failures: Sequence[HoldFailure]) -> Infeasib
 def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
     """Yield hitches below a rim that may hold it: the goal first, then others with all distances.
 
-    A load moves drones, so that legs may have to be split or rolled otherwise than without it.
+    A load moves drones, which may require another slack split or roll than without it.
     """
     team, polygon, altitude = goal.team, goal.polygon, goal.altitude
     yield Hitch(team, polygon, altitude, goal.q_legs, ROLL_RESERVE * goal.roll)
@@ -520,7 +520,7 @@ def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
 @documented
 @dataclass(frozen=True)
 class Lift(Step):
-    """Pass the object's weight to the clasps, and lift it straight up."""
+    """Transfer the object's weight to the clasps, and lift it vertically."""
 
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None  # two cables around an object have no outline
@@ -533,7 +533,7 @@ class Lift(Step):
         return np.array([*body.at[:2], body.at[2] + self.by, body.yaw])
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan straight up."""
+        """Plan the vertical ascent."""
         planner = planner_of(task)
         object_of(task, planner.state.object)  # two cables may be tied around any
         check_hinge(planner)
@@ -545,7 +545,7 @@ class Lift(Step):
 @documented
 @dataclass(frozen=True, eq=False)
 class Carry(Step):
-    """Fly the object on a straight line and turn it, so gently that it stays on its supports."""
+    """Fly the object along a straight line, gently enough that it stays on its supports."""
 
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
@@ -560,7 +560,7 @@ class Carry(Step):
         return np.append(self.to, body.yaw + self.yaw)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan along the line."""
+        """Plan the flight along the line."""
         to = goal_of(self, task.requirements, self.object)
         move = planner_of(task).carry(to, task.requirements.limits.speed)
         return moves_plan(self, task, task.grasp, [move])
@@ -569,7 +569,7 @@ class Carry(Step):
 @documented
 @dataclass(frozen=True)
 class SetDown(Step):
-    """Lower the object until it stands, and pass its weight to its support."""
+    """Lower the object onto its support, and transfer its weight to it."""
 
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
@@ -582,7 +582,7 @@ class SetDown(Step):
         return np.array([*body.at[:2], below - body.lower, body.yaw])
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan straight down to a place with a safe footing."""
+        """Plan the vertical descent to a stable support."""
         objects, planner = task.requirements.objects, planner_of(task)
         body, to = objects[self.object], goal_of(self, task.requirements, self.object)
         margin = footing({**objects, self.object: body.moved_to(to)}, self.object)
@@ -609,7 +609,7 @@ class Loosen(Step):
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan to a hitch around the object."""
+        """Plan the change to a hitch around the object."""
         body, planner, team = object_of(task, self.object), planner_of(task), task.before.team
         freed, hold = replace(task.grasp, tension=team.tension, hold=None), planner.hold
         if isinstance(hold, GripHold):
@@ -628,14 +628,14 @@ class Loosen(Step):
 @documented
 @dataclass(frozen=True)
 class Leave(Step):
-    """Rise straight up until the hitch is above all objects."""
+    """Rise vertically until the hitch is above all objects."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.AROUND, Stage.FREE)
     object: ObjectOf
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan straight up."""
+        """Plan the vertical ascent."""
         over = Transport(np.append(task.hitch.polygon.centroid, altitude_over(task)))
         plan = over.plan(task.within(at_around_speed(task.requirements), task.before))
         motion = step_motion(self, task, [plan.motion])
@@ -675,7 +675,7 @@ class TransportObject(TensionStep):
     def _obstacles(
         self, objects: Mapping[str, SolidObject], names: Sequence[str]
     ) -> list[SolidObject]:
-        """Return the objects of some names, except the carried one."""
+        """Return the named objects, except the carried one."""
         return [body for name, body in objects.items() if name in names and name != self.object]
 
     def least_increase(
@@ -718,7 +718,7 @@ class TransportObject(TensionStep):
         return super().requested_hold(team, body)
 
     def advice(self, check: str, key: str) -> str:
-        """Return how to keep clear of obstacles."""
+        """Return the advice for keeping clear of obstacles."""
         is_obstacle = check in OBSTACLE_CHECKS
         return f"raise {key}.lift, or lead it around by {key}.via" if is_obstacle else ""
 
@@ -727,7 +727,7 @@ class TransportObject(TensionStep):
         return np.append(self.to, body.yaw + self.yaw)
 
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return the route of the object: its greatest height, and the places on its way."""
+        """Return the route of the object: its greatest height, and its waypoints."""
         via = [] if self.via is None else self.via.tolist()
         highest = max([self.flight_height(requirements.objects[self.object]), *(x[2] for x in via)])
         return {"route": {"object": self.object, "highest": highest, "via": via}}

@@ -131,7 +131,7 @@ def infeasible_error(
 ) -> InfeasibleError:
     """Return the error of a certificate's violations; ``when`` describes the time and step.
 
-    ``rules`` are the rules of one's own in the certificate.
+    ``rules`` are the custom rules in the certificate.
     """
     violations, flight = [], Flight.of(flown)
     rule_of: dict[str, CheckRule | ReportRule] = {
@@ -157,7 +157,7 @@ def infeasible_error(
 
 
 def _separation_shortfall(check: Check, flight: Flight) -> str:
-    """Return in words the distance of two level drones and its shortfall, else nothing."""
+    """Describe the distance of two drones at one height and its shortfall; else return nothing."""
     if check.name != "separation":
         return ""
     heights = []
@@ -200,7 +200,7 @@ def split_hitch(
 
 
 class End(NamedTuple):
-    """Hitch after a step, and in words the limit that the action's own legs would break."""
+    """Hitch after a step, and a description of the limit that the action's own legs would break."""
 
     hitch: Hitch
     reason: str = ""
@@ -475,7 +475,7 @@ NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
 
 def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
-    """Return the plan with legs that lean against friction, as far as limits allow.
+    """Return the plan in which legs lean against friction, as far as limits allow.
 
     Unless its duration is prescribed (``timed``) or limited, MAX_SLOWDOWN bounds the slowdown.
     """

@@ -194,7 +194,7 @@ class ActionStep(ShapeStep):
         return replace(task.plan_ending(motion, end.hitch), path=flying.path)
 
     def _remark(self, action: Action, end: End, flying: FlownAction) -> str:
-        """Return in words the further drones that move, with reasons."""
+        """Describe the further drones that move, with reasons."""
         turning = "tensions differ, so legs turn with both edges at their vertex"
         if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
             turning = "clasps carry weight, so legs rise as it changes"
@@ -245,7 +245,7 @@ class Hold(HitchStep):
 class Settle(Step):
     """Swing the drones to remove friction hysteresis at the clasps.
 
-    Drones swing about their places with decreasing amplitude; vertices stay as planned.
+    Drones swing about their places with decreasing amplitude; planned vertices do not move.
     """
 
     time_key: ClassVar[str] = "seconds"
@@ -257,8 +257,10 @@ class Settle(Step):
     def resolved_for(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team whose cables have no friction."""
         if team.cable_friction == 0.0:
-            remedy = "give the team's cable_friction, or leave the step out"
-            raise InputError("", "no friction", "a step of a team whose cables have some", remedy)
+            remedy = "give the team's cable_friction, or omit the step"
+            raise InputError(
+                "", "no friction", "used with a team whose cables have friction", remedy
+            )
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
@@ -287,15 +289,15 @@ _RANGE_FORMS = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
 TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 
 OPTIMIZE_TEXT = (
-    "Search for a faster route even if the straight one is feasible; by default only if that "
-    "takes more than 1.3 times as long as every drone and vertex alone"
+    "Search for a faster route even if the straight one is feasible; by default only if that takes "
+    "more than 1.3 times its lower bound"
 )
 
 
 @documented
 @dataclass(frozen=True, eq=False)
 class Morph(ShapeStep):
-    """Change the polygon: every vertex moves to its place."""
+    """Change the polygon: every vertex moves to its goal."""
 
     searches_faster_routes: ClassVar[bool] = True
     polygon: Polygon
@@ -360,7 +362,7 @@ class MoveStep(ActionStep):
         super().__post_init__()
         if (self.to is None) == (self.by is None):
             value = None if self.to is None else self.to.tolist()
-            bound = "given where by is not, and only there"
+            bound = "given if by is not, and only then"
             raise InputError("to", value, bound, "give either to or by")
 
     @abstractmethod
@@ -456,7 +458,7 @@ class MoveEdge(MoveStep):
 @documented
 @dataclass(frozen=True, eq=False)
 class Adjust(ActionStep):
-    """Slide cables through their clasps; the outline stays."""
+    """Slide cables through their clasps; the outline does not change."""
 
     action_fields: ClassVar[tuple[str, ...]] = ()
 
@@ -476,13 +478,12 @@ RIGHT_ANGLE = 1e-9
 """Products of two stretches of a path up to this size are those of right angles [m²]."""
 
 _PATH_TEXT = (
-    "Points [t, x, y] [s, m, m], t from the step's start, increasing; between "
-    "equal points that follow each other the vertex stands still; with a speed also points [x, y]"
+    "Points [t, x, y] [s, m, m], t from the step's start, increasing; the vertex rests between "
+    "equal consecutive points; with a speed also points [x, y]"
 )
 
 _SPEED_TEXT = (
-    "Largest speed of the vertex, which it keeps on its path through points [x, y]; null: "
-    "limits.vertex_speed"
+    "Largest speed of the vertex on its path through points [x, y]; null: limits.vertex_speed"
 )
 
 _POINTS = points((None, 3), "t, x, y", largest=MAX_TIME)
@@ -516,8 +517,8 @@ class FollowVertex(ActionStep):
     """Move one vertex through points, at rest before and after.
 
     It meets timed points at their times. With a speed, points need no times: it moves at this speed
-    on a smooth path through them. It stops at points where it turns by more than a right angle, and
-    is slower where a drone's limit binds.
+    on a smooth path through them. It stops where the path turns by more than 90°, and slows down
+    where a drone's limit binds.
     """
 
     blendable: ClassVar[bool] = False
@@ -617,7 +618,7 @@ class FollowVertex(ActionStep):
 @documented
 @dataclass(frozen=True, eq=False)
 class Transport(HitchStep):
-    """Move the whole hitch and turn it about its centroid; its shape and legs stay."""
+    """Move the whole hitch and turn it about its centroid, without changing its shape or legs."""
 
     to: Annotated[Array, Key(POINT3, "Goal [x, y, z] of its centroid [m]", [0, 0, 1])]
     yaw: Yaw = 0.0

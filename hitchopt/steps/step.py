@@ -68,7 +68,7 @@ OUTLINE_TEXT = (
     "of the convex arc of an open chain"
 )
 SPLIT_TEXT = "Slack split of the cables: balanced, spread, or a list of q-legs d_k"
-LEGS_TEXT = f"{SPLIT_TEXT}; or a mapping with this as sharing, and a roll_deg"
+LEGS_TEXT = f"{SPLIT_TEXT}; or a mapping with sharing (one of these) and roll_deg"
 
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]  # Example of an outline [m]
 
@@ -528,8 +528,8 @@ class Step(Record, ABC):
         """Return what a motion shows of the step's keys, at its end or on its route.
 
         Names and units are those of ``hitchopt.motion.request.mission_of``; the requirements have
-        the objects at their places before the step. A stored plan that shows something else is not
-        a plan of its problem.
+        the objects at their places before the step. A stored plan that contradicts it is not a plan
+        of its problem.
         """
         return shown_legs(vars(self).get("legs"))
 
@@ -574,7 +574,7 @@ class Step(Record, ABC):
     ) -> float:
         """Return the relative size below which an increase of a knob cannot repair violations.
 
-        Violations are at the bodies of some names.
+        ``names`` are the bodies that violations concern.
         """
         return 0.0
 
@@ -584,7 +584,7 @@ class Step(Record, ABC):
         names: Sequence[str],  # noqa: ARG002
         distance: float,  # noqa: ARG002
     ) -> Iterator[Array]:
-        """Yield waypoints (3,) [m], at a distance to objects of some names, past them."""
+        """Yield waypoints (3,) [m], past the named objects, at a distance from them."""
         yield from ()
 
     @abstractmethod

@@ -52,7 +52,7 @@ BELOW_RIM = 0.03
 
 
 def _height_error(requirements: Requirements) -> float:
-    """Return by how much drones may be off in height [m]."""
+    """Return the largest height error of drones [m]."""
     tube = requirements.limits.tube
     return tube.level * tube.ratio or requirements.position_error * requirements.height_ratio
 
@@ -63,7 +63,7 @@ def needed_height(body: SolidObject, requirements: Requirements) -> float:
 
 
 def check_hinge(planner: MovePlanner) -> None:
-    """Raise InfeasibleError if an object would fall over two clasps that lift it."""
+    """Raise InfeasibleError if an object would tip over on two clasps that lift it."""
     hold, body, name = planner.hold, planner.body, planner.state.object
     if hold.team.robots != 2:
         return
@@ -104,8 +104,8 @@ def hold_by_tying(team: Team, tension: Array) -> RequestedHold:
 class Tie(Step):
     """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
-    The cables come down beside the object and bend around it, and each pair of drones turns fully.
-    They then grip the object with the team's tension.
+    The cables are lowered beside the object and bent around it, and each pair of drones makes a
+    full turn. They then grip the object with the team's tension.
     """
 
     needs_hitch: ClassVar[bool | None] = False
@@ -115,13 +115,17 @@ class Tie(Step):
     around: ObjectOf
     at: Annotated[
         float | None,
-        Key(LENGTH, "Height of the clasps above its base; null: high, but below its rim", 0.3),
+        Key(
+            LENGTH,
+            "Height of the clasps above its base; null: as high as is safe, but below its rim",
+            0.3,
+        ),
     ] = None
     tension: Annotated[
         float | None,
         Key(
             TENSION,
-            "Tension of all cables while they are tied; null: low, as their weight permits",
+            "Tension of all cables while they are tied; null: as low as their weight permits",
             0.3,
         ),
     ] = None
@@ -142,7 +146,7 @@ class Tie(Step):
         return np.full(team.robots, tying_tension(team) if self.tension is None else self.tension)
 
     def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
-        """Return the hold with the tension in which cables are tied, and the team's."""
+        """Return the hold with the tension at which cables are tied, and the team's."""
         return hold_by_tying(team, self.tension_for(team))
 
     def height_for(self, body: SolidObject, requirements: Requirements) -> float:
@@ -162,18 +166,18 @@ class Tie(Step):
         return {} if self.at is None else {"altitude": base + self.at}
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan to cables that grip the object."""
+        """Plan how to tie the cables around the object."""
         return self.plan_to_grip(task, task.before.team.tension)
 
     def plan_to_grip(self, task: StepTask, tension: Array) -> StepPlan:
-        """Return the plan to cables that grip the object with tensions (n,) [N]."""
+        """Plan how cables grip the object with tensions (n,) [N]."""
         from hitchopt.planners.carrying.straddle_planner import find_straddle
 
         before, requirements, i = task.before, task.requirements, task.index
         team, body, name = before.team, requirements.objects[self.around], self.around
         check_rollable(f"step {i} ({self.name})", team, requirements)
         if body.friction == 0.0:
-            bound, remedy = "above 0 where it is held", "cables hold it by friction"
+            bound, remedy = "above 0 if it is held", "cables hold it by friction"
             raise InputError(f"objects.{name}.friction", 0.0, bound, remedy)
         height = self.height_for(body, requirements)
         if not body.lower + EDGE <= height <= body.upper - EDGE:
@@ -205,7 +209,7 @@ def _along(drones: Array) -> Array:
 def _numbered(clasps: Array, body: SolidObject, drones: Array) -> Array:
     """Return the clasps (2, 2) [m] in the order for drones (4, 3) [m]; turned about a disc.
 
-    Cable 0 runs from the first to the second one, as its drones are.
+    Cable 0 runs from the first to the second one, in the direction of its drones.
     """
     angle = float(turn(rotated(clasps[1] - clasps[0], body.yaw), _along(drones)))
     if body.section.radius is not None:
@@ -251,7 +255,7 @@ class Untie(Step):
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan to hanging cables."""
+        """Plan how to untie the cables until they hang."""
         from hitchopt.planners.carrying.straddle_planner import find_straddle
         from hitchopt.planners.forming.stages import reversed_stages
 

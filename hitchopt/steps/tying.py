@@ -79,7 +79,7 @@ ORDER_TEXT = "Order of laying, robots from bottom to top; auto: alternating leve
 @documented
 @dataclass(frozen=True, eq=False)
 class Form(Step):
-    """Tie a hitch from drones with hanging cables, which the team's tension then pulls.
+    """Tie a hitch from hanging cables, then raise the tension to the team's.
 
     Without ``legs`` they are spread, with a margin to the cables where drones stand close to them.
     """
@@ -114,7 +114,7 @@ class Form(Step):
             if self.by != "laying" or sorted(order) != [*range(team.robots)]:
                 members = ", ".join(map(str, range(team.robots)))
                 bound = f"with by: laying, each of the robots {members} once"
-                raise InputError("order", order, bound, "leave it out, or list all robots")
+                raise InputError("order", order, bound, "omit it, or list all robots")
         return super().resolved_for(team)
 
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:
@@ -122,7 +122,7 @@ class Form(Step):
         return super().shown_at_end(team, requirements) | {"altitude": self.altitude}
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from free cables to a hitch.
+        """Plan how to tie the hitch.
 
         Drones fly to where cables hang clear of each other and of the ground, tie the hitch there,
         and lower it to its altitude.
@@ -168,8 +168,8 @@ class Form(Step):
     def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
         """Return the hitch.
 
-        Without ``legs`` drones are apart as pairs roll, if cables are laid; else legs are spread,
-        with the largest feasible cable margin.
+        Without ``legs``, legs keep drones apart as pairs roll if cables are laid; else they are
+        spread, with the largest feasible cable margin.
         """
         from hitchopt.planners.forming.laying import senses_of, split_for_rolling
 
@@ -241,7 +241,7 @@ class Failure(NamedTuple):
 
 
 def farthest(failures: Sequence[Failure]) -> HitchoptError:
-    """Return the error of the first attempt of those that got farthest."""
+    """Return the first error of the attempts that got farthest."""
     last = max(failure.stage for failure in failures)
     first, best = failures[0], next(each for each in failures if each.stage == last)
     if best is first or not isinstance(best.error, InfeasibleError):
@@ -275,7 +275,7 @@ def tyings_on_circles(
 
 
 def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan:
-    """Return the plan that ties a hitch and lowers it to the goal, the same one elsewhere.
+    """Return the plan that ties a hitch of the goal's shape elsewhere and lowers it to the goal.
 
     Drones fly to where cables hang clear of each other and of the ground, and tie the hitch there.
     """
@@ -292,12 +292,12 @@ def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan
 
 
 def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
-    """Return a plan that goes on from its hitch to the goal, at once or first to its altitude."""
+    """Return a plan that continues to the goal, directly or first to its altitude."""
     phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
     start = task.within(task.requirements, tied.after)
 
     def in_one() -> StepPlan:
-        """Return the plan that changes shape and altitude at once."""
+        """Return the plan that changes shape and altitude simultaneously."""
         return reshaped(start, goal, phase)
 
     def lowered_last() -> StepPlan:
@@ -374,7 +374,7 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
         (team.cable_density == 0.0, "cables without weight: give team.cable_density, from which "
          "the pull of a taut cable follows"),
         (np.ptp(team.tension) > 0.0, "unequal tensions: give one team.tension"),
-        (np.any(team.load), "loads on clasps, which do not roll: leave out team.load"),
+        (np.any(team.load), "loads on clasps, which do not roll: omit team.load"),
         (requirements.limits.tube.level, "limits.tracking, which taut cables alone do not allow: "
          "set limits.tracking: 0, and a larger separation.radius for the drones' errors"),
     ):  # fmt: skip
@@ -392,7 +392,7 @@ HEIGHT_REMARK = "hanging cables need more height over the ground than the hitch"
 def vertical_motion(
     hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
 ) -> Motion:
-    """Return the motion of a hitch straight up or down, in a phase whose end it sets."""
+    """Return the motion of a hitch straight up or down; it sets the end of ``phase``."""
     from hitchopt.planners.morph.path import RigidPath
     from hitchopt.planners.timing.timed_motion import motion_along
 
@@ -446,9 +446,9 @@ class RollStep(Step):
 @documented
 @dataclass(frozen=True)
 class OpenVertex(RollStep):
-    """Roll a vertex's pair until both cables run straight through and lie on one another.
+    """Roll a vertex's pair until both cables run straight and lie on each other.
 
-    What is left is a chain on the same lines: all other vertices hold.
+    The rest is a chain on the same lines, with all other vertices intact.
     """
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.OPEN)
@@ -490,10 +490,10 @@ class Release(Step):
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
-        """Return None: cables are free."""
+        """Return None, since the cables are free."""
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan from a hitch to free cables: its tying in reverse."""
+        """Plan how to untie a hitch, in the reverse order of tying it."""
         from hitchopt.planners.forming.laying import find_laying, split_for_rolling
         from hitchopt.planners.forming.prehitch import find_prehitch
 
@@ -534,7 +534,7 @@ class Land(Step):
         return {"heights": np.full(team.drones, requirements.floor)}
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Return the plan straight down."""
+        """Plan the descent to the ground."""
         from hitchopt.planners.forming.stages import stage, straight_lines
 
         before, requirements = task.before, task.requirements

@@ -89,7 +89,7 @@ def form_error(key: str, value: object, *bounds: str) -> InputError:
     remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
     digits = value if SCALAR in bounds and isinstance(value, str) else ""
     if value is None:
-        remedy = "give a value, or leave it out"
+        remedy = "give a value, or omit it"
     elif re.fullmatch(r"[-+]?[\d.]+(e-?\d+)?", digits):
         remedy = "remove the quotes"
     elif re.fullmatch(r"[-+]?\d+,\d+", digits):

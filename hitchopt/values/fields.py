@@ -165,7 +165,7 @@ def store_degrees(record: object, **degrees: float | None) -> None:
             continue
         key = keys[name]
         if getattr(record, name) != key.default:
-            bound = f"left out where {name} is given"
+            bound = f"omitted if {name} is given"
             raise InputError(key.name, angle, bound, "give one of the two")
         radians = math.radians(key.file_kind.check(key.name, angle))
         object.__setattr__(record, name, radians)

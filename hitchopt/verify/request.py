@@ -432,7 +432,7 @@ def _flat(body: Any) -> dict[str, Any]:
     return {**body, **body["section"]} if body else {}
 
 
-LEFT_OUT = "errors", "vertex_error"  # keys that plans leave out if the problem states none
+LEFT_OUT = "errors", "vertex_error"  # keys that plans omit if the problem states none
 
 
 def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:

@@ -89,7 +89,7 @@ def test_parts_of_cables_add_up_to_their_lengths(name: str) -> None:
     sizes = np.linalg.norm(legs, axis=-1).reshape(len(t), -1, 2).sum(axis=-1)
     straight = np.linalg.norm(leaving, axis=-1) + np.linalg.norm(arriving, axis=-1)
     error = np.abs(sizes + straight + arcs - team.cable_length)
-    assert np.max(error) < 2.5e-3  # sag is left out here
+    assert np.max(error) < 2.5e-3  # sag is omitted here
 
 
 def ratios(motion: Motion, t: Array) -> Array:
@@ -119,7 +119,7 @@ def test_no_sample_is_below_the_bound_of_grip(name: str) -> None:
 def test_turning_faster_loads_the_grip(motion: Motion, monkeypatch: pytest.MonkeyPatch) -> None:
     """A uniform drum that is turned needs friction sideways, at half of its radius.
 
-    That contacts would have to turn with it is left out.
+    That contacts would have to turn with it is omitted.
     """
     monkeypatch.setattr(objects, "_misplaced", lambda spans: np.zeros(len(spans), np.bool_))
     carry = next(p for p in motion.phases if p.name == "carry")

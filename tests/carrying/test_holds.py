@@ -103,7 +103,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),
      "mission[2].move_vertex", "morph before"),
     (steps_of(plans.tray(), {"enclose": {"object": "table"}}), "objects.table.fixed",
-     "false where it is lifted"),
+     "false if it is lifted"),
     ({**plans.drum(), "limits": {}}, "tilt", "need limits.tilt_deg of 51, above 45.*1.29 N or"),
     (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or request another tension"),
     (steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}), "objects.drum.rim",

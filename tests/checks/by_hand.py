@@ -105,7 +105,7 @@ def thrusts(motion: Motion, times: Array) -> Array:
 def sampled(motion: Motion, times: Array, only: Set[str] = frozenset()) -> dict[str, float]:
     """Return the worst value of every quantity over ``times``; thrust as a share of the largest.
 
-    If some are named, those that take long are left out where they are not.
+    If some are named, those that take long are omitted where they are not.
     """
 
     def named(*names: str) -> bool:

@@ -1,4 +1,4 @@
-"""Rules of one's own: bounds for all t, their places in a certificate, and what is refused."""
+"""Custom rules: bounds for all t, their places in a certificate, and what is refused."""
 
 from __future__ import annotations
 
@@ -192,8 +192,8 @@ def test_rules_appear_in_the_certificate_as_ones_own() -> None:
     assert (high.holds, [x.name for x in certificate.violated]) == (False, ["high"])
     assert not certificate.certified
     table = certificate_table(certificate)
-    assert "own rules:" in table
-    assert "own rules, which hitchopt verify does not prove: leg_angle, high" in table
+    assert "custom rules:" in table
+    assert "custom rules, which hitchopt verify does not prove: leg_angle, high" in table
     assert "hitchopt verify does not prove" in certificate._repr_html_()
     entries = {x["name"]: x for x in json.loads(json.dumps(certificate.to_dict()))["checks"]}
     assert entries["leg_angle"]["custom"] is True

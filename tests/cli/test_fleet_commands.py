@@ -115,7 +115,7 @@ def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) ->
         ("--format csv --fleet nowhere.yaml", "nowhere.yaml"),
         ("--format ros2bag --storage rosbag1", "'rosbag1' is not one of"),
         ("--format csv --hold-tension", "give --stiffness, or team.quadrotor.stiffness"),
-        ("--format csv --damping 2", "--damping = 2.0: must be left out for csv without --hold"),
+        ("--format csv --damping 2", "--damping = 2.0: must be omitted for csv without --hold"),
         ("--format csv -o table.parquet", "-o = 'table.parquet': must be a folder"),
         ("", "--format = (missing): must be given with DIR"),
     ],
@@ -159,7 +159,7 @@ def test_shows_declare_limits_and_hold_the_tension(plan: Path) -> None:
     (part,) = json.loads(run(*slack, "--json", code=0).stdout)["parts"]
     assert part["goes_slack"]
     said = run("lint", "files", code=0).stdout
-    assert re.search(r"maxVelocityXY \[m/s\], the show's own +0\.\d+ +0\.3\n", said)
+    assert re.search(r"maxVelocityXY \[m/s\], declared by the show +0\.\d+ +0\.3\n", said)
     assert re.search(r"\nspeed \[m/s\] +0\.\d+ +–\n", said)
     options = ["--stiffness", "4.75", "--damping", "1.3"]
     said = run("export", plan, "--format", "skybrush", "-o", "files", *options, code=0).stdout

@@ -74,8 +74,11 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("fit none.svg --robots 3", "error: none.svg: there is no such file"),
         ("init --drone crazyfly", "error: --drone = 'crazyfly': must be one of"),
         *((f"init --robots {n}", f"error: --robots = {n}: must be at ") for n in (0, 2, 13)),
-        ("init --robots 4 --kind carry", "error: --robots = 4: must be left out with --kind"),
-        ("init --drone x260_bolt --example triangle", "error: --drone = 'x260_bolt': must be left"),
+        ("init --robots 4 --kind carry", "error: --robots = 4: must be omitted with --kind"),
+        (
+            "init --drone x260_bolt --example triangle",
+            "error: --drone = 'x260_bolt': must be omitt",
+        ),
         ("fit circle:-1 --robots 3", "error: OUTLINE = -1.0: must be greater than 0"),
         (f"{SOLVE} --repair-to {TRIANGLE}", "triangle.yaml: exists already; give another name"),
         (f"{SOLVE} --take 4 --repair-to own", "error: --take = 4: must be"),

@@ -235,9 +235,9 @@ REFUSED: list[tuple[str, ho.Quadrotor, dict[str, Any], str]] = [
         "compressed",
         RETUNED,
         {"stiffness": 2.0},
-        "stiffness = 2.0: must be left out with controller mellinger",
+        "stiffness = 2.0: must be omitted with controller mellinger",
     ),
-    ("csv", ho.Quadrotor(), {"damping": 2.0}, "left out for csv without hold_tension=True"),
+    ("csv", ho.Quadrotor(), {"damping": 2.0}, "omitted for csv without hold_tension=True"),
     (
         "crazyswarm2",
         ho.Quadrotor(controller="px4"),

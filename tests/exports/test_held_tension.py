@@ -292,7 +292,7 @@ def test_positions_alone_are_refused_where_distances_do_not_allow_for_the_lag(
         export(tube, stretch=factor)
         refusal(tube, stretch=1.0 + 0.8 * (factor - 1.0))
     refusal(0.12, allow_slack=True)
-    with pytest.raises(ho.InputError, match="left out for gltf"):
+    with pytest.raises(ho.InputError, match="omitted for gltf"):
         plan.export("gltf", tmp_path, positions_only=True)
     with pytest.raises(ho.InfeasibleError, match=r"such as stiffness=4\.75"):
         of_kind(plan, ho.Quadrotor()).export("csv", tmp_path, positions_only=True)

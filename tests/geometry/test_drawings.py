@@ -226,7 +226,7 @@ def test_holes_are_ignored_and_noted_with_their_sizes(tmp_path: Path) -> None:
     result = read_drawing(path)
     assert size_and_area(result.outline)[:2] == pytest.approx((4.0, 2.9))
     assert result.notes == (
-        "left out as holes within it: 1 x 1 m, 0.2 x 0.2 m; if it is a page or a frame around the "
+        "omitted as holes within it: 1 x 1 m, 0.2 x 0.2 m; if it is a page or a frame around the "
         "part, hide it",
     )
     path.write_text(

@@ -117,8 +117,8 @@ def test_models_of_drones_have_gains_for_the_stated_delay() -> None:
     ("given", "words"),
     [
         ({"controller": "melinger"}, "controller = 'melinger': must be one of mellinger, lee"),
-        ({"gains": {"kp": 1.0}}, "gains = .*: must be left out without a controller"),
-        ({"latency": 0.03}, "latency = 0.03: must be left out without a controller"),
+        ({"gains": {"kp": 1.0}}, "gains = .*: must be omitted without a controller"),
+        ({"latency": 0.03}, "latency = 0.03: must be omitted without a controller"),
         ({"controller": "lee", "latency": 0.08}, "gains.kp = .*at a latency of 80 ms"),
         ({"controller": "lee", "stiffness": 2.0}, "stiffness = 2.0: .* with controller lee"),
         ({"controller": "lee", "integral": False}, "integral = False: .* with controller lee"),

@@ -78,11 +78,11 @@ def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
 
 
 def test_a_blend_that_cannot_be_flown_says_that_a_stop_would_help() -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"arena: .*, or leave out blend"):
+    with pytest.raises(ho.InfeasibleError, match=r"arena: .*, or omit blend"):
         ho.solve(PROBLEMS / "infeasible" / "blended_overshoot.yaml")
     outward = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
     back = ho.MoveVertex(0, by=np.array([0.15, -0.03]))
-    with pytest.raises(ho.InfeasibleError, match=r"^blend: .*turns back on itself .* leave out bl"):
+    with pytest.raises(ho.InfeasibleError, match=r"^blend: .*turns back on itself .* omit bl"):
         ho.solve(mission(outward, back))
 
 
@@ -95,7 +95,7 @@ NO_MOTION = ho.Adjust("balanced", blend=True)
     [
         ([VERTEX, ho.Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
         ([VERTEX, ho.Morph(SQUARE, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
-        ([NO_MOTION, NO_MOTION, MOVES[0]], r"mission\[0\]\.adjust.*moves something"),
+        ([NO_MOTION, NO_MOTION, MOVES[0]], r"mission\[0\]\.adjust.*with motion"),
     ],
 )
 def test_what_cannot_be_blended_is_refused(steps: list[Step], words: str) -> None:

@@ -1,4 +1,4 @@
-"""Plans are refused where they violate a rule of one's own."""
+"""Plans are refused where they violate a custom rule."""
 
 from __future__ import annotations
 

@@ -185,7 +185,7 @@ def test_derivatives_of_rows_by_differences(seed: int) -> None:
         np.testing.assert_allclose(gradients[i], difference, rtol=1e-5, atol=1e-6)
         bent = np.einsum("rm,irm->im", weights, change)
         np.testing.assert_allclose(curvature[i], bent, rtol=1e-5, atol=1e-5)
-    convex = rows.curvature(p, weights, convex=True)  # what is left out bends the other way
+    convex = rows.curvature(p, weights, convex=True)  # what is omitted bends the other way
     parts = np.moveaxis(np.stack([convex, convex - curvature]), 3, 1)
     assert np.min(np.linalg.eigvalsh(parts)) >= -1e-9
 

@@ -453,14 +453,14 @@ def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
     ("given", "told"),
     [
         ({"controller": "bang"}, "controller = 'bang': must be one of mellinger, lee, pid, px4"),
-        ({"upload": True}, "upload = True: must be left out without a controller"),
-        ({"estimator": "crazyflie"}, "estimator = .*left out without a controller"),
-        ({"gains": {"kp": 1.0}}, "gains = .*left out without a controller"),
-        ({"controller": "ideal", "upload": True}, "upload = True: must be left out without"),
+        ({"upload": True}, "upload = True: must be omitted without a controller"),
+        ({"estimator": "crazyflie"}, "estimator = .*omitted without a controller"),
+        ({"gains": {"kp": 1.0}}, "gains = .*omitted without a controller"),
+        ({"controller": "ideal", "upload": True}, "upload = True: must be omitted without"),
         ({"controller": "pid", "estimator": "best"}, "estimator = 'best': must be one of ideal"),
         ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
-        ({"latency": 0.02}, "latency = 0.02: must be left out without an estimator"),
-        ({"controller": "lee", "latency": 0.02}, "left out without an estimator"),
+        ({"latency": 0.02}, "latency = 0.02: must be omitted without an estimator"),
+        ({"controller": "lee", "latency": 0.02}, "omitted without an estimator"),
     ],
 )
 def test_incompatible_settings_are_refused(given: dict[str, Any], told: str) -> None:

@@ -151,7 +151,7 @@ class SkybrushShow(Format):
         limits, findings = _limits(show)
         for name, curve in show.curves.items():
             if (shortest := float(np.min(curve.durations))) < 0.5 * MILLI:
-                reason = f"a piece lasts {shortest:.2g} s, which rounds to zero; leave it out"
+                reason = f"a piece lasts {shortest:.2g} s, which rounds to zero; omit it"
                 findings.append(error("duration", name, reason))
         drones = [Trajectory(name, curve) for name, curve in show.curves.items()]
         return FileContents.of_curves(drones, "nwu", SMOOTH, findings, limits)

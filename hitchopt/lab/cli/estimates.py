@@ -75,8 +75,8 @@ def statics(
 
     Lengths, density, friction and controllers are the plan's by default. With friction, a vertex
     rests anywhere in its band, depending on the history of the clasps. Writes statics.json and
-    a picture to DIR, or to DIR/TEAM for several teams. Ends with 3 if a cable is slack or a clasp
-    does not hold.
+    a picture to DIR, or to DIR/TEAM for several teams. Exits with code 3 if a cable is slack or a
+    clasp does not hold.
     """
     import numpy as np
 
@@ -207,13 +207,13 @@ def calibrate(
     first = recordings[0]
     if plan is None and not any((x / PLAN).is_file() for x in (first, first.absolute().parent)):
         if density is not None:
-            remedy = "hovers do not determine cables; give a plan, or leave it out"
+            remedy = "hovers do not determine cables; give a plan, or omit it"
             raise InputError("density", density, "given with plan=", remedy)
         _calibrate_hover(recordings, output, {**values, "names": names})
         return
     hover = values if names is None else {**values, "names": names}
     for key, value in hover.items():
-        remedy = "leave it out, or put the hover into a directory without a plan"
+        remedy = "omit it, or put the hover into a directory without a plan"
         raise InputError(key, value, "given for hovers, without a plan", remedy)
     if len(recordings) > 1:
         remedy = "calibrate flights of a plan one by one"

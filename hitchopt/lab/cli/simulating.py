@@ -159,7 +159,7 @@ def simulate(
     else:
         directory = plan_path(directory).parent
     if lose is not None and runs is not None:
-        raise InputError("lose", lose, "of a single flight", "leave out --runs")
+        raise InputError("lose", lose, "of a single flight", "omit --runs")
     if as_calibrated is not None:
         options["as_calibrated"] = read_calibrated(as_calibrated)
     settings = settings_of(**options, **perturb)

@@ -118,7 +118,7 @@ def align(
     """
     for name, value in (("start", start), ("frame", frame if frame == "fit" else None)):
         if value is not None and not flight.one_clock:
-            raise InputError(name, value, "left out", "drones have separate clocks")
+            raise InputError(name, value, "omitted", "drones have separate clocks")
     trial = _Trial(flight, task, names or {}, start)
     if frame is not None and frame != "fit":
         return trial.checked_best(trial.fits(_stated_frame(frame)))

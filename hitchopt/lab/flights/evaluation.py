@@ -264,7 +264,7 @@ def evaluate(
     if not isinstance(flight, RecordedFlight):
         flight = read_flight(path("recording", flight), unit, topic)
     elif unit is not None or topic is not None:
-        raise InputError("unit, topic", (unit, topic), "left out", "the recording is read already")
+        raise InputError("unit, topic", (unit, topic), "omitted", "the recording is read already")
     if isinstance(plan, Plan):
         task = Task.of(plan.flight)
     else:

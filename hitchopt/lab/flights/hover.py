@@ -49,7 +49,7 @@ MIN_GROUND = 0.3  # Shortest time on the ground [s]
 WANDER = 0.01  # Smallest standard deviation of the level wander about the place at rest [m]
 REPEATABILITY = 0.01  # Smallest standard deviation of trims from flight to flight [m]
 MIN_CORRELATION = 1.0  # Shortest correlation time of the wander [s]
-MOTION_ERROR = 0.03  # Least error of a trim from motion: drag and tilt of the way are left out [m]
+MOTION_ERROR = 0.03  # Least error of a trim from motion: drag and tilt of the way are omitted [m]
 MAX_RATIO = 3.0  # Largest difference of trims over its standard error
 # Relative error of a trim that is expected from a tilt: drones with cables scatter by a quarter
 MODEL_ERROR = 0.25
@@ -167,7 +167,7 @@ class HoverCalibration(OneLine):
 
     @property
     def quadrotor(self) -> dict[str, dict[str, Any]]:
-        """What ``team.quadrotor`` takes, by drone; trims that the tilt contradicts are left out."""
+        """What ``team.quadrotor`` takes, by drone; trims that the tilt contradicts are omitted."""
         kinds = dict[str, dict[str, Any]]()
         for name, drone in self.drones.items():
             kind = kinds[name] = {}
@@ -211,7 +211,7 @@ def calibrate_hover(
     """Estimate trims, tilts, thrust factors and lags of drones from hovers, without a plan.
 
     A drone is at rest while it flies, and neither it nor its setpoint moves; the first seconds
-    after each movement are left out. Without commands the setpoint is above the place before
+    after each movement are omitted. Without commands the setpoint is above the place before
     take-off.
 
     Parameters

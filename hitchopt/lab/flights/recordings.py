@@ -373,7 +373,7 @@ def _topics(own: Mapping[str, Logged]) -> dict[str, str]:
 def _in_recorded_order(rows: Array) -> Array:
     """Return rows with a value and a new time; FileError for times that descend."""
     if not np.isfinite(rows[:, 0]).all():
-        raise FileError("a time is not finite; leave out rows without a time")
+        raise FileError("a time is not finite; omit rows without a time")
     rows = rows[np.isfinite(rows).all(axis=1)]
     steps = np.diff(rows[:, 0], prepend=-np.inf)
     if np.any(steps < 0.0):

@@ -32,7 +32,7 @@ CURVE_RATES = ("mellinger", "lee")  # Controllers that follow body rates from th
 
 
 def resolved(task: Task, settings: Settings) -> Settings:
-    """Return settings that state controller, estimator and upload: those of a task if left out.
+    """Return settings that state controller, estimator and upload: those of a task if omitted.
 
     Exact states are None in these. Raise InputError for settings of a flight controller without
     one, or a latency without an estimator.
@@ -54,7 +54,7 @@ def resolved(task: Task, settings: Settings) -> Settings:
                 upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
     estimator = None if estimator == IDEAL else estimator
     if settings.latency is not None and estimator is None:
-        bound, remedy = "left out without an estimator", "add estimator='crazyflie'"
+        bound, remedy = "omitted without an estimator", "add estimator='crazyflie'"
         raise InputError("latency", settings.latency, bound, remedy)
     return replace(settings, estimator=estimator, upload=bool(upload))
 
@@ -63,7 +63,7 @@ def _of_files(files: Received, settings: Settings) -> Settings:
     """Return settings with controller and filter of exported files, if these hold gains."""
     for name in ("controller", "gains", "estimator", "upload", "feedback"):
         if value := getattr(settings, name):
-            raise InputError(name, value, "left out for an export", "its files state it")
+            raise InputError(name, value, "omitted for an export", "its files state it")
     settings = replace(settings, upload=files.flown_by == "upload")
     if not files.loops:
         return settings

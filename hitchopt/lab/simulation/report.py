@@ -267,7 +267,7 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
         raise InputError(key, options, "a dict", f"use the keys {', '.join(names)}")
     for name in options.keys() - names.keys():
         remedy = closest_word(str(name), [*names])
-        raise InputError(f"{key}.{name}", options[name], "left out", remedy)
+        raise InputError(f"{key}.{name}", options[name], "omitted", remedy)
 
 
 def _cables(flight: SimulatedFlight) -> Sequence[object]:

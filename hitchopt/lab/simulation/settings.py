@@ -260,11 +260,11 @@ class Settings(Record):
             for name in ("gains", "estimator", "upload"):
                 if (value := getattr(self, name)) and value != IDEAL:
                     remedy = f"name one of {', '.join(CONTROLLERS)}"
-                    raise InputError(name, value, "left out without a controller", remedy)
+                    raise InputError(name, value, "omitted without a controller", remedy)
         if isinstance(self.estimator, str):
             object.__setattr__(self, "estimator", ESTIMATORS[self.estimator])
         if self.upload and self.feedback:
-            bound = "left out with upload"
+            bound = "omitted with upload"
             raise InputError("feedback", True, bound, "uploaded files cannot be corrected")
 
     @property

@@ -60,7 +60,7 @@ class GridKeys:
         if not self.low < self.high:
             raise InputError("from", self.low, f"below to, {self.high:g}", "exchange the two")
         if self.log and self.low <= 0.0:
-            raise InputError("from", self.low, "above 0 where log is true", "leave out log")
+            raise InputError("from", self.low, "above 0 if log is true", "omit log")
 
 
 @dataclass(frozen=True)

@@ -168,7 +168,7 @@ class MovePlanner:
         """The hitch that grips the object; raises InputError for another hold."""
         hold = self.hold
         if not isinstance(hold, GripHold):
-            raise InputError("by", hold.by, "grip where cables close around it", "rest it instead")
+            raise InputError("by", hold.by, "grip if cables close around it", "rest it instead")
         return hold
 
     @property

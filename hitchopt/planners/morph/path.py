@@ -310,7 +310,7 @@ class Shapes:
     # (J, n, 2) [m], ``d`` and ``e`` as cable lengths, negative if a cable is too short, zero at a
     # chain's ends
     legs: Array
-    roll: Array | None = None  # (J, clasps) [rad], or None for none
+    roll: Array | None = None  # (J, clasps) [rad], or None
 
     def __getitem__(self, mask: NDArray[np.bool_]) -> Shapes:
         roll = None if self.roll is None else self.roll[mask]

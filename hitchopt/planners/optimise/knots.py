@@ -70,7 +70,7 @@ class KnotPath:
     polygons: Array  # (J + 1, n, 2) [m]
     q_legs: Array  # (J + 1, n) [m]
     tensions: Array  # (J + 1, n) [N]
-    roll: Array | None = None  # (J + 1, clasps) [rad], or None for none
+    roll: Array | None = None  # (J + 1, clasps) [rad], or None
 
     @classmethod
     def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
