@@ -64,8 +64,17 @@ SHARES = {
 }
 """Methods by the colours of shares of solved pairs; a pair is flown straight or routed."""
 
-SHIFT = 0.08
+MARKERS = {"straight": "v", "routed": "s", "optimised": "o", "ipopt": "D", "rockit": "^"}
+"""Markers of methods in figures."""
+
+SHIFT = 0.1
 """Shift of a method's marks from another one's along the axis of robots."""
+
+WIDTH = 5.0
+"""Width of figures [inch]: text of 10 pt is 11 pixels high on a screen of 400 pixels."""
+
+DPI = 160
+"""Resolution of figures."""
 
 LABELS = {"solved": "planned and certified", "proven": "also proven by verify"}
 """Names of shares in figures."""
@@ -327,11 +336,11 @@ def page(store: Store, limit: float) -> str:
             "",
             "## Morphs of irregular pairs",
             "",
-            "Solved pairs of all: median–95th percentile of the solved ones' processor time [s].",
+            "Solved pairs/all pairs: median–95th percentile of processor time over the solved pairs [s].",
             *table(["method \\ n", *heads, "all"], morph_rows(store)),
             "![Processor time and share of solved pairs over the number of robots, by method](solve_times.png)",
             "",
-            "Proofs of these plans, likewise [s].",
+            "Processor time of proofs of these plans, median–95th percentile [s].",
             *table(["proof \\ n", *heads, "all"], proof_rows(store)),
             "(success-rates)=",
             "## Success rates",
@@ -354,33 +363,39 @@ def draw(store: Store) -> None:
 
     middles = np.array([np.mean(sizes) for sizes in SIZES])
     figure, (time_axes, share_axes) = plt.subplots(
-        1, 2, figsize=(9.0, 3.4), layout="constrained", width_ratios=(3, 2)
+        2, 1, figsize=(WIDTH, 5.4), layout="constrained", sharex=True, height_ratios=(3, 2)
     )
     for number, (method, name) in enumerate(SHORT_METHODS.items()):
-        colour, places = f"C{number}", middles + SHIFT * (number - 2)
+        places = middles + SHIFT * (number - 2)
         groups = [store.of(method, sizes=sizes) for sizes in SIZES]
         seconds = [[each.seconds for each in group if each.solved] for group in groups]
         solved = [k for k, group in enumerate(seconds) if group]
         medians = np.array([np.median(seconds[k]) for k in solved])
         highest = np.array([np.percentile(seconds[k], 95) for k in solved])
         spread = np.stack([np.zeros(len(solved)), highest - medians])
-        style = {"color": colour, "fmt": "o", "capsize": 2}
+        style = {"color": f"C{number}", "fmt": MARKERS[method], "capsize": 3}
         time_axes.errorbar(places[solved], medians, spread, label=name, **style)
     for colour, methods in SHARES.items():
         groups = [store.of(*methods, sizes=sizes) for sizes in SIZES]
         tried = [k for k, group in enumerate(groups) if group]
         shares = [100.0 * np.mean([each.solved for each in groups[k]]) for k in tried]
-        share_axes.plot(middles[tried], shares, "o-", color=colour)
-    time_axes.set(yscale="log", xlabel="robots n", ylabel="processor time [s]: median, 95 %")
-    share_axes.set(ylim=(0.0, 105.0), xlabel="robots n", ylabel="solved pairs [%]")
+        # Our shares coincide: hollow marks leave those below visible
+        style = {"marker": MARKERS[methods[-1]], "color": colour, "fillstyle": "none"}
+        size = 10.0 if methods[-1] == "routed" else 6.0
+        share_axes.plot(middles[tried], shares, markersize=size, **style)
+    time_axes.set(yscale="log", ylabel="processor time [s]\n(median to 95 %)")
+    share_axes.set(ylim=(0.0, 110.0), xlabel="robots n", ylabel="solved pairs [%]")
+    share_axes.set_xticks(
+        middles, [f"{sizes[0]}–{sizes[-1]}" if len(sizes) > 1 else f"{sizes[0]}" for sizes in SIZES]
+    )
     for axes in (time_axes, share_axes):
         axes.grid(visible=True, alpha=0.3)
-    figure.legend(loc="outside upper center", ncols=len(METHODS))
-    figure.savefig(PAGE / "solve_times.png", dpi=110)
+    figure.legend(loc="outside upper center", ncols=3, columnspacing=1.0, handletextpad=0.3)
+    figure.savefig(PAGE / "solve_times.png", dpi=DPI)
     plt.close(figure)
 
     names = [family for family in SHOWN_FAMILIES if store.of(family)]
-    figure, axes = plt.subplots(figsize=(7.0, 0.5 + 0.4 * len(names)), layout="constrained")
+    figure, axes = plt.subplots(figsize=(WIDTH, 0.5 + 0.45 * len(names)), layout="constrained")
     for shift, label in ((-0.2, "solved"), (0.2, "proven")):
         groups = [store.of(family) for family in names]
         shares = [100.0 * np.mean([getattr(each, label) for each in group]) for group in groups]
@@ -389,7 +404,7 @@ def draw(store: Store) -> None:
     axes.set(yticks=range(len(names)), yticklabels=names, xlabel="problems [%]", xlim=(0.0, 110.0))
     axes.invert_yaxis()
     figure.legend(loc="outside upper center", ncols=2)
-    figure.savefig(PAGE / "families.png", dpi=110)
+    figure.savefig(PAGE / "families.png", dpi=DPI)
     plt.close(figure)
 
 

@@ -95,8 +95,8 @@ class Plan(OneLine):
     def notes(self) -> tuple[str, ...]:
         """Notes for the user: assumptions, and tracking errors below those of controllers.
 
-        Cables count as weightless if the problem states no density. If a plan lacks the text of
-        its problem, a density above 0 counts as stated.
+        Cables are assumed to be weightless if the problem states no density. If a plan lacks the
+        text of its problem, a density above 0 is taken as stated.
         """
         notes = list[str]()
         with contained("a note"):
@@ -127,7 +127,7 @@ class Plan(OneLine):
     def to_dataframe(self, rate: float = 100.0) -> DataFrame:
         """Return the rows of ``setpoints.csv``, with their phases, as a pandas data frame.
 
-        ``rate`` is the sampling rate [Hz]; the end is a sample as well. Raises UnsupportedError if
+        ``rate`` is the sampling rate [Hz]; the end is included. Raises UnsupportedError if
         pandas is not installed.
         """
         from hitchopt.exports.directory import data_frame
@@ -181,7 +181,7 @@ class Plan(OneLine):
 
         With ``report``, ``report.html`` is written as well. Either all files are written or none,
         even if the process is killed; only files with these names are replaced. ``summary.png``
-        follows, unless ``picture`` is False; a failure of it is a warning.
+        follows, unless ``picture`` is False; if it fails, a warning is issued.
 
         Raises
         ------

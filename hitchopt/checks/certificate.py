@@ -106,7 +106,7 @@ class Check(OneLine):
         """Return the check; it holds without a limit, or within its tolerance for ``size``.
 
         Files cannot store infinities and nan: they become the largest number and the worst one. An
-        infinity that holds is the extremum of an empty set, and ``where`` is empty.
+        infinite worst value that holds is the extremum of an empty set; ``where`` is then empty.
         """
         largest, limit = sys.float_info.max, None if limit is None else float(limit)
         if worst == _empty_value(sense):
@@ -205,7 +205,7 @@ class Certificate(OneLine):
 
     @cached_property
     def checks(self) -> tuple[Check, ...]:
-        """All checks; reports are evaluated at the first access."""
+        """All checks; reports are evaluated on first access."""
         return (*self.limited, *self.reports())
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -258,7 +258,7 @@ class Certificate(OneLine):
 
     @property
     def binding(self) -> tuple[str, ...]:
-        """Names of the checks that limit the plan's pace, the closest to its limit first.
+        """Names of the checks that limit the plan's speed, closest to its limit first.
 
         They are those of RATE_CHECKS with a worst value within 2 % of the limit.
         """

@@ -116,7 +116,7 @@ class Rule(ByValue, Generic[S]):
 
     The formula is arithmetic with enclosed values: ``+``, ``-``, ``*``, ``dot``, ``cross``,
     ``norm``, ``direction``, ``inverse``, ``root``, ``xy``, components such as ``[2]``, and
-    ``angle_to``. It may not take values out of them: numbers of its own lose the enclosure.
+    ``angle_to``. It must not extract plain numbers from them, which lose the enclosure.
     Vectors that may vanish have no direction: the bounds of their angles are 0 and 180 degrees.
 
     Every team is evaluated on its own, without tracking errors; external plans are not.

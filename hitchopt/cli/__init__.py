@@ -37,6 +37,6 @@ def main() -> None:
     Every plan comes with a certificate that holds for all of continuous time.
 
     Exit codes: 0 done and certified; 2 the file or the usage is invalid; 3 the problem is valid but
-    infeasible, or its certificate fails; 130 and 143 interrupted by Ctrl-C and by SIGTERM, without
-    incomplete files.
+    infeasible, or its certificate fails; 130 and 143 interrupted by Ctrl-C and by SIGTERM, leaving
+    no incomplete files.
     """

@@ -194,7 +194,7 @@ def _check_units(t: Array, positions: Array, velocities: Array) -> None:
     if product > MIN_COSINE * math.sqrt(square * np.vdot(actual, actual)):
         ratio = product / square
         if not 1.0 / MAX_RATIO < ratio < MAX_RATIO:
-            reason = f"positions change by {ratio:.3g} times what velocities say"
+            reason = f"positions change by {ratio:.3g} times what their velocities imply"
             raise FileError(f"{reason}: times are not in seconds, or velocities not in m/s")
 
 

@@ -93,8 +93,8 @@ def _parts(task: ExportTask, cuts: Sequence[float]) -> list[ExportTask]:
         times = ", ".join(f"{rest:.3f}" for rest in cuts[1:-1])
         notes.append(
             f"rests at t = {times} s are extended by {REST_TIME:g} s "
-            f"({REST_TIME * (count - 1):g} s in all) until setpoints are at rest; the certificate "
-            "covers them"
+            f"({REST_TIME * (count - 1):g} s in total) until setpoints are at rest; the "
+            "certificate covers them"
         )
     parts = []
     for i, (start, end) in enumerate(pairwise(cuts), 1):

@@ -74,8 +74,8 @@ def _pair(quantity: Kind) -> Kind:
 class Tube(Record):
     """Tracking errors of a drone: it is within an ellipsoid about its planned place.
 
-    The ellipsoid has the semi-axes ``level``, horizontally, and ``height``. A height below the
-    level counts as the level: the ellipsoid is then a ball.
+    The ellipsoid has the semi-axes ``level``, horizontally, and ``height``. A height below
+    ``level`` is replaced by ``level``: the ellipsoid is then a ball.
 
     Raises
     ------

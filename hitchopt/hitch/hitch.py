@@ -147,7 +147,7 @@ class Hitch(ByValue):
     """A hitch in static equilibrium, with all vertices in a horizontal plane.
 
     It is closed or an open chain. Legs rise out of the plane at clasps that carry weight; with roll
-    one leg rises and the other one sinks.
+    one leg rises and the other descends.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ class Hitch(ByValue):
 
         Of all leg lengths within limits with separations and cable clearances of at least 1.5 times
         their limits, it has the nearest to balanced ones (least squares in ``d``). If there are
-        none, it has those with the largest margin.
+        none, it has the largest margin.
 
         Other parameters and errors are those of the class.
 

@@ -224,7 +224,7 @@ class Quadrotor(OneLine):
 
     @property
     def uncalibrated(self) -> Quadrotor:
-        """The kind without what is measured on single drones."""
+        """The kind without the values measured on single drones."""
         return with_fields(self, trim=None, thrust_factor=None, tracking=None)
 
     def level_pull(self, tilt: float) -> tuple[float, str]:

@@ -431,7 +431,7 @@ class Team(ByValue):
 
     @property
     def thrust_factor(self) -> NDArray[np.float64]:
-        """(2n,): commanded thrust of each drone over the thrust that it causes."""
+        """(2n,): ratio of each drone's commanded to its actual thrust."""
         return np.array([kind.thrust_factor or 1.0 for kind in self.kinds])
 
     def _per_axis(self, name: str) -> NDArray[np.float64]:
@@ -483,12 +483,12 @@ class Team(ByValue):
 
     @property
     def listed(self) -> Indices:
-        """(drones,): places of the problem's drones q0, r0, q1, …; rows of places, so ordered."""
+        """(drones,): places of the drones q0, r0, q1, …, in the order of the problem."""
         return np.argsort(self.assignment.drones) if self.assignment else np.arange(self.drones)
 
     @property
     def edges(self) -> Indices:
-        """(n,): edges that the problem's robots hold; rows of edges, so ordered, are of robots."""
+        """(n,): edges held by the robots, in the order of the problem."""
         return np.argsort(self.labels)
 
     @property

@@ -38,8 +38,8 @@ class Other(ByValue):
 
     Raises
     ------
-    InputError: a time before the start, or a plan whose own certificate does not hold, or that
-        moves as it begins or ends.
+    InputError: a time before the start, or a plan whose own certificate does not hold, or that does
+        not begin and end at rest.
     FileError: no plan there, or a damaged one.
     UnsupportedError: several teams, one with cables that are tied around an object.
     """

@@ -161,7 +161,7 @@ def _check_blend(steps: tuple[Step, ...], i: int, *, complete: bool) -> None:
         raise InputError("blend", True, "false in the last step", "omit it: nothing follows")
     if step.blends and following and not following[0].blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
-        remedy = f"omit it: only {names} go on into one another"
+        remedy = f"omit it: only {names} can be blended into one another"
         raise InputError("blend", True, f"false before a {following[0].name}", remedy)
     if step.blends and isinstance(step.settling, float):
         bound = "omitted: steps settle where they stop"
@@ -429,16 +429,16 @@ class Problem(ByValue):
     are done. A team alone carries an object that a step of it names; all others are obstacles of
     all teams.
 
-    ``rules`` are custom limits, which files do not have. Planners do not know them: a plan
-    that violates one is refused.
+    ``rules`` are custom limits, which files cannot state. Planners ignore them: a plan that
+    violates one is refused.
 
     ``teams`` has start, steps and requirements of every team by name; a single team has the name
     ``""``.
 
     Raises
     ------
-    InputError: names, objects or steps that do not fit one another, a team or its outline; no step;
-        a rule with the name of another check.
+    InputError: names, objects or steps that do not match one another, a team or its outline; no
+        step; a rule with the name of another check.
     """
 
     complete: ClassVar[bool] = True  # whether the mission has all of its steps

@@ -96,7 +96,7 @@ def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
         drop = float(np.max(sags(motion, density)))
         cables = f"cables of {flown.name}" if flown.name else "cables"
         yield (
-            f"{cables} count as weightless; at {1e3 * density:g} g/m vertices would hang "
+            f"{cables} are assumed weightless; at {1e3 * density:g} g/m vertices would hang "
             f"{100.0 * drop:.2g} cm lower: state {key}.cable_density"
         )
 

@@ -108,7 +108,7 @@ class Section(ByValue):
         return unit(left_of(edges))
 
     def widened(self, distance: float) -> Section:
-        """Return the section with its sides, or its circle, farther out by a distance [m]."""
+        """Return the section, offset outward by a distance [m]."""
         if self.outline is None:
             return Section(radius=self.rounding + distance)
         normals = self._normals

@@ -498,7 +498,7 @@ class Step(Record, ABC):
         return replace(self, **changed) if changed else self
 
     def checked_polygon_after(
-        self, team: Team, outline: Outline | None, reason: str = "start says so"
+        self, team: Team, outline: Outline | None, reason: str = "as start states"
     ) -> Outline | None:
         """Return ``polygon_after``; raise InputError if the step needs, or forbids, a hitch.
 

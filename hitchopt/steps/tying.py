@@ -385,7 +385,7 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
 CIRCLE_REMARK = "tied as a polygon on a circle, since the goal cannot be tied directly"
 """Remark on morphs between a hitch and one on a circle that is tied or untied in its place."""
 
-HEIGHT_REMARK = "hanging cables need more height over the ground than the hitch"
+HEIGHT_REMARK = "hanging cables need more height above the ground than the hitch"
 """Remark on motions of a hitch to and from the altitude at which it is tied."""
 
 

@@ -108,7 +108,7 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert last == "certified; recomputed from out/plan.npz"
     assert note == first.splitlines()[-1]
     assert re.fullmatch(
-        r"note: cables count as weightless; at 10 g/m vertices would hang [\d.]+ cm lower: "
+        r"note: cables are assumed weightless; at 10 g/m vertices would hang [\d.]+ cm lower: "
         r"state team\.cable_density",
         note,
     )

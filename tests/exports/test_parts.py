@@ -47,7 +47,7 @@ def test_a_mission_is_cut_where_it_rests_and_rests_longer_there(tmp_path: Path) 
     spans = (read_manifest(tmp_path / "show") or {})["plan_spans"]
     assert [0.0, *(end for _, end in spans)] == [*(begins for begins, _ in spans), plan.duration]
     (said,) = {note for part in parts for note in part.notes if "are extended by" in note}
-    assert f"({REST_TIME * (len(parts) - 1):g} s in all)" in said
+    assert f"({REST_TIME * (len(parts) - 1):g} s in total)" in said
     names, kind = plan.motion.team.drone_names, format_of("crazyswarm2")
     ends = []
     for part, (begins, until) in zip(parts, spans, strict=True):

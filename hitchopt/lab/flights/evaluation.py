@@ -129,7 +129,7 @@ class Evaluation(OneLine):
 
     @property
     def sag(self) -> str:
-        """Whether the cables' sag is in the errors of vertices, in words."""
+        """Statement on whether vertex errors include the cables' sag."""
         if self.task.team.cable_density > 0.0:
             weight = f"{1e3 * self.task.team.cable_density:g} g/m"
             return f"the sag of cables of {weight} is planned: these errors do not include it"

@@ -73,9 +73,9 @@ class DroneHover(OneLine):
     Attributes
     ----------
     name: in the recording, or of the team.
-    trim: setpoint minus place at rest, level, in the body's frame at yaw 0 [m].
+    trim: horizontal setpoint minus place at rest, in the body's frame at yaw 0 [m].
     trim_error: standard error of both [m].
-    setpoint: where it is known from: ``commanded``, ``above the place before take-off``, or
+    setpoint: its source: ``commanded``, ``above the place before take-off``, or
         ``commanded, in motion``, where the trim is fitted to the position loop's response.
     settled: time at rest [s].
     tilt: horizontal part of the body's z axis over its vertical part, in the same frame.
@@ -87,7 +87,7 @@ class DroneHover(OneLine):
     thrust_factor: commanded thrust over weight, and its standard error.
     lag, expected_lag: of moving commands, measured, and kd/kp if known and positions only [s].
     tracking: largest distances from the setpoint plus trim, horizontal and vertical [m].
-    remarks: reasons for which something is not determined.
+    remarks: reasons why values are not determined.
     """
 
     name: str

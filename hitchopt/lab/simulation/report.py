@@ -221,8 +221,8 @@ def simulate(
 ) -> Simulation:
     """Fly a plan with simulated ropes in MuJoCo; return the flight with its results.
 
-    The flight has what the plan states: cables, drones, and their controller with the filter and
-    files that are exported for it, unless settings replace them.
+    The flight uses the plan's cables, drones and controllers, with the filter and files exported
+    for them, unless settings replace them.
 
     Parameters
     ----------

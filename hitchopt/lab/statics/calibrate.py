@@ -122,7 +122,7 @@ class Estimate(OneLine):
     ----------
     value: nan if the recording does not determine it.
     error: standard error; infinite if it is not determined.
-    remark: reason for which it is not determined, or empty.
+    remark: reason why it is not determined, or empty.
     """
 
     value: float = math.nan
@@ -167,7 +167,7 @@ class Calibration(OneLine):
     def text(self) -> str:
         """The block ``team:`` in YAML, with standard errors as comments.
 
-        Values that are not determined are the plan's.
+        Undetermined values are the plan's.
         """
         team, missing = self.task.team.of_problem, "of the plan: not determined"
         estimated = zip(self.lengths, team.cable_length.tolist(), strict=True)
@@ -201,7 +201,7 @@ class Calibration(OneLine):
 
     @property
     def errors(self) -> Errors:
-        """Largest errors at rest to plan the next flight with, ``team.errors``."""
+        """Largest errors at rest, as ``team.errors`` to plan the next flight."""
         standard_errors = np.array([one.error for one in self.lengths])
         return self.at_rests.errors(self.task.team.errors or Errors(), standard_errors)
 
@@ -213,7 +213,7 @@ class Calibration(OneLine):
 
     @property
     def vertex_error(self) -> float | None:
-        """The same bound [m] with ``errors`` in place of those planned with."""
+        """The same bound [m], with ``errors`` instead of the planned ones."""
         motion = self.task.motion
         if motion is None:
             return None

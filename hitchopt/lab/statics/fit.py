@@ -114,8 +114,8 @@ class Holding(OneLine):
     enclosing: the polygon that is lowered around the object, as far from it as ``enclose`` keeps;
         None for two cables, which are tied around it.
     cable_length: of all cables [m].
-    grip: the grip with the largest slip load, or the error without one.
-    rest: the polygon on which the outline rests as a rim, or the error without one.
+    grip: the grip with the largest slip load, or the error if there is none.
+    rest: the polygon on which the outline rests as a rim, or the error if there is none.
     grip_capacity, rest_capacity: the largest masses that are held by grip, and by rest.
     """
 
@@ -146,7 +146,7 @@ class Fit(OneLine):
     ----------
     section: the outline's convex hull, or the circle.
     holding: polygons for the requested number of robots.
-    others: polygons by number of robots, or the error without any.
+    others: polygons by number of robots, or the error if there are none.
     notes: assumptions on the outline and the tension.
     """
 

@@ -119,7 +119,7 @@ class Tolerance(OneLine):
 
     @property
     def tensions(self) -> Array:
-        """Smallest and largest tension of every cable, not below zero (S, n, 2) [N]."""
+        """Smallest and largest tension of every cable, nonnegative (S, n, 2) [N]."""
         half = self.tension_halves + self.tension_remainders[:, None]
         middle = self.equilibrium.tensions
         return np.maximum(np.stack([middle - half, middle + half], axis=-1), 0.0)

@@ -454,8 +454,8 @@ def rest_polygons(
     if inset[best] < MIN_INSET:
         value, when = float(inset[best]), "below the rim of the object"
         remedy = (
-            f"give objects.{name} a wider rim, or use another number of robots: `hitchopt fit` "
-            "tells with which its outline is held"
+            f"give objects.{name} a wider rim, or use the number of robots that `hitchopt fit` "
+            "recommends"
         )
         raise InfeasibleError(
             [Violation("support", value, MIN_INSET, "min", "m", (name,), when, remedy)]

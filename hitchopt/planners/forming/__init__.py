@@ -16,7 +16,7 @@ class SwapSettings(Record):
 
     radius: Annotated[float, Key(LENGTH, "Smallest semi-axis of the ellipses")] = 0.15
     tilt: Annotated[
-        float | None, Key(SWING, "Tilt of the axis of turning, upward from level; null: 45°")
+        float | None, Key(SWING, "Tilt of the axis of turning above horizontal; null: 45°")
     ] = None
     seconds: Annotated[
         float | None, Key(DURATION, "Shortest half turn; null: as fast as the limits allow")
