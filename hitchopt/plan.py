@@ -69,7 +69,7 @@ class Plan(OneLine):
 
     @property
     def stated_rules(self) -> tuple[StatedRule, ...]:
-        """Rules of one's own that were certified, as the plan's file states them."""
+        """Custom rules that were certified, as the plan's file states them."""
         return self.certificate.stated_rules
 
     @property
@@ -380,7 +380,7 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     """Return two plans as one, certified for the limits of both and the distances between them.
 
     Nothing is replanned or refused: the certificate reports violations, and ``closest`` the closest
-    pairs of drones. Rules of one's own are listed as not recomputed.
+    pairs of drones. Custom rules are listed as not recomputed.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from the polynomials.
 
-    Rules of one's own are listed as not recomputed: ``certify(plan, rules=[…])`` recomputes them.
+    Custom rules are listed as not recomputed: ``certify(plan, rules=[…])`` recomputes them.
     Raises FileError if there is no plan, it is damaged, or its flight does not match its request.
     """
     saved = read_requested_plan(path("directory", directory) / PLAN)

@@ -194,8 +194,8 @@ def worst_of(checks: Iterable[Check | None]) -> Check | None:
 class Certificate(OneLine):
     """All checks of a plan with a duration [s], in the order of the table.
 
-    ``limited`` are those that decide; ``reports`` returns the others, which always hold.
-    ``not_recomputed`` are rules of one's own that the plan states, without their formulas.
+    ``limited`` are those with a limit; ``reports`` returns the others, which always hold.
+    ``not_recomputed`` are custom rules that the plan states, without their formulas.
     """
 
     duration: float
@@ -241,10 +241,10 @@ class Certificate(OneLine):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes below the table on rules of one's own."""
+        """Notes below the table on custom rules."""
         notes = list[str]()
         if custom := [check.name for check in self.limited if check.custom]:
-            notes.append(f"own rules, which hitchopt verify does not prove: {', '.join(custom)}")
+            notes.append(f"custom rules, which hitchopt verify does not prove: {', '.join(custom)}")
         if self.not_recomputed:
             stated = ", ".join(map(str, self.not_recomputed))
             notes.append(f"not recomputed: {stated}; pass rules=[…] to hitchopt.certify")
@@ -252,7 +252,7 @@ class Certificate(OneLine):
 
     @property
     def stated_rules(self) -> tuple[StatedRule, ...]:
-        """Its rules of one's own, as plan files state them."""
+        """Its custom rules, as plan files state them."""
         custom = [check for check in self.limited if check.custom]
         return (*map(_stated, custom), *self.not_recomputed)
 
@@ -309,7 +309,7 @@ class Certificate(OneLine):
 
 
 def _stated(check: Check) -> StatedRule:
-    """Return the check of a rule of one's own as plan files state it."""
+    """Return the check of a custom rule as plan files state it."""
     worst = check.worst if check.is_evaluated else None
     return StatedRule(check.name, check.unit, check.sense, check.number, worst)
 

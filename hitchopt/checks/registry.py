@@ -87,7 +87,7 @@ They have no custom rules."""
 
 @runtime_checkable
 class Planned(Protocol):
-    """A plan, or what its file contains: a flight, and the rules of one's own that it states."""
+    """A plan, or what its file contains: a flight, and the custom rules that it states."""
 
     @property
     def flight(self) -> Flight:
@@ -96,7 +96,7 @@ class Planned(Protocol):
 
     @property
     def stated_rules(self) -> tuple[StatedRule, ...]:
-        """The rules of one's own that were certified."""
+        """The custom rules that were certified."""
         ...
 
 
@@ -123,7 +123,7 @@ def certify(
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
     reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
         ``merged`` computes the others.
-    rules: limits of one's own, which are checked in addition. Others that a plan states are listed
+    rules: custom limits, which are checked in addition. Others that a plan states are listed
         as not recomputed.
 
     Raises
@@ -220,7 +220,7 @@ def with_rules(
     checks = list[Check]()
     for rule in rules:
         if progress is not None:
-            progress(f"{rule.name}, a rule of your own")
+            progress(f"{rule.name}, a custom rule")
         of_teams = [_label(rule.check(flown.motion), flown) for flown in flight.teams]
         checks += filter(None, [worst_of(of_teams)])
     return replace(certificate, limited=(*certificate.limited, *checks)) if checks else certificate

@@ -115,7 +115,7 @@ def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Pa
 
 
 def _recomputed(content: dict[str, Any]) -> dict[str, Any]:
-    """Return the content of a certificate without rules of one's own, which need their formulas."""
+    """Return the content of a certificate without custom rules, which need their formulas."""
     checks = [check for check in content.get("checks", []) if not check.get("custom")]
     return {key: x for key, x in content.items() if key != "not_recomputed"} | {"checks": checks}
 

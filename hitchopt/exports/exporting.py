@@ -97,7 +97,7 @@ def export_flight(
 
     Parameters
     ----------
-    saved: the plan, with its title, the text of its problem and rules of one's own, if any.
+    saved: the plan, with its title, the text of its problem and custom rules, if any.
     options: options of the export.
     folder: created if it is missing. A name with the suffix of the format's only file is that of
         the file, and the manifest is written next to it.
@@ -128,7 +128,7 @@ def export_flight(
         notes += [*weightless_notes(flight, saved.problem), *_notes(kind, plan, options)]
     if saved.stated_rules:
         names = ", ".join(rule.name for rule in saved.stated_rules)
-        notes.append(f"own rules are not recomputed in the export: {names}")
+        notes.append(f"custom rules are not recomputed in the export: {names}")
     content = plan, saved.title, frame, fleet, rate, options
     task = ExportTask(*content, settings=settings, notes=tuple(notes), has_trims=kind.has_heading)
     is_export = _is_file(place, kind) and place.with_name(f"{place.name}.{MANIFEST}").exists()

@@ -160,7 +160,7 @@ class LegTask:
     """(J,), mask of knots whose legs equal the reference."""
 
     roll: Array | float | None = None
-    """One or (J, clasps) [rad], of the legs out of their plane; None for none."""
+    """One or (J, clasps) [rad], of the legs out of their plane; None if there is none."""
 
     @classmethod
     def at_rest(

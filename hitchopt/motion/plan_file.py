@@ -44,7 +44,7 @@ OTHERS = "others"
 """Key of the settings, and folder of the arrays, of external plans."""
 
 RULES = "rules"
-"""Key of the settings of rules of one's own, which plans without them leave out."""
+"""Key of the settings of custom rules, which plans without them omit."""
 
 MAX_COEFFICIENT = 1e5
 """[m], [N] Largest coefficient of a plan: sums of such numbers stay far from overflow."""
@@ -68,7 +68,7 @@ class Records(NamedTuple):
 class SavedPlan(NamedTuple):
     """Contents of a plan file: the flight, its title, and the text of its problem if known.
 
-    ``stated_rules`` are the rules of one's own that were certified when it was saved.
+    ``stated_rules`` are the custom rules that were certified when it was saved.
     """
 
     flight: Flight

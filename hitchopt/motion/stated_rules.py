@@ -1,4 +1,4 @@
-"""Rules of one's own as plan files state them: without their formulas, hence not recomputed."""
+"""Custom rules as plan files state them: without their formulas, hence not recomputed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MAX_UNIT = 16  # Maximum number of characters of a unit
 
 @dataclass(frozen=True, eq=False)
 class StatedRule(ByValue):
-    """A rule of one's own with the worst value that was certified when its plan was saved.
+    """A custom rule with the worst value that was certified when its plan was saved.
 
     Nothing recomputes it without its formula: it is no check, and neither holds nor is violated.
 

@@ -1,4 +1,4 @@
-"""Saved plans state rules of one's own as not recomputed, and are else as without rules."""
+"""Saved plans state custom rules as not recomputed, and are else as without rules."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_check_and_verify_list_rules_as_not_recomputed(saved: Path) -> None:
 def test_exports_say_that_rules_are_not_recomputed(saved: Path, tmp_path: Path) -> None:
     code, output = run("export", saved, "--format", "csv", "-o", tmp_path / "csv")
     assert code == 0
-    assert "note: own rules are not recomputed in the export: leg_angle, ceiling" in output
+    assert "note: custom rules are not recomputed in the export: leg_angle, ceiling" in output
 
 
 def test_plans_that_violate_a_rule_are_neither_saved_nor_exported(tmp_path: Path) -> None:
