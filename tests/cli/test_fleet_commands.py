@@ -150,7 +150,7 @@ def test_notes_of_several_parts_are_said_once(plan: Path, monkeypatch: pytest.Mo
     whole = exporting.export_flight
     monkeypatch.setattr(exporting, "export_flight", lambda *args: 2 * whole(*args))
     said = run("export", plan, "--format", "csv", "-o", "files", code=0).stdout
-    assert said.count("note: cables count as weightless") == 1
+    assert said.count("note: cables are assumed weightless") == 1
     assert said.count("certified as exported") == 2
 
 
