@@ -49,11 +49,11 @@ def route(
     polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
         more of the convex arc of an open chain.
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with this as sharing, and a roll_deg, at the end.
+        with sharing (one of these) and roll_deg, at the end.
     optimize: search for a faster route even if the straight one is feasible.
     tension: range of tensions [N].
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None for none.
+    limit: time limit [s]; None: unlimited.
 
     Raises
     ------

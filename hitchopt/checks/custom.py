@@ -133,7 +133,8 @@ class Rule(ByValue, Generic[S]):
 
     Raises
     ------
-    InputError: an argument is invalid; in ``certify``, the formula returns something else.
+    InputError: an argument is invalid; raised in ``certify`` if the formula does not return an
+    enclosed scalar.
     """
 
     name: str

@@ -317,8 +317,8 @@ class Requirements(ByValue):
         names = sorted({kind.loop.name for kind in team.quadrotor if kind.loop.name})
         source = f"the gains of {', '.join(names)}" if names else "its drones' measurements"
         return (
-            f"limits.tracking is {stated}, but {source} lead to {expected}: larger errors than "
-            f"limits.tracking are not certified; keep it only if it was measured"
+            f"limits.tracking is {stated}, but {source} lead to {expected}, which is not "
+            f"certified: raise it, unless you measured it"
         )
 
     @property

@@ -515,8 +515,8 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
         end = step.end(step_task).hitch
         step.check_end(end, step_task)
         if not moves(start, end):
-            bound = "a step that moves something where steps are blended"
-            remedy = "leave it out, or leave out blend"
+            bound = "a step with motion if steps are blended"
+            remedy = "omit it, or omit blend"
             raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
     motion, joints = BlendedMorph(hitches, requirements).solve()

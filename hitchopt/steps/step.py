@@ -420,7 +420,7 @@ class RequestedHold:
     ) -> RequestedHold:
         """Return the hold for tensions (n,) [N] of cables, the ``lowest`` while they open [N].
 
-        Edges that grip pull less than their legs, which lean against friction.
+        Gripping edges have less tension than their legs, which lean against friction.
         """
         smallest = min(LOW_OPENING_TENSION, lowest, *map(np.min, tensions))
         if by is HoldBy.GRIP:

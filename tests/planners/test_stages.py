@@ -1,4 +1,4 @@
-"""The stages of a plan one by one, and paths of one's own."""
+"""The stages of a plan one by one, and custom paths."""
 
 from __future__ import annotations
 

@@ -458,7 +458,7 @@ class CompressedBytes(CrazyflieFormat):
         name, frame = (stem, frame) if stem and frame in AXES else (path.stem, "")
         findings = []
         if not has_end:
-            reason = "missing: the drone flies on into what was in its memory"
+            reason = "missing: the drone continues into stale memory"
             findings.append(error("end marker", name, f"{reason}; append three zero bytes"))
         if math.radians(0.1 * float(np.ptp(yaws))) > YAW_TOLERANCE:
             reason = "changes, which firmware up to 2026.04 flies wrongly; keep it constant"

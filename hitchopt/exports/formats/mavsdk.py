@@ -97,7 +97,7 @@ class MavsdkDroneShow(Format):
         notes = (
             f"the plan starts {rise.duration:g} s into the show: until then drones wait and "
             f"rise straight up{unseen}; at the end PX4 lands them",
-            "with its own settings mavsdk_drone_show replaces rows with a climb and a landing: in "
+            "by default, mavsdk_drone_show replaces rows with a climb and a landing: in "
             f"src/params.py set {', '.join(f'{key} = {x}' for key, x in settings.items())}",
             f"Drone N.csv in the plan's order: {order}{', …' if len(task.names) > 6 else ''}",
             "launch every drone at px, py of its first row, the origin of its rows",

@@ -96,7 +96,7 @@ class Path(OneLine):
     vertices: shape (points, 3) over s [m].
     legs: law of the q-legs d_k, except at the ends of a chain.
     tensions: shape (n,) over s [N]; None for the team's.
-    roll: shape (clasps,) over s [rad]; None for none.
+    roll: shape (clasps,) over s [rad]; None if there is none.
     """
 
     team: Team
@@ -114,7 +114,7 @@ class Path(OneLine):
         roll: Samples | None = None,
         altitude: float = 1.0,
     ) -> Path:
-        """Return a path of one's own.
+        """Return a custom path.
 
         A function of s is sampled, and the spline through the samples has four continuous
         derivatives. Knots are joined by a natural quintic spline, which minimizes the third
@@ -159,7 +159,7 @@ class Path(OneLine):
         """Return the shapes at s (J,) from 0 to 1.
 
         They have ``polygons`` (J, points, 2) [m], ``legs`` (J, n, 2) [m], d_k and e_k, and ``roll``
-        (J, clasps) [rad], None for none.
+        (J, clasps) [rad], None if there is none.
         """
         return shapes_along(self, _checked_s(s))
 
