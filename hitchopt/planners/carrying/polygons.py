@@ -8,10 +8,9 @@ is evaluated independently.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -25,19 +24,26 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Section, SolidObject
 from hitchopt.values import Array, Indices
 
-REST_STRETCHES, GRIP_STRETCHES = np.ones(1), np.geomspace(0.25, 4.0, 81)
-"""Candidate aspect ratios of the polygon around an object, for rests and for grips, over that of
+REST_STRETCHES = np.ones(1)
+"""Candidate aspect ratio of the polygon around an object that is to rest on clasps, over that of
 the polygon that holds it."""
+
+GRIP_STRETCHES = np.geomspace(0.25, 4.0, 81)
+"""The same ratios for grips."""
 
 
 @dataclass(frozen=True, eq=False)
 class HoldPolygons:
     """Clasps around an object and clasps that hold it, in its frame."""
 
-    around: Array  # (n, 2) [m], clear of the object
-    clasps: Array  # (n, 2) [m], below its rim, or with edges that grip it
-    # (n, 2) [m] each, below its rim, nearer to the rim's edge where legs may rise more steeply
+    around: Array
+    """(n, 2) [m], clear of the object."""
+
+    clasps: Array
+    """(n, 2) [m], below its rim, or with edges that grip it."""
+
     outer: tuple[Array, ...] = ()
+    """(n, 2) [m] each, below its rim, nearer to the rim's edge where legs may rise more steeply."""
 
     @property
     def below_rim(self) -> tuple[Array, ...]:
@@ -66,14 +72,15 @@ class HoldPolygons:
         stretches: candidate aspect ratios, over the polygon's own.
         """
         offsets = clasps - centre
-        axes = np.linalg.eigh(offsets.T @ offsets)[1]
+        _, axes = np.linalg.eigh(offsets.T @ offsets)
         polygons = []
         for width in np.sqrt(stretches):
             stretched = offsets @ (axes * [width, 1.0 / width]) @ axes.T
             outward, distances = sides_of(stretched)
-            required = [each.support(outward) + gap - outward @ centre for each in sections]
-            polygons.append(float(np.max(np.max(required, axis=0) / distances)) * stretched)
-        around = min(polygons, key=lambda each: float(np.max(length(np.roll(each, -1, 0) - each))))
+            required = [section.support(outward) + gap - outward @ centre for section in sections]
+            scale = float(np.max(np.max(required, axis=0) / distances))
+            polygons.append(scale * stretched)
+        around = min(polygons, key=_longest_edge)
         return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(clasps).vertices)
 
 
@@ -84,12 +91,18 @@ def sides_of(polygon: Array) -> tuple[Array, Array]:
     return outward, np.sum(outward * polygon, axis=-1)
 
 
+def _longest_edge(polygon: Array) -> float:
+    """Return the length [m] of the longest edge of a polygon (n, 2) [m]."""
+    return float(np.max(length(np.roll(polygon, -1, axis=0) - polygon)))
+
+
 # Grips.
 
 MIN_GAP = 0.02
 """[m] Minimum distance of a clasp, where two ropes bend around each other, to the section."""
 
-DIFFERENCE_STEP = 1e-6  # [m] Step of central differences of margins
+DIFFERENCE_STEP = 1e-6
+"""[m] Step of central differences of margins."""
 
 LIFT_MARGIN = 0.05
 """Margin of all distances over their limits, which exceeds the changes by lifting."""
@@ -97,34 +110,79 @@ LIFT_MARGIN = 0.05
 MAX_IMBALANCE = 1e-6
 """Largest horizontal force on the section over the tension, and moment over tension and size."""
 
-SCREENING_ITERATIONS, MAX_ITERATIONS, FINALISTS = 12, 60, 2
-"""Maximum iterations from every guess and from the finalists, and the number of finalists."""
+SCREENING_ITERATIONS = 12
+"""Maximum number of iterations from every guess."""
 
-MAX_ROWS, REDUCED_ROWS = 36, 6
-"""Largest number of margins of a kind in a quadratic program, and number of the smallest margins
-that represent larger kinds."""
+FINALISTS = 2
+"""Number of best grips that are refined further."""
+
+MAX_ITERATIONS = 60
+"""Maximum number of iterations from the finalists."""
+
+MERIT_TOLERANCE = 1e-7
+"""Change of the slip load over the tension at which a refinement ends."""
+
+MAX_ROWS = 36
+"""Largest number of margins of a kind in a quadratic program."""
+
+REDUCED_ROWS = 6
+"""Number of the smallest margins of a kind that has more than MAX_ROWS."""
 
 GUESS_GAPS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
 """Alternating distances of a guess's vertices to the section, over its mean radius; for odd numbers
 of vertices only the first pair, of equal ones."""
 
-EVEN_GUESSES, MAX_ALIGNED_GUESSES = 3, 6
-"""Number of guesses turned by equal parts of their symmetry, and largest number along sides."""
+EVEN_GUESSES = 3
+"""Number of guesses turned by equal parts of their symmetry."""
 
-DECIMALS = 12  # Decimal places of centroids and reported ratios, which round errors to zero
+MAX_ALIGNED_GUESSES = 6
+"""Largest number of guesses aligned with sides."""
+
+DECIMALS = 12
+"""Decimal places of centroids and reported ratios, which round errors to zero."""
+
+
+class ClearancePairs(NamedTuple):
+    """Pairs of the bodies of a grip that need clearance: n cables, 2n drones, 4n straight parts.
+
+    Drones are ``q_0, r_0, q_1, …``. Parts are all q-legs, then all tangents at ``p_k``, all
+    tangents at ``p_{k+1}`` and all r-legs.
+    """
+
+    drones: Indices
+    """(2, pairs): two drones."""
+
+    drones_with_parts: Indices
+    """(2, pairs): a drone, and a part other than the leg that ends at it."""
+
+    parts: Indices
+    """(2, pairs): two parts."""
 
 
 @dataclass(frozen=True, eq=False)
 class GripTask:
     """The problem of a grip."""
 
-    section: Section  # to grip
-    robots: int  # number n
-    cable_length: float  # of all cables [m]
-    tension: float  # of all cables [N]
-    clasp_friction: float  # friction coefficient between cables
-    requirements: Requirements  # distances to be kept
-    kind: Quadrotor  # of all quadrotors
+    section: Section
+    """The section to grip."""
+
+    robots: int
+    """Number n of robots."""
+
+    cable_length: float
+    """Length of all cables [m]."""
+
+    tension: float
+    """Tension of all cables [N]."""
+
+    clasp_friction: float
+    """Friction coefficient between cables."""
+
+    requirements: Requirements
+    """Distances to be kept."""
+
+    kind: Quadrotor
+    """Kind of all quadrotors."""
 
     def grip(self, vertices: Array) -> Grip:
         """Return the grip with vertices (…, n, 2) [m]."""
@@ -135,24 +193,28 @@ class GripTask:
 
         Keys are names of the certificate's checks, and ``gap``, of clasps to the section.
         """
-        n, shape, contacts = self.robots, grip.vertices.shape[:-2], grip.wraps.contacts
-        drones = grip.drones.reshape(*shape, 2 * n, 2)
-        vertices, onward = grip.vertices, np.roll(grip.vertices, -1, axis=-2)
-        starts = vertices, vertices, contacts[..., 1, :], onward  # q-legs, both tangents, r-legs
-        ends = grip.drones[..., 0, :], contacts[..., 0, :], onward, grip.drones[..., 1, :]
-        parts = np.stack([np.concatenate(each, axis=-2) for each in (starts, ends)], axis=-2)
-        (one, two), (drone, near), (i, j) = _pairs(n)
+        shape = grip.vertices.shape[:-2]
+        drones = grip.drones.reshape(*shape, 2 * self.robots, 2)
+        parts = _straight_parts(grip)
+        pairs = _clearance_pairs(self.robots)
+        first_drone, second_drone = pairs.drones
+        drone, part = pairs.drones_with_parts
+        first_part, second_part = pairs.parts
         clearance = self.section.clearance
         distances = {
-            "separation": length(drones[..., one, :] - drones[..., two, :]),
-            "cable_clearance": _distances(drones[..., drone, None, :], parts[..., near, :, :]),
-            "crossing": _distances(parts[..., i, :, :], parts[..., j, :, :]),
+            "separation": length(drones[..., first_drone, :] - drones[..., second_drone, :]),
+            "cable_clearance": _distances(drones[..., drone, None, :], parts[..., part, :, :]),
+            "crossing": _distances(parts[..., first_part, :, :], parts[..., second_part, :, :]),
             "keep_out": clearance(drones)[0],
-            "legs": grip.legs.reshape(*shape, 2 * n),
+            "legs": grip.legs.reshape(*shape, 2 * self.robots),
             "gap": clearance(grip.vertices)[0],
         }
-        items = ((name, each, self.limits[name]) for name, each in distances.items())
-        return {name: each / limit - 1.0 if limit else each for name, each, limit in items}
+        limits = self.limits
+        margins = {}
+        for name, values in distances.items():
+            limit = limits[name]
+            margins[name] = values / limit - 1.0 if limit else values
+        return margins
 
     @property
     def limits(self) -> dict[str, float]:
@@ -169,7 +231,8 @@ class GripTask:
 
     def shortest(self, grip: Grip) -> tuple[float, str]:
         """Return the smallest margin of all distances, and its name."""
-        return min((float(np.min(each)), name) for name, each in self.distances(grip).items())
+        margins = self.distances(grip)
+        return min((float(np.min(values)), name) for name, values in margins.items())
 
     def offset_of_centroid(self, vertices: Array) -> Array:
         """Return the distances (…) [m] of the centroid from lines through two clasps (…, 2, 2).
@@ -182,38 +245,63 @@ class GripTask:
 
     def merit(self, grip: Grip) -> float:
         """Return the slip load over friction [N] of a grip, or minus its largest violation."""
-        edges = np.roll(grip.vertices, -1, axis=0) - grip.vertices
-        turns = turn(edges, np.roll(edges, -1, axis=0))
-        is_single = np.all(turns < 0.0) and np.sum(turns) >= -3.0 * math.pi  # clockwise turn
-        if self.robots > 2 and not is_single:
+        if self.robots > 2 and not _is_single_turn(grip.vertices):
             return -math.inf
-        scale = np.array([1.0, 1.0, math.sqrt(self.section.area)]) * self.tension
+        size = math.sqrt(self.section.area)
+        scale = np.array([1.0, 1.0, size]) * self.tension
         imbalance = float(np.max(np.abs(grip.imbalance) / scale)) - MAX_IMBALANCE
         if self.robots == 2:
             offset = abs(float(self.offset_of_centroid(grip.vertices)))
-            imbalance = max(imbalance, offset / math.sqrt(self.section.area) - MAX_IMBALANCE)
+            imbalance = max(imbalance, offset / size - MAX_IMBALANCE)
+        shortest, _ = self.shortest(grip)
         unwrapped = -float(np.min(grip.wraps.angles))
-        violation = max(-self.shortest(grip)[0], imbalance, 0.0)
+        violation = max(-shortest, imbalance, 0.0)
         if violation > 0.0 or unwrapped >= 0.0:
             return -violation - max(unwrapped, 0.0)
         return float(grip.slip_load(1.0))
 
 
-@lru_cache
-def _pairs(n: int) -> tuple[Indices, Indices, Indices]:
-    """Return the pairs (2, pairs) that need clearance: drones, drones with parts, and parts.
+def _is_single_turn(vertices: Array) -> bool:
+    """Return whether a polygon (n, 2) [m] turns right at all vertices, once altogether."""
+    edges = np.roll(vertices, -1, axis=0) - vertices
+    turns = turn(edges, np.roll(edges, -1, axis=0))
+    return bool(np.all(turns < 0.0) and np.sum(turns) >= -3.0 * math.pi)
 
-    A drone needs no clearance to the leg that ends at it.
-    """
+
+def _straight_parts(grip: Grip) -> Array:
+    """Return the straight parts (…, 4n, 2, 2) [m] of cables, in the order of ClearancePairs."""
+    vertices = grip.vertices
+    next_vertices = np.roll(vertices, -1, axis=-2)
+    contacts = grip.wraps.contacts
+    q_legs = np.stack([vertices, grip.drones[..., 0, :]], axis=-2)
+    leaving = np.stack([vertices, contacts[..., 0, :]], axis=-2)
+    arriving = np.stack([contacts[..., 1, :], next_vertices], axis=-2)
+    r_legs = np.stack([next_vertices, grip.drones[..., 1, :]], axis=-2)
+    return np.concatenate([q_legs, leaving, arriving, r_legs], axis=-3)
+
+
+@lru_cache
+def _clearance_pairs(n: int) -> ClearancePairs:
+    """Return the pairs of a grip of n cables that need clearance."""
     k = np.arange(n)
-    cable, clasp = np.tile(k, 4), np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
-    leg = np.repeat([True, False, False, True], n)
-    near = np.nonzero(np.arange(4 * n) != np.column_stack([k, 3 * n + k]).reshape(-1, 1))
+    cable = np.tile(k, 4)
+    clasp = np.concatenate([k, k, (k + 1) % n, (k + 1) % n])
+    is_leg = np.repeat([True, False, False, True], n)
+
+    leg_of_drone = np.column_stack([k, 3 * n + k]).reshape(-1, 1)
+    drones_with_parts = np.nonzero(np.arange(4 * n) != leg_of_drone)
+
     i, j = np.triu_indices(4 * n, 1)
-    both, own = leg[i] & leg[j], cable[i] == cable[j]
-    crossing = (clasp[i] != clasp[j]) & (leg[i] | leg[j]) & (both | ~own)
-    drones = np.stack(np.triu_indices(2 * n, 1))
-    return drones, np.stack(near), np.stack([i[crossing], j[crossing]])
+    are_legs = is_leg[i] & is_leg[j]
+    has_leg = is_leg[i] | is_leg[j]
+    of_two_clasps = clasp[i] != clasp[j]
+    of_two_cables = cable[i] != cable[j]
+    may_cross = of_two_clasps & has_leg & (are_legs | of_two_cables)
+    return ClearancePairs(
+        drones=np.stack(np.triu_indices(2 * n, 1)),
+        drones_with_parts=np.stack(drones_with_parts),
+        parts=np.stack([i[may_cross], j[may_cross]]),
+    )
 
 
 def _distances(first: Array, second: Array) -> Array:
@@ -237,37 +325,58 @@ def best_grip(task: GripTask) -> Grip:
         centred = replace(task, section=Section(outline - centre))
     # The best two clasps around most sections are in line with the centroid without that constraint
     for in_line in (False, True) if task.robots == 2 else (False,):
-        guesses = _guesses(centred)
-        for iterations, number in ((SCREENING_ITERATIONS, FINALISTS), (MAX_ITERATIONS, 1)):
-            found = (_refined(centred, guess, iterations, in_line=in_line) for guess in guesses)
-            ranked = sorted(map(centred.grip, found), key=centred.merit, reverse=True)[:number]
-            guesses = [each.vertices for each in ranked]
-        (best,) = ranked
+        screened = _best_refined(centred, _guesses(centred), SCREENING_ITERATIONS, in_line=in_line)
+        finalists = [grip.vertices for grip in screened[:FINALISTS]]
+        refined = _best_refined(centred, finalists, MAX_ITERATIONS, in_line=in_line)
+        best = refined[0]
         if centred.merit(best) > 0.0:
             return task.grip(best.vertices + centre)
     raise _no_grip(centred, best)
 
 
+def _best_refined(
+    task: GripTask, guesses: list[Array], iterations: int, *, in_line: bool
+) -> list[Grip]:
+    """Return the grips that are reached from guesses (n, 2) [m], the best first."""
+    grips = [task.grip(_refined(task, guess, iterations, in_line=in_line)) for guess in guesses]
+    return sorted(grips, key=task.merit, reverse=True)
+
+
 def _guesses(task: GripTask) -> list[Array]:
     """Return polygons (n, 2) [m] around the section: evenly turned, and aligned with its sides."""
-    core, n = task.section.core, task.robots
+    section = task.section
+    n = task.robots
     symmetry = 2.0 * math.pi / n
-    sides = task.section.sides[:, 1] - core
-    aligned = np.arctan2(sides[:, 0], -sides[:, 1])[np.argsort(-np.hypot(*sides.T), kind="stable")]
-    even = 0.5 * math.pi - symmetry * np.arange(EVEN_GUESSES) / EVEN_GUESSES
-    turns = even[:1] if len(core) == 1 else np.append(aligned[:MAX_ALIGNED_GUESSES], even)
-    _, first = np.unique(np.round(turns % symmetry, 6) % symmetry, return_index=True)
-    centre, size = task.section.centroid, math.sqrt(task.section.area / math.pi)
+    size = math.sqrt(section.area / math.pi)
+    gap_pairs = GUESS_GAPS if n % 2 == 0 else GUESS_GAPS[:1]
+    distances = np.linspace(0.0, 3.0, 601)[:, None, None] * section.circumradius
     guesses = []
-    for angle in turns[np.sort(first)]:
+    for angle in _guessed_angles(section, symmetry):
         angles = angle - symmetry * np.arange(n)
         outward = np.column_stack([np.cos(angles), np.sin(angles)])
-        rays = np.linspace(0.0, 3.0, 601)[:, None, None] * task.section.circumradius * outward
-        gaps = task.section.clearance(centre + rays)[0]
-        for pair in GUESS_GAPS if n % 2 == 0 else GUESS_GAPS[:1]:
-            first = np.argmax(gaps >= size * np.resize(pair, n), axis=0)
-            guesses.append(centre + rays[first, np.arange(n)])
+        rays = distances * outward
+        gaps = section.clearance(section.centroid + rays)[0]
+        for gap_pair in gap_pairs:
+            needed = size * np.resize(gap_pair, n)
+            first = np.argmax(gaps >= needed, axis=0)
+            guesses.append(section.centroid + rays[first, np.arange(n)])
     return guesses
+
+
+def _guessed_angles(section: Section, symmetry: float) -> Array:
+    """Return distinct angles [rad] of first vertices: aligned with long sides, and even ones."""
+    even = 0.5 * math.pi - symmetry * np.arange(EVEN_GUESSES) / EVEN_GUESSES
+    core = section.core
+    if len(core) == 1:
+        angles = even[:1]
+    else:
+        sides = section.sides[:, 1] - core
+        longest_first = np.argsort(-np.hypot(*sides.T), kind="stable")
+        aligned = np.arctan2(sides[:, 0], -sides[:, 1])[longest_first]
+        angles = np.append(aligned[:MAX_ALIGNED_GUESSES], even)
+    rounded = np.round(angles % symmetry, 6) % symmetry
+    _, first = np.unique(rounded, return_index=True)
+    return np.asarray(angles[np.sort(first)])
 
 
 def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) -> Array:
@@ -280,60 +389,74 @@ def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) ->
     """
     from scipy.optimize import minimize
 
-    rotation = None
-    if len(task.section.core) == 1:
+    is_disc = len(task.section.core) == 1
+    rotation = np.zeros(guess.size)
+    if is_disc:
         offsets = guess - task.section.centroid
         rotation = (offsets[:, ::-1] * [-1.0, 1.0]).ravel() / np.linalg.norm(offsets)
 
     def smallest(margins: Array) -> Array:
+        """Return margins (…, items), of many items only the smallest in ascending order."""
         if margins.shape[-1] <= MAX_ROWS:
             return margins
         return np.sort(np.partition(margins, REDUCED_ROWS - 1)[..., :REDUCED_ROWS])
 
-    def values(x: Array) -> Array:
-        """Return slip load, imbalances and margins (…, rows) at vertices x (…, 2 n) [m]."""
-        grip = task.grip(x.reshape(*x.shape[:-1], *guess.shape))
-        margins = [smallest(each) for each in (*task.distances(grip).values(), grip.wraps.angles)]
+    def values(flat: Array) -> Array:
+        """Return slip load, imbalances and margins (…, rows) at vertices (…, 2 n) [m]."""
+        grip = task.grip(flat.reshape(*flat.shape[:-1], *guess.shape))
         objective = grip.slip_load(1.0)[..., None] / task.tension
         imbalance = grip.imbalance / task.tension
-        if rotation is not None:
-            imbalance[..., 2] = (x - guess.ravel()) @ rotation
+        if is_disc:
+            imbalance[..., 2] = (flat - guess.ravel()) @ rotation
         elif in_line:
             offset = task.offset_of_centroid(grip.vertices)[..., None]
             imbalance = np.concatenate([imbalance, offset], axis=-1)
+        kinds = [*task.distances(grip).values(), grip.wraps.angles]
+        margins = [smallest(kind) for kind in kinds]
         return np.concatenate([objective, imbalance, *margins], axis=-1)
 
     @lru_cache(maxsize=1)
-    def at(x: tuple[float, ...]) -> Array:
-        """Return values (rows,) at vertices x (2 n,) [m]."""
-        return values(np.array(x))
+    def at(flat: tuple[float, ...]) -> Array:
+        """Return values (rows,) at vertices (2 n,) [m]."""
+        return values(np.array(flat))
 
     @lru_cache(maxsize=1)
-    def jacobian(x: tuple[float, ...]) -> Array:
-        """Return the Jacobian (rows, 2 n) of values at vertices x (2 n,) [m], by differences."""
-        moves = DIFFERENCE_STEP * np.eye(len(x))
-        after, before = np.split(values(np.array(x) + np.concatenate([moves, -moves])), 2)
+    def jacobian(flat: tuple[float, ...]) -> Array:
+        """Return the Jacobian (rows, 2 n) of values at vertices (2 n,) [m], by differences."""
+        moves = DIFFERENCE_STEP * np.eye(len(flat))
+        both = np.concatenate([moves, -moves])
+        after, before = np.split(values(np.array(flat) + both), 2)
         return np.asarray((after - before).T / (2.0 * DIFFERENCE_STEP))
 
-    def part(
-        of: Callable[[tuple[float, ...]], Array], rows: Any, sign: float = 1.0, lower: float = 0.0
-    ) -> Callable[[Array], Any]:
-        return lambda x: sign * of(tuple(x))[rows] - lower
+    def cost(flat: Array) -> float:
+        """Return minus the slip load over the tension [1]."""
+        return -float(at(tuple(flat))[0])
 
+    def gradient(flat: Array) -> Array:
+        """Return the gradient (2 n,) [1/m] of the cost."""
+        return np.asarray(-jacobian(tuple(flat))[0])
+
+    imbalances = slice(1, 5 if in_line and not is_disc else 4)
+    margins = slice(imbalances.stop, None)
+    is_balanced = {
+        "type": "eq",
+        "fun": lambda flat: at(tuple(flat))[imbalances],
+        "jac": lambda flat: jacobian(tuple(flat))[imbalances],
+    }
+    is_clear = {
+        "type": "ineq",
+        "fun": lambda flat: at(tuple(flat))[margins] - LIFT_MARGIN,
+        "jac": lambda flat: jacobian(tuple(flat))[margins],
+    }
+    constraints: Any = [is_balanced, is_clear]
     check_time()
-    first = 5 if in_line and rotation is None else 4
-    kinds = ("eq", slice(1, first), 0.0), ("ineq", slice(first, None), LIFT_MARGIN)
-    constraints: Any = [
-        {"type": kind, "fun": part(at, rows, lower=lower), "jac": part(jacobian, rows)}
-        for kind, rows, lower in kinds
-    ]
     result = minimize(
-        part(at, 0, -1.0),
+        cost,
         guess.ravel(),
         method="SLSQP",
-        jac=part(jacobian, 0, -1.0),
+        jac=gradient,
         constraints=constraints,
-        options={"maxiter": iterations, "ftol": 1e-7},
+        options={"maxiter": iterations, "ftol": MERIT_TOLERANCE},
     )
     return np.asarray(result.x).reshape(guess.shape)
 
@@ -400,15 +523,73 @@ EDGE_MARGIN = 0.045
 """[m] Margin of edges' distances to an object: 25 mm for the largest observed error of edges, and
 20 mm for the position error of the object."""
 
-SUFFICIENT_INSET, MIN_INSET = 0.05, 0.01
-"""[m] Sufficient and minimum distance of clasps to the rim's outline, and of edges to the body."""
+SUFFICIENT_INSET = 0.05
+"""[m] Sufficient distance of clasps to the rim's outline, and of edges to the body."""
+
+MIN_INSET = 0.01
+"""[m] Minimum of these distances."""
 
 OUTER_INSET = 0.02
 """[m] Sufficient distance where none with a SUFFICIENT_INSET holds: legs may rise more steeply
 near the rim's edge without cutting it."""
 
-ANGLES, ASPECTS = 12, 17  # Numbers of candidate orientations and aspect ratios
-SIZES = np.linspace(0.05, 1.0, 96)  # Candidate sizes of a polygon below a rim, over the rim's own
+WIDTH_WEIGHT = 1e-3
+"""Weight of a support's width against an inset."""
+
+ANGLES = 12
+"""Number of candidate orientations."""
+
+ASPECTS = 17
+"""Number of candidate aspect ratios."""
+
+SIZES = np.linspace(0.05, 1.0, 96)
+"""Candidate sizes of a polygon below a rim, over the rim's own."""
+
+
+class RestCandidates(NamedTuple):
+    """Candidate polygons of clasps below a rim, by orientation, and what they are compared by."""
+
+    polygons: Array
+    """(angles, candidates, n, 2) [m]"""
+
+    insets: Array
+    """(angles, candidates) [m], smaller distance of clasps to the rim's outline and of edges to the
+    body."""
+
+    widths: Array
+    """(angles, candidates) [m], smallest distance of the centre of mass to an edge."""
+
+    longest: Array
+    """(angles, candidates) [m], largest length of a leg below the rim; inf without a MIN_INSET."""
+
+    @classmethod
+    def of(cls, body: SolidObject, rim: Section, robots: int) -> RestCandidates:
+        """Return the regular polygons about the centre of mass, turned and stretched."""
+        centre = body.centre_of_mass[:2]
+        frame, size = _axes(rim)
+        angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
+        corners = angles[:, None] - 2.0 * math.pi * np.arange(robots) / robots
+        regular = math.sqrt(2.0) * np.stack([np.cos(corners), np.sin(corners)], axis=-1)
+        aspects = np.geomspace(0.5, 2.0, ASPECTS)[:, None, None] ** [0.5, -0.5]
+        shapes = (regular[:, None] * aspects).reshape(-1, robots, 2)
+        polygons = (shapes[:, None] * SIZES[:, None, None] * size) @ frame.T + centre
+        outward, offsets = sides_of(polygons)
+        widths = np.min(offsets - outward @ centre, axis=-1)
+        insets = -np.max(rim.clearance(polygons)[0], axis=-1)
+        if body.stem is not None:
+            of_edges = np.min(offsets - body.stem.support(outward), axis=-1)
+            insets = np.minimum(insets, of_edges)
+        longest = np.where(insets >= MIN_INSET, _longest_below(rim, polygons), np.inf)
+        return cls(
+            polygons.reshape(ANGLES, -1, robots, 2),
+            insets.reshape(ANGLES, -1),
+            widths.reshape(ANGLES, -1),
+            longest.reshape(ANGLES, -1),
+        )
+
+    def merits(self, sufficient: float) -> Array:
+        """Return merits (angles, candidates): the inset up to a sufficient one, then the width."""
+        return np.asarray(np.minimum(self.insets, sufficient) + WIDTH_WEIGHT * self.widths)
 
 
 def rest_polygons(
@@ -434,48 +615,35 @@ def rest_polygons(
     """
     if body.rim is None:
         raise InputError(f"objects.{name}.rim", None, "given", "rest objects with a rim on clasps")
-    rim, centre = body.rim.section, body.centre_of_mass[:2]
-    frame, size = _axes(rim)
-    angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
-    corners = angles[:, None] - 2.0 * math.pi * np.arange(robots) / robots
-    regular = math.sqrt(2.0) * np.stack([np.cos(corners), np.sin(corners)], axis=-1)
-    widths = np.geomspace(0.5, 2.0, ASPECTS)[:, None, None] ** [0.5, -0.5]
-    shapes = (regular[:, None] * widths).reshape(-1, robots, 2)
-    polygons = (shapes[:, None] * SIZES[:, None, None] * size) @ frame.T + centre
-    inside = -np.max(rim.clearance(polygons)[0], axis=-1)
-    outward, offsets = sides_of(polygons)
-    width = np.min(offsets - outward @ centre, axis=-1)
-    inset = inside
-    if body.stem is not None:
-        inset = np.minimum(inset, np.min(offsets - body.stem.support(outward), axis=-1))
-    longest = np.where(inset >= MIN_INSET, _longest_below(rim, polygons), np.inf)
-    merit = np.minimum(inset, SUFFICIENT_INSET) + 1e-3 * width
-    best = np.unravel_index(int(np.argmax(merit)), inset.shape)
-    if inset[best] < MIN_INSET:
-        value, when = float(inset[best]), "below the rim of the object"
+    rim = body.rim.section
+    centre = body.centre_of_mass[:2]
+    candidates = RestCandidates.of(body, rim, robots)
+    merits = candidates.merits(SUFFICIENT_INSET)
+    outer_merits = candidates.merits(OUTER_INSET)
+    largest_inset = float(candidates.insets.flat[np.argmax(merits)])
+    if largest_inset < MIN_INSET:
+        when = "below the rim of the object"
         remedy = (
             f"give objects.{name} a wider rim, or use the number of robots that `hitchopt fit` "
             "recommends"
         )
-        raise InfeasibleError(
-            [Violation("support", value, MIN_INSET, "min", "m", (name,), when, remedy)]
+        violation = Violation(
+            "support", largest_inset, MIN_INSET, "min", "m", (name,), when, remedy
         )
+        raise InfeasibleError([violation])
     chosen = list[tuple[float, HoldPolygons]]()
-    for k in np.split(np.arange(len(polygons)), ANGLES):
-        candidates, insets, widths = (
-            x[k].reshape(-1, *x.shape[2:]) for x in (polygons, inset, width)
-        )
-        merits = np.minimum(insets, SUFFICIENT_INSET) + 1e-3 * widths
-        first = int(np.argmax(merits))
-        if insets[first] < MIN_INSET:
+    for k in range(ANGLES):
+        polygons = candidates.polygons[k]
+        best = int(np.argmax(merits[k]))
+        if candidates.insets[k, best] < MIN_INSET:
             continue
-        outer = int(np.argmax(np.minimum(insets, OUTER_INSET) + 1e-3 * widths))
-        level = int(np.argmin(longest[k]))
-        others = [i for i in dict.fromkeys((outer, level)) if i != first]
-        about = HoldPolygons.about(candidates[first], centre, (rim, body.section), gap)
-        about = replace(about, outer=tuple(ConvexPolygon(candidates[i]).vertices for i in others))
-        chosen.append((float(merits[first]), about))
-    chosen.sort(key=lambda each: -each[0])
+        widest_outer = int(np.argmax(outer_merits[k]))
+        shortest_legs = int(np.argmin(candidates.longest[k]))
+        distinct = dict.fromkeys((widest_outer, shortest_legs))
+        outer = tuple(ConvexPolygon(polygons[i]).vertices for i in distinct if i != best)
+        about = HoldPolygons.about(polygons[best], centre, (rim, body.section), gap)
+        chosen.append((float(merits[k, best]), replace(about, outer=outer)))
+    chosen.sort(key=lambda candidate: -candidate[0])
     return tuple(polygons for _, polygons in chosen)
 
 
@@ -483,7 +651,8 @@ def _longest_below(rim: Section, polygons: Array) -> Array:
     """Return the largest lengths (…) [m] of legs below a rim, which extend edges (…, n, 2) [m]."""
     following = np.roll(polygons, -1, axis=-2)
     along = unit(following - polygons)
-    onward, back = rim.reach(following, along), rim.reach(polygons, -along)
+    onward = rim.reach(following, along)
+    back = rim.reach(polygons, -along)
     return np.asarray(np.max(np.maximum(onward, back), axis=-1))
 
 
