@@ -228,7 +228,8 @@ class Gripped(Held):
         pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
         pulls = np.min(pulls.reshape(len(self), -1, 2), axis=-1)
         pulls = pulls * np.exp(-self.source.team.cable_friction * clasped)
-        before, behind = (select(self.chords, i).xy for i in (0, 1))
+        before = select(self.chords, 0).xy
+        behind = select(self.chords, 1).xy
         return np.asarray(self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1))
 
     @lazy
@@ -248,8 +249,10 @@ def _straight_parts(corners: Enclosed) -> Enclosed:
 def _angles(a: Enclosed, b: Enclosed) -> Interval:
     """Return intervals of the angles [rad] between two vectors."""
     cosine = a.direction.dot(b.direction).range
-    low, high = (np.arccos(np.clip(x, -1.0, 1.0)) for x in (cosine.high, cosine.low))
-    return Interval(low, high)
+    return Interval(
+        low=np.arccos(np.clip(cosine.high, -1.0, 1.0)),
+        high=np.arccos(np.clip(cosine.low, -1.0, 1.0)),
+    )
 
 
 def turning_reach(body: SolidObject) -> float:
@@ -290,12 +293,13 @@ def _slipping(motion: Motion, limit: float) -> WorstCase:
     unsupported = np.any(~_straight(Enclosed(bends(motion))), axis=1)
     cases = [WorstCase(math.inf, 0.0)]
     for index, name, pieces in gripped_objects(motion):
-        parts, unsupported = Gripped.of_object(motion, index, pieces), unsupported & ~pieces
+        unsupported &= ~pieces
+        parts = Gripped.of_object(motion, index, pieces)
         smallest = worst(parts, slip_ratio, "min", target=with_tolerance(limit, "min"))
         cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
     if np.any(unsupported):
         cases.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(unsupported))])))
-    return min(cases, key=lambda each: each.worst)
+    return min(cases, key=lambda case: case.worst)
 
 
 FORMULAS = (slip_ratio, Gripped.slip_load, Gripped.load)
@@ -326,37 +330,71 @@ def _misplaced(spans: Gripped) -> Mask:
     its right, and turn right by less than half a turn. Contacts must stay at the height on the
     object at which the hold began, and must not turn about the object on average.
     """
-    body, section = spans.body, spans.body.section
     local = in_object_frame(spans.pose, spans.corners)
     tolerance = WRAP_GAP + np.max(local.r, axis=-1)
-    exact = Enclosed(local.c)
-    straight, contacts = _straight_parts(exact).xy, select(exact, [1, 2])
-    # Contacts are at corners of a polygon, or on a circle.
-    offsets = add_axis(contacts.xy) - section.core
-    deviation = offsets.norm_upper.value
-    if section.outline is None:
-        deviation = (offsets.dot(offsets) - section.rounding**2).norm_upper.value / section.rounding
-    touching = np.all(np.min(deviation, axis=-1) <= tolerance[..., None], axis=-1)
-    # No part of the section is on the left of straight parts with a length.
-    left = add_axis(straight).cross(section.core - add_axis(select(exact, [0, 2]).xy))
-    reach = np.max((left + add_axis(straight.norm) * section.rounding).upper.value, axis=-1)
-    size = straight.norm_range
-    outside = (reach > tolerance[..., None] * size.low) & (size.high > WRAP_GAP)
-    right = select(straight, 1).cross(select(straight, 0)).range
-    along = select(straight, 0).dot(select(straight, 1)).range
-    reversed_turn = right.low < -tolerance * np.maximum(along.high, -along.low)
-    reversed_turn |= (along.low <= 0.0) & (right.low <= 0.0)
-    heights = contacts[2].range
-    drift = (contacts[2] - spans.places[:, :, :1, 2:]).norm_upper.value
-    on_height = drift <= tolerance[..., None]
-    on_height &= (heights.low >= body.lower) & (heights.high <= body.upper)
-    invalid = reversed_turn | np.any(outside | ~on_height, axis=-1) | ~(_straight(exact) | touching)
-    initial = unit(spans.places[..., :2] - section.centroid)
-    current = contacts.xy - section.centroid
-    rotation = Enclosed.of(initial).cross(current.direction).sum().sum() * section.circumradius
-    rotated = rotation.norm_upper.value > PLACE_TOLERANCE * 2 * initial.shape[1]
+    corners = Enclosed(local.c)
+    on_object = _straight(corners) | _touching(spans.body.section, corners, tolerance)
+    crosses_section = np.any(_section_is_left(spans.body.section, corners, tolerance), axis=-1)
+    off_height = np.any(~_on_height(spans, corners, tolerance), axis=-1)
+    invalid = ~on_object | crosses_section | off_height | _turns_left(corners, tolerance)
     carried = carried_objects(spans.source)[spans.piece, spans.item]
-    return np.asarray((rotated & carried) | np.any(invalid, axis=1))
+    return np.asarray((_rotated(spans, corners) & carried) | np.any(invalid, axis=1))
+
+
+def _touching(section: Section, corners: Enclosed, tolerance: Array) -> Mask:
+    """Return which edges (spans, edges) touch a section at both contacts."""
+    # Contacts are at corners of a polygon, or on a circle.
+    offsets = add_axis(select(corners, [1, 2]).xy) - section.core
+    if section.outline is None:
+        squared = offsets.dot(offsets) - section.rounding**2
+        deviation = squared.norm_upper.value / section.rounding
+    else:
+        deviation = offsets.norm_upper.value
+    nearest_corner = np.min(deviation, axis=-1)
+    return np.asarray(np.all(nearest_corner <= tolerance[..., None], axis=-1))
+
+
+def _section_is_left(section: Section, corners: Enclosed, tolerance: Array) -> Mask:
+    """Return which straight parts with a length may have some of a section on their left."""
+    parts = _straight_parts(corners).xy
+    starts = add_axis(select(corners, [0, 2]).xy)
+    left = add_axis(parts).cross(section.core - starts)
+    reach = left + add_axis(parts.norm) * section.rounding
+    farthest = np.max(reach.upper.value, axis=-1)
+    lengths = parts.norm_range
+    has_length = lengths.high > WRAP_GAP
+    return np.asarray((farthest > tolerance[..., None] * lengths.low) & has_length)
+
+
+def _turns_left(corners: Enclosed, tolerance: Array) -> Mask:
+    """Return which edges (spans, edges) may turn left, or right by more than half a turn."""
+    parts = _straight_parts(corners).xy
+    before = select(parts, 0)
+    behind = select(parts, 1)
+    right = behind.cross(before).range
+    along = before.dot(behind).range
+    left_turn = right.low < -tolerance * np.maximum(along.high, -along.low)
+    half_turn = (along.low <= 0.0) & (right.low <= 0.0)
+    return np.asarray(left_turn | half_turn)
+
+
+def _on_height(spans: Gripped, corners: Enclosed, tolerance: Array) -> Mask:
+    """Return which contacts (spans, edges, 2) stay at the height at which the hold began."""
+    contact_heights = select(corners, [1, 2])[2]
+    drift = (contact_heights - spans.places[:, :, :1, 2:]).norm_upper.value
+    heights = contact_heights.range
+    on_object = (heights.low >= spans.body.lower) & (heights.high <= spans.body.upper)
+    return np.asarray((drift <= tolerance[..., None]) & on_object)
+
+
+def _rotated(spans: Gripped, corners: Enclosed) -> Mask:
+    """Return on which spans (spans,) contacts may have turned about the object, on average."""
+    section = spans.body.section
+    initial = unit(spans.places[..., :2] - section.centroid)
+    current = (select(corners, [1, 2]).xy - section.centroid).direction
+    shift = Enclosed.of(initial).cross(current).sum().sum() * section.circumradius
+    contacts = 2 * initial.shape[1]
+    return np.asarray(shift.norm_upper.value > PLACE_TOLERANCE * contacts)
 
 
 def unbalanced(motion: Motion) -> WorstCase:
@@ -365,7 +403,7 @@ def unbalanced(motion: Motion) -> WorstCase:
     for index, name, pieces in gripped_objects(motion):
         largest = worst(Gripped.of_object(motion, index, pieces), missing_force, "max")
         cases.append(WorstCase(largest.worst, largest.time, (name,)))
-    return max(cases, key=lambda each: each.worst)
+    return max(cases, key=lambda case: case.worst)
 
 
 def missing_force(spans: Gripped) -> Bound:
@@ -374,7 +412,8 @@ def missing_force(spans: Gripped) -> Bound:
     It is ``Σ P_k (b̂_k - â_k) - m (a + ν g ẑ)``, ν the carried fraction of its weight, or the moment
     about its centre over its radius, both reduced by friction with its support.
     """
-    body, pulls = spans.body, spans.pulls
+    body = spans.body
+    pulls = spans.pulls
     force = pulls.sum().sum() - (spans.share.along_z() * GRAVITY + spans.acceleration) * body.mass
     centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
     arms = select(spans.corners, [1, 2]) - add_axis(add_axis(centre))
@@ -412,7 +451,7 @@ def _lowest_hinge(motion: Motion, limit: float) -> WorstCase:
         parts = Gripped.of_object(motion, index, pieces)
         smallest = worst(parts, hinge_height, "min", target=with_tolerance(limit, "min"))
         cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
-    return min(cases, key=lambda each: each.worst)
+    return min(cases, key=lambda case: case.worst)
 
 
 HINGE = CheckRule(
