@@ -19,6 +19,8 @@ from benchmarks.flights import irregular, success
 from benchmarks.measuring import PROBLEMS, Table, parser, timed
 from hitchopt.lab.simulation.judgement import CampaignRun
 from hitchopt.mission.problem import DronesStart
+from hitchopt.steps.moving import Hold
+from hitchopt.steps.tying import Form
 
 LIMITATIONS = (
     "fast preset; cables of 10 g/m, ropes of 12 mm, friction 0.1, which plans know, without "
@@ -52,14 +54,14 @@ class Outcome(NamedTuple):
 
 def from_hover(problem: ho.Problem, method: Method) -> ho.Problem:
     """Return the problem of its form step alone, by a method, with hovering drones."""
-    form = next(step for step in problem.mission if isinstance(step, ho.Form))
+    form = next(step for step in problem.mission if isinstance(step, Form))
     start = problem.start
     assert isinstance(start, DronesStart)
     up = np.array([0.0, 0.0, form.altitude])
     raised = DronesStart(*(np.asarray(x) * [1.0, 1.0, 0.0] + up for x in (start.q, start.r)))
     tied = replace(form, by=method, legs=None, settle=False)
     team = replace(problem.team, cable_density=0.01, cable_friction=0.1)
-    return replace(problem, team=team, start=raised, mission=(tied, ho.Hold(REST)))
+    return replace(problem, team=team, start=raised, mission=(tied, Hold(REST)))
 
 
 def outcome(problem: ho.Problem, method: Method, seed: int | None) -> Outcome | None:

@@ -31,7 +31,8 @@ from benchmarks.replay import (
 )
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import HELD, ONE_MARKER
-from hitchopt.lab.flights.hover import HoverSeries
+from hitchopt.lab.flights.hover import DroneHover, HoverSeries, calibrate_hover
+from hitchopt.lab.flights.recordings import RecordedFlight
 
 # Tied drones: mass [kg], and level gains of their file [N/m], [N s/m]. Drones with a load, whose
 # logs hold a thrust in newtons or a vector of it: masses [kg]; mass of the load [kg]
@@ -108,13 +109,13 @@ class LoadSeries:
     drag: float  # [N s/m]; nan without an accelerometer
 
 
-def flights_in(folder: Path) -> dict[Path, ho.RecordedFlight]:
+def flights_in(folder: Path) -> dict[Path, RecordedFlight]:
     """Return the flights in a folder by their paths; what cannot be read is reported."""
     files = sorted(path for path in folder.resolve().rglob("*") if path.is_file())
     logs = {path.parent for path in files if _first_byte(path) == b"\xbc"}
     bags = {path for path in files if path.suffix == ".bag"}
     bags |= {path.parent for path in files if path.name == "metadata.yaml"}
-    flights = dict[Path, ho.RecordedFlight]()
+    flights = dict[Path, RecordedFlight]()
     for path in sorted(logs | bags):
         try:
             flights[path] = ho.read_flight(path)
@@ -128,7 +129,7 @@ def _first_byte(path: Path) -> bytes:
         return file.read(1)
 
 
-def load_series(path: Path, flight: ho.RecordedFlight) -> Iterator[LoadSeries]:
+def load_series(path: Path, flight: RecordedFlight) -> Iterator[LoadSeries]:
     """Yield the figures of the drones that carry one load."""
     if len(flight.loads) != 1 or not flight.one_clock:
         return
@@ -193,7 +194,7 @@ def _level_fit(values: Array, *parts: Array) -> list[float]:
     return [float(x) for x in fit[: len(parts)]]
 
 
-def _drag(flight: ho.RecordedFlight, drone: str, series: Series, pull: Array, mass: float) -> float:
+def _drag(flight: RecordedFlight, drone: str, series: Series, pull: Array, mass: float) -> float:
     """Return the rotor drag [N s/m]: the level specific force of the body over its velocity."""
     own, logged = flight.signals[drone], series.logged
     if "specific_force" not in own or logged is None:
@@ -231,9 +232,7 @@ class Trims:
     motion_after: list[float]
 
     @classmethod
-    def of(
-        cls, flights: dict[Path, ho.RecordedFlight], fits: dict[Path, ho.RecordedFlight]
-    ) -> Trims:
+    def of(cls, flights: dict[Path, RecordedFlight], fits: dict[Path, RecordedFlight]) -> Trims:
         """Return the distances, with trims of other flights."""
         result = cls([], [], [], [])
         for path, flight in flights.items():
@@ -262,10 +261,10 @@ class Trims:
         return result
 
 
-def _trims(flight: ho.RecordedFlight, gains: dict[str, float]) -> dict[str, ho.DroneHover]:
+def _trims(flight: RecordedFlight, gains: dict[str, float]) -> dict[str, DroneHover]:
     """Return the drones of a flight whose trims are known."""
     try:
-        drones = ho.calibrate_hover(flight, **gains).drones  # type: ignore[arg-type]
+        drones = calibrate_hover(flight, **gains).drones  # type: ignore[arg-type]
     except ho.HitchoptError:
         return {}
     return {name: drone for name, drone in drones.items() if math.isfinite(drone.trim[0])}

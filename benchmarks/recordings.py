@@ -19,6 +19,7 @@ from scipy.interpolate import CubicSpline
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser, timed
+from hitchopt.lab.flights.evaluation import Evaluation
 from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
 from hitchopt.lab.simulation.task import Task
 
@@ -233,7 +234,7 @@ def write_example(seed: int) -> None:
 class Comparison:
     """Evaluation of a recording, true crossings at its times, and processor time [s]."""
 
-    evaluation: ho.Evaluation
+    evaluation: Evaluation
     true: Array
     elapsed: float
 

@@ -19,6 +19,7 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
+from hitchopt.lab.flights.recordings import Recording
 from hitchopt.lab.simulation.control import Disturbances
 from hitchopt.lab.simulation.flight import CONTROL_PERIOD, SETTLE_TIME, SimulatedFlight
 from hitchopt.lab.simulation.report import Simulation
@@ -147,7 +148,7 @@ def calibration_row(seed: int) -> tuple[object, ...]:
         places[rows] + 1e-3 * rng.normal(size=places[rows].shape)
         for places in (record.drones, record.vertices)
     )
-    noisy = ho.Recording(record.t[rows], drones, vertices)
+    noisy = Recording(record.t[rows], drones, vertices)
     with tempfile.TemporaryDirectory() as place:
         estimate = ho.calibrate(
             noisy, plan.save(Path(place) / "plan"), density=float(flight.density)

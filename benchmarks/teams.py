@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
+from hitchopt.steps.moving import Transport
 
 LIMITATIONS = (
     "one machine, one run each; processor time with the certificate's; every plan is certified; "
@@ -33,7 +34,7 @@ def crossing(*entries: Entry, size: float) -> ho.Problem:
         polygon = ho.ConvexPolygon(ho.regular_polygon(n, edge, turn).vertices + [x, y])
         teams[name] = ho.Team(n, cable)
         start[name] = ho.HitchStart(polygon, float(z))
-        item[name] = ho.Transport(np.asarray(to, dtype=float))
+        item[name] = Transport(np.asarray(to, dtype=float))
     arena = ho.Arena([-size, -size, 0.0], [size, size, 3.0])
     return ho.Problem(teams, start, [item], arena=arena)
 

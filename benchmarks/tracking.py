@@ -20,6 +20,7 @@ from rotorpy.vehicles.multirotor import Multirotor
 
 import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser
+from hitchopt.trajectory import PiecewisePolynomial
 
 Curve = Callable[[float, int], Array]
 """Position (3,) [m], or a time derivative, at a time."""
@@ -54,7 +55,7 @@ def exported_curve(path: Path) -> Curve:
 
 def planned_curve(motion: ho.Motion, drone: int) -> Curve:
     """Return the curve of a drone in the plan, at rest after its end."""
-    one = ho.PiecewisePolynomial(motion.drones.breaks, motion.drones.coefficients[:, drone])
+    one = PiecewisePolynomial(motion.drones.breaks, motion.drones.coefficients[:, drone])
 
     def curve(t: float, order: int) -> Array:
         if t >= motion.duration and order > 0:

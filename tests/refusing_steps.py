@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import hitchopt as ho
+from hitchopt.errors import Violation
+from hitchopt.steps.moving import Hold
 from hitchopt.steps.step import StepPlan, StepTask
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -12,11 +14,11 @@ NEEDED_SPEED = 2.0  # [m/s] of the limit with which a brittle step is feasible
 def refusal(name: str, limit: float, ratio: float = 2.0) -> ho.InfeasibleError:
     """Return the refusal of a quantity that exceeds its limit by a ratio."""
     value, remedy = ratio * limit, "lower it"
-    violation = ho.Violation(name, value, limit, "max", "", ("q0",), "at the start", remedy)
+    violation = Violation(name, value, limit, "max", "", ("q0",), "at the start", remedy)
     return ho.InfeasibleError([violation])
 
 
-def problem_of(step: ho.Hold, **limits: float) -> ho.Problem:
+def problem_of(step: Hold, **limits: float) -> ho.Problem:
     """Return the problem of a triangle at rest, with a step."""
     team = ho.Team(3, 2.4)
     start = ho.Hitch.spread(team, TRIANGLE)
@@ -30,7 +32,7 @@ def brittle_problem(then: BaseException) -> ho.Problem:
     """
     planned = list[float]()
 
-    class Brittle(ho.Hold):
+    class Brittle(Hold):
         """A step that breaks once it has been planned."""
 
         def plan(self, task: StepTask) -> StepPlan:

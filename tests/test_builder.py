@@ -7,6 +7,7 @@ import inspect
 import math
 import sys
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,11 @@ from matplotlib import pyplot
 
 import hitchopt as ho
 from hitchopt import api, single_steps
-from hitchopt.errors import MAX_REPR, OneLine, broken_limit, short
+from hitchopt.errors import MAX_REPR, OneLine, UnsupportedError, broken_limit, short
+from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.steps import STEPS
+from hitchopt.steps.moving import Hold
+from hitchopt.steps.tying import Release
 from hitchopt.values.fields import EMPTY, keys_of
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
@@ -40,7 +44,7 @@ REQUIRED = ["limits", "separation", "arena", "limit"]
 
 @pytest.mark.parametrize("kind", STEPS, ids=lambda kind: kind.name)
 def test_methods_and_functions_have_the_arguments_and_words_of_their_records(
-    kind: type[ho.Hold],
+    kind: type[Hold],
 ) -> None:
     keys = keys_of(kind)
     first = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
@@ -61,12 +65,12 @@ def test_methods_and_functions_have_the_arguments_and_words_of_their_records(
 
 @pytest.mark.parametrize("kind", STEPS, ids=lambda kind: kind.name)
 def test_methods_and_functions_pass_every_argument_on(
-    kind: type[ho.Hold], monkeypatch: pytest.MonkeyPatch
+    kind: type[Hold], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the record's field of the same name, whatever its value."""
     given = dict[str, object]()
 
-    def noted(_: type[ho.Hold], **arguments: object) -> ho.Hold:
+    def noted(_: type[Hold], **arguments: object) -> Hold:
         given.update(arguments)
         raise StopIteration
 
@@ -93,7 +97,7 @@ def test_a_mission_is_the_problem_of_the_same_steps_and_objects() -> None:
     assert [step.name for step in mission.steps] == ["morph", "move_vertex", "hold"]
     assert mission.problem.limits.speed == 0.8
     assert [step.blends for step in mission.problem.mission] == [True, False, False]
-    assert mission.then(ho.Release()).steps[-1].name == "release"
+    assert mission.then(Release()).steps[-1].name == "release"
     tray = ho.SolidObject(ho.Section(radius=0.1), at=[1.5, 0.0, 0.0])
     around = ho.Mission(TEAM, START, objects={"tray": tray}).enclose("tray").leave("tray")
     assert around.problem.objects == {"tray": tray}
@@ -174,7 +178,7 @@ def test_a_data_frame_holds_the_rows_of_setpoints_csv(
     np.testing.assert_allclose(frame[numbers], table[numbers], atol=1e-9)
     assert list(frame["phase"].unique()) == ["morph (0)", "hold (1)"]
     monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ho.UnsupportedError, match=r"pip install 'hitchopt\[pandas\]'"):
+    with pytest.raises(UnsupportedError, match=r"pip install 'hitchopt\[pandas\]'"):
         plan.to_dataframe()
 
 
@@ -197,16 +201,16 @@ def test_a_plan_is_flown_and_exported(plan: ho.Plan, tmp_path: Path) -> None:
 @pytest.mark.parametrize("second", [[1.1, 0.4, 1.3], [0.1, 0.2, 2.0], [2.0, 0.2, 0.3]])
 def test_a_hanging_cable_has_its_length_and_its_ends(second: list[float]) -> None:
     first, length = [0.1, 0.2, 0.3], 2.3
-    points = ho.hanging_cable(first, second, length, points=2001)
+    points = hanging_cable(first, second, length, points=2001)
     parts = np.linalg.norm(np.diff(points, axis=0), axis=-1)
     assert points[[0, -1]] == pytest.approx(np.array([first, second]))
     assert np.max(parts) <= length / 2000 * (1 + 1e-6)
     assert length - 2 * np.max(parts) < np.sum(parts) <= length * (1 + 1e-6)  # one at a sharp bend
-    at_once = ho.hanging_cable(np.add([second] * 2, 5.0), np.add(first, 5.0), length, points=2001)
+    at_once = hanging_cable(np.add([second] * 2, 5.0), np.add(first, 5.0), length, points=2001)
     assert at_once[1, ::-1] - 5.0 == pytest.approx(points, abs=1e-9)
     for wrong, count, told in ((1.3, 5, "the distance of its ends"), (2.3, 10**30, "at most 1000")):
         with pytest.raises(ho.InputError, match=told):
-            ho.hanging_cable(first, second, wrong, points=count)
+            hanging_cable(first, second, wrong, points=count)
 
 
 EVEN = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
@@ -219,6 +223,11 @@ VALUES = PLAIN | st.lists(PLAIN, max_size=12) | st.lists(st.lists(PLAIN, max_siz
 @settings(max_examples=15)
 def test_every_public_record_is_written_on_one_line_whatever_its_values(values: list[Any]) -> None:
     public = [getattr(ho, name) for name in ho.__all__]
+    public += [
+        getattr(import_module(f"hitchopt.{room}"), name)
+        for room, names in ho.ROOM_NAMES.items()
+        for name in names
+    ]
     records = [x for x in public if inspect.isclass(x) and not issubclass(x, BaseException)]
     assert records
     assert all(getattr(kind, "__repr__") is OneLine.__repr__ for kind in records)  # noqa: B009

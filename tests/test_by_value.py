@@ -7,6 +7,7 @@ import dataclasses
 import inspect
 import json
 import pickle
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,14 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.api import Mission
+from hitchopt.hitch.flight_controller import Gains
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.team import Assignment
+from hitchopt.mission.others import Other
 from hitchopt.motion.request import decoded, encoded
+from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS
-from hitchopt.steps.moving import MoveStep
+from hitchopt.steps.moving import Hold, Morph, MoveStep
 from hitchopt.steps.step import RolledLegs, Step
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import ByValue
@@ -41,7 +46,7 @@ def examples() -> list[Any]:
     prism = ho.Prism([[2, 2], [2, 3], [3, 2]], 0.0, 2.0)
     start = ho.Hitch(ho.Team(3, 2.4), TRIANGLE, 1.5, [0.6, 0.7, 0.65], roll=0.05)
     required: dict[str, Any] = {"limits": limits, "arena": arena, "objects": {"box": box}}
-    steps = [ho.Morph(ho.ConvexPolygon([[0.0, 0.7], *TRIANGLE[1:]])), ho.Hold(1.0)]
+    steps = [Morph(ho.ConvexPolygon([[0.0, 0.7], *TRIANGLE[1:]])), Hold(1.0)]
     swarm = ho.Swarm(2, quadrotor="crazyflie_2.1")
     return [
         *(team, ho.Team(3, 2.0, topology="open"), swarm),
@@ -53,8 +58,8 @@ def examples() -> list[Any]:
         ho.Problem(start.team, start, steps, title="Two steps", **required),
         ho.Mission(start.team, start, **required).morph(TRIANGLE, [0.6, 0.6, 0.7]),
         ho.Problem(swarm, [[0, 0, 1], [1, 0, 1]], [ho.Fly(np.array([[0, 1, 1], [1, 1, 1]]))]),
-        *(ho.SwapSettings(0.2), RolledLegs("spread", np.array([0.1, 0.2, 0.1]))),
-        *(ho.Assignment((1, 0), (True, False)), ho.Quadrotor(0.1, 2.0), ho.Gains(kp=(1.0, 2.0))),
+        *(SwapSettings(0.2), RolledLegs("spread", np.array([0.1, 0.2, 0.1]))),
+        *(Assignment((1, 0), (True, False)), ho.Quadrotor(0.1, 2.0), Gains(kp=(1.0, 2.0))),
         *(map(example_of, STEPS)),
         example_of(ho.Fly),
         ho.Rule("height", "m", "max", 2.0, ho.DroneSpans, height),
@@ -176,17 +181,22 @@ RESULTS = frozenset(
         *("Alignment", "Calibration", "Change", "Evaluation", "Fit", "Grip", "Holding"),
         *("Flight", "HoverCalibration", "Motion", "TeamMotion"),
         *("PiecewisePolynomial", "Plan", "RecordedFlight", "Recording", "Retarget", "Setpoints"),
-        *("Equilibrium", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
+        *("Path", "Equilibrium", "Signal", "States", "Study", "Suggestion", "Tolerance", "Track"),
     )
 )
 """Public records that compare by identity: plans and what is computed or measured."""
 
 
 def test_all_other_public_records_compare_by_value() -> None:
-    records = {name: each for name in ho.__all__ if inspect.isclass(each := getattr(ho, name))}
+    in_rooms = [
+        (f"hitchopt.{room}", name) for room, names in ho.ROOM_NAMES.items() for name in names
+    ]
+    places = [*(("hitchopt", name) for name in ho.__all__), *in_rooms]
+    public = {name: getattr(import_module(module), name) for module, name in places}
+    records = {name: each for name, each in public.items() if inspect.isclass(each)}
     for name, record in records.items():
         if dataclasses.is_dataclass(record):
             by_value = issubclass(record, ByValue) or record.__eq__ is not object.__eq__
             assert by_value == (name not in RESULTS), name
     seen = {type(each) for each in EXAMPLES}
-    assert {x for x in records.values() if issubclass(x, ByValue)} <= {*seen, Mission, ho.Other}
+    assert {x for x in records.values() if issubclass(x, ByValue)} <= {*seen, Mission, Other}

@@ -47,6 +47,15 @@ def test_public_names_have_words_and_others_are_refused() -> None:
         _ = hitchopt.nonsense  # type: ignore[attr-defined]
 
 
+def test_names_in_rooms_are_refused_with_their_place() -> None:
+    for room, names in hitchopt.ROOM_NAMES.items():
+        for name in names:
+            assert getattr(import_module(f"hitchopt.{room}"), name).__doc__
+            assert name not in hitchopt.__all__
+            with pytest.raises(AttributeError, match=f"from hitchopt.{room} import {name}$"):
+                getattr(hitchopt, name)
+
+
 def test_type_checkers_read_the_names_that_are_imported() -> None:
     """The stub has every public name of the table, from its module, and no other."""
     stub = ast.parse(Path(hitchopt.__file__).with_suffix(".pyi").read_text("utf-8"))
@@ -130,6 +139,7 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     read = [node for node in nodes if isinstance(getattr(node, "ctx", None), ast.Load)]
     known = {node.id for node in read if isinstance(node, ast.Name)} | CALLED
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
+    known |= {name for names in hitchopt.ROOM_NAMES.values() for name in names}
     texts = (str(node.value) for node in nodes if isinstance(node, ast.Constant))
     known |= {kind.name for kind in STEPS}  # methods of Mission
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}

@@ -19,8 +19,16 @@ from refusals import Refusal, assert_refused
 import hitchopt as ho
 from hitchopt import single_steps
 from hitchopt.cli import main
+from hitchopt.hitch.catenary import hanging_cable
+from hitchopt.hitch.team import Assignment
+from hitchopt.lab.flights.recordings import Track
+from hitchopt.lab.statics.tolerance import ErrorSize
 from hitchopt.mission.loading import parse_problem
+from hitchopt.mission.others import Other
+from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS, Step
+from hitchopt.steps.moving import Hold, Settle, Transport
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values.fields import EMPTY, keys_of
 
@@ -68,7 +76,7 @@ def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
     """Methods and functions of all kinds of steps, but for what only a team with friction does."""
     for kind in STEPS:
         given = arguments(kind)
-        if kind is ho.Settle:
+        if kind is Settle:
             continue
         if kind.name in vars(single_steps):
             free = kind.needs_hitch is False
@@ -87,7 +95,7 @@ AFTER, NOWHERE = -1.0, "there is no such file"  # Refused, so that nothing is co
 # fmt: off
 GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     *steps(),
-    (ho.solve, {"problem": ho.Problem(TEAM, START, (ho.Hold(1.0),)), "limit": None}),
+    (ho.solve, {"problem": ho.Problem(TEAM, START, (Hold(1.0),)), "limit": None}),
     *((call, {"problem": NOWHERE}) for call in (ho.separate, ho.suggestions, ho.repair)),
     (ho.lint, {"path": NOWHERE}),
     *((call, {"path": NOWHERE}) for call in (ho.load_problem,)),
@@ -101,7 +109,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
                   "altitude": 1.0}),
     (PATH.shapes, {"s": [0.0]}), (PATH.drones, {"s": [0.0]}),
     (ho.closest, {"plan": PLAN, "spans": 2}),
-    (ho.hanging_cable, {"first": [0, 0, 0], "second": [1, 0, 0], "length": 2.0, "points": 5}),
+    (hanging_cable, {"first": [0, 0, 0], "second": [1, 0, 0], "length": 2.0, "points": 5}),
     (ho.regular_polygon, {"n": 3, "edge": 1.0, "angle": 0.0}),
     (ho.calibrate, {"plan": NOWHERE, "recording": NOWHERE}),
     (ho.export, {"plan": PLAN, "format": "none", "folder": NOWHERE}),
@@ -122,22 +130,22 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.Hitch.spread, {"team": TEAM, "polygon": TRIANGLE, "limits": None, "separation": None}),
     (ho.DronesStart, {"q": Q, "r": R}),
     (ho.Problem,
-     {"team": TEAM, "start": START, "mission": [ho.Hold(1.0)], "objects": {}, **RECORDS}),
+     {"team": TEAM, "start": START, "mission": [Hold(1.0)], "objects": {}, **RECORDS}),
     (ho.Mission, {"team": TEAM, "start": START, "mission": (), "objects": {}, **RECORDS}),
     (ho.Problem,
      {"team": PAIR, "start": LOWER, "mission": [ho.Fly(np.array(UPPER))], "keep_out": (),
       **RECORDS}),
-    (ho.SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
-    (ho.ErrorSize, {"bound": 0.0, "deviation": 0.0}),
-    (ho.Assignment, {"robots": (0, 1, 2), "flipped": (False,) * 3}),
-    (lambda flipped: ho.Assignment((0,), (flipped,)), {"flipped": False}),
-    (ho.Assignment.fixed, {"robots": 3}),
+    (SwapSettings, {"radius": 0.15, "tilt": None, "seconds": None, "sense": 0}),
+    (ErrorSize, {"bound": 0.0, "deviation": 0.0}),
+    (Assignment, {"robots": (0, 1, 2), "flipped": (False,) * 3}),
+    (lambda flipped: Assignment((0,), (flipped,)), {"flipped": False}),
+    (Assignment.fixed, {"robots": 3}),
     *((kind, {"vertices": TRIANGLE}) for kind in (ho.ConvexArc, ho.ConvexPolygon)),
-    (ho.Track, {"t": [0.0, 1.0], "positions": LOWER}),
+    (Track, {"t": [0.0, 1.0], "positions": LOWER}),
     (ho.read_flight, {"path": NOWHERE, "unit": None}),
     (lambda recording: ho.evaluate(recording, PLAN), {"recording": NOWHERE}),
     (ho.combine, {"plan": PLAN, "other": PLAN, "at": 1.0}),
-        (ho.Other, {"plan": NOWHERE}),
+        (Other, {"plan": NOWHERE}),
     (ho.Fly, {"goal": UPPER, "duration": None}),
     (ho.Motion, {each.name: getattr(PLAN.motion, each.name) for each in fields(PLAN.motion)}),
     (lambda phases: replace(PLAN.motion, phases=(phases,)), {"phases": PLAN.phases[0]}),
@@ -146,7 +154,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.SolidObject, {"section": SECTION, "lower": 0.0, "upper": 0.3, "mass": 0.1}),
     (ho.SolidObject, {"section": SECTION, "friction": 0.5, "at": [0, 0, 0], "yaw": 0.0}),
     (ho.SolidObject, {"section": SECTION, "rim": None, "fixed": False}),
-    (CRATE.then, {"step": ho.Hold(1.0)}),
+    (CRATE.then, {"step": Hold(1.0)}),
     (ho.Feedback, {"plan": PLAN, "rate": 0.1, "reserve": 0.01, "delay": 0.05, "stiffness": None}),
     (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": None, "drones": None}),
     (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None}),
@@ -156,7 +164,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (PLAYER.rate, {"rate": 1.0}),
     (PLAYER.seek, {"time": 0.5}),
     (ho.run_sweep, {"study": NOWHERE, "directory": NOWHERE, "workers": 1, "scheduler": ""}),
-    (ho.PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
+    (PiecewisePolynomial, {"breaks": [0.0, 1.0], "coefficients": [[0.0, 1.0]]}),
     (ho.fit, {"outline": -1.0, "robots": 3, "quadrotor": None, "limits": None, "separation": None}),
     (PLAN.report, {"directory": NOWHERE}), (PLAN.view, {"save": NOWHERE}),
     (PLAN.abort, {"t": AFTER, "how": "hold"}),
@@ -231,8 +239,8 @@ UNUSUAL: list[tuple[Callable[[], object], str]] = [
     (lambda: ho.SolidObject(DISC, upper=20, rim=ho.Rim(ho.Section(radius=25), 1)), "rim.section"),
     (lambda: ho.Tube(5, 0.05), "level: 5 m; .* centimetres were meant, 0.05"),
     (lambda: ho.Tube(0.05, 50), "height: 50 m; .* millimetres were meant, 0.05"),
-    (lambda: ho.Hold(2e5), "seconds: 200000 s; .* if milliseconds were meant, 200"),
-    (lambda: ho.Transport(ORIGIN, 30), "yaw: 30 rad, more than a turn; .* meant, 0.524"),
+    (lambda: Hold(2e5), "seconds: 200000 s; .* if milliseconds were meant, 200"),
+    (lambda: Transport(ORIGIN, 30), "yaw: 30 rad, more than a turn; .* meant, 0.524"),
 ]
 REFUSED: list[Refusal] = [
     (lambda: ho.Quadrotor(34.0), "mass", "if grams were meant, 0.034"),
@@ -241,7 +249,7 @@ REFUSED: list[Refusal] = [
     (lambda: ho.Limits(tilt=45), "tilt", "below 1.571 rad; if degrees were meant, 0.785"),
     (lambda: ho.Limits(tilt_deg=95), "tilt_deg", "below 90 °"),
     (lambda: ho.Limits(tilt=0.5, tilt_deg=30), "tilt_deg", "omitted if tilt is given"),
-    (lambda: ho.Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
+    (lambda: Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
     (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
     (lambda: parse_problem(written("0.1, gains: {kp: 1}")), "team.quadrotor.gains", "= {'kp': [1"),
     (lambda: ho.Team(3, "2.4 m"), "cable_length", "(one per robot); give a plain number in SI"),
@@ -269,7 +277,7 @@ def test_the_unusual_is_warned_of_at_the_line_that_gave_it(
 
 @pytest.mark.parametrize(
     "make",
-    [lambda: ho.Limits(speed=800), lambda: ho.Limits(tilt_deg=0.785), lambda: ho.Hold(2e5)],
+    [lambda: ho.Limits(speed=800), lambda: ho.Limits(tilt_deg=0.785), lambda: Hold(2e5)],
 )
 def test_a_record_is_warned_of_at_the_line_that_makes_it(make: Callable[[], object]) -> None:
     """Also with Python 3.11, which skips a number of frames, not the files of a package."""

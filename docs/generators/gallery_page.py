@@ -24,6 +24,7 @@ from generators.problem_collection import (
     caption,
     entry,
 )
+from hitchopt.errors import FileError
 from hitchopt.steps.step import RolledLegs
 
 INTRODUCTION = """# Gallery of problems
@@ -65,7 +66,9 @@ def write_gallery() -> dict[Path, str]:
 def program(file: Path) -> str:
     """Return a Python program that solves the problem of a file."""
     problem = python(ho.load_problem(file)).replace(f"{PROBLEMS}/", "")
-    imports = ["import math\n"] * ("math." in problem) + ["import hitchopt as ho\n"]
+    imports = ["import math\n"] * ("math." in problem) + ["import hitchopt as ho"]
+    imports += ["from hitchopt import steps"] * ("steps." in problem)
+    imports[-1] += "\n"
     last = f'plan = ho.solve(problem)\nprint(plan)\nplan.save("{file.stem}")\n'
     return "\n".join([*imports, f"problem = {problem}", last])
 
@@ -93,7 +96,8 @@ def python(value: Any, margin: int = 0, first: int = len("problem = ")) -> str:
         case list() | tuple():
             begin, parts, end = "[", [("", each) for each in value], "]"
         case _:
-            begin, end = f"ho.{type(value).__name__}(", ")"
+            name = type(value).__name__
+            begin, end = f"{'ho' if name in ho.__all__ else 'steps'}.{name}(", ")"
             parts = [(f"{name}=", each) for name, each in _arguments(value)]
     line = begin + ", ".join(f"{name}{python(each, 0, 0)}" for name, each in parts) + end
     if margin + first + len(line) < WIDTH and "\n" not in line:
@@ -184,7 +188,7 @@ def _refused(file: Path) -> str:
     name = file.relative_to(PROBLEMS).as_posix()
     try:
         ho.load_problem(file)
-    except (ho.InputError, ho.FileError) as error:
+    except (ho.InputError, FileError) as error:
         message = " ".join(str(error).replace(str(file), file.name).split())
         message = message.replace(f"{PROBLEMS}/", "")
     else:

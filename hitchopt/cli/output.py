@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import hitchopt as ho
+from hitchopt.motion.motion import Phase
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -233,7 +234,7 @@ def show_places(flight: ho.Flight, addresses: Mapping[str, str] | None = None) -
         say(f"{table('Places of drones', rows[:MAX_PLACES])}\n{more}", places=rows)
 
 
-def phase_table(phases: Sequence[ho.Phase]) -> str:
+def phase_table(phases: Sequence[Phase]) -> str:
     """Return the table of a plan's phases, with a column for remarks if there are any."""
     rows = []
     for p in phases:

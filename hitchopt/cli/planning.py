@@ -46,6 +46,7 @@ from hitchopt.errors import (
     TimeLimitError,
     contained,
 )
+from hitchopt.mission.repair import Suggestion
 
 if TYPE_CHECKING:
     from hitchopt.live.lost import UnsurvivableSpan
@@ -238,7 +239,7 @@ def _leave_diagnosis(
     click.get_current_context().exit(exit_code(error))
 
 
-def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[ho.Suggestion]) -> None:
+def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[Suggestion]) -> None:
     """Write a problem's text with the suggestion numbered ``take``, from 1, if it exists."""
     from hitchopt.mission.changes import with_edits_in
 
@@ -253,12 +254,12 @@ def _write_changed(text: str, path: Path, take: int, suggestions: Sequence[ho.Su
 
 def _suggestions(
     problem: ho.Problem, error: InfeasibleError, seconds: float
-) -> tuple[tuple[ho.Suggestion, ...], str]:
+) -> tuple[tuple[Suggestion, ...], str]:
     """Report and return changes that make the problem feasible, and a note on the time limit."""
     from hitchopt.errors import time_left, time_limit
     from hitchopt.mission.repair import NO_CHANGE, find_suggestions
 
-    suggestions: tuple[ho.Suggestion, ...] = ()
+    suggestions: tuple[Suggestion, ...] = ()
     note = SEARCH_ENDED
     with (
         ProgressBar("searching for changes that make it feasible", seconds) as progress,

@@ -21,6 +21,7 @@ from hitchopt import verify as second
 from hitchopt.checks import objects
 from hitchopt.checks.objects import arc_lengths
 from hitchopt.checks.stops import carried_paths
+from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
@@ -159,7 +160,7 @@ def test_files_with_false_objects_are_refused(
     records = settings["groups"][0]["records"]
     {**records["requirements"]["objects"], **records["phases"][2]}[part].update(change)
     np.savez(tmp_path / "plan.npz", **arrays | {"settings": np.array(json.dumps(settings))})
-    with pytest.raises(ho.FileError, match=words):
+    with pytest.raises(FileError, match=words):
         read_plan(tmp_path / "plan.npz")
 
 

@@ -18,6 +18,7 @@ from hitchopt import verify
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.errors import UnsupportedError
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
@@ -29,7 +30,7 @@ from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, needed_height
+from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, Tie, needed_height
 from hitchopt.values import Array
 from hitchopt.verify import objects
 
@@ -427,7 +428,7 @@ def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:
 
 def test_other_teams_are_refused_while_cables_are_tied() -> None:
     alone = TeamMotion("", tied())
-    with pytest.raises(ho.UnsupportedError, match="no distances to other teams"):
+    with pytest.raises(UnsupportedError, match="no distances to other teams"):
         Flight((alone,), (TeamMotion("other", cycle().motion),))
 
 
@@ -466,7 +467,7 @@ def test_cables_are_tied_with_no_more_than_the_team_s_tension(
     tension: float, density: float
 ) -> None:
     team = problem([TIE], tension=tension, cable_density=density).team
-    assert np.all(ho.Tie("drum").tension_for(team) <= tension)
+    assert np.all(Tie("drum").tension_for(team) <= tension)
 
 
 @pytest.mark.parametrize("error", [0.0, 0.03, 0.06])
@@ -479,7 +480,7 @@ def test_clasps_are_tied_above_the_centre_of_mass_and_below_the_top(
     stated = replace(stated, limits=replace(stated.limits, tracking=error))
     requirements, body = stated.teams[""].requirements, stated.objects["drum"]
     lowest = needed_height(body, requirements)
-    height = ho.Tie("drum").height_for(body, requirements)
+    height = Tie("drum").height_for(body, requirements)
     assert min(lowest, top - EDGE) <= height <= top - EDGE
     assert height <= max(lowest, top - error) + 1e-9
     assert height <= max(lowest, 0.5 * top + PREFERRED_HINGE)

@@ -24,6 +24,7 @@ from motions import (
 from plans import planned
 
 import hitchopt as ho
+from hitchopt.checks import CertificateError
 from hitchopt.cli.output import certificate_table
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array
@@ -198,7 +199,7 @@ def test_rules_appear_in_the_certificate_as_ones_own() -> None:
     entries = {x["name"]: x for x in json.loads(json.dumps(certificate.to_dict()))["checks"]}
     assert entries["leg_angle"]["custom"] is True
     assert not any("custom" in entries[x.name] for x in ho.certify(motion).checks)
-    with pytest.raises(ho.CertificateError, match=r"high: 1 m is above the limit of 0\.5 m at p0"):
+    with pytest.raises(CertificateError, match=r"high: 1 m is above the limit of 0\.5 m at p0"):
         certificate.raise_if_violated()
 
 

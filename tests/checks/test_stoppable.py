@@ -20,6 +20,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.retiming import truncated
 from hitchopt.motion.states import states_at
+from hitchopt.steps.moving import MoveVertex, Transport
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
 
 SQUARE = np.array([[-0.7, -0.7], [-0.7, 0.7], [0.7, 0.7], [0.7, -0.7]]) + [2.0, -1.0]
@@ -32,8 +33,8 @@ def motion_of(reserve: float = 1.0) -> Motion:
     team = ho.Team(4, [2.4, 2.5, 2.6, 2.45], quadrotor=kinds)
     start = ho.Hitch.spread(team, SQUARE)
     steps = (
-        ho.MoveVertex(0, by=np.array([0.2, 0.3])),
-        ho.Transport(np.array([2.5, -0.6, 1.3]), 0.4),
+        MoveVertex(0, by=np.array([0.2, 0.3])),
+        Transport(np.array([2.5, -0.6, 1.3]), 0.4),
     )
     return ho.solve(ho.Problem(team, start, steps, ho.Limits(reserve=reserve))).motion
 

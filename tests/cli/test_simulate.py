@@ -19,6 +19,7 @@ from hitchopt.lab.cli.simulating import spread_text
 from hitchopt.lab.simulation.judgement import Spread
 from hitchopt.lab.simulation.settings import perturbation_keys, settings_of
 from hitchopt.lab.statics.files import statics_content
+from hitchopt.lab.statics.tolerance import ErrorSize
 from hitchopt.storage.files import strict_json
 from hitchopt.storage.yaml_file import parse_yaml
 
@@ -225,7 +226,7 @@ REAL = (
         ),
         pytest.param(
             "--at 0.5 --error cable=0.01 --error force=sd:0.02",
-            {"cable_error": 0.01, "force_error": ho.ErrorSize(deviation=0.02)},
+            {"cable_error": 0.01, "force_error": ErrorSize(deviation=0.02)},
             marks=pytest.mark.slow,
         ),
     ],

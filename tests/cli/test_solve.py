@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from plans import GOOD, INFEASIBLE, ROOT, header, planned
 
 import hitchopt as ho
+from hitchopt.errors import FileError
 from hitchopt.mission import repair
 from hitchopt.storage.yaml_file import read_yaml
 
@@ -231,11 +232,11 @@ def test_a_picture_goes_to_its_own_plan_only(place: Path, monkeypatch: pytest.Mo
 
     with monkeypatch.context() as patch:
         patch.setattr(DRAW, draw)
-        with pytest.raises(ho.FileError, match=r"summary\.png: is not written: another plan"):
+        with pytest.raises(FileError, match=r"summary\.png: is not written: another plan"):
             first.draw("out")
     picture = (place / "out" / "summary.png").read_bytes()
     assert second.draw("out").read_bytes() == picture
-    with pytest.raises(ho.FileError, match="is not written"):
+    with pytest.raises(FileError, match="is not written"):
         first.draw("nowhere")
     assert {path.name for path in place.iterdir()} == {"out"}
 

@@ -22,16 +22,19 @@ from commands import TRIANGLE, refused, run, started, strict
 from plans import BAD, ROOT
 
 import hitchopt as ho
+from hitchopt.checks import CertificateError
 from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import REPORTS, RULES
 from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, progress_in, say, table
 from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
+from hitchopt.errors import FileError, UnsupportedError, Violation
 from hitchopt.exports.options import registered_formats
 from hitchopt.hitch.quadrotor import MODELS
 from hitchopt.lab.sweeps.study import study_from_dict
 from hitchopt.mission.loading import parse_problem, problem_schema
 from hitchopt.mission.template import for_team
+from hitchopt.motion.motion import Phase
 from hitchopt.storage import interrupts
 from hitchopt.storage.yaml_file import parse_yaml, with_value
 
@@ -194,17 +197,17 @@ def test_commands_say_how_they_end() -> None:
         signal.signal(signal.SIGINT, usual)
 
 
-VIOLATION = ho.Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s", "slow down")
+VIOLATION = Violation("speed", 2.0, 1.0, "max", "m/s", ("q1",), "at t = 3 s", "slow down")
 
 
 @pytest.mark.parametrize(
     ("error", "code", "told"),
     [
         (ho.InputError("a.b", 1, "2", "write 2"), 2, "error: a.b = 1: must be 2; write 2\n"),
-        (ho.FileError("x: no such file"), 2, "error: x: no such file\n"),
+        (FileError("x: no such file"), 2, "error: x: no such file\n"),
         (ho.InfeasibleError([VIOLATION] * 2), 3, f"error: {VIOLATION}\nerror: {VIOLATION}\n"),
-        (ho.UnsupportedError("not yet"), 3, "error: not yet\n"),
-        (ho.CertificateError("speed: 2"), 3, "error: speed: 2\n"),
+        (UnsupportedError("not yet"), 3, "error: not yet\n"),
+        (CertificateError("speed: 2"), 3, "error: speed: 2\n"),
         (ho.HitchoptError(), 3, "error: HitchoptError\n"),
         (KeyboardInterrupt(), 130, ""),
         (OSError(28, "No space left on device", "x"), 2, "error: x: No space left on device; che"),
@@ -443,9 +446,7 @@ def cells(text: str) -> list[str]:
 
 def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "100")
-    rows = cells(
-        phase_table((ho.Phase("morph", 0, 0.0, 1.25), ho.Phase("hold [b]", 1, 1.25, 12.5)))
-    )
+    rows = cells(phase_table((Phase("morph", 0, 0.0, 1.25), Phase("hold [b]", 1, 1.25, 12.5))))
     assert rows[-2:] == [
         "morph|0|0.000 s|1.250 s|1.250 s",
         "hold [b]|1|1.250 s|12.500 s|11.250 s",

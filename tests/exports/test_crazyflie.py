@@ -51,9 +51,10 @@ from hitchopt.exports.placing import (
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.states import flight_states_at
 from hitchopt.plan import Plan
+from hitchopt.trajectory import PiecewisePolynomial
 from problems.swarm import reversed_stack
 
 
@@ -521,8 +522,8 @@ def test_set_points_that_hold_a_weight_are_above_drones_that_stand(tmp_path: Pat
     """Half a cable of 72 g moves them up by 18 cm; the drones stand on the floor all the same."""
     team = ho.Team(3, 2.4, cable_density=0.03, tension=0.6, quadrotor=ho.Quadrotor(stiffness=2.0))
     places = [[x, y + 0.2 * x * y, 0.0] for y in (-1.0, 0.1, 1.3) for x in (-0.7, 0.7)]
-    drones = ho.PiecewisePolynomial.constant([0.0, 0.5], places)
-    phases = [ho.Phase("stand", 0, 0.0, 0.5, state=CableState.GROUND)]
+    drones = PiecewisePolynomial.constant([0.0, 0.5], places)
+    phases = [Phase("stand", 0, 0.0, 0.5, state=CableState.GROUND)]
     for ground, standing in ((-0.1, []), (0.0, NAMES)):
         needs = Requirements(arena=ho.Arena([-3.0, -3.0, ground], [3.0, 3.0, 3.0]))
         here = ho.Motion.single(team, needs, drones, phases)

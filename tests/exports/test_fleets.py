@@ -15,7 +15,7 @@ from format_readers import READERS
 from groups import alone, beside, flown_by, hitch_and_swarm, moved, two_hitches
 
 import hitchopt as ho
-from hitchopt.checks import certify
+from hitchopt.checks import CertificateError, certify
 from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.firmware import team_parameters
 from hitchopt.exports.format import format_of
@@ -224,7 +224,7 @@ def test_stretching_slows_all_groups_but_not_others(tmp_path: Path) -> None:
     (part,) = exported(with_others, "csv", tmp_path, stretch=1.5)
     assert any("next to show, which begins at t = 2 s" in note for note in part.notes)
     near = beside(flight, alone(flight, "ring"), 0.5)
-    with pytest.raises(ho.CertificateError, match="separation"):
+    with pytest.raises(CertificateError, match="separation"):
         exported(near, "csv", tmp_path / "near")
 
 

@@ -28,7 +28,7 @@ from hitchopt import verify as second
 from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.errors import FileError
-from hitchopt.hitch.team import Errors
+from hitchopt.hitch.team import Assignment, Errors
 from hitchopt.mission.loading import request_in
 from hitchopt.motion.motion import CURVES, Motion
 from hitchopt.motion.plan_file import read_plan, read_saved_plan, write_plan
@@ -126,7 +126,7 @@ def controlled() -> Motion:
     team = dataclasses.replace(
         motion.team, cable_friction=0.2, load=load, quadrotor=kinds, errors=errors
     )
-    team = ho.Assignment((1, 2, 0), (False, True, True)).team(team)
+    team = Assignment((1, 2, 0), (False, True, True)).team(team)
     for field in dataclasses.fields(ho.Team):
         value, default = getattr(team, field.name), getattr(plain, field.name)
         assert field.name in {"robots", "topology"} or not np.array_equal(value, default)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import hitchopt as ho
+from hitchopt.lab.flights.recordings import RecordedFlight, Signal, Track
 from hitchopt.values import Array
 
 MASS, KP, KD, GRAVITY = 0.11, 1.0, 1.0, 9.81
@@ -48,14 +48,14 @@ def random_hover(rng: np.random.Generator, **more: object) -> Hover:
     return replace(hover, **more)  # type: ignore[arg-type]
 
 
-def flown(hovers: dict[str, Hover], seed: int, wander: float = 0.02) -> ho.RecordedFlight:
+def flown(hovers: dict[str, Hover], seed: int, wander: float = 0.02) -> RecordedFlight:
     """Return a flight: on the ground, take-off, rest, perhaps a circle, landing.
 
     ``wander`` [m] is the standard deviation of the place at rest, by gusts of 1.5 s.
     """
     rng = np.random.default_rng(seed)
-    tracks, setpoints = dict[str, ho.Track](), dict[str, ho.Track]()
-    signals = dict[str, dict[str, ho.Signal]]()
+    tracks, setpoints = dict[str, Track](), dict[str, Track]()
+    signals = dict[str, dict[str, Signal]]()
     for k, (name, hover) in enumerate(hovers.items()):
         end = 5.0 + hover.seconds + 8.0 * hover.circle
         t = np.arange(0.0, end + 4.0, 1.0 / RATE)
@@ -68,7 +68,7 @@ def flown(hovers: dict[str, Hover], seed: int, wander: float = 0.02) -> ho.Recor
         )  # fmt: skip
         turns = np.stack([-lean[:, 1], lean[:, 0], np.zeros(len(t))], axis=1)
         turned = Rotation.from_rotvec(turns + 0.003 * rng.standard_normal((len(t), 3))) * attitude
-        tracks[name] = ho.Track(t, place + 3e-4 * rng.standard_normal(place.shape))
+        tracks[name] = Track(t, place + 3e-4 * rng.standard_normal(place.shape))
         lift = hover.thrust_factor * MASS * (GRAVITY + np.gradient(velocity[:, 2], t))
         values = {
             "attitude": turned.as_quat(),
@@ -76,17 +76,17 @@ def flown(hovers: dict[str, Hover], seed: int, wander: float = 0.02) -> ho.Recor
         }
         if hover.commands:
             sent = (t > 4.0) & (t < end)
-            setpoints[name] = ho.Track(t[sent], target[sent])
+            setpoints[name] = Track(t[sent], target[sent])
             values["commanded_yaw"] = np.full((len(t), 1), hover.yaw)
         if hover.commands == "states":
             values |= {"commanded_velocity": velocity, "commanded_acceleration": acceleration}
         signals[name] = {
-            quantity: ho.Signal(t[sent], each[sent])
+            quantity: Signal(t[sent], each[sent])
             if quantity.startswith("commanded")
-            else ho.Signal(t, each)
+            else Signal(t, each)
             for quantity, each in values.items()
         }
-    return ho.RecordedFlight("simulated", tracks, setpoints=setpoints, signals=signals)
+    return RecordedFlight("simulated", tracks, setpoints=setpoints, signals=signals)
 
 
 def _targets(t: Array, hover: Hover, end: float) -> tuple[Array, Array, Array]:

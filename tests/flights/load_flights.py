@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-import hitchopt as ho
 from benchmarks.replay import cable_pulls
 from hitchopt.hitch.flight_controller import ONE_MARKER
+from hitchopt.lab.flights.recordings import RecordedFlight, Signal, Track
 from hitchopt.lab.simulation.estimator import Filter
 from hitchopt.values import Array
 
@@ -19,7 +19,7 @@ GRAVITY, MASS, LOAD = 9.81, 0.0345, 0.01
 
 def carried(
     seconds: float = 7.0, tilt_deg: float = 0.0, seed: int = 0, thrust_factor: float = 1.1
-) -> ho.RecordedFlight:
+) -> RecordedFlight:
     """Return a flight of two drones with a load, as the firmware's filter for one marker logs it.
 
     Gyroscopes show fast changes of the pull, so the load swings slowly.
@@ -30,9 +30,9 @@ def carried(
     swing = np.stack([0.06 * np.sin(0.5 * t), 0.05 * np.sin(0.4 * t + 1.0), 0.0 * t], axis=1)
     places = [wave + [0.3, 0.0, 1.0], wave + [-0.3, 0.0, 1.0]]
     load = wave + swing + [0.0, 0.0, 0.6]
-    tracks = {f"cf{k}": ho.Track(t, place) for k, place in enumerate(places)}
-    flight = ho.RecordedFlight("carried", tracks, loads={"load": ho.Track(t, load)})
-    signals, rng = dict[str, dict[str, ho.Signal]](), np.random.default_rng(seed)
+    tracks = {f"cf{k}": Track(t, place) for k, place in enumerate(places)}
+    flight = RecordedFlight("carried", tracks, loads={"load": Track(t, load)})
+    signals, rng = dict[str, dict[str, Signal]](), np.random.default_rng(seed)
     for (name, track), pull in zip(tracks.items(), cable_pulls(flight, t, LOAD), strict=True):
         attitude, rates, force, thrust = _sensed(t, track.positions, pull / MASS)
         noisy = rates + 0.01 * rng.standard_normal(rates.shape)
@@ -52,7 +52,7 @@ def carried(
             "specific_force": force,
             "thrust": thrust_factor * MASS * thrust,
         }
-        signals[name] = {quantity: ho.Signal(t, each) for quantity, each in values.items()}
+        signals[name] = {quantity: Signal(t, each) for quantity, each in values.items()}
     return replace(flight, signals=signals)
 
 

@@ -19,9 +19,10 @@ from writers import TRANSFORMS, write_bag, write_csv, write_usd
 import hitchopt as ho
 from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
+from hitchopt.errors import FileError
 from hitchopt.lab.flights.alignment import align
 from hitchopt.lab.flights.evaluation import summary
-from hitchopt.lab.flights.recordings import Track, plan_at
+from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
 from hitchopt.lab.flights.vertices import ROPE_SCATTER, clasps_of, marker_plan
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array
@@ -61,7 +62,7 @@ def drones_of(target: Task, t: Array) -> Array:
 
 def planned_flight(
     name: str, camera: Camera, seed: int = 0, offset: float = 0.01
-) -> ho.RecordedFlight:
+) -> RecordedFlight:
     """Return the recording of a flight as planned, with a constant offset of every drone."""
     t = np.arange(-1.0, task(name).duration + 1.0, 1.0 / RATE)
     plan_times = np.clip(t, 0.0, task(name).duration)
@@ -72,11 +73,11 @@ def planned_flight(
 
 
 @cache
-def triangle() -> ho.RecordedFlight:
+def triangle() -> RecordedFlight:
     return planned_flight("triangle", Camera())
 
 
-def drones_recording(camera: Camera, t: Array, drones: Array, seed: int = 0) -> ho.RecordedFlight:
+def drones_recording(camera: Camera, t: Array, drones: Array, seed: int = 0) -> RecordedFlight:
     return camera.recorded(t, drones, np.zeros((len(t), 0, 3)), seed)
 
 
@@ -123,18 +124,18 @@ def test_noise_losses_and_ghosts_cost_a_few_millimetres(camera: Camera) -> None:
     assert np.nanpercentile(errors, 95) < 15e-3
 
 
-def shuffle_markers(flight: ho.RecordedFlight) -> ho.RecordedFlight:
+def shuffle_markers(flight: RecordedFlight) -> RecordedFlight:
     cloud = flight.markers
     order = np.lexsort((np.random.default_rng(5).random(len(cloud.t)), cloud.t))
     return replace(flight, markers=Track(cloud.t, cloud.positions[order]))
 
 
-def rename_bodies(flight: ho.RecordedFlight) -> ho.RecordedFlight:
+def rename_bodies(flight: RecordedFlight) -> RecordedFlight:
     names, tracks = list(flight.tracks), list(flight.tracks.values())
     return replace(flight, tracks=dict(zip(names[2:] + names[:2], tracks, strict=True)))
 
 
-def add_a_wand(flight: ho.RecordedFlight) -> ho.RecordedFlight:
+def add_a_wand(flight: RecordedFlight) -> RecordedFlight:
     t = np.unique(flight.markers.t)
     return replace(flight, tracks={"wand": Track(t, np.full((len(t), 3), 2.0)), **flight.tracks})
 
@@ -176,7 +177,7 @@ def test_every_drone_may_have_its_own_clock() -> None:
     pairs = zip(triangle().tracks.items(), shifts, strict=True)
     tracks = {name: Track(x.t + shift, x.positions) for (name, x), shift in pairs}
     together = ho.evaluate(triangle(), task("triangle")).alignment
-    result = ho.evaluate(ho.RecordedFlight("logs", tracks, one_clock=False), task("triangle"))
+    result = ho.evaluate(RecordedFlight("logs", tracks, one_clock=False), task("triangle"))
     assert result.alignment.names == together.names
     order = [list(tracks).index(name) for name in together.names]
     offsets = result.alignment.offsets + shifts[order]
@@ -195,7 +196,7 @@ def test_logged_set_points_show_the_lag_of_drones() -> None:
     assert fallback.alignment.offset == pytest.approx(-Camera().start - 0.15, abs=5e-3)
 
 
-def slow_flight(camera: Camera, seed: int = 0) -> ho.RecordedFlight:
+def slow_flight(camera: Camera, seed: int = 0) -> RecordedFlight:
     """Return a recording of drones on their plan at 20 Hz."""
     t = np.arange(-1.0, task("triangle").duration, 0.05)
     return drones_recording(camera, t, drones_of(task("triangle"), t), seed)
@@ -225,7 +226,7 @@ def test_commands_estimates_and_goals_change_no_result(
     assert bodies[0] in note
     assert topic in note
     if topic == "/goal_pose":
-        with pytest.raises(ho.FileError, match=r"1 bodies \(goal_pose\).*, not of /"):
+        with pytest.raises(FileError, match=r"1 bodies \(goal_pose\).*, not of /"):
             ho.evaluate(both, task("triangle"), topic=topic)
     else:
         chosen = ho.evaluate(both, task("triangle"), topic=topic)
@@ -299,7 +300,7 @@ def test_other_movements_of_the_same_hitch_are_refused(camera: Camera) -> None:
         shape = (2, *offsets.shape[1:])
         rate, phase = random.uniform(3.0, 12.0, shape), random.uniform(0.0, 6.3, shape)
         waves = sum(np.sin(r * phases + p) - np.sin(p) for r, p in zip(rate, phase, strict=True))
-        with pytest.raises(ho.FileError, match="name the plan that was flown"):
+        with pytest.raises(FileError, match="name the plan that was flown"):
             align(flight, task_with_movement(target, size * np.asarray(waves)))
 
 
@@ -317,30 +318,30 @@ def test_standard_errors_of_clocks_are_those_over_seeds(name: str) -> None:
     assert 0.4 < ratio < 1.5
 
 
-def excerpt(flight: ho.RecordedFlight, start: float, end: float) -> ho.RecordedFlight:
+def excerpt(flight: RecordedFlight, start: float, end: float) -> RecordedFlight:
     tracks = {}
     for name, x in flight.tracks.items():
         inside = (x.t >= start) & (x.t <= end)
         tracks[name] = Track(x.t[inside], x.positions[inside])
-    return ho.RecordedFlight("excerpt", tracks)
+    return RecordedFlight("excerpt", tracks)
 
 
-def motionless_flight() -> ho.RecordedFlight:
+def motionless_flight() -> RecordedFlight:
     tracks = {name: Track(x.t, 0.0 * x.positions + x.positions[0]) for name, x in
             triangle().tracks.items()}  # fmt: skip
     return replace(triangle(), tracks=tracks)
 
 
-def regular_in_turned_frame() -> ho.RecordedFlight:
+def regular_in_turned_frame() -> RecordedFlight:
     t = np.arange(0.0, task("regular").duration, 0.02)
     return drones_recording(Camera(yaw=1.0), t, drones_of(task("regular"), t))
 
 
-def part_in_turned_frame() -> ho.RecordedFlight:
+def part_in_turned_frame() -> RecordedFlight:
     return excerpt(planned_flight("triangle", Camera(yaw=0.7, start=0.0)), 0.0, 3.0)
 
 
-Request = tuple[Callable[[], ho.RecordedFlight], str, dict[str, Any], str]
+Request = tuple[Callable[[], RecordedFlight], str, dict[str, Any], str]
 
 REFUSALS: dict[str, Request] = {
     "another plan": (triangle, "other", {}, "was flown"),
@@ -362,7 +363,7 @@ REFUSALS: dict[str, Request] = {
 @pytest.mark.parametrize("case", REFUSALS)
 def test_other_plans_and_requests_are_refused(case: str) -> None:
     flight, name, options, words = REFUSALS[case]
-    error = ho.InputError if options else ho.FileError
+    error = ho.InputError if options else FileError
     with pytest.raises(error, match=words.replace("(", r"\(")):
         ho.evaluate(flight(), task(name), **options)
 
@@ -495,7 +496,7 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     assert result.to_recording().standard_errors is result.standard_errors
     with pytest.raises(ho.InputError, match="format"):
         result.save(out, "gif")
-    with pytest.raises(ho.FileError, match=r"holds plan\.npz"):
+    with pytest.raises(FileError, match=r"holds plan\.npz"):
         result.save(place / "plan")
 
 

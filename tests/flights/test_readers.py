@@ -15,12 +15,13 @@ import pytest
 import writers as w
 
 import hitchopt as ho
+from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.lab.flights.logs import decompressed
 from hitchopt.lab.flights.readers import table_of
-from hitchopt.lab.flights.recordings import NO_MARKERS
+from hitchopt.lab.flights.recordings import NO_MARKERS, RecordedFlight, Signal, Track
 from hitchopt.values import Array
 
-Write = Callable[[Path, ho.RecordedFlight], Path]
+Write = Callable[[Path, RecordedFlight], Path]
 
 FORMATS: dict[str, Write] = {
     **{
@@ -68,9 +69,9 @@ def path_in(folder: Path, name: str) -> Path:
     return folder / f"take{'.bag' if 'ROS 1' in name else '.c3d' if 'C3D' in name else ''}"
 
 
-def flight_for(name: str, visible_share: float = 0.9) -> ho.RecordedFlight:
+def flight_for(name: str, visible_share: float = 0.9) -> RecordedFlight:
     """Return a flight with what a format stores: logs have setpoints of two drones, no markers."""
-    flight: ho.RecordedFlight = w.sample(visible_share=visible_share)
+    flight: RecordedFlight = w.sample(visible_share=visible_share)
     if "log" not in name:
         return flight
     return replace(flight, markers=NO_MARKERS, setpoints=dict(list(flight.tracks.items())[:2]))
@@ -95,9 +96,9 @@ def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
         cloud = np.column_stack([clouds[1].t, clouds[1].positions])
         rows = np.concatenate([cloud, *bodies])
         rows = rows[np.argsort(rows[:, 0], kind="stable")]
-        clouds[1] = ho.Track(rows[:, 0], rows[:, 1:])
+        clouds[1] = Track(rows[:, 0], rows[:, 1:])
     orders = [np.lexsort((*x.positions.round(4).T, x.t.round(4))) for x in clouds]
-    first, second = (ho.Track(x.t[i], x.positions[i]) for x, i in zip(clouds, orders, strict=True))
+    first, second = (Track(x.t[i], x.positions[i]) for x, i in zip(clouds, orders, strict=True))
     for actual, expected in [*pairs, (first, second)]:
         np.testing.assert_allclose(actual.t, expected.t, atol=1e-6)
         np.testing.assert_allclose(actual.positions, expected.positions, atol=1e-6)
@@ -106,7 +107,7 @@ def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
 def edit(change: Callable[[str], str], write: Write = w.write_motive) -> Write:
     """Return a writer that edits the text of another."""
 
-    def write_changed(path: Path, flight: ho.RecordedFlight) -> Path:
+    def write_changed(path: Path, flight: RecordedFlight) -> Path:
         file = write(path, flight)
         file.write_text(change(file.read_text(encoding="utf-8")), encoding="utf-8")
         return file
@@ -117,8 +118,8 @@ def edit(change: Callable[[str], str], write: Write = w.write_motive) -> Write:
 def with_clock(scale: float = 1.0, shift: float = 0.0) -> Write:
     """Return a writer of a table with times in another unit or from another origin."""
 
-    def write_changed(path: Path, flight: ho.RecordedFlight) -> Path:
-        tracks = {n: ho.Track(scale * (x.t + shift), x.positions) for n, x in flight.tracks.items()}
+    def write_changed(path: Path, flight: RecordedFlight) -> Path:
+        tracks = {n: Track(scale * (x.t + shift), x.positions) for n, x in flight.tracks.items()}
         return w.write_csv(path, replace(flight, tracks=tracks, markers=NO_MARKERS))
 
     return write_changed
@@ -133,7 +134,7 @@ def text_file(text: str) -> Write:
     return edit(lambda _: text, w.write_csv)
 
 
-def write_two_bags(path: Path, flight: ho.RecordedFlight) -> Path:
+def write_two_bags(path: Path, flight: RecordedFlight) -> Path:
     path.mkdir()
     for name in ("a.bag", "b.bag"):
         w.write_bag(path / name, flight, "ros1")
@@ -145,7 +146,7 @@ def write_c3d(**options: Any) -> Write:
     return lambda path, flight: w.write_c3d(path.with_suffix(".c3d"), flight, **options)
 
 
-def write_c3d_without_rate(path: Path, flight: ho.RecordedFlight) -> Path:
+def write_c3d_without_rate(path: Path, flight: RecordedFlight) -> Path:
     file, rate = write_c3d(rate=123.0)(path, flight), struct.pack("<f", 123.0)
     file.write_bytes(file.read_bytes().replace(rate, struct.pack("<f", 0.0)))
     return file
@@ -223,7 +224,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
 def test_doubtful_recordings_are_refused(case: str, tmp_path: Path) -> None:
     write, words = REFUSED[case]
     path = write(tmp_path / "take", w.sample(frames=150))
-    with pytest.raises(ho.FileError) as refusal:
+    with pytest.raises(FileError) as refusal:
         ho.read_flight(path)
     assert words in str(refusal.value)
     assert str(refusal.value).startswith(str(path))
@@ -231,13 +232,13 @@ def test_doubtful_recordings_are_refused(case: str, tmp_path: Path) -> None:
 
 
 def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ho.FileError, match="none: there is no such file; give a recording"):
+    with pytest.raises(FileError, match="none: there is no such file; give a recording"):
         ho.read_flight(tmp_path / "none")
-    with pytest.raises(ho.FileError, match="holds no file: no recording; give a table of Motive"):
+    with pytest.raises(FileError, match="holds no file: no recording; give a table of Motive"):
         ho.read_flight(tmp_path)
     with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
         ho.read_flight(tmp_path, unit="miles")
-    with pytest.raises(ho.FileError, match="a format with fixed units; leave unit= out"):
+    with pytest.raises(FileError, match="a format with fixed units; leave unit= out"):
         ho.read_flight(w.write_usd(tmp_path / "logs", flight_for("log")), unit="mm")
 
 
@@ -250,7 +251,7 @@ def test_a_missing_library_is_named(
 ) -> None:
     path = FORMATS[name](path_in(tmp_path, name), flight_for(name))
     monkeypatch.setitem(__import__("sys").modules, module, None)
-    with pytest.raises(ho.UnsupportedError, match=r"pip install 'hitchopt\[logs\]'"):
+    with pytest.raises(UnsupportedError, match=r"pip install 'hitchopt\[logs\]'"):
         ho.read_flight(path)
 
 
@@ -269,19 +270,19 @@ def test_points_of_c3d_without_labels_are_markers(tmp_path: Path) -> None:
     whole = w.write_c3d(tmp_path / "take.c3d", flight)
     unlabelled = tmp_path / "unlabelled.c3d"
     unlabelled.write_bytes(whole.read_bytes().replace(b"LABELS", b"NOTHIN"))
-    with pytest.raises(ho.FileError, match="holds no position of a body; record the drones"):
+    with pytest.raises(FileError, match="holds no position of a body; record the drones"):
         ho.read_flight(unlabelled)
 
 
-def numbered(flight: ho.RecordedFlight, count: int, arm: float, sway: float) -> ho.RecordedFlight:
+def numbered(flight: RecordedFlight, count: int, arm: float, sway: float) -> RecordedFlight:
     """Return a flight with markers ``NAME_1`` … about each drone, which sway to and fro."""
-    tracks = dict[str, ho.Track]()
+    tracks = dict[str, Track]()
     for name, track in flight.tracks.items():
         for k in range(count):
             angle = 2.0 * np.pi * k / count
             around = arm * np.array([np.cos(angle), np.sin(angle), 0.0])
             off = around * (1.0 + sway * np.sin(5.0 * track.t[:, None] + k))
-            tracks[f"{name}_{k + 1}"] = ho.Track(track.t, track.positions + off)
+            tracks[f"{name}_{k + 1}"] = Track(track.t, track.positions + off)
     return replace(flight, tracks=tracks, markers=NO_MARKERS)
 
 
@@ -312,9 +313,9 @@ def test_bodies_of_c3d_are_means_of_subjects(tmp_path: Path) -> None:
     """A body exists while all markers of its subject are visible; unnamed markers are no body."""
     t = np.arange(50) / 100.0
     front, back = np.tile([[0.1, 0.0, 1.0]], (50, 1)), np.tile([[-0.1, 0.2, 1.0]], (50, 1))
-    tracks = {"cf1:front": ho.Track(t, front), "cf1:back": ho.Track(t[10:], back[10:])}
-    tracks |= {"*7": ho.Track(t, front + 1.0), "Unlabeled 3": ho.Track(t, back + 2.0)}
-    result = ho.read_flight(w.write_c3d(tmp_path / "take.c3d", ho.RecordedFlight("", tracks)))
+    tracks = {"cf1:front": Track(t, front), "cf1:back": Track(t[10:], back[10:])}
+    tracks |= {"*7": Track(t, front + 1.0), "Unlabeled 3": Track(t, back + 2.0)}
+    result = ho.read_flight(w.write_c3d(tmp_path / "take.c3d", RecordedFlight("", tracks)))
     assert list(result.tracks) == ["cf1"]
     np.testing.assert_allclose(result.tracks["cf1"].t, t[10:])
     np.testing.assert_allclose(result.tracks["cf1"].positions, [[0.0, 0.1, 1.0]] * 40, atol=1e-6)
@@ -360,7 +361,7 @@ def test_positions_that_px4_does_not_trust_are_left_out(tmp_path: Path) -> None:
         assert any("skipped while it is not valid" in note for note in result.notes)
     never = {name: np.zeros((60, 2), np.uint8) for name in flight.tracks}
     logs = w.write_ulog(tmp_path / "never", flight, "vehicle_local_position", never)
-    with pytest.raises(ho.FileError, match="never has a valid position in vehicle_local_position"):
+    with pytest.raises(FileError, match="never has a valid position in vehicle_local_position"):
         ho.read_flight(logs)
 
 
@@ -426,17 +427,17 @@ def test_damaged_files_are_read_or_refused_in_one_line(name: str, tmp_path: Path
         words = ""
         try:
             ho.read_flight(copy)
-        except ho.FileError as error:
+        except FileError as error:
             words, refused = str(error), refused + 1
         assert words == "" or (words.startswith(str(copy)) and "\n" not in words), words
         shutil.rmtree(copy) if copy.is_dir() else copy.unlink()
     assert refused > 1
 
 
-def moved(flight: ho.RecordedFlight, off: float = 0.6, names: int = 99) -> ho.RecordedFlight:
+def moved(flight: RecordedFlight, off: float = 0.6, names: int = 99) -> RecordedFlight:
     """Return the first bodies of a flight, displaced in all axes and late by 4 ms."""
     tracks = list(flight.tracks.items())[:names]
-    return replace(flight, tracks={n: ho.Track(x.t + 0.004, x.positions + off) for n, x in tracks})
+    return replace(flight, tracks={n: Track(x.t + 0.004, x.positions + off) for n, x in tracks})
 
 
 # Topics and message types: with the drones' positions, and to be ignored
@@ -477,7 +478,7 @@ def test_topics_of_other_kinds_change_nothing(case: str, tmp_path: Path) -> None
         assert_same(ho.read_flight(path, topic=topic), other)
 
 
-def assert_same(a: ho.RecordedFlight, b: ho.RecordedFlight) -> None:
+def assert_same(a: RecordedFlight, b: RecordedFlight) -> None:
     """Compare tracks, on clocks from their starts, and their names if there is more than one."""
     assert list(a.tracks) == list(b.tracks) or len(b.tracks) == 1
     for x, y in zip(a.tracks.values(), b.tracks.values(), strict=True):
@@ -523,7 +524,7 @@ def test_topics_that_no_rule_decides_are_refused(
     path = w.write_bag(
         tmp_path / f"take{'.bag' * (kind == 'ros1')}", flight, kind, (topics[0], POSES), others
     )
-    with pytest.raises(ho.FileError) as refusal:
+    with pytest.raises(FileError) as refusal:
         ho.read_flight(path, topic=request_)
     assert words in str(refusal.value)
     assert "topic=" in str(refusal.value)
@@ -534,10 +535,10 @@ def test_topics_that_no_rule_decides_are_refused(
 
 def test_only_bags_and_logs_have_topics(tmp_path: Path) -> None:
     for name in ("Motive CSV 1.23", "Vicon CSV", "C3D", "table"):
-        with pytest.raises(ho.FileError, match="a format without topics; leave topic= out"):
+        with pytest.raises(FileError, match="a format without topics; leave topic= out"):
             ho.read_flight(FORMATS[name](path_in(tmp_path, name), w.sample()), topic="/tf")
     logs = w.write_usd(tmp_path / "logs", flight_for("log"))
-    with pytest.raises(ho.FileError, match=r"no topic /tf, but stateEstimateZ \(estimated\)"):
+    with pytest.raises(FileError, match=r"no topic /tf, but stateEstimateZ \(estimated\)"):
         ho.read_flight(logs, topic="/tf")
 
 
@@ -545,7 +546,7 @@ def test_frames_that_move_are_no_frames_of_positions(tmp_path: Path) -> None:
     """Cameras on drones have positions in the drones' frames; a fixed frame may have a parent."""
     flight = w.sample()
     cameras = {f"camera_of_{name}": x for name, x in flight.tracks.items()}
-    room = {"room": ho.Track(np.arange(100) / 50.0, np.full((100, 3), 0.2))}
+    room = {"room": Track(np.arange(100) / 50.0, np.full((100, 3), 0.2))}
     parents = {f"camera_of_{name}": name for name in flight.tracks}
     parents |= dict.fromkeys(flight.tracks, "room")
     mounted = replace(flight, tracks={**flight.tracks, **cameras, **room})
@@ -563,14 +564,14 @@ def test_a_body_of_two_sources_in_one_topic_is_omitted(tmp_path: Path) -> None:
     assert set(result.tracks) == set(rest)
     assert any(note.startswith(f"{first} omitted: ") for note in result.notes)
     others = [(*TF, moved(flight))]
-    with pytest.raises(ho.FileError, match="jump to and fro by 1 m, as of two sources in one"):
+    with pytest.raises(FileError, match="jump to and fro by 1 m, as of two sources in one"):
         ho.read_flight(w.write_bag(tmp_path / "all", flight, bodies=TF, others=others))
 
 
 @pytest.mark.parametrize("group", ["stateEstimateZ.", "stateEstimate.", "locSrv."])
 def test_targets_of_loads_are_no_setpoints(group: str, tmp_path: Path) -> None:
     """Targets belong to the drone or to its load, whichever is nearer."""
-    flight: ho.RecordedFlight = w.sample(visible_share=1.0)
+    flight: RecordedFlight = w.sample(visible_share=1.0)
     load, near_load = moved(flight, -0.3), moved(flight, -0.28)
     for targets, of_load in ((near_load, True), (moved(flight, 0.02), False)):
         commanded = replace(flight, setpoints=targets.tracks)
@@ -588,12 +589,12 @@ def test_targets_of_loads_are_no_setpoints(group: str, tmp_path: Path) -> None:
 
 def test_logs_prefer_motion_capture_to_estimates(tmp_path: Path) -> None:
     """Held positions and those before the first one are no measurements."""
-    flight: ho.RecordedFlight = w.sample(visible_share=1.0)
+    flight: RecordedFlight = w.sample(visible_share=1.0)
     held = {}
     for name, track in flight.tracks.items():
         i = np.arange(len(track.t)) // 4 * 4
         positions = np.where(i[:, None] < 20, 0.0, track.positions[i])
-        held[name] = ho.Track(track.t, positions)
+        held[name] = Track(track.t, positions)
     received = replace(flight, tracks=held)
     folder = w.write_usd(tmp_path / "logs", moved(flight), others={"locSrv.": received})
     result = ho.read_flight(folder)
@@ -619,14 +620,14 @@ def test_drones_in_one_subject_are_bodies(write: Write, tmp_path: Path) -> None:
 def test_records_check_their_fields() -> None:
     places = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 2.0]])
     with pytest.raises(ValueError, match="read-only"):
-        ho.Track(np.zeros(2), places).t[0] = 5.0
+        Track(np.zeros(2), places).t[0] = 5.0
     for t, x, words in (
         (np.array([1.0, 0.0]), places, "t = .*ascending"),
         (np.zeros(1), places, r"of shape \(m, 3\) and finite, .* shape \(1,\)"),
         (np.zeros(2), places * np.nan, "finite"),
     ):
         with pytest.raises(ho.InputError, match=words):
-            ho.Track(t, x)
+            Track(t, x)
 
 
 def test_blank_cells_of_wide_tables_are_missing() -> None:
@@ -672,7 +673,7 @@ def test_every_quantity_is_read_back(case: str, tmp_path: Path) -> None:
         assert set(result.signals[name]) == set(quantities)
         pairs = [(result, dict(result.signals[name])), (flight, dict(flight.signals[name]))]
         for each, own in pairs:
-            own["commanded_position"] = ho.Signal(
+            own["commanded_position"] = Signal(
                 each.setpoints[name].t, each.setpoints[name].positions
             )
         (_, signals), (_, expected) = pairs

@@ -17,6 +17,8 @@ from mcap_ros2.writer import Writer as McapWriter
 from rosbags import rosbag2
 
 import hitchopt as ho
+from hitchopt.errors import FileError
+from hitchopt.lab.flights.recordings import RecordedFlight, Track
 
 POSE_STAMPED = """std_msgs/Header header
 geometry_msgs/Pose pose
@@ -42,7 +44,7 @@ float64 w
 """
 
 
-def assert_same(a: ho.RecordedFlight, b: ho.RecordedFlight) -> None:
+def assert_same(a: RecordedFlight, b: RecordedFlight) -> None:
     assert list(a.tracks) == list(b.tracks)
     for name, track in a.tracks.items():
         np.testing.assert_array_equal(track.t, b.tracks[name].t)
@@ -85,14 +87,14 @@ def test_compressed_bags_are_read(kind: str, tmp_path: Path) -> None:
     assert_same(ho.read_flight(lone), plain)
 
 
-def parts_of(folder: Path, kind: str, pause: float = 0.0) -> tuple[Path, ho.RecordedFlight]:
+def parts_of(folder: Path, kind: str, pause: float = 0.0) -> tuple[Path, RecordedFlight]:
     """Write a flight in three parts without metadata, with pauses, and return the whole flight."""
-    flight = replace(w.sample(visible_share=1.0), markers=ho.Track(np.zeros(0), np.zeros((0, 3))))
+    flight = replace(w.sample(visible_share=1.0), markers=Track(np.zeros(0), np.zeros((0, 3))))
     folder.mkdir()
     for number in range(3):
         rows = slice(20 * number, 20 * (number + 1))
         tracks = {
-            name: ho.Track(track.t[rows] + pause * number, track.positions[rows])
+            name: Track(track.t[rows] + pause * number, track.positions[rows])
             for name, track in flight.tracks.items()
         }
         part = folder.with_name(f"part_{number}{'.bag' * (kind == 'ros1')}")
@@ -120,11 +122,11 @@ def test_several_recordings_in_a_directory_are_refused(case: str, tmp_path: Path
     if case == "no numbers":
         for number in range(3):
             (folder / f"take_{number}.mcap").rename(folder / f"take{number}.mcap")
-    with pytest.raises(ho.FileError, match=r"holds [23] recordings, take.*: give one file"):
+    with pytest.raises(FileError, match=r"holds [23] recordings, take.*: give one file"):
         ho.read_flight(folder)
 
 
-def write_mcap(path: Path, flight: ho.RecordedFlight, compression: CompressionType) -> Path:
+def write_mcap(path: Path, flight: RecordedFlight, compression: CompressionType) -> Path:
     """Write a file with the library of mcap, in chunks of some messages."""
     with path.open("wb") as file:
         writer = McapWriter(file, chunk_size=2000, compression=compression)
@@ -223,5 +225,5 @@ def test_a_database_is_completed_by_its_log(tmp_path: Path) -> None:
 def test_a_bag_of_ros_1_that_is_not_closed_names_its_remedy(tmp_path: Path) -> None:
     w.write_bag(tmp_path / "take.bag", w.sample(), "ros1")
     (tmp_path / "take.bag").rename(tmp_path / "take.bag.active")
-    with pytest.raises(ho.FileError, match="was not closed; run `rosbag reindex` on it"):
+    with pytest.raises(FileError, match="was not closed; run `rosbag reindex` on it"):
         ho.read_flight(tmp_path / "take.bag.active")

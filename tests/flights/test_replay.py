@@ -12,8 +12,9 @@ import writers as w
 from load_flights import carried
 from scipy.spatial.transform import Rotation
 
-import hitchopt as ho
 from benchmarks.replay import ReplayedFilter, main, replay_filters, tilt_rms_deg
+from hitchopt.errors import FileError
+from hitchopt.lab.flights.recordings import Signal
 
 
 def by_name(replays: tuple[ReplayedFilter, ...]) -> dict[tuple[str, str], ReplayedFilter]:
@@ -50,7 +51,7 @@ def test_logs_without_captured_attitudes_are_replayed(tmp_path: Path) -> None:
     late = {
         name: {
             **{x: y for x, y in own.items() if x != "attitude"},
-            "estimated_attitude": ho.Signal(
+            "estimated_attitude": Signal(
                 own["estimated_attitude"].t,
                 own["estimated_attitude"].at(own["estimated_attitude"].t - 0.01),
             ),
@@ -87,7 +88,7 @@ def test_tilts_are_angles_of_any_size(degrees: float) -> None:
 
 def test_recordings_without_sensors_are_refused(tmp_path: Path) -> None:
     bag = w.write_crazyswarm(tmp_path / "a.bag", w.rich_sample(1))
-    with pytest.raises(ho.FileError, match=r"ROS 1 bag: holds .*motors: filters need rates"):
+    with pytest.raises(FileError, match=r"ROS 1 bag: holds .*motors: filters need rates"):
         replay_filters(bag)
 
 

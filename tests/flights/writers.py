@@ -15,26 +15,26 @@ import numpy as np
 from rosbags import rosbag1, rosbag2, typesys
 from scipy.spatial.transform import Rotation
 
-import hitchopt as ho
 from hitchopt.lab.flights.bags import CRAZYFLIES, MESSAGES, POSE
+from hitchopt.lab.flights.recordings import RecordedFlight, Signal, Track
 from hitchopt.values import Array, Indices
 
 EPOCH = 1_762_186_375  # start of bags [s]
 
 
-def frames_of(flight: ho.RecordedFlight) -> Array:
+def frames_of(flight: RecordedFlight) -> Array:
     """Return the times at which anything is recorded."""
     return np.unique(np.concatenate([flight.markers.t, *(x.t for x in flight.tracks.values())]))
 
 
-def dense(t: Array, track: ho.Track) -> Array:
+def dense(t: Array, track: Track) -> Array:
     """Return positions (frames, 3) [m] at times; nan where not visible."""
     places = np.full((len(t), 3), np.nan)
     places[np.searchsorted(t, track.t)] = track.positions
     return places
 
 
-def columns_of(t: Array, cloud: ho.Track, lifetime: int = 20) -> dict[str, Array]:
+def columns_of(t: Array, cloud: Track, lifetime: int = 20) -> dict[str, Array]:
     """Return columns of unlabeled markers, whose names change after ``lifetime`` frames."""
     columns: dict[str, Array] = {}
     for frame, time in enumerate(np.unique(cloud.t)):
@@ -50,7 +50,7 @@ def texts(values: Array, blank: str = "") -> list[str]:
 
 def write_motive(
     path: Path,
-    flight: ho.RecordedFlight,
+    flight: RecordedFlight,
     version: str = "1.23",
     rate: float = 100.0,
     unit: tuple[str, float] = ("Millimeters", 1e-3),
@@ -98,7 +98,7 @@ def write_motive(
     return path
 
 
-def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> Path:
+def write_vicon(path: Path, flight: RecordedFlight, rate: float = 100.0) -> Path:
     """Write sections of bodies and of markers; missing values are zero."""
     t, sections = frames_of(flight), []
     bodies = {
@@ -121,7 +121,7 @@ def write_vicon(path: Path, flight: ho.RecordedFlight, rate: float = 100.0) -> P
 
 
 def write_c3d(
-    path: Path, flight: ho.RecordedFlight, units: Sequence[str] = ("mm",), rate: float = 100.0
+    path: Path, flight: RecordedFlight, units: Sequence[str] = ("mm",), rate: float = 100.0
 ) -> Path:
     """Write a C3D file in millimetres, with one point for each body."""
     t, file = frames_of(flight), ezc3d.c3d()
@@ -139,7 +139,7 @@ def write_c3d(
 
 
 def write_qualisys(
-    path: Path, flight: ho.RecordedFlight, *, bodies: bool = False, titles: bool = True
+    path: Path, flight: RecordedFlight, *, bodies: bool = False, titles: bool = True
 ) -> Path:
     """Write a TSV table of markers, or of rigid bodies, in millimetres; missing ones are zero."""
     t = frames_of(flight)
@@ -168,7 +168,7 @@ def write_qualisys(
     return path
 
 
-def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Path:
+def write_csv(path: Path, flight: RecordedFlight, separator: str = ",") -> Path:
     """Write a plain table, sorted by time; points without a name are called ``marker``."""
     lines = []
     for name, track in [*flight.tracks.items(), ("marker", flight.markers)]:
@@ -180,7 +180,7 @@ def write_csv(path: Path, flight: ho.RecordedFlight, separator: str = ",") -> Pa
     return path
 
 
-Stream = tuple[str, str, ho.RecordedFlight]
+Stream = tuple[str, str, RecordedFlight]
 """Topic with ``*`` in place of bodies' names, type of its messages, and the bodies' positions."""
 
 POSE_ARRAY, TRANSFORMS, ODOMETRY = f"{POSE}Array", "tf2_msgs/msg/TFMessage", "nav_msgs/msg/Odometry"
@@ -188,7 +188,7 @@ POSE_ARRAY, TRANSFORMS, ODOMETRY = f"{POSE}Array", "tf2_msgs/msg/TFMessage", "na
 
 def write_bag(
     path: Path,
-    flight: ho.RecordedFlight,
+    flight: RecordedFlight,
     kind: str = "sqlite3",
     bodies: tuple[str, str] = ("/poses", POSE_ARRAY),
     others: Sequence[Stream] = (),
@@ -281,10 +281,10 @@ def write_messages(
 
 def write_usd(
     folder: Path,
-    flight: ho.RecordedFlight,
+    flight: RecordedFlight,
     version: int = 2,
     group: str = "stateEstimateZ.",
-    others: Mapping[str, ho.RecordedFlight] | None = None,
+    others: Mapping[str, RecordedFlight] | None = None,
     axes: str = "xyz",
 ) -> Path:
     """Write a log for every drone, with other events between positions.
@@ -323,10 +323,10 @@ def write_usd(
 
 def write_ulog(
     folder: Path,
-    flight: ho.RecordedFlight,
+    flight: RecordedFlight,
     topic: str = "vehicle_visual_odometry",
     valid: Mapping[str, Any] | None = None,
-    others: Mapping[str, ho.RecordedFlight] | None = None,
+    others: Mapping[str, RecordedFlight] | None = None,
 ) -> Path:
     """Write a ulog for every drone, in axes north, east, down.
 
@@ -362,13 +362,13 @@ def sample(seed: int = 0, drones: int = 4, frames: int = 60, visible_share: floa
     for k in range(drones):
         visible = (rng.random(frames) < visible_share) | (np.arange(frames) % (frames - 1) == 0)
         places = np.round([0.7 * k - 1.0, 0.4, 1.2] + waves, 3)
-        tracks[f"cf{k + 3}"] = ho.Track(t[visible], places[visible])
+        tracks[f"cf{k + 3}"] = Track(t[visible], places[visible])
     frame: Indices = np.repeat(np.arange(frames), rng.integers(0, 5, frames))
     points = np.round(rng.uniform(-1.0, 1.0, (len(frame), 3)), 3)
-    return ho.RecordedFlight("sample", tracks, ho.Track(t[frame], points))
+    return RecordedFlight("sample", tracks, Track(t[frame], points))
 
 
-def rich_sample(drones: int = 3, seconds: float = 8.0, rate: float = 100.0) -> ho.RecordedFlight:
+def rich_sample(drones: int = 3, seconds: float = 8.0, rate: float = 100.0) -> RecordedFlight:
     """Return a flight with every quantity that logs and bags hold, and a load that moves."""
     t = np.arange(0.0, seconds, 1.0 / rate)
     rise = np.clip((t - 1.0) / 2.0, 0.0, 1.0)
@@ -377,8 +377,8 @@ def rich_sample(drones: int = 3, seconds: float = 8.0, rate: float = 100.0) -> h
     for k in range(drones):
         name, angles = f"cf{k + 3}", np.stack([0.1 * np.sin(t + k), 0.2 * np.cos(t), 0.3 * t], 1)
         attitude = Rotation.from_euler("xyz", angles).as_quat()
-        tracks[name] = ho.Track(t, wave + [0.8 * k, 0.1, 0.05])
-        setpoints[name] = ho.Track(t, wave + [0.8 * k, 0.0, 0.0])
+        tracks[name] = Track(t, wave + [0.8 * k, 0.1, 0.05])
+        setpoints[name] = Track(t, wave + [0.8 * k, 0.0, 0.0])
         values = {
             "attitude": attitude,
             "estimated_position": tracks[name].positions + 0.002,
@@ -392,9 +392,9 @@ def rich_sample(drones: int = 3, seconds: float = 8.0, rate: float = 100.0) -> h
             "motors": np.stack([0.5 + 0.01 * (k + i) + 0.1 * rise for i in range(4)], axis=1),
             "thrust": 0.3 + 0.01 * rise[:, None],
         }
-        signals[name] = {quantity: ho.Signal(t, each) for quantity, each in values.items()}
-    loads = {"load": ho.Track(t, wave + [0.4, 0.3, 0.0])}
-    return ho.RecordedFlight("sample", tracks, setpoints=setpoints, signals=signals, loads=loads)
+        signals[name] = {quantity: Signal(t, each) for quantity, each in values.items()}
+    loads = {"load": Track(t, wave + [0.4, 0.3, 0.0])}
+    return RecordedFlight("sample", tracks, setpoints=setpoints, signals=signals, loads=loads)
 
 
 LOGS: Any = (("pos", "estimated_position", 1.0), ("pwm", "motors", 65535.0))
@@ -402,7 +402,7 @@ LOGS: Any = (("pos", "estimated_position", 1.0), ("pwm", "motors", 65535.0))
 
 def write_crazyswarm(
     path: Path,
-    flight: ho.RecordedFlight,
+    flight: RecordedFlight,
     kind: str = "ros1",
     delay: float = 1.65,
     *,
@@ -431,7 +431,7 @@ def write_crazyswarm(
         stamp = ros("builtin_interfaces/msg/Time", *divmod(round(1e9 * t), 10**9))
         return ros("std_msgs/msg/Header", *[0] * ros1, stamp, "world")
 
-    def commands(name: str, track: ho.Track, own: Mapping[str, ho.Signal]) -> Any:
+    def commands(name: str, track: Track, own: Mapping[str, Signal]) -> Any:
         yaw = own["commanded_yaw"].at(track.t)[:, 0] if "commanded_yaw" in own else 0.0 * track.t
         for i, (t, place) in enumerate(
             zip(track.t.tolist(), track.positions.tolist(), strict=True)
@@ -465,13 +465,13 @@ def write_crazyswarm(
         if name in flight.setpoints:
             messages += commands(name, flight.setpoints[name], own)
     for name, track in flight.loads.items():
-        for t, place in _samples(ho.Signal(track.t, track.positions)):
+        for t, place in _samples(Signal(track.t, track.positions)):
             pose = ros("Pose", ros("Point", *place), ros("Quaternion", 0.0, 0.0, 0.0, 1.0))
             messages.append((t, f"/{name}/pose", ros("PoseStamped", header(epoch + t), pose)))
     return write_messages(path, messages, kind, store)
 
 
-def _samples(signal: ho.Signal | None) -> Any:
+def _samples(signal: Signal | None) -> Any:
     return zip(signal.t.tolist(), signal.values.tolist(), strict=True) if signal else ()
 
 
@@ -490,7 +490,7 @@ USD_VARIABLES = {
 
 
 def write_rich_usd(
-    folder: Path, flight: ho.RecordedFlight, clocks: Sequence[float] = (), drop: str = ""
+    folder: Path, flight: RecordedFlight, clocks: Sequence[float] = (), drop: str = ""
 ) -> Path:
     """Write logs of drones with what ``flight`` holds, on clocks that differ by seconds.
 
@@ -520,13 +520,13 @@ def write_rich_usd(
     return folder
 
 
-def write_rich_ulog(folder: Path, flight: ho.RecordedFlight) -> Path:
+def write_rich_ulog(folder: Path, flight: RecordedFlight) -> Path:
     """Write ulogs of drones: positions, velocities, attitudes, sensors, commands and motors."""
     folder.mkdir()
     to_ned = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
     to_frd = np.diag([1.0, -1.0, -1.0])
 
-    def quaternions(signal: ho.Signal) -> Array:
+    def quaternions(signal: Signal) -> Array:
         turned = to_ned @ Rotation.from_quat(signal.values).as_matrix() @ to_frd
         x, y, z, w = Rotation.from_matrix(turned).as_quat().T
         return np.stack([w, x, y, z], axis=1)

@@ -17,6 +17,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import hitchopt as ho
+from hitchopt.errors import FileError
 from hitchopt.geometry.drawings import FLATNESS, drawing_of_geometry, read_drawing
 from hitchopt.values import Array
 
@@ -343,7 +344,7 @@ DEGREES = [[4.3711, 51.9991], [4.3713, 51.9991], [4.3713, 51.9992], [4.3711, 51.
 ROOF = {"type": "Polygon", "coordinates": [DEGREES]}
 
 INVALID = {
-    ho.FileError: [
+    FileError: [
         ("a.svg", "<svg", "cannot be read"),
         ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", "a list of points"),
         ("a.csv", "0, 0\n1, 0\nx, 1\n", "line 3: column 1 is 'x', no number"),

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
-from hitchopt.hitch.holding import balanced, grip_capacity, wraps_around
+from hitchopt.hitch.holding import Grip, balanced, grip_capacity, wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.carrying.polygons import GripTask, best_grip
 from hitchopt.values import Array
@@ -64,7 +64,7 @@ def test_taut_edges_are_hulls_of_section_and_clasps(section: ho.Section, seed: i
 @pytest.mark.parametrize("n", [3, 5])
 def test_legs_continue_the_neighbouring_edges_and_balance_them(n: int) -> None:
     vertices = regular(n, 0.38) * [1.05, 0.97] + ODD.centroid
-    grip = ho.Grip.of(ODD, vertices, 1.6, 1.3)
+    grip = Grip.of(ODD, vertices, 1.6, 1.3)
     q, r = grip.leg_directions[:, 0], np.roll(grip.leg_directions[:, 1], 1, axis=0)
     wraps = grip.wraps
     np.testing.assert_allclose(q, np.roll(wraps.arriving, 1, axis=0), atol=1e-12)
@@ -97,13 +97,13 @@ def capacity(tension: float, friction: float) -> tuple[float, str]:
 
 def test_figures_of_rope_simulations() -> None:
     """Drones 0.24 m apart at 212°; 77 g at 1 N with 60° per cable; the rhombus about a box."""
-    grip = ho.Grip.of(DISC, disc_triangle(212.0), 1.95, 1.0)
+    grip = Grip.of(DISC, disc_triangle(212.0), 1.95, 1.0)
     assert np.degrees(grip.wraps.angles).sum() == pytest.approx(212.0)
     assert np.linalg.norm(grip.drones[0, 0] - grip.drones[0, 1]) == pytest.approx(0.24, abs=1e-3)
-    grip = ho.Grip.of(DISC, disc_triangle(180.0), 1.6, 1.0, clasp_friction=SIMULATED_FRICTION)
+    grip = Grip.of(DISC, disc_triangle(180.0), 1.6, 1.0, clasp_friction=SIMULATED_FRICTION)
     assert grip.slip_load(0.5) / (1.5 * 9.81) == pytest.approx(0.077, abs=1e-3)
     for off, wrap, apart in ((0.09, 137.0, 0.23), (0.12, 77.0, 0.34)):
-        grip = ho.Grip.of(BOX, rhombus(off), 0.9, 1.3)
+        grip = Grip.of(BOX, rhombus(off), 0.9, 1.3)
         assert np.degrees(grip.wraps.angles).sum() == pytest.approx(wrap, abs=5.0)
         assert np.min(pdist(grip.drones.reshape(-1, 2))) == pytest.approx(apart, abs=0.01)
 

@@ -11,9 +11,10 @@ import pytest
 from refusals import Refusal, assert_refused
 
 import hitchopt as ho
-from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation, SwapSettings
+from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation
 from hitchopt.hitch.quadrotor import MODELS, Quadrotor
 from hitchopt.hitch.team import Assignment, Swarm, Team
+from hitchopt.planners.forming import SwapSettings
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 HILL = [[-0.6, -0.3], [0.5, 0.5], [1.7, -0.3]]
@@ -170,5 +171,5 @@ def test_wrong_quadrotors_by_drone_are_refused(kinds: Any, message: str) -> None
 
 def test_drones_keep_their_own_kinds_in_other_roles() -> None:
     team = by_drone(q0={"trim": [0.1, 0.0]}, r1={"trim": [0.2, 0.0]}, q2={"trim": [0.3, 0.0]})
-    roles = ho.Assignment((2, 0, 1), (True, False, True)).team(team)
+    roles = Assignment((2, 0, 1), (True, False, True)).team(team)
     np.testing.assert_allclose(roles.trim[:, 0], [0.0, 0.3, 0.1, 0.0, 0.2, 0.0])

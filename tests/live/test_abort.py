@@ -22,7 +22,7 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.live.abort import Abort, Aborts, abort_table
 from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
 from hitchopt.live.player import Player
-from hitchopt.motion.motion import CableState, Motion
+from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.retiming import on_clock
 from hitchopt.trajectory import PiecewisePolynomial
@@ -335,7 +335,7 @@ def test_no_drone_carries_two(altitude: float, share: float) -> None:
     """A cable of 2 m between drones 1 m apart is taut after a fall of the square root of 3 m."""
     places = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0], [1, 2, 0]]) + [0, 0, altitude]
     team = ho.Team(robots=2, topology="open", cable_length=2.0)
-    phase = ho.Phase("hover", 0, 0.0, 2.0, state=CableState.FREE)
+    phase = Phase("hover", 0, 0.0, 2.0, state=CableState.FREE)
     hovering = PiecewisePolynomial.constant([0.0, 2.0], places, 7)
     found, without = survivable(ho.Motion.single(team, Requirements(), hovering, [phase]))
     assert (found.worst, found.where) == (share, tuple(each.drone for each in without))

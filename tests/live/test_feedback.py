@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.errors import UnsupportedError
 from hitchopt.lab.feedback import MAX_OFFSET, Cell, cells_of, vertex_responses
+from hitchopt.steps.moving import Hold, MoveVertex
 from hitchopt.values import Array
 
 STEP = 0.01
@@ -20,7 +22,7 @@ START = ho.Hitch.spread(ho.Team(3, 2.4), [[1.0, 1.0], [0.6, 2.5], [1.4, 2.5]], 1
 @cache
 def plan_of() -> ho.Plan:
     """An acute triangle off the origin whose vertex moves for 8 s, at rest before and after."""
-    steps = ho.Hold(1.0), ho.MoveVertex(0, by=np.array([0.0, 0.3]), duration=8.0), ho.Hold(6.0)
+    steps = Hold(1.0), MoveVertex(0, by=np.array([0.0, 0.3]), duration=8.0), Hold(6.0)
     return ho.solve(ho.Problem(START.team, START, steps))
 
 
@@ -70,8 +72,8 @@ def test_setpoints_lead_vertices_that_move_as_planned() -> None:
 
 def test_setpoints_do_not_lead_beyond_the_place_where_a_vertex_stops() -> None:
     """It moves by 0.3 m in 1.5 s, as setpoints do with a lag of 0.4 s."""
-    move = ho.MoveVertex(0, by=np.array([0.0, 0.3]), duration=1.5)
-    plan = ho.solve(ho.Problem(START.team, START, (move, ho.Hold(2.0))))
+    move = MoveVertex(0, by=np.array([0.0, 0.3]), duration=1.5)
+    plan = ho.solve(ho.Problem(START.team, START, (move, Hold(2.0))))
     times = (np.arange(50) + 0.5) / 50 * plan.duration
     responses = vertex_responses(plan.motion, times, 36.0 * plan.motion.team.mass)
     feedback, seen, places = ho.Feedback(plan, delay=0.0), plan.at(0.0).vertices, list[float]()
@@ -138,7 +140,7 @@ def test_what_is_wrong_is_named() -> None:
             feedback.step(0.0, STEP, **{key: np.zeros((2, 3))})  # type: ignore[arg-type]
     wall = ho.Prism([[5, 5], [5, 6], [6, 6], [6, 5]], 0.0, 1.0)
     need = replace(motion.requirements, keep_out=(wall,))
-    with pytest.raises(ho.UnsupportedError, match="keep-outs"):
+    with pytest.raises(UnsupportedError, match="keep-outs"):
         ho.Feedback(replace(motion, requirements=need))
 
 

@@ -14,7 +14,7 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.live.abort import AbortTable, abort_table
 from hitchopt.live.fly import COMMANDS, LEAD, CommandedPlan, FleetSetpoints, SetpointStream
-from hitchopt.live.player import Player
+from hitchopt.live.player import Player, Setpoints
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -48,7 +48,7 @@ def tables(*, swarm: bool) -> dict[str, AbortTable]:
     }
 
 
-def check_setpoints(series: list[ho.Setpoints], limits: ho.Limits, step: float) -> None:
+def check_setpoints(series: list[Setpoints], limits: ho.Limits, step: float) -> None:
     """Setpoints, a step [s] apart, keep the limits, and each follows from the one before."""
     names = "positions", "velocities", "accelerations", "jerks"
     p, v, a, j = (np.array([getattr(each, name) for each in series]) for name in names)
@@ -58,7 +58,7 @@ def check_setpoints(series: list[ho.Setpoints], limits: ho.Limits, step: float) 
     assert np.max(np.abs(p[1:] - led), initial=0.0) <= limits.jerk * step**3
 
 
-def ran(player: Player, seconds: float) -> ho.Setpoints:
+def ran(player: Player, seconds: float) -> Setpoints:
     """Return the last setpoints over some time; all keep the limits, without a jump."""
     found = [player.step(0.0), *(player.step(STEP) for _ in range(int(seconds / STEP) + 1))]
     check_setpoints(found, player.flight.requirements.limits, STEP)

@@ -24,6 +24,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.errors import UnsupportedError
 from hitchopt.exports.firmware import team_parameters
 from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.live.fly import CommandedPlan, FleetSetpoints
@@ -201,7 +202,7 @@ def test_crazyflies_that_would_fly_otherwise_are_refused(node: Mock) -> None:
     node.held["ctrlMel.kp_xy"] = 0.4
     del node.held["kalman.pNAcc_z"]
     words = r"cf4: kalman.pNAcc_z is missing, not 20.0, ctrlMel.kp_xy is 0.4, not 4.75(.|\n)*twice"
-    with pytest.raises(ho.UnsupportedError, match=words):
+    with pytest.raises(UnsupportedError, match=words):
         CrazyflieOutlet(NAMES, ROBOTS, FRAME, wanted)
     assert not node.crazyfliesByName["cf4"].setParam.called
 
@@ -227,9 +228,9 @@ def test_invalid_arguments_and_missing_libraries_are_refused() -> None:
     for text in ("here", "127.0.0.1:x", ":5", "127.0.0.1:70000"):
         with pytest.raises(ho.InputError, match="--to"):
             address("--to", text)
-    with pytest.raises(ho.UnsupportedError, match="ROS 2 workspace"):
+    with pytest.raises(UnsupportedError, match="ROS 2 workspace"):
         CrazyflieOutlet(NAMES, NAMES, ReferenceFrame(), {})
-    with pytest.raises(ho.UnsupportedError, match="cannot be listened on"):
+    with pytest.raises(UnsupportedError, match="cannot be listened on"):
         JsonOutlet(NAMES, [], ReferenceFrame(), ("192.0.2.1", 0))
 
 

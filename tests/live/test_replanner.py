@@ -12,6 +12,7 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.live.replanner import Retarget
 from hitchopt.motion.motion import Phase
 from hitchopt.steps.certified_motions import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
@@ -41,7 +42,7 @@ def moving(replanner: ho.Replanner) -> float:
     return at
 
 
-def check_answer(old: ho.Motion, answer: ho.Retarget) -> None:
+def check_answer(old: ho.Motion, answer: Retarget) -> None:
     """The old plan until it is left, no jump there, and all limits at samples."""
     motion, limits = answer.motion, answer.motion.requirements.limits
     before = np.linspace(0.0, answer.start, 40)

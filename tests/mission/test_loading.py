@@ -29,6 +29,9 @@ from hitchopt.mission.loading import (
     problem_from_dict,
     problem_schema,
 )
+from hitchopt.planners.forming import SwapSettings
+from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
+from hitchopt.steps.tying import Form
 from hitchopt.storage.yaml_file import parse_yaml, read_yaml, split_key
 from hitchopt.values.fields import keys_of
 
@@ -72,14 +75,14 @@ def test_every_value_of_the_file_arrives_where_it_belongs() -> None:
         ho.Team(3, [2.4, 2.5, 2.6], **keys, quadrotor=kinds),
         ho.HitchStart(array([[2.0, 0.2], [1.6, 1.7], [2.4, 1.7]]), 1.3, array([0.4, 0.7, 0.45])),
         (
-            ho.Morph(array([[2, 0.7], [1.6, 1.7], [2.4, 1.7]]), legs="balanced"),
-            ho.Hold(1.5),
-            ho.Morph(array([[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]]), duration=7.5),
-            ho.MoveVertex(2, by=array([0.1, 0.05]), legs="spread", duration=3.5),
-            ho.MoveEdge(1, to=array([[1.6, 1.7], [2.4, 1.75]]), blend=True),
-            ho.Adjust(array([0.5, 0.6, 0.45])),
-            ho.FollowVertex(0, array([[0, 2.1, 0.6], [3.5, 2.0, 0.7]])),
-            ho.Transport(array([2.0, 1.2, 1.6]), yaw=math.radians(-30.0), duration=9),
+            Morph(array([[2, 0.7], [1.6, 1.7], [2.4, 1.7]]), legs="balanced"),
+            Hold(1.5),
+            Morph(array([[2.1, 0.6], [1.5, 1.8], [2.4, 1.6]]), duration=7.5),
+            MoveVertex(2, by=array([0.1, 0.05]), legs="spread", duration=3.5),
+            MoveEdge(1, to=array([[1.6, 1.7], [2.4, 1.75]]), blend=True),
+            Adjust(array([0.5, 0.6, 0.45])),
+            FollowVertex(0, array([[0, 2.1, 0.6], [3.5, 2.0, 0.7]])),
+            Transport(array([2.0, 1.2, 1.6]), yaw=math.radians(-30.0), duration=9),
         ),
         ho.Limits(0.9, 1.9, 19.0, tilt, 0.4, 0.16, 60.0, turning),
         ho.Separation(0.11, 0.29, 0.09, 0.0),
@@ -165,7 +168,7 @@ def test_every_key_of_form_arrives() -> None:
     swap = {"radius": 0.2, "tilt_deg": 30, "seconds": 2.5, "sense": "down"}
     steps = [{"form": {**keys, "swap": swap}}, {"release": {}}, STAY, FORM]
     problem = problem_from_dict({**triangle(), **drones(), "mission": steps})
-    form = ho.Form(**keys, swap=ho.SwapSettings(0.2, math.radians(30), 2.5, -1))
+    form = Form(**keys, swap=SwapSettings(0.2, math.radians(30), 2.5, -1))
     assert plain(problem.start) == plain(ho.DronesStart(**PLACES))
     assert plain(problem.mission[0]) == plain(form.resolved_for(problem.team))
     assert [step.name for step in problem.mission] == ["form", "release", "hold", "form"]

@@ -15,14 +15,16 @@ import hitchopt as ho
 from hitchopt import verify
 from hitchopt.mission.solving import contents
 from hitchopt.steps import Step
+from hitchopt.steps.moving import Adjust, FollowVertex, Hold, Morph, MoveEdge, MoveVertex, Transport
+from hitchopt.steps.tying import Land, Release
 from hitchopt.values import MAX_COORDINATE
 
 SQUARE = ho.regular_polygon(4, 1.3, angle=0.2).translated([1.0, 2.0])
 MOVES: tuple[Step, ...] = (
-    ho.MoveVertex(0, by=np.array([-0.15, 0.03])),
-    ho.MoveEdge(2, by=np.array([0.02, 0.1])),
-    ho.Morph(SQUARE, np.full(4, 0.33)),
-    ho.Adjust("balanced"),
+    MoveVertex(0, by=np.array([-0.15, 0.03])),
+    MoveEdge(2, by=np.array([0.02, 0.1])),
+    Morph(SQUARE, np.full(4, 0.33)),
+    Adjust("balanced"),
 )
 
 
@@ -45,9 +47,9 @@ def test_steps_of_all_kinds_are_one_plan_at_rest_in_between() -> None:
     x, y = SQUARE.vertices[1]
     steps: tuple[Step, ...] = (
         *MOVES,
-        ho.FollowVertex(1, np.array([[1.5, x + 0.05, y], [3.0, x, y]])),
-        ho.Transport(np.array([0.5, 2.2, 1.5]), yaw=0.4),
-        ho.Hold(0.5),
+        FollowVertex(1, np.array([[1.5, x + 0.05, y], [3.0, x, y]])),
+        Transport(np.array([0.5, 2.2, 1.5]), yaw=0.4),
+        Hold(0.5),
     )
     plan = ho.solve(mission(*steps))
     assert [(p.name, p.step) for p in plan.phases] == [(s.name, i) for i, s in enumerate(steps)]
@@ -80,21 +82,21 @@ def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
 def test_a_blend_that_cannot_be_flown_says_that_a_stop_would_help() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"arena: .*, or omit blend"):
         ho.solve(PROBLEMS / "infeasible" / "blended_overshoot.yaml")
-    outward = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
-    back = ho.MoveVertex(0, by=np.array([0.15, -0.03]))
+    outward = MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
+    back = MoveVertex(0, by=np.array([0.15, -0.03]))
     with pytest.raises(ho.InfeasibleError, match=r"^blend: .*turns back on itself .* omit bl"):
         ho.solve(mission(outward, back))
 
 
 VERTEX = blended(MOVES)[0]
-NO_MOTION = ho.Adjust("balanced", blend=True)
+NO_MOTION = Adjust("balanced", blend=True)
 
 
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        ([VERTEX, ho.Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
-        ([VERTEX, ho.Morph(SQUARE, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
+        ([VERTEX, Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
+        ([VERTEX, Morph(SQUARE, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
         ([NO_MOTION, NO_MOTION, MOVES[0]], r"mission\[0\]\.adjust.*with motion"),
     ],
 )
@@ -105,12 +107,12 @@ def test_what_cannot_be_blended_is_refused(steps: list[Step], words: str) -> Non
 
 def test_errors_name_the_step_that_they_are_of() -> None:
     arena = ho.Arena([-3, -3, 0], [3.9, 5, 2])
-    transport = ho.Transport(np.array([3.0, 2.0, 1.2]))
+    transport = Transport(np.array([3.0, 2.0, 1.2]))
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* at the end of step 1 \(transport\)"):
         ho.solve(mission(MOVES[0], transport, arena=arena))
-    short = ho.MoveVertex(0, by=np.array([-0.15, 0.03]), duration=0.1)
+    short = MoveVertex(0, by=np.array([-0.15, 0.03]), duration=0.1)
     with pytest.raises(ho.InfeasibleError, match=r"duration: .* of step 1 \(move_vertex\)"):
-        ho.solve(mission(ho.Hold(0.1), short))
+        ho.solve(mission(Hold(0.1), short))
 
 
 def arrays_in(value: Any) -> Iterator[np.ndarray]:
@@ -124,7 +126,7 @@ def arrays_in(value: Any) -> Iterator[np.ndarray]:
 
 
 def test_nothing_can_be_written_into_a_plan() -> None:
-    arrays = [array for array in arrays_in(ho.solve(mission(ho.Hold(1.0)))) if array.size]
+    arrays = [array for array in arrays_in(ho.solve(mission(Hold(1.0)))) if array.size]
     assert len(arrays) > 5
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
@@ -136,8 +138,8 @@ FROM_CACHE = "reused from cache"
 
 def test_after_an_edit_only_what_it_changes_is_planned() -> None:
     def edited(last: float, **options: object) -> ho.Problem:
-        transport = ho.Transport(np.array([last, 2.2, 1.3]), 0.2)
-        return mission(MOVES[3], ho.Hold(1.0), *blended(MOVES[:2]), transport, **options)
+        transport = Transport(np.array([last, 2.2, 1.3]), 0.2)
+        return mission(MOVES[3], Hold(1.0), *blended(MOVES[:2]), transport, **options)
 
     def solved(problem: ho.Problem) -> tuple[ho.Plan, list[bool]]:
         """Return the plan, and whether each of its four motions is from the cache."""
@@ -163,7 +165,7 @@ def test_after_an_edit_only_what_it_changes_is_planned() -> None:
 def test_requests_of_other_contents_are_told_apart() -> None:
     array = np.arange(6.0).reshape(2, 3)
     alike = [1, 1.0, True, "1", (1,), [1], np.float32(1.0), 0.0, -0.0, np.nextafter(1.0, 2.0)]
-    alike += [array, array.reshape(3, 2), np.asfortranarray(array), ho.Release(1.0), ho.Land(1.0)]
+    alike += [array, array.reshape(3, 2), np.asfortranarray(array), Release(1.0), Land(1.0)]
     assert len({repr(contents(value)) for value in [*alike, *alike]}) == len(alike)
 
 
@@ -174,7 +176,7 @@ def test_a_translated_problem_has_the_translated_plan(tmp_path: Path) -> None:
     def planned(offset: list[float]) -> ho.Plan:
         square, to = SQUARE.translated(offset), np.array([0.5, 2.2, 1.5]) + [*offset, 0.0]
         start = ho.HitchStart(square, 1.2, "balanced")
-        steps = (MOVES[0], ho.Morph(square.rotated(0.0), "balanced"), ho.Transport(to, yaw=0.4))
+        steps = (MOVES[0], Morph(square.rotated(0.0), "balanced"), Transport(to, yaw=0.4))
         return ho.solve(ho.Problem(ho.Team(4, 2.0), start, steps))
 
     plan, moved = planned([0.0, 0.0]), planned(offset)
@@ -197,5 +199,5 @@ def test_problems_far_from_the_origin_are_refused_with_a_remedy() -> None:
     with pytest.raises(ho.InputError, match="altitude = 1100"):
         ho.HitchStart(SQUARE, 1100.0, "balanced")
     path = [[900.0, *SQUARE.vertices[0]]]  # times may be larger
-    assert ho.FollowVertex(0, np.array(path)).path.tolist() == path
+    assert FollowVertex(0, np.array(path)).path.tolist() == path
     ho.Arena([-1e3, -1e3, 0.0], [1e3, 1e3, 50.0])

@@ -30,8 +30,9 @@ from hitchopt.mission.changes import (
     with_edits,
 )
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.mission.repair import find_suggestions, fitting_cables
+from hitchopt.mission.repair import Suggestion, find_suggestions, fitting_cables
 from hitchopt.mission.solving import contents, solve_problem
+from hitchopt.steps.moving import Hold
 from hitchopt.steps.step import Edit, StepPlan, StepTask, altitude_knobs
 from hitchopt.storage.yaml_file import read_yaml, split_key
 
@@ -69,7 +70,7 @@ PATIENCE = 600.0
 
 
 @cache
-def suggested(stem: str) -> tuple[ho.Suggestion, ...]:
+def suggested(stem: str) -> tuple[Suggestion, ...]:
     return ho.suggestions(CASES[stem], PATIENCE)
 
 
@@ -85,7 +86,7 @@ def test_every_suggestion_plans_when_written_into_the_file(stem: str) -> None:
         assert_as_suggested(read_yaml(CASES[stem]), suggestion)
 
 
-def assert_as_suggested(data: Any, suggestion: ho.Suggestion) -> ho.Plan:
+def assert_as_suggested(data: Any, suggestion: Suggestion) -> ho.Plan:
     plan = ho.solve(problem_from_dict(edited(data, suggestion.change.edits)))
     assert plan.certificate.certified
     assert plan.duration == pytest.approx(suggestion.duration, rel=1e-6)
@@ -495,7 +496,7 @@ def test_searches_end_where_each_change_breaks_another_limit_and_warn_of_no_tria
 ) -> None:
     broken, speeds = itertools.cycle(("speed", "tilt", "acceleration")), list[float]()
 
-    class Refused(ho.Hold):
+    class Refused(Hold):
         """A step that breaks one limit after the other."""
 
         def plan(self, task: StepTask) -> StepPlan:
@@ -559,7 +560,7 @@ TEAM = ho.Team(
 def test_repaired_problems_keep_all_fields(edit: Callable[[ho.Problem], Any], changed: str) -> None:
     """A team with renumbered robots keeps them as well."""
     start = ho.HitchStart(ho.Hitch.balanced(TEAM, ARC, 1.1).polygon, 1.1, "balanced")
-    problem = ho.Problem(TEAM, start, (ho.Hold(2.0),))
+    problem = ho.Problem(TEAM, start, (Hold(2.0),))
     order, plain = (2, 0, 3, 1), ho.Team(3, 1.0)
     team = with_edits(problem, edit(problem)).team
     renumbered = Assignment(order, (False, True, False, True)).team(TEAM)

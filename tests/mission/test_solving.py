@@ -14,6 +14,7 @@ from problem_cases import hitch_start
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.planners.optimise.search import OptimisedMorph
+from hitchopt.steps.moving import Morph
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.values import Array
 from problems.random_morph import random_morph
@@ -32,7 +33,7 @@ def places(plan: ho.Plan) -> Array:
 def moved(problem: ho.Problem, change: Callable[[Any], Any]) -> ho.Problem:
     """The problem with both polygons changed by ``change``."""
     (step,), start = problem.mission, hitch_start(problem)
-    assert isinstance(step, ho.Morph)
+    assert isinstance(step, Morph)
     steps = (replace(step, polygon=change(step.polygon)),)
     return replace(problem, start=replace(start, polygon=change(start.polygon)), mission=steps)
 

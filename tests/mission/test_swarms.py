@@ -14,6 +14,7 @@ from problem_cases import VALIDATOR
 import hitchopt as ho
 from hitchopt.mission.loading import load_problem, problem_from_dict
 from hitchopt.steps.flying import flyable_accelerations
+from hitchopt.steps.moving import Hold
 from hitchopt.storage.yaml_file import read_yaml
 
 SWARMS = PROBLEMS / "swarms"
@@ -99,7 +100,7 @@ def test_swarms_are_loaded_as_hitches_are_and_get_no_suggestions() -> None:
 PLACES = np.array([[-1.0, 0.0, 1.0], [1.0, 0.1, 1.0]])
 TEAM, SWARM = ho.Team(3, 2.4), ho.Swarm(2)
 HITCH = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0)
-FLY, HOLD = ho.Fly(PLACES[::-1]), ho.Hold(1.0)
+FLY, HOLD = ho.Fly(PLACES[::-1]), Hold(1.0)
 
 
 def test_single_drones_fly_one_flight_after_the_other() -> None:

@@ -16,6 +16,7 @@ from hitchopt.mission.loading import problem_from_dict, request_in
 from hitchopt.motion.motion import WAIT
 from hitchopt.motion.plan_file import is_of, write_plan
 from hitchopt.motion.request import check_request
+from hitchopt.steps.moving import Hold, Transport
 from hitchopt.storage.files import digest
 
 TRIANGLE = [[0, 0.75], [0.65, -0.375], [-0.65, -0.375]]
@@ -74,8 +75,8 @@ def test_records_make_the_problem_of_the_file() -> None:
         {"a": ho.Team(3, 2.3), "b": ho.Swarm(2)},
         {"a": ho.HitchStart(array(TRIANGLE), 1.5), "b": array([[3, 0, 1], [3, 1, 1]])},
         [
-            {"a": ho.Hold(1), "b": fly[0]},
-            {"a": [ho.Transport(array([0, 0, 1.6])), ho.Hold(2)]},
+            {"a": Hold(1), "b": fly[0]},
+            {"a": [Transport(array([0, 0, 1.6])), Hold(2)]},
             {"b": [fly[1]]},
         ],
     )
@@ -212,7 +213,7 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
     ends = {"a": np.array([1.5, 0, 1.5]), "b": np.array([-1.5, 0, 1.5])}
 
     def exchanged(duration: float | None) -> ho.Plan:
-        item = {name: ho.Transport(end, duration=duration) for name, end in ends.items()}
+        item = {name: Transport(end, duration=duration) for name, end in ends.items()}
         return ho.solve(ho.Problem(teams, start, [item]))
 
     names = {phase.name for each in exchanged(None).flight.teams for phase in each.motion.phases}

@@ -24,6 +24,17 @@ from hitchopt.planners.morph.friction import (
     friction_feedforward,
 )
 from hitchopt.steps import Step
+from hitchopt.steps.moving import (
+    Adjust,
+    FollowVertex,
+    Hold,
+    Morph,
+    MoveEdge,
+    MoveVertex,
+    Settle,
+    Transport,
+)
+from hitchopt.steps.tying import Form
 
 POLYGON = np.array([[2.0, 0.3], [1.2, -1.0], [0.1, -0.4], [0.5, 0.6]])
 GOAL = np.array([[2.2, 0.4], [1.2, -1.0], [0.1, -0.4], [0.45, 0.75]])
@@ -124,7 +135,7 @@ def settled(
 
 
 def moved(x: float, y: float, seconds: float | None, settle: Any = False) -> Step:
-    return ho.MoveVertex(0, by=np.array([x, y]), duration=seconds, settle=settle)
+    return MoveVertex(0, by=np.array([x, y]), duration=seconds, settle=settle)
 
 
 MOVE = moved(0.1, 0.3, 4.0)
@@ -149,8 +160,8 @@ def test_remarks_say_whether_legs_lean(
 
 
 def test_only_the_steps_that_slide_lean() -> None:
-    turned = ho.Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
-    plan = slid(ho.Hold(0.5), MOVE, turned, ho.Adjust("balanced", duration=4.0, settle=False))
+    turned = Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
+    plan = slid(Hold(0.5), MOVE, turned, Adjust("balanced", duration=4.0, settle=False))
     assert [LEANING in phase.remark for phase in plan.phases] == [False, True, False, True]
     for phase in plan.phases[::2]:
         t = np.linspace(phase.start, phase.end, 50)
@@ -186,7 +197,7 @@ def test_motions_whose_lean_would_violate_limits_have_none() -> None:
 
 def test_drones_swing_to_both_sides_with_decreasing_amplitude_about_fixed_vertices() -> None:
     """Their legs balance the edges with a share of the friction that wraps at that moment."""
-    plan = settled(ho.Settle())
+    plan = settled(Settle())
     assert (plan.phases[0].name, plan.duration) == ("settle", SWINGS * SWING)
     samples = plan.at(np.linspace(0.0, plan.duration, 4_001))
     p, x, pulls = samples.vertices, samples.positions, plan.motion.pulls.at(samples.t)
@@ -211,11 +222,11 @@ def test_drones_swing_to_both_sides_with_decreasing_amplitude_about_fixed_vertic
 
 
 MOVES = (
-    ho.Morph(ho.ConvexPolygon(SLIDING.vertices * [1.05, 0.97])),
-    ho.MoveVertex(0, by=np.array([0.1, 0.1]), duration=4.0),
-    ho.MoveEdge(1, by=np.array([0.0, -0.1])),
-    ho.Adjust(np.array([0.45, 0.55, 0.65])),
-    ho.FollowVertex(0, np.array([[1.0, 0.0, 0.8], [3.0, 0.05, 0.9]])),
+    Morph(ho.ConvexPolygon(SLIDING.vertices * [1.05, 0.97])),
+    MoveVertex(0, by=np.array([0.1, 0.1]), duration=4.0),
+    MoveEdge(1, by=np.array([0.0, -0.1])),
+    Adjust(np.array([0.45, 0.55, 0.65])),
+    FollowVertex(0, np.array([[1.0, 0.0, 0.8], [3.0, 0.05, 0.9]])),
 )
 
 
@@ -243,7 +254,7 @@ def test_settling_follows_where_cables_slid_and_stop() -> None:
     plan = slid(*blended)
     assert [phase.name for phase in plan.phases] == ["morph", "move_vertex", "settle"]
     assert plan.phases[-1].step == 1
-    still = ho.Morph(SLIDING), ho.Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
+    still = Morph(SLIDING), Transport(np.array([0.5, 0.0, 1.4]), yaw=0.35)
     assert [phase.name for phase in slid(*still).phases] == ["morph", "transport"]
     with pytest.raises(ho.InputError, match="settle"):
         slid(replace(blended[0], settle=5.0), blended[1])
@@ -251,17 +262,17 @@ def test_settling_follows_where_cables_slid_and_stop() -> None:
 
 def test_a_mirrored_hitch_settles_in_the_mirror() -> None:
     """Drones q and r of a cable exchange their parts, as do both sides of the outline."""
-    away = settled(ho.Settle())
+    away = settled(Settle())
     mirrored = ho.ConvexPolygon((WORKED.vertices * [-1.0, 1.0])[[0, 2, 1]])
     team = ho.Team(3, 2.4, tension=0.6, cable_friction=0.1)
-    other = planned((ho.Settle(),), ho.HitchStart(mirrored, 1.2), team, {})
+    other = planned((Settle(),), ho.HitchStart(mirrored, 1.2), team, {})
     t = np.linspace(0.0, away.duration, 200)
     x = away.at(t).positions * [-1.0, 1.0, 1.0]
     np.testing.assert_allclose(other.at(t).positions, x[:, [5, 4, 3, 2, 1, 0]], atol=1e-7)
 
 
 def form(settle: Any = "auto") -> Step:
-    return ho.Form(WORKED, 1.2, settle=settle)
+    return Form(WORKED, 1.2, settle=settle)
 
 
 @pytest.mark.slow
@@ -278,7 +289,7 @@ def test_forming_with_friction_ends_with_settling() -> None:
 
 @pytest.mark.slow
 def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
-    plan = settled(ho.Settle(18.0), density=0.01)
+    plan = settled(Settle(18.0), density=0.01)
     assert plan.duration == 18.0
     plan.save(tmp_path, picture=False)
     assert verify.main([str(tmp_path)]) == 0
@@ -287,8 +298,8 @@ def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_limits_make_swings_smaller_or_slower() -> None:
     limits = ho.Limits(speed=0.25)
-    free, slow = settled(ho.Settle()), settled(ho.Settle(), limits=limits)
-    quick = settled(ho.Settle(5.0), limits=limits)
+    free, slow = settled(Settle()), settled(Settle(), limits=limits)
+    quick = settled(Settle(5.0), limits=limits)
     assert 5.6 < slow.duration < 8.4
     plans = (free, slow, quick)
     assert ["legs bind" in p.phases[0].remark for p in plans] == [False, False, True]
@@ -298,11 +309,11 @@ def test_limits_make_swings_smaller_or_slower() -> None:
     assert widest[1] == pytest.approx(widest[0], rel=1e-3)
     assert widest[2] < 0.9 * widest[0]
     with pytest.raises(ho.InfeasibleError, match="speed"):
-        settled(ho.Settle(1.0), limits=limits)
+        settled(Settle(1.0), limits=limits)
     tight = settled(form(), tied=False, limits=ho.Limits(tilt=np.radians(25.2)))
     assert "friction hysteresis is not removed: limits bind" in tight.phases[-1].remark
 
 
 def test_settling_needs_friction() -> None:
     with pytest.raises(ho.InputError, match="settle"):
-        settled(ho.Settle(), friction=0.0)
+        settled(Settle(), friction=0.0)

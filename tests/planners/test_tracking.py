@@ -25,6 +25,7 @@ from hitchopt.live.abort import Aborts
 from hitchopt.mission.changes import retuning_changes
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.repair import find_suggestions
+from hitchopt.steps.moving import Hold
 from hitchopt.verify import verify
 
 RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})
@@ -64,7 +65,7 @@ def test_controllers_define_tracking_and_tilt_unless_the_problem_does() -> None:
         (ho.Quadrotor(stiffness=3.0), {}, None, 45.0),
     ):
         team = ho.Team(3, 2.4, quadrotor=kind)
-        need = ho.Problem(team, start, (ho.Hold(1.0),), Limits(**stated)).requirements
+        need = ho.Problem(team, start, (Hold(1.0),), Limits(**stated)).requirements
         assert (need.limits.tracking, round(math.degrees(need.limits.tilt), 9)) == (off, tilt)
 
 
@@ -79,7 +80,7 @@ def test_tubes_of_problem_and_drones_take_precedence() -> None:
         (RETUNED, ho.Tube(0.07, 0.07), ho.Tube(0.07, 0.07)),
     ):
         problem = ho.Problem(
-            ho.Team(3, 2.4, quadrotor=kinds), start, (ho.Hold(1.0),), Limits(tracking=stated)
+            ho.Team(3, 2.4, quadrotor=kinds), start, (Hold(1.0),), Limits(tracking=stated)
         )
         assert problem.requirements.limits.tracking == off, kinds
 

@@ -11,6 +11,7 @@ import pytest
 from plans import planned
 
 import hitchopt as ho
+from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.control import ROTOR_DRAG, FlownDrones, flown_kinds, read_calibrated
 from hitchopt.lab.simulation.report import Simulation
@@ -90,7 +91,7 @@ def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> Non
         (tmp_path / "drones.yaml").write_text(prefix + text.strip() + "}" * bool(prefix) + "\n")
         assert read_calibrated(tmp_path / "drones.yaml") == OFF
     (tmp_path / "drones.yaml").write_text("[1, 2]\n")
-    with pytest.raises(ho.FileError, match="holds no drones"):
+    with pytest.raises(FileError, match="holds no drones"):
         read_calibrated(tmp_path / "drones.yaml")
 
 

@@ -28,6 +28,7 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
+from hitchopt.steps.moving import Hold
 from hitchopt.values import Array
 from hitchopt.view.scene import ghost_scene
 
@@ -38,7 +39,7 @@ def hovering_motion(robots: int, edge: float, **of_team: float) -> Motion:
     """Return a regular hitch with legs of 0.5 m that hovers for 0.2 s."""
     own = ho.Team(robots, edge + 1.0, **of_team)  # type: ignore[arg-type]
     start = HitchStart(ho.regular_polygon(robots, edge), 2.0)
-    return ho.solve(Problem(own, start, (ho.Hold(0.2),))).motion
+    return ho.solve(Problem(own, start, (Hold(0.2),))).motion
 
 
 @pytest.mark.slow

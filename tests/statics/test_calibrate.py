@@ -19,7 +19,7 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.energy import energy_of
 from hitchopt.lab.flights.readers import HEADER
-from hitchopt.lab.flights.recordings import Recording, windows_of
+from hitchopt.lab.flights.recordings import RecordedFlight, Recording, Track, windows_of
 from hitchopt.lab.simulation.task import Task, read_task
 from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
 from hitchopt.lab.statics.equilibrium import conditions_of
@@ -375,7 +375,7 @@ def test_positions_are_interpolated_between_neighbours() -> None:
     own = own[(own < 0.4) | (own > 0.7)]
     line = np.outer(own, [1.0, 2.0, -1.0])
     t = np.arange(0.01, 0.95, 0.02)
-    places, near = ho.Track(own, line).at(t)
+    places, near = Track(own, line).at(t)
     np.testing.assert_allclose(places, np.outer(t, [1.0, 2.0, -1.0]))
     np.testing.assert_array_equal(near, (t < 0.48) | (t > 0.605))
 
@@ -494,10 +494,10 @@ def test_vertices_are_estimated_from_markers_first() -> None:
     t, shares = task.states.t[::2], np.array([0.3, 0.5, 0.7])
     ends = task.states.vertices[::2], np.roll(task.states.vertices[::2], -1, axis=1)
     points = ends[0][:, :, None] + shares[:, None] * (ends[1] - ends[0])[:, :, None]
-    cloud = ho.Track(np.repeat(t + 40.0, 9), points.reshape(-1, 3))
+    cloud = Track(np.repeat(t + 40.0, 9), points.reshape(-1, 3))
     drones = np.moveaxis(task.states.positions[::2], 1, 0)
-    tracks = {f"cf{k}": ho.Track(t + 40.0, x) for k, x in enumerate(drones)}
-    flight = ho.RecordedFlight("markers", tracks, cloud)
+    tracks = {f"cf{k}": Track(t + 40.0, x) for k, x in enumerate(drones)}
+    flight = RecordedFlight("markers", tracks, cloud)
     result = ho.calibrate(flight, task)
     np.testing.assert_allclose([x.value for x in result.lengths], [2.4, 2.5, 2.45], atol=2e-3)
     errors: Any = result.recording.standard_errors

@@ -17,7 +17,7 @@ from hitchopt.hitch.rest_errors import ErrorSizes
 from hitchopt.hitch.team import Errors
 from hitchopt.lab.flights.recordings import Recording
 from hitchopt.lab.simulation.task import Task
-from hitchopt.lab.statics.calibrate import Estimate
+from hitchopt.lab.statics.calibrate import Calibration, Estimate
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array
 
@@ -216,7 +216,7 @@ def test_a_calibrated_team_flies_closer_to_its_plan() -> None:
     assert np.max(off[1]) < 0.6 * np.max(off[0])
 
 
-def calibration_of_a_flight(of: ho.Team, tilted: dict[str, Any]) -> ho.Calibration:
+def calibration_of_a_flight(of: ho.Team, tilted: dict[str, Any]) -> Calibration:
     """Return what a simulated flight with tilted bodies says of a team."""
     triangle = np.array([[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]])
     other = np.array([[0.0, 0.7], [0.4, -0.29], [-0.5, -0.35]])
@@ -226,7 +226,7 @@ def calibration_of_a_flight(of: ho.Team, tilted: dict[str, Any]) -> ho.Calibrati
     return ho.calibrate(recording, Task.of(plan.flight))
 
 
-def team_of(calibration: ho.Calibration) -> ho.Team:
+def team_of(calibration: Calibration) -> ho.Team:
     """Return the team that a calibration writes."""
     content: Any = parse_yaml(calibration.text)
     start = {"start": {"hitch": {"polygon": POLYGON.tolist(), "altitude": 1.4}}}

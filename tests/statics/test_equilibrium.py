@@ -20,9 +20,9 @@ from hitchopt.hitch.energy import INTEGRAL_ERROR, HitchEnergy, energy_of
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.rest_errors import responses
 from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, samples_of
-from hitchopt.lab.statics.tolerance import Tolerance, taut_times
+from hitchopt.lab.statics.tolerance import ErrorSize, Tolerance, taut_times
 from hitchopt.motion.loads import sags
-from hitchopt.motion.motion import CableState
+from hitchopt.motion.motion import CableState, Phase
 from hitchopt.steps.certified_motions import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
@@ -32,7 +32,7 @@ topologies = st.sampled_from(["closed", "open"])
 
 
 def resting_motion(hitch: ho.Hitch) -> ho.Motion:
-    return rest_motion(hitch, Requirements(), 2.0, ho.Phase("hold", 0, 0.0, 2.0))
+    return rest_motion(hitch, Requirements(), 2.0, Phase("hold", 0, 0.0, 2.0))
 
 
 def random_hitch(
@@ -497,11 +497,11 @@ def test_cables_whose_range_reaches_zero_are_slack() -> None:
 
 
 def test_error_sizes_are_parsed_or_refused() -> None:
-    assert ho.ErrorSize.of("--x", "0.01") == ho.ErrorSize.of("--x", 0.01) == ho.ErrorSize(0.01)
-    assert ho.ErrorSize.of("--x", "sd:0.02") == ho.ErrorSize(deviation=0.02)
+    assert ErrorSize.of("--x", "0.01") == ErrorSize.of("--x", 0.01) == ErrorSize(0.01)
+    assert ErrorSize.of("--x", "sd:0.02") == ErrorSize(deviation=0.02)
     for text in ("", "sd:", "sd:-1", "-1", "nan", "1 cm", -1.0):
         with pytest.raises(ho.InputError, match=r"^--x = "):
-            ho.ErrorSize.of("--x", text)
+            ErrorSize.of("--x", text)
 
 
 def test_taut_times_exclude_rising_tensions() -> None:

@@ -15,6 +15,7 @@ from scipy.spatial.distance import pdist
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.statics.files import save_fit
 from hitchopt.lab.statics.fit import Holding
@@ -157,7 +158,7 @@ def test_fit_of_a_cylinder() -> None:
     grips = fit.capacities("grip")
     best = grips[3]
     assert best.mass > 0.1
-    assert isinstance(fit.holding.grip, ho.Grip)
+    assert isinstance(fit.holding.grip, Grip)
     assert best.binding == "grip"
     assert 1.5 * 9.81 * best.mass == pytest.approx(fit.holding.grip.slip_load(0.5))
     assert best.mass == max(each.mass for each in grips.values())

@@ -15,7 +15,9 @@ import pytest
 from click.testing import CliRunner
 
 import hitchopt as ho
+from hitchopt.checks import CertificateError
 from hitchopt.cli import main
+from hitchopt.errors import FileError
 from hitchopt.plan import read_requested_plan
 from hitchopt.verify import UnreadableError, verify
 
@@ -132,7 +134,7 @@ def test_exports_say_that_rules_are_not_recomputed(saved: Path, tmp_path: Path) 
 def test_plans_that_violate_a_rule_are_neither_saved_nor_exported(tmp_path: Path) -> None:
     broken = replace(plan(), certificate=ho.certify(plan(), rules=[replace(CEILING, limit=0.5)]))
     for write in (broken.save, lambda folder: broken.export("csv", folder)):
-        with pytest.raises(ho.CertificateError, match="ceiling: 1 m is above the limit"):
+        with pytest.raises(CertificateError, match="ceiling: 1 m is above the limit"):
             write(tmp_path / "broken")
     assert not (tmp_path / "broken").exists()
 
@@ -179,7 +181,7 @@ def test_damaged_rules_are_refused(
     with np.load(path) as file:
         arrays = {name: file[name] for name in file}
     np.savez(path, allow_pickle=False, **(arrays | {"settings": np.array(json.dumps(settings))}))
-    with pytest.raises(ho.FileError):
+    with pytest.raises(FileError):
         read_requested_plan(path)
     assert run("check", saved)[0] == 2, words
     assert run("verify", saved)[0] == 2

@@ -19,6 +19,8 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.errors import FileError
+from hitchopt.hitch.flight_controller import Gains
 from hitchopt.lab.simulation.settings import ESTIMATORS, flight_keys, settings_of
 from hitchopt.lab.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
 from hitchopt.lab.sweeps.sweep import (
@@ -118,7 +120,7 @@ def test_studies_take_all_settings_of_simulated_flights() -> None:
     settings = settings_of(**keys)
     for name, value in FLIGHT.items():
         record = settings.perturbations if hasattr(settings.perturbations, name) else settings
-        expected = {"gains": ho.Gains(3.0), "estimator": ESTIMATORS["crazyflie"]}.get(name, value)
+        expected = {"gains": Gains(3.0), "estimator": ESTIMATORS["crazyflie"]}.get(name, value)
         assert getattr(record, name) == expected, name
 
 
@@ -176,7 +178,7 @@ def test_drawings_can_be_a_parameter(tmp_path: Path) -> None:
     drawn("b.svg", 0.4)
     again = cases("a.svg", "b.svg")
     assert (again[0].digest, again[1].digest != second.digest) == (first.digest, True)
-    with pytest.raises(ho.FileError, match=r"c\.svg"):
+    with pytest.raises(FileError, match=r"c\.svg"):
         cases("c.svg")
 
 
@@ -267,9 +269,9 @@ def test_rows_that_were_edited_are_refused_by_their_line(
     assert old in lines[3]
     lines[3] = lines[3].replace(old, new)
     (tmp_path / ROWS).write_text("\n".join(lines))
-    with pytest.raises(ho.FileError, match="line 4 was edited"):
+    with pytest.raises(FileError, match="line 4 was edited"):
         load_sweep(tmp_path)
-    with pytest.raises(ho.FileError, match=r"cannot be read \(No such file or directory\); run"):
+    with pytest.raises(FileError, match=r"cannot be read \(No such file or directory\); run"):
         load_sweep(tmp_path / "none")
 
 
@@ -284,7 +286,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", full)
-        with pytest.raises(ho.FileError, match="only what is missing is computed"):
+        with pytest.raises(FileError, match="only what is missing is computed"):
             write_row(tmp_path, {**row, "digest": "b"})
     assert list(load_sweep(tmp_path)["digest"]) == ["a"]
 

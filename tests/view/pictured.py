@@ -8,7 +8,8 @@ import numpy as np
 
 import hitchopt as ho
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.trajectory import bernstein
+from hitchopt.motion.motion import Phase
+from hitchopt.trajectory import PiecewisePolynomial, bernstein
 
 ORDER = 9
 MOVING, RESTING = 2.2, 0.9  # [s]
@@ -29,12 +30,12 @@ def make_motion(n: int, shift: float = 0.3, thrusts: tuple[float, ...] = (2.6,))
     ]
     breaks = np.array([0.0, MOVING, MOVING + RESTING])
 
-    def through(name: str) -> ho.PiecewisePolynomial:
+    def through(name: str) -> PiecewisePolynomial:
         moving = bernstein.interpolate(
             np.stack([getattr(hitch, name) for hitch in hitches], axis=-1)
         )
         resting = np.broadcast_to(moving[..., -1:], moving.shape)
-        return ho.PiecewisePolynomial(breaks, np.stack([moving, resting]))
+        return PiecewisePolynomial(breaks, np.stack([moving, resting]))
 
     return ho.Motion(
         team,
@@ -42,8 +43,8 @@ def make_motion(n: int, shift: float = 0.3, thrusts: tuple[float, ...] = (2.6,))
         through("drones"),
         through("vertices"),
         through("legs"),
-        ho.PiecewisePolynomial.constant(breaks, team.tension, 1),
-        (ho.Phase("morph", 0, 0.0, MOVING), ho.Phase("hold", 1, MOVING, MOVING + RESTING)),
+        PiecewisePolynomial.constant(breaks, team.tension, 1),
+        (Phase("morph", 0, 0.0, MOVING), Phase("hold", 1, MOVING, MOVING + RESTING)),
     )
 
 

@@ -14,9 +14,11 @@ from plans import PROBLEMS, planned, planned_of
 
 import hitchopt as ho
 from hitchopt.cli import main
-from hitchopt.errors import Progress
+from hitchopt.errors import FileError, Progress
+from hitchopt.mission.changes import Change
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import STEP
+from hitchopt.mission.repair import Suggestion
 from hitchopt.mission.solving import solve_problem
 from hitchopt.motion.states import flight_states_at
 from hitchopt.steps import STEPS
@@ -89,7 +91,7 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
     assert [p.name for p in path.parent.iterdir()] == ["problem.yaml"]
     path.write_text("other")
     editing.put(Edit(SECONDS, 3.0))
-    with pytest.raises(ho.FileError, match="by someone else"):
+    with pytest.raises(FileError, match="by someone else"):
         editing.save()
     assert path.read_text() == "other"
 
@@ -160,11 +162,9 @@ def test_what_is_no_problem_changes_nothing(editing: Editing) -> None:
 def test_what_binds_is_told_and_a_suggestion_can_be_taken(
     editing: Editing, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    first, repairs, edit = editing.planned, list[ho.Suggestion](), Edit("team.cable_length", 2.4)
+    first, repairs, edit = editing.planned, list[Suggestion](), Edit("team.cable_length", 2.4)
 
-    def suggest(
-        problem: ho.Problem, error: ho.InfeasibleError, **_: Any
-    ) -> tuple[ho.Suggestion, ...]:
+    def suggest(problem: ho.Problem, error: ho.InfeasibleError, **_: Any) -> tuple[Suggestion, ...]:
         assert (problem is editing.problem) is bool(error.violations) is True
         return (*repairs,)
 
@@ -180,7 +180,7 @@ def test_what_binds_is_told_and_a_suggestion_can_be_taken(
         )
         assert note in status.words
         names = ("team.cable_length", "", 1.6, 2.4, "m", 0.5)
-        repairs.append(ho.Suggestion(ho.Change(*names, editing.problem, (edit,)), 2.0))
+        repairs.append(Suggestion(Change(*names, editing.problem, (edit,)), 2.0))
     editing.put(*repairs[0].change.edits)
     assert editing.wait()
     assert editing.status.stage is PlanState.CURRENT

@@ -24,7 +24,9 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.checks.distances import closeness
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.motion.motion import Phase
 from hitchopt.motion.retiming import resting
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.view.painter import MAX_PANELS, MIN_TRAVEL, choose_shots, shots_in_motion
 from hitchopt.view.pictures import (
     draw_closeness,
@@ -45,11 +47,11 @@ def swarm(n: int) -> ho.Motion:
     start = np.column_stack([2.0 + 0.5 * np.arange(n), np.full(n, -1.0), np.full(n, 1.0)])
     share = np.array([0.0, 0.0, 0.0, 1.0, 1.0, 1.0])
     c = start[:, :, None] + np.array([0.3, 1.2, 0.2])[:, None] * share
-    curves = ho.PiecewisePolynomial(np.array([0.0, 3.0]), c[None])
+    curves = PiecewisePolynomial(np.array([0.0, 3.0]), c[None])
     requirements = Requirements(
         ho.Limits(), ho.Separation(), ho.Arena([1, -2, 0], [25, 3, 2]), keep_out=(PRISM,)
     )
-    return ho.Motion.single(ho.Swarm(n), requirements, curves, (ho.Phase("fly", 0, 0.0, 3.0),))
+    return ho.Motion.single(ho.Swarm(n), requirements, curves, (Phase("fly", 0, 0.0, 3.0),))
 
 
 def chain(n: int) -> ho.Motion:
@@ -169,8 +171,8 @@ def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
         ho.Check.of("speed", 0.8 - gap, 0.8, "max", "m/s", 1.1, ()),
         ho.Check.of("thrust", 2.6 - gap, 2.6, "max", "N", 3.1, ()),
     )
-    phases = tuple(ho.Phase("follow_vertex", i, 0.31 * i, 0.31 * (i + 1)) for i in range(10))
-    motion = replace(make_motion(n), phases=(*phases[:2], ho.Phase("m", 2, 0.62, 3.1)))
+    phases = tuple(Phase("follow_vertex", i, 0.31 * i, 0.31 * (i + 1)) for i in range(10))
+    motion = replace(make_motion(n), phases=(*phases[:2], Phase("m", 2, 0.62, 3.1)))
     figure = draw_summary(
         ho.Flight.of(motion), ho.Certificate(3.1, checks), "A title of some length " * 8
     )
@@ -235,8 +237,8 @@ def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
 def test_a_storyboard_has_the_moments_that_matter() -> None:
     assert [shot.words for shot in choose_shots(ho.Flight.of(make_motion(3)))] == ["start", "morph"]
     ends = np.linspace(0.0, 2.2, 16)
-    phases = [ho.Phase("morph", i, a, b) for i, (a, b) in enumerate(pairwise(ends.tolist()))]
-    many = replace(make_motion(3), phases=(*phases, ho.Phase("hold", 15, 2.2, 3.1)))
+    phases = [Phase("morph", i, a, b) for i, (a, b) in enumerate(pairwise(ends.tolist()))]
+    many = replace(make_motion(3), phases=(*phases, Phase("hold", 15, 2.2, 3.1)))
     times = [shot.time for shot in choose_shots(ho.Flight.of(many))]
     assert times == sorted(times)
     assert (len(times), times[0], times[-1] >= 2.2 - 1e-9) == (MAX_PANELS, 0.0, True)

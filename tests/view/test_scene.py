@@ -22,6 +22,7 @@ from plans import planned
 import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.cli import main
+from hitchopt.errors import FileError, UnsupportedError
 from hitchopt.hitch.holding import wraps_around
 from hitchopt.lab.simulation.ropes import linking_matrix
 from hitchopt.motion.flight import Flight, TeamMotion
@@ -193,9 +194,9 @@ def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
     ghost = ghost_scene(tmp_path, ho.Flight.of(motion))
     np.testing.assert_allclose(ghost.t, [0.0, 0.1, 0.2, 0.3], atol=1e-12)
     np.testing.assert_allclose(ghost.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
-    with pytest.raises(ho.FileError, match="a flight of 3 cables"):
+    with pytest.raises(FileError, match="a flight of 3 cables"):
         ghost_scene(tmp_path, ho.Flight.of(make_motion(4)))
-    with pytest.raises(ho.FileError, match="holds neither"):
+    with pytest.raises(FileError, match="holds neither"):
         ghost_scene(tmp_path.parent, ho.Flight.of(motion))
 
 
@@ -255,13 +256,13 @@ def test_objects_are_painted_where_they_stand() -> None:
 def test_a_film_that_cannot_be_made_is_refused(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    with pytest.raises(ho.FileError, match="cannot be written"):
+    with pytest.raises(FileError, match="cannot be written"):
         save_film(tmp_path / "missing" / "flight.gif", short_scene())
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(ho.InputError, match="film"):
         save_film(Path("flight.avi"), short_scene())
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    with pytest.raises(ho.UnsupportedError, match=r"flight\.MP4: needs imageio_ffmpeg"):
+    with pytest.raises(UnsupportedError, match=r"flight\.MP4: needs imageio_ffmpeg"):
         save_film(Path("flight.MP4"), short_scene())
 
 

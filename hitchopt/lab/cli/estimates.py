@@ -21,6 +21,8 @@ from hitchopt.cli.options import (
 )
 from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text, table
 from hitchopt.errors import InputError
+from hitchopt.lab.flights.hover import calibrate_hover
+from hitchopt.lab.statics.calibrate import Calibration
 
 if TYPE_CHECKING:
     import click
@@ -244,7 +246,7 @@ def _calibrate_hover(
 ) -> None:
     """Report the calibration of single drones from hovers, and write it."""
     with ProgressBar("reading"):
-        calibration = ho.calibrate_hover(recordings, **options)
+        calibration = calibrate_hover(recordings, **options)
     rows = [
         {
             "drone": name,
@@ -279,7 +281,7 @@ def _calibrate_hover(
         say(f"quadrotors by drone are in {output}")
 
 
-def _calibration_tables(calibration: ho.Calibration) -> str:
+def _calibration_tables(calibration: Calibration) -> str:
     """Return the tables of estimates and of distances to the plan."""
     from hitchopt.lab.cli.simulating import spread_text
     from hitchopt.lab.simulation.judgement import Spread
@@ -314,7 +316,7 @@ def _calibration_tables(calibration: ho.Calibration) -> str:
     return "\n\n".join([*tables, table(title, distances)]) + "\n"
 
 
-def _rest_tables(calibration: ho.Calibration) -> list[str]:
+def _rest_tables(calibration: Calibration) -> list[str]:
     """Return the table of trims, and the sentence on errors at rest; nothing without a rest."""
     at_rests, team = calibration.at_rests, calibration.task.team.of_problem
     if not len(at_rests.t):

@@ -10,6 +10,8 @@ import hitchopt as ho
 from hitchopt.cli.options import PATH, command, option, paper_option, picture_format, plan_path
 from hitchopt.cli.output import ProgressBar, known_text, say, table
 from hitchopt.errors import InputError
+from hitchopt.lab.flights.evaluation import Evaluation
+from hitchopt.lab.flights.recordings import RecordedFlight
 
 if TYPE_CHECKING:
     from hitchopt.lab.simulation.task import Task
@@ -108,7 +110,7 @@ def evaluate(
     say(f"results are in {folder}; {LATEX} is the LaTeX table")
 
 
-def _tables(evaluation: ho.Evaluation) -> str:
+def _tables(evaluation: Evaluation) -> str:
     """Return the tables of errors of vertices and drones, and of the alignment."""
     kind = "crossings" if evaluation.clasps is None else "clasps"
     drones = evaluation.task.team.drone_names
@@ -139,7 +141,7 @@ def _tables(evaluation: ho.Evaluation) -> str:
     return "\n\n".join(parts)
 
 
-def _say_contents(flight: ho.RecordedFlight) -> None:
+def _say_contents(flight: RecordedFlight) -> None:
     """Report bodies and quantities of a recording, with topics, rates and gaps."""
     contents = flight.contents
     rows: list[dict[str, object]] = [
