@@ -49,7 +49,7 @@ SCALES = (1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 5.0, 6.0)
 MIN_RADIAL = 0.05
 """[m] Length of legs in addition to ``limits.leg`` where clasps are tied far from the object."""
 
-PITCHES = tuple(np.radians([4.0, 6.0, 8.0, 11.0, 15.0]))
+PITCHES = tuple(float(np.radians(angle)) for angle in (4.0, 6.0, 8.0, 11.0, 15.0))
 """[rad] Candidate slopes of cables, q-drones up, in the order of trial."""
 
 STRADDLE_SPEED = 0.3
@@ -64,8 +64,11 @@ SLACK = 6.0
 BESIDE = 0.08
 """[m] Distance of straight cables to the object, in addition to ``separation.object``."""
 
-DISTANCE_FACTOR, EXTRA_DISTANCE = 1.1, 0.01
-"""Factor on the distances of cables, and distance added to them [m], in planning."""
+DISTANCE_FACTOR = 1.1
+"""Factor on the distances of cables in planning."""
+
+EXTRA_DISTANCE = 0.01
+"""[m] Distance of cables in planning, in addition to the scaled one."""
 
 MIN_HEIGHT = 0.06
 """[m] Smallest height of drones over the ground while cables are tied."""
@@ -73,8 +76,17 @@ MIN_HEIGHT = 0.06
 TENSION_SECONDS = 0.5
 """[s] Rise of the tension from that of cables drawn taut."""
 
-SAMPLES, FINE_SAMPLES = 21, 121
-"""Number of samples of a change of the place, and of one whose first samples keep distances."""
+SAMPLES = 21
+"""Number of samples of a change of the place."""
+
+FINE_SAMPLES = 121
+"""Number of samples of a change of the place whose first samples keep distances."""
+
+MIN_TRAVEL = 1e-6
+"""[m] Smallest path of drones by which limits of a change of the place are divided."""
+
+SLOWING_RESERVE = 1.01
+"""Factor of a slowing over the required one."""
 
 UNFIT = -1e3
 """Margin of candidates that no plan can use."""
@@ -84,10 +96,19 @@ class Distance(NamedTuple):
     """The smallest of the distances that a check of the certificate limits."""
 
     check: str
+    """Name of the check."""
+
     value: float
+    """The smallest distance [unit]."""
+
     limit: float
-    planned: float  # limit with the reserve of planning
+    """Its limit [unit]."""
+
+    planned: float
+    """The limit with the reserve of planning [unit]."""
+
     unit: str = "m"
+    """Unit of all three."""
 
     @property
     def margin(self) -> float:
@@ -103,6 +124,7 @@ class StraddlePlanner(MovePlanner):
     """
 
     path: Straddle
+    """The path of the cables."""
 
     # Distances, at samples.
 
@@ -112,48 +134,46 @@ class StraddlePlanner(MovePlanner):
 
         Raises InfeasibleError for clasps that tensions cannot balance.
         """
-        path = self.path
-        origin, tension = path.hold.body.place, np.stack([path.tension, path.tension])
-        roll = Move(origin, origin, tension, (0.0, 0.0), SmoothLaw(0.5), roll=(OPEN, 0.0))
-        curves = path.hold.curves(roll, np.linspace(0.0, 1.0, SAMPLES))
-        return self._closest(curves, curves["vertices"][:, path.hold.team.layout.anchors])
+        hold = self.path.hold
+        place = hold.body.place
+        tensions = np.stack([self.path.tension, self.path.tension])
+        roll = Move(place, place, tensions, (0.0, 0.0), SmoothLaw(0.5), roll=(OPEN, 0.0))
+        curves = hold.curves(roll, np.linspace(0.0, 1.0, SAMPLES))
+        return self._closest(curves, curves["vertices"][:, hold.team.layout.anchors])
 
     @cached_property
     def closest_bent(self) -> Distance:
         """The distance with the smallest margin, from straight to crossing cables."""
-        path, found = self.path, list[Distance]()
+        path = self.path
         places = [path.first, path.ready, *path.bent, path.laid]
+        distances = list[Distance]()
         for count in (SAMPLES, FINE_SAMPLES):
             for start, end in pairwise(places):
                 change = PlaceChange(start, end, SmoothLaw(0.5))
                 curves = path.curves(change, np.linspace(0.0, 1.0, count))
-                found.append(self._closest(curves, curves["anchors"]))
-            if min(each.margin for each in found) < 0.0:
+                distances.append(self._closest(curves, curves["anchors"]))
+            if min(distance.margin for distance in distances) < 0.0:
                 break
-        return min(found, key=lambda each: each.margin)
+        return _tightest(distances)
 
-    def _closest(self, curves: dict[str, Array], inner: Array) -> Distance:
+    def _closest(self, curves: dict[str, Array], leg_ends: Array) -> Distance:
         """Return the distance with the smallest margin, with inner ends of legs (J, …, 3) [m]."""
-        requirements, drones = self.requirements, curves["drones"]
-        separation, count = requirements.separation, drones.shape[1]
-        points, (i, j) = drones * separation.scale, np.triu_indices(count, 1)
-        closest = float(np.min(length(points[:, i] - points[:, j])))
-        pairs, ends = (each.reshape(curves["contacts"].shape) for each in (drones, inner))
-        corners = np.stack([pairs, ends, curves["contacts"]], axis=2)  # (J, n, 3, 2, 3)
-        route = np.concatenate([corners[..., 0, :], corners[:, :, ::-1, 1]], axis=2)
-        parts = np.stack([route[:, :, :-1], route[:, :, 1:]], axis=3)
-        cable, drone = np.nonzero(np.arange(count) // 2 != np.arange(count // 2)[:, None])
-        offsets = shortest_offset(differences(drones[:, drone, None, None], parts[:, cable]))
-        gap = float(np.min(length(offsets)))
-        lowest = float(np.min(drones[..., 2])) - requirements.floor
-        off = requirements.position_error * requirements.height_ratio
-        wide = DISTANCE_FACTOR * separation.cable + EXTRA_DISTANCE
-        each = (
+        requirements = self.requirements
+        separation = requirements.separation
+        drones = curves["drones"]
+        scaled = drones * separation.scale
+        i, j = np.triu_indices(drones.shape[1], 1)
+        closest = float(np.min(length(scaled[:, i] - scaled[:, j])))
+        gap = _gap_to_cables(drones, leg_ends, curves["contacts"])
+        height = float(np.min(drones[..., 2])) - requirements.floor
+        height_error = requirements.position_error * requirements.height_ratio
+        planned_gap = DISTANCE_FACTOR * separation.cable + EXTRA_DISTANCE
+        distances = (
             Distance("separation", closest, 1.0, MIN_SEPARATION, "ratio"),
-            Distance("cable_clearance", gap, separation.cable, wide),
-            Distance("arena", lowest, off, MIN_HEIGHT + off),
+            Distance("cable_clearance", gap, separation.cable, planned_gap),
+            Distance("arena", height, height_error, MIN_HEIGHT + height_error),
         )
-        return min(each, key=lambda x: x.margin)
+        return _tightest(distances)
 
     @cached_property
     def unbalanced(self) -> Check | None:
@@ -164,6 +184,25 @@ class StraddlePlanner(MovePlanner):
         change = PlaceChange(self.path.laid, self.path.laid, SmoothLaw(0.5))
         return first_violated(self._bent(change, "lay"), ["equilibrium"])
 
+    def candidates(self) -> Iterator[tuple[float, StraddlePlanner]]:
+        """Yield planners whose cables are pitched, with their smallest margins.
+
+        If pairs cannot roll, or cables cannot be pitched or balanced, only this one, of level ones.
+        """
+        try:
+            rolling_margin = self.closest_rolling.margin
+        except InfeasibleError:
+            rolling_margin = -math.inf
+        if rolling_margin < 0.0:
+            yield rolling_margin - 1.0, self
+            return
+        if self.path.sides_passed or self.unbalanced:
+            yield UNFIT, self
+            return
+        for pitch in PITCHES:
+            pitched = replace(self, path=replace(self.path, pitch=pitch))
+            yield min(rolling_margin, pitched.closest_bent.margin), pitched
+
     # Motions.
 
     @cached_property
@@ -172,75 +211,139 @@ class StraddlePlanner(MovePlanner):
 
         Cables also keep off the ground as they turn about it there.
         """
-        team, pairs = self.hold.team, self.path.drones_taut.reshape(-1, 2, 3)
-        middle, chords = np.mean(pairs, axis=1, keepdims=True), length(pairs[:, 1] - pairs[:, 0])
-        longest = np.minimum(_longest_spans(team, self.requirements), chords)
-        rises = (pairs[:, 1] - pairs[:, 0])[:, 2]
-        share = np.sqrt((longest**2 - rises**2) / (chords**2 - rises**2))
-        scale = share[:, None, None] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
-        scales = np.stack([scale, math.cos(0.5 * MAX_TURN) * scale])  # also turned
-        both = (middle + scales * (pairs - middle)).reshape(2, -1, 3)
-        drones, lowest = both[0], hover_altitude(team, both, self.requirements)
-        rise = max(lowest - float(np.min(drones[:, 2])), 0.0)
+        team = self.hold.team
+        pairs = self.path.drones_taut.reshape(-1, 2, 3)
+        middles = np.mean(pairs, axis=1, keepdims=True)
+        chords = pairs[:, 1] - pairs[:, 0]
+        chord_lengths = length(chords)
+        chord_rises = chords[:, 2]
+        spans = np.minimum(_longest_spans(team, self.requirements), chord_lengths)
+        level_share = np.sqrt((spans**2 - chord_rises**2) / (chord_lengths**2 - chord_rises**2))
+        scale = level_share[:, None, None] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
+        turned_scale = math.cos(0.5 * MAX_TURN) * scale
+        scales = np.stack([scale, turned_scale])
+        straight_and_turned = (middles + scales * (pairs - middles)).reshape(2, -1, 3)
+        drones = straight_and_turned[0]
+        altitude = hover_altitude(team, straight_and_turned, self.requirements)
+        rise = max(altitude - float(np.min(drones[:, 2])), 0.0)
         return drones + [0.0, 0.0, rise], rise
 
     def stages(self) -> list[Motion]:
         """Return the motions from hanging cables to those that are tied, with one tension."""
-        path, (drones, rise) = self.path, self.hanging
+        path = self.path
+        team = self.hold.team
+        drones, rise = self.hanging
         raised = Keyframe("draw taut", path.drones_taut + [0.0, 0.0, rise], CableState.DRAWN)
-        drawn = straight_stages(drones, [raised], self.hold.team, self.requirements, self.step)
-        hold = PhaseHold(self.state.object, self.hold.by, tuple(range(self.hold.team.robots)))
-        bent, first = list[Motion](), path.first._replace(above=rise)
+        drawn = straight_stages(drones, [raised], team, self.requirements, self.step)
+        hold = PhaseHold(self.state.object, self.hold.by, tuple(range(team.robots)))
+        first = path.first._replace(above=rise)
+        bent = list[Motion]()
         if first != path.ready:
             bent.append(self._through([first, path.ready], "lower"))
         bent.append(self._through([path.ready, *path.bent], "straddle", hold))
         bent.append(self._through([path.crossed, path.laid], "lay", hold))
-        phase = replace(bent[0].phases[0], name="tension", hold=None)
-        tension = resting(bent[0], TENSION_SECONDS, phase, first=True)
-        rising = (path.tension[:, None] * SMOOTH)[None]
-        tension = tension.replaced(tensions=PiecewisePolynomial(tension.drones.breaks, rising))
-        opened = self.from_state(hold=path.hold)
-        roll = opened.within_limits(opened.move(SmoothLaw(1.0), roll=(OPEN, 0.0)), "separation")
-        rolled = opened.motion([roll], "roll")
-        rolling = replace(rolled.phases[0], state=CableState.ROLLING, tension=phase.tension)
-        return [*drawn, tension, *bent, rolled.replaced(phases=(rolling,))]
+        return [*drawn, self._tensioned(bent[0]), *bent, self._rolled(bent[0])]
+
+    def _tensioned(self, following: Motion) -> Motion:
+        """Return the rise of the tension at rest, at the start of the following motion."""
+        phase = replace(following.phases[0], name="tension", hold=None)
+        at_rest = resting(following, TENSION_SECONDS, phase, first=True)
+        rising = self.path.tension[:, None] * SMOOTH  # (n, coefficients)
+        tensions = PiecewisePolynomial(at_rest.drones.breaks, rising[None])
+        return at_rest.replaced(tensions=tensions)
+
+    def _rolled(self, bent: Motion) -> Motion:
+        """Return the roll of pairs, with the stated tension of the motion before."""
+        planner = self.from_state(hold=self.path.hold)
+        roll = planner.within_limits(planner.move(SmoothLaw(1.0), roll=(OPEN, 0.0)), "separation")
+        motion = planner.motion([roll], "roll")
+        phase = replace(motion.phases[0], state=CableState.ROLLING, tension=bent.phases[0].tension)
+        return motion.replaced(phases=(phase,))
 
     def _through(self, places: Sequence[Place], name: str, hold: PhaseHold | None = None) -> Motion:
         """Return the motion through places, at rest at each, as one phase."""
-        limits, parts = self.requirements.limits, list[Motion]()
+        parts = list[Motion]()
         for start, end in pairwise(places):
-            change = PlaceChange(start, end, SmoothLaw(0.5))
-            drones = self.path.curves(change, np.linspace(0.0, 1.0, SAMPLES))["drones"]
-            travel = max(float(np.max(np.sum(length(np.diff(drones, axis=0)), axis=0))), 1e-6)
-            speed = min(STRADDLE_SPEED, limits.speed, limits.vertex_speed) / travel
-            rates = speed, 0.5 * limits.acceleration / travel, 0.5 * limits.jerk / travel
-            change = replace(change, law=SmoothLaw.fastest(*rates))
+            change = PlaceChange(start, end, self._fastest_law(start, end))
             motion = self._bent(change, name, hold)
             factor = needed_stretch(motion)
             if 1.0 < factor < math.inf:
-                change = replace(change, law=change.law.slowed(1.01 * factor))
+                change = replace(change, law=change.law.slowed(SLOWING_RESERVE * factor))
                 motion = self._bent(change, name, hold)
             parts.append(motion)
         whole = concatenated(parts)
         return whole.replaced(phases=(replace(parts[0].phases[0], end=whole.duration),))
 
+    def _fastest_law(self, start: Place, end: Place) -> SmoothLaw:
+        """Return the law between two places for the longest path of a drone."""
+        limits = self.requirements.limits
+        change = PlaceChange(start, end, SmoothLaw(0.5))
+        drones = self.path.curves(change, np.linspace(0.0, 1.0, SAMPLES))["drones"]
+        paths = np.sum(length(np.diff(drones, axis=0)), axis=0)
+        travel = max(float(np.max(paths)), MIN_TRAVEL)
+        top_speed = min(STRADDLE_SPEED, limits.speed, limits.vertex_speed)
+        return SmoothLaw.fastest(
+            speed=top_speed / travel,
+            acceleration=0.5 * limits.acceleration / travel,
+            jerk=0.5 * limits.jerk / travel,
+        )
+
     def _bent(self, change: PlaceChange, name: str, hold: PhaseHold | None = None) -> Motion:
         """Return the motion of a change of the place as one phase; objects are at rest."""
-        tension = float(np.min(self.path.tension)), float(np.max(self.path.tension))
-        phase = Phase(name, self.step, 0.0, change.law.duration, hold=hold, tension=tension)
-        parts: dict[str, Any] = polynomials(change, lambda t: self.path.curves(change, t))
-        breaks, objects = parts["drones"].breaks, self.requirements.objects
-        parts["poses"] = PiecewisePolynomial.constant(breaks, poses_of(objects))
-        parts["load_share"] = PiecewisePolynomial.constant(breaks, np.zeros(len(objects)))
-        phases = (replace(phase, state=CableState.BENT),)
-        return Motion(self.hold.team, self.requirements, **parts, phases=phases)
+        tension_range = float(np.min(self.path.tension)), float(np.max(self.path.tension))
+        phase = Phase(
+            name,
+            self.step,
+            0.0,
+            change.law.duration,
+            hold=hold,
+            tension=tension_range,
+            state=CableState.BENT,
+        )
+        curves: dict[str, Any] = polynomials(change, lambda t: self.path.curves(change, t))
+        breaks = curves["drones"].breaks
+        objects = self.requirements.objects
+        curves["poses"] = PiecewisePolynomial.constant(breaks, poses_of(objects))
+        curves["load_share"] = PiecewisePolynomial.constant(breaks, np.zeros(len(objects)))
+        return Motion(self.hold.team, self.requirements, **curves, phases=(phase,))
+
+
+def _tightest(distances: Sequence[Distance]) -> Distance:
+    """Return the distance with the smallest margin."""
+    return min(distances, key=lambda distance: distance.margin)
+
+
+def _gap_to_cables(drones: Array, leg_ends: Array, contacts: Array) -> float:
+    """Return the smallest distance [m] of drones to cables of others.
+
+    Cables are straight from drone to leg end, contact, contact, leg end and drone.
+
+    Parameters
+    ----------
+    drones: (J, 2n, 3) [m]
+    leg_ends: (J, …, 3) [m], inner ends of legs.
+    contacts: (J, n, 2, 3) [m]
+    """
+    pairs = drones.reshape(contacts.shape)
+    ends = leg_ends.reshape(contacts.shape)
+    corners = [pairs[:, :, 0], ends[:, :, 0], contacts[:, :, 0]]
+    corners += [contacts[:, :, 1], ends[:, :, 1], pairs[:, :, 1]]
+    routes = np.stack(corners, axis=2)  # (J, n, 6, 3)
+    parts = np.stack([routes[:, :, :-1], routes[:, :, 1:]], axis=3)  # (J, n, 5, 2, 3)
+    cable_of_drone = np.arange(drones.shape[1]) // 2
+    cables = np.arange(contacts.shape[1])
+    cable, drone = np.nonzero(cable_of_drone != cables[:, None])
+    offsets = shortest_offset(differences(drones[:, drone, None, None], parts[:, cable]))
+    return float(np.min(length(offsets)))
 
 
 def _longest_spans(team: Team, requirements: Requirements) -> Array:
     """Return the distances (n,) [m] of drones whose cables hang beside the object."""
-    off = requirements.position_error * requirements.height_ratio
-    L = team.cable_length
-    return np.asarray(np.minimum(MAX_SPAN_RATIO * L, L - SLACK * off))
+    height_error = requirements.position_error * requirements.height_ratio
+    cable_length = team.cable_length
+    return np.asarray(
+        np.minimum(MAX_SPAN_RATIO * cable_length, cable_length - SLACK * height_error)
+    )
 
 
 def find_straddle(
@@ -270,52 +373,56 @@ def find_straddle(
     InfeasibleError: a distance is too small at samples, pitched cables would meet sides of the
         object, or cables do not balance, wherever clasps are tied.
     """
-    centre, team = np.mean(hold.polygon, axis=0), hold.team
+    team = hold.team
+    centre = np.mean(hold.polygon, axis=0)
     aligned = rotated(hold.polygon - centre, _angle_to_side(hold))
     beside = _distance_beside(hold, requirements, drones)
 
     def candidates() -> Iterator[tuple[float, StraddlePlanner]]:
         for scale, share in product(SCALES, SHORT_SHARES):
             around = centre + scale * aligned
-            legs = share * (team.cable_length - wraps_around(hold.body.section, around).lengths)
-            if scale > 1.0 and np.min(legs) < requirements.limits.leg + MIN_RADIAL:
+            slack = team.cable_length - wraps_around(hold.body.section, around).lengths
+            shortest_leg = np.min(share * slack)
+            if scale > 1.0 and shortest_leg < requirements.limits.leg + MIN_RADIAL:
                 continue
             grip = replace(hold, around=around, open_fractions=np.full(2, share))
             grasp = GraspState(name, HoldPolygons(around, hold.polygon), tension, grip)
-            path = Straddle(grip, tension, 0.0, beside)
-            rolled = StraddlePlanner(grasp, requirements, step, path)
-            try:
-                margin = rolled.closest_rolling.margin
-            except InfeasibleError:
-                margin = -math.inf
-            if margin < 0.0:
-                yield margin - 1.0, rolled
-                continue
-            if path.sides_passed or rolled.unbalanced:
-                yield UNFIT, rolled
-                continue
-            for pitch in PITCHES:
-                bent = replace(rolled, path=replace(path, pitch=float(pitch)))
-                yield min(margin, bent.closest_bent.margin), bent
+            level = Straddle(grip, tension, pitch=0.0, beside=beside)
+            yield from StraddlePlanner(grasp, requirements, step, level).candidates()
 
-    found = best(candidates(), 0.0)
-    if found.path.sides_passed:
-        raise InfeasibleError([_met_sides(found.path)])
-    if found.unbalanced:
+    planner = best(candidates(), 0.0)
+    _check_straddle(planner)
+    return planner
+
+
+def _check_straddle(planner: StraddlePlanner) -> None:
+    """Raise InfeasibleError if the best planner of all candidates breaks a limit."""
+    if planner.path.sides_passed:
+        raise InfeasibleError([_met_sides(planner.path)])
+    if planner.unbalanced:
+        when = "as cables lie on one another"
         remedy = "raise the tension of tie, or use lighter cables or other lengths of them"
-        raise InfeasibleError([found.unbalanced.violation("as cables lie on one another", remedy)])
-    closest = [found.closest_rolling]
-    if found.path.pitch > 0.0:  # of pairs that can roll
-        closest.append(found.closest_bent)
-    check, value, limit, _, unit_of_both = min(closest, key=lambda each: each.margin)
-    if value < limit:
-        remedy = "use longer cables, or enclose a narrow outline in a circle"
-        if check == "arena":
-            remedy = "tie it higher above the ground"
+        raise InfeasibleError([planner.unbalanced.violation(when, remedy)])
+    distances = [planner.closest_rolling]
+    if planner.path.pitch > 0.0:  # of pairs that can roll
+        distances.append(planner.closest_bent)
+    tightest = _tightest(distances)
+    if tightest.value < tightest.limit:
         when = "as cables bend around the object and roll, wherever they are tied"
-        violation = Violation(check, value, limit, "min", unit_of_both, (), when, remedy)
+        remedy = "use longer cables, or enclose a narrow outline in a circle"
+        if tightest.check == "arena":
+            remedy = "tie it higher above the ground"
+        violation = Violation(
+            tightest.check,
+            tightest.value,
+            tightest.limit,
+            "min",
+            tightest.unit,
+            (),
+            when,
+            remedy,
+        )
         raise InfeasibleError([violation])
-    return found
 
 
 def _distance_beside(hold: GripHold, requirements: Requirements, drones: Array | None) -> float:
@@ -323,17 +430,21 @@ def _distance_beside(hold: GripHold, requirements: Requirements, drones: Array |
 
     Cables that hang there, and between ``drones`` (2n, 3) [m], keep off as they turn about it.
     """
-    team, off = hold.team, requirements.position_error
-    spans = _longest_spans(team, requirements)
-    hanging = [Catenary.spanning(spans, 0.0, team.cable_length)]
+    cable_length = hold.team.cable_length
+    spans = _longest_spans(hold.team, requirements)
+    hanging = [Catenary.spanning(spans, 0.0, cable_length)]
     if drones is not None:
-        hanging.append(Catenary.between(drones[0::2], drones[1::2], team.cable_length))
-    displaced = [x.extra_displacement(off, requirements.height_ratio) for x in hanging]
-    farthest = float(np.max(displaced, where=np.isfinite(displaced), initial=0.0))
+        hanging.append(Catenary.between(drones[0::2], drones[1::2], cable_length))
+    displacements = [
+        cables.extra_displacement(requirements.position_error, requirements.height_ratio)
+        for cables in hanging
+    ]
+    displacement = float(np.max(displacements, where=np.isfinite(displacements), initial=0.0))
     x, y = unit(hold.polygon[1] - hold.polygon[0])
-    radius = max(each.section.circumradius for each in hold.body.slabs)
-    width = float(np.sum(hold.body.section.support(np.array([[-y, x], [y, -x]]))))
-    return requirements.separation.object + BESIDE + farthest + radius - 0.5 * width
+    sideways = np.array([[-y, x], [y, -x]])
+    half_width = 0.5 * float(np.sum(hold.body.section.support(sideways)))
+    radius = max(slab.section.circumradius for slab in hold.body.slabs)
+    return requirements.separation.object + BESIDE + displacement + radius - half_width
 
 
 def _angle_to_side(hold: GripHold) -> float:
@@ -350,8 +461,9 @@ def _angle_to_side(hold: GripHold) -> float:
 
 def _met_sides(path: Straddle) -> Violation:
     """Return the violation of pitched cables that meet the sides of an object."""
-    largest = math.degrees(float(np.max(path.turns)))
-    value, limit = (largest * bend for bend in (max(path.sides_passed), path.largest_pitched))
+    largest_turn = math.degrees(float(np.max(path.turns)))
+    value = largest_turn * max(path.sides_passed)
+    limit = largest_turn * path.largest_pitched
     remedy = "use longer cables, which are tied farther out, or enclose the outline in a circle"
     when = "where cables cross beyond the object and meet another of its sides as they bend"
     return Violation("continuity", value, limit, "max", "deg", (), when, remedy)
