@@ -98,8 +98,11 @@ MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the
 position error of objects."""
 
-PLACE_TOLERANCE = 1e-6  # Places that differ by less are the same [m]
-MAX_VIA = 100  # Maximum number of waypoints of one object
+PLACE_TOLERANCE = 1e-6
+"""[m] Places that differ by less are the same."""
+
+MAX_VIA = 100
+"""Maximum number of waypoints of one object."""
 
 OBSTACLE_CHECKS = frozenset({"keep_out", "object_clearance"})
 """Checks of obstacles, over or around which an object is carried."""
@@ -144,19 +147,23 @@ def step_motion(
 
 def require_hold(task: StepTask, planner: MovePlanner) -> None:
     """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
-    hold, name = planner.hold, f"objects.{planner.state.object}"
-    lifted, when = planner.from_state(carried=True), f"with {name} off its support"
+    hold = planner.hold
+    name = f"objects.{planner.state.object}"
+    when = f"with {name} off its support"
     try:
         if isinstance(hold, RestHold):
             hold.check_unbent(planner.state.tension)
             hold.check_rim(planner.state.tension)
-        require_certified(StepPlan(lifted.motion([lifted.rest(1.0)], "hold"), task.before), when)
+        lifted = planner.from_state(carried=True)
+        at_rest = lifted.motion([lifted.rest(1.0)], "hold")
+        require_certified(StepPlan(at_rest, task.before), when)
         if isinstance(hold, RestHold):
             when = f"as the clasps take {name}"
-            moves = planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)
-            require_certified(StepPlan(planner.motion(moves, "lift"), task.before), when)
+            moves = [planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)]
+            taking = planner.motion(moves, "lift")
+            require_certified(StepPlan(taking, task.before), when)
     except InfeasibleError as error:
-        violations = [replace(each, when=when) for each in error.violations]
+        violations = [replace(violation, when=when) for violation in error.violations]
         raise InfeasibleError(violations, error.note) from None
 
 
@@ -170,53 +177,89 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
 
 def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
     """Return the error of a hold, with its capacity and a suggested change."""
-    hold, name = planner.hold, f"objects.{planner.state.object}"
-    robots = "use more robots, as hitchopt fit counts them"
-    capacities, max_mass, rim_mass = hold_capacity(planner, task.requirements)
-    rim = "rest it on a rim with three robots" if hold.team.robots == 2 else "give it a rim"
-    rim = f", or {rim}" if rim_mass >= planner.body.mass else ""
-    hardware = robots if hold.by is HoldBy.REST else f"use rougher cables{rim}"
-    remedy = f"lower {name}.mass, or request another tension, or {hardware}{capacities}"
-    mass, violations = planner.body.mass, list[Violation]()
-    if mass > max_mass:
-        where, when = (planner.state.object,), error.violations[0].when
-        violations.append(Violation("load", mass, max_mass, "max", "kg", where, when, remedy))
-    for each in error.violations:
-        extra = ", or raise limits.tilt_deg" if each.constraint == "tilt" else ""
-        extra += "" if each.constraint in LOAD_LIMITED else f", or {each.remedy}"
-        violations.append(replace(each, remedy=remedy + extra))
+    hold = planner.hold
+    mass = planner.body.mass
+    capacity = hold_capacity(planner, task.requirements)
+    hardware = "use more robots, as hitchopt fit counts them"
+    if hold.by is not HoldBy.REST:
+        hardware = "use rougher cables"
+        if capacity.rim_mass >= mass:
+            two_cables = hold.team.robots == 2
+            rim = "rest it on a rim with three robots" if two_cables else "give it a rim"
+            hardware = f"{hardware}, or {rim}"
+    remedy = (
+        f"lower objects.{planner.state.object}.mass, or request another tension, "
+        f"or {hardware}{capacity.text}"
+    )
+    violations = list[Violation]()
+    if mass > capacity.max_mass:
+        where = (planner.state.object,)
+        when = error.violations[0].when
+        load = Violation("load", mass, capacity.max_mass, "max", "kg", where, when, remedy)
+        violations.append(load)
+    for violation in error.violations:
+        alternatives = ""
+        if violation.constraint == "tilt":
+            alternatives += ", or raise limits.tilt_deg"
+        if violation.constraint not in LOAD_LIMITED:
+            alternatives += f", or {violation.remedy}"
+        violations.append(replace(violation, remedy=remedy + alternatives))
     return InfeasibleError(violations)
 
 
-def hold_capacity(planner: MovePlanner, requirements: Requirements) -> tuple[str, float, float]:
-    """Describe the capacities of the hold and of a rim; return also their maximum masses [kg].
+class HoldCapacity(NamedTuple):
+    """What a hold can carry, and what a rim could."""
 
-    The hold's mass is inf if it cannot be computed, the rim's 0; at least three robots rest it.
-    """
-    hold, team, body = planner.hold, planner.hold.team, planner.body
-    tension, kind = float(np.min(planner.state.tension)), team.quadrotor[0]
-    length, texts = float(np.min(team.cable_length)), list[str]()
-    max_mass, rim_mass, robots = np.inf, 0.0, max(team.robots, 3)
-    rim_outline, height = hold.polygon, float(body.centre_of_mass[2]) - hold.height
+    text: str
+    """Both in words, in parentheses after a space; empty if neither can be computed."""
+
+    max_mass: float
+    """Maximum mass [kg] of the hold; inf if it cannot be computed."""
+
+    rim_mass: float
+    """Maximum mass [kg] on a rim; 0 if it cannot be computed."""
+
+
+def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapacity:
+    """Return the capacities of the hold and of a rim, which at least three robots rest."""
+    hold = planner.hold
+    team = hold.team
+    body = planner.body
+    kind = team.quadrotor[0]
+    tension = float(np.min(planner.state.tension))
+    cable_length = float(np.min(team.cable_length))
+    max_mass = np.inf
+    rim_mass = 0.0
+    texts = list[str]()
     with contextlib.suppress(InfeasibleError):
+        rim_outline = hold.polygon
+        rim_height = hold.height
         if isinstance(hold, GripHold):
-            grip = Grip.of(body.section, hold.polygon, length, tension, team.cable_friction)
+            grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
             max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
-            texts = [f"a grip holds {max_mass:.2g} kg"]
-            rim = with_fields(body, rim=Rim(body.section, body.lower))
-            rests = rest_polygons(planner.state.object, rim, robots, planner.gap)
+            texts.append(f"a grip holds {max_mass:.2g} kg")
+            with_rim = with_fields(body, rim=Rim(body.section, body.lower))
+            robots = max(team.robots, 3)
+            rests = rest_polygons(planner.state.object, with_rim, robots, planner.gap)
             rim_outline = rests[0].clasps
-            height = float(body.centre_of_mass[2]) - body.lower
-        shape = ConvexPolygon(rim_outline)
-        rim_mass = rest_capacity(shape, length, tension, kind, requirements, height).mass
-        texts.append(f"a rim {'' if texts else 'holds '}{rim_mass:.2g} kg")
-        max_mass = rim_mass if hold.by is HoldBy.REST else max_mass
-    return (f" ({', '.join(texts)})" if texts else ""), max_mass, rim_mass
+            rim_height = body.lower
+        polygon = ConvexPolygon(rim_outline)
+        mass_height = float(body.centre_of_mass[2]) - rim_height
+        rim_capacity = rest_capacity(
+            polygon, cable_length, tension, kind, requirements, mass_height
+        )
+        rim_mass = rim_capacity.mass
+        texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
+        if hold.by is HoldBy.REST:
+            max_mass = rim_mass
+    text = f" ({', '.join(texts)})" if texts else ""
+    return HoldCapacity(text, max_mass, rim_mass)
 
 
 def altitude_over(task: StepTask) -> float:
     """Return the lowest altitude [m], not below the hitch's, that clears all objects."""
-    requirements, hitch = task.requirements, task.hitch
+    requirements = task.requirements
+    hitch = task.hitch
     tops = [float(body.at[2]) + body.upper for body in requirements.objects.values()]
     sink = max(hitch.altitude - float(np.min(hitch.drones[:, 2])), 0.0)
     clearance = requirements.separation.radius + OBJECT_MARGIN + sink
@@ -226,13 +269,18 @@ def altitude_over(task: StepTask) -> float:
 def at_around_speed(requirements: Requirements) -> Requirements:
     """Return requirements with the speed limit of hitches around objects."""
     limits = requirements.limits
-    speed, vertex_speed = (min(x, AROUND_SPEED) for x in (limits.speed, limits.vertex_speed))
-    return replace(requirements, limits=with_fields(limits, speed=speed, vertex_speed=vertex_speed))
+    slow = with_fields(
+        limits,
+        speed=min(limits.speed, AROUND_SPEED),
+        vertex_speed=min(limits.vertex_speed, AROUND_SPEED),
+    )
+    return replace(requirements, limits=slow)
 
 
 def requirements_near(task: StepTask, name: str) -> Requirements:
     """Return requirements at low speed without the object that cables may touch."""
-    others = {key: each for key, each in task.requirements.objects.items() if key != name}
+    objects = task.requirements.objects
+    others = {other: body for other, body in objects.items() if other != name}
     return at_around_speed(replace(task.requirements, objects=others))
 
 
@@ -257,14 +305,16 @@ class Enclose(Step):
 
         There are several if obstacles may be in the way of some.
         """
-        requirements, team = task.requirements, task.before.team
-        body, gap = object_of(task, self.object), requirements.separation.object + EDGE_MARGIN
+        requirements = task.requirements
+        team = task.before.team
+        body = object_of(task, self.object)
+        gap = requirements.separation.object + EDGE_MARGIN
         if body.rim is None:
             polygons = grip_polygons(self.object, body, team, requirements, gap)
             orientations = _turned(polygons, body, task.hitch.polygon)
         else:
             rests = rest_polygons(self.object, body, team.robots, gap)
-            orientations = [_renumbered(each, body, task.hitch.polygon) for each in rests]
+            orientations = [_renumbered(rest, body, task.hitch.polygon) for rest in rests]
         obstacles = len(requirements.objects) > 1 or requirements.keep_out or requirements.arena
         count = len(orientations) if obstacles else 1
         return [
@@ -276,25 +326,28 @@ class Enclose(Step):
         self, task: StepTask, body: SolidObject, polygons: HoldPolygons, polygon: ConvexPolygon
     ) -> StepPlan:
         """Plan the change to a polygon around the object."""
-        requirements, hitch, team = task.requirements, task.hitch, task.before.team
+        requirements = task.requirements
+        hitch = task.hitch
         clearance = requirements.separation.object
         altitude = float(body.at[2] + body.centre_of_mass[2])
         if body.rim is not None:
             altitude = float(body.at[2]) + body.rim.height - (clearance + BELOW_RIM)
         height = altitude - requirements.floor
         if height < clearance - CONTACT_GAP:
-            name, where = f"objects.{self.object}", ("ground",)
+            name = f"objects.{self.object}"
+            when = f"with the hitch around {name}"
             remedy = f"make {name} or its rim higher, or stand it on something"
-            values, when = ("object_clearance", height, clearance), f"with the hitch around {name}"
-            raise InfeasibleError([Violation(*values, "min", "m", where, when, remedy)])
+            violation = Violation(
+                "object_clearance", height, clearance, "min", "m", ("ground",), when, remedy
+            )
+            raise InfeasibleError([violation])
         radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         remedy = f"tie the hitch as large as around objects.{self.object}, {radius:.2g} m in radius"
         check_opens(hitch, polygon.vertices, requirements, remedy)
+        safe_altitude = altitude_over(task)
         start = np.append(hitch.polygon.centroid, hitch.altitude)
-        up, over = (
-            np.append(place, altitude_over(task))
-            for place in (hitch.polygon.centroid, polygon.centroid)
-        )
+        up = np.append(hitch.polygon.centroid, safe_altitude)
+        over = np.append(polygon.centroid, safe_altitude)
         moves = [
             Transport(end).plan
             for begin, end in pairwise((start, up, over))
@@ -303,7 +356,7 @@ class Enclose(Step):
         above = plan_in_sequence([*moves, Morph(polygon).plan], task)
         slow = task.within(at_around_speed(requirements), above.after)
         down = Transport(np.append(polygon.centroid, altitude)).plan(slow)
-        grasp = GraspState(self.object, polygons, team.tension)
+        grasp = GraspState(self.object, polygons, task.before.team.tension)
         motion = step_motion(self, task, [above.motion, down.motion])
         return StepPlan(motion, replace(down.after, grasp=grasp))
 
@@ -329,21 +382,27 @@ def _turned(
     They are turned about a disc, and by half a turn about a section that is symmetric to it.
     """
     nearest, around = _renumbered(polygons, body, polygon)
-    centre, core = body.section.centroid, body.section.core
-    if body.section.radius is not None:
-        symmetry = 2.0 * math.pi / len(polygon)
-        turns = [symmetry * k / GRIP_TURNS for k in (1, -1, 2, -2, 3)]
-    else:
-        opposite = length(2.0 * centre - core[:, None] - core)
-        turns = [math.pi] if np.max(np.min(opposite, axis=1)) < PLACE_TOLERANCE else []
+    centre = body.section.centroid
     turned = [(nearest, around)]
-    for turn in turns:
-        around_it, clasps = (
-            centre + rotated(x - centre, turn) for x in (nearest.around, nearest.clasps)
+    for turn in _symmetric_turns(body, len(polygon)):
+        both = HoldPolygons(
+            around=centre + rotated(nearest.around - centre, turn),
+            clasps=centre + rotated(nearest.clasps - centre, turn),
         )
-        both = HoldPolygons(around_it, clasps)
         turned.append(_renumbered(both, body, polygon, turn=False))
     return turned
+
+
+def _symmetric_turns(body: SolidObject, vertices: int) -> list[float]:
+    """Return other turns [rad] about an object after which its section is the same."""
+    if body.section.radius is not None:
+        symmetry = 2.0 * math.pi / vertices
+        return [symmetry * k / GRIP_TURNS for k in (1, -1, 2, -2, 3)]
+    core = body.section.core
+    opposite = 2.0 * body.section.centroid - core
+    distances = length(opposite[:, None] - core)
+    is_symmetric = np.max(np.min(distances, axis=1)) < PLACE_TOLERANCE
+    return [math.pi] if is_symmetric else []
 
 
 def _renumbered(
@@ -355,20 +414,27 @@ def _renumbered(
     """
     start = polygon.vertices - polygon.centroid
     if turn and body.rim is None and body.section.radius is not None:
-        end, goal = (points @ np.array([1.0, 1.0j]) for points in (polygons.around, start))
-        products = [np.vdot(np.roll(end, -k), goal) for k in range(len(end))]
-        angle = float(np.angle(max(products, key=abs))) - body.yaw
+        angle = _nearest_turn(polygons.around, start) - body.yaw
         polygons = HoldPolygons(rotated(polygons.around, angle), rotated(polygons.clasps, angle))
     around = polygon_at(body, polygons.around)
     end = around.vertices - around.centroid
     squares = [np.sum((np.roll(end, -k, axis=0) - start) ** 2) for k in range(len(end))]
     shift = int(np.argmin(squares))
     numbered = HoldPolygons(
-        np.roll(polygons.around, -shift, axis=0),
-        np.roll(polygons.clasps, -shift, axis=0),
-        tuple(np.roll(each, -shift, axis=0) for each in polygons.outer),
+        around=np.roll(polygons.around, -shift, axis=0),
+        clasps=np.roll(polygons.clasps, -shift, axis=0),
+        outer=tuple(np.roll(clasps, -shift, axis=0) for clasps in polygons.outer),
     )
     return numbered, around.renumbered(shift)
+
+
+def _nearest_turn(polygon: Array, goal: Array) -> float:
+    """Return the angle [rad] that turns a polygon (n, 2) [m] nearest to a goal in any numbering."""
+    to_complex = np.array([1.0, 1.0j])
+    vertices = polygon @ to_complex
+    goals = goal @ to_complex
+    products = [np.vdot(np.roll(vertices, -k), goals) for k in range(len(vertices))]
+    return float(np.angle(max(products, key=abs)))
 
 
 HoldMethod = Literal["rest", "grip"]  # Method of holding an object
@@ -434,17 +500,15 @@ class Grasp(TensionStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
             raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
-        polygons, requirements = task.grasp.polygons, requirements_near(task, self.object)
-        own = requirements.separation
-        wider = {key: CLOSING_MARGIN * value for key, value in vars(own).items()}
-        with_margin = replace(requirements, separation=replace(own, **wider))
-        closing_task, failures = task.within(requirements, task.before), list[HoldFailure]()
-        for clasps in polygons.below_rim:
+        requirements = requirements_near(task, self.object)
+        with_margin = replace(requirements, separation=_wider(requirements.separation))
+        closing_task = task.within(requirements, task.before)
+        failures = list[HoldFailure]()
+        for clasps in task.grasp.polygons.below_rim:
             below = polygon_at(body, clasps)
             goal = end_of_morph(task.hitch, below, None, with_margin).hitch
             for hitch in hitches_below(goal, with_margin):
-                fractions, legs = hitch.fractions, RolledLegs(hitch.q_legs, hitch.roll)
-                hold = RestHold(team, body, clasps, body.rim.height, fractions, hitch.roll)
+                hold = RestHold(team, body, clasps, body.rim.height, hitch.fractions, hitch.roll)
                 planner = planner_of(task).from_state(tension=tension, hold=hold)
                 moves = [
                     *planner.retension(team.tension, tension),
@@ -452,6 +516,7 @@ class Grasp(TensionStep):
                 ]
                 try:
                     require_hold(task, planner)
+                    legs = RolledLegs(hitch.q_legs, hitch.roll)
                     closing = require_certified(Morph(below, legs).plan(closing_task))
                     rising = planner.motion(moves, self.name)
                     parts = [closing.motion, rising]
@@ -466,27 +531,43 @@ class Grasp(TensionStep):
 
     def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
         """Plan how cables grip the object with tensions (n,) [N]."""
-        team, polygons = task.before.team, task.grasp.polygons
+        team = task.before.team
+        polygons = task.grasp.polygons
         if body.rim is not None:
             key = f"mission[{task.index}].{self.name}.by"
             bound = "rest if the hitch is below the object's rim"
             raise InputError(key, "grip", bound, "omit the rim")
         check_pull(float(np.max(tension)), team, task.requirements)
-        height = float(body.centre_of_mass[2])
-        fractions, roll = np.full(team.robots, 0.5), np.zeros(team.robots)
-        gripping = polygons.clasps, height, fractions, roll
-        hold = GripHold(team, body, *gripping, polygons.around, task.hitch.fractions)
+        hold = GripHold(
+            team,
+            body,
+            polygons.clasps,
+            height=float(body.centre_of_mass[2]),
+            fractions=np.full(team.robots, 0.5),
+            roll=np.zeros(team.robots),
+            around=polygons.around,
+            open_fractions=task.hitch.fractions,
+        )
         planner = planner_of(task).from_state(tension=tension, hold=hold)
         check_hold(task, planner)
         motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
         return plan_to(task, planner.state, motion, body.place)
 
 
+def _wider(separation: Separation) -> Separation:
+    """Return the distances to keep with the margin for closing."""
+    wider = {key: CLOSING_MARGIN * distance for key, distance in vars(separation).items()}
+    return replace(separation, **wider)
+
+
 class HoldFailure(NamedTuple):
     """Legs that do not hold an object, or to which the hitch does not close."""
 
-    planner: MovePlanner  # with the hold
+    planner: MovePlanner
+    """The planner of moves with the hold."""
+
     error: InfeasibleError
+    """What the hold or the closing breaks."""
 
 
 def best_hold_error(task: StepTask, failures: Sequence[HoldFailure]) -> InfeasibleError:
@@ -500,8 +581,9 @@ def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
 
     A load moves drones, which may require another slack split or roll than without it.
     """
-    team, polygon, altitude = goal.team, goal.polygon, goal.altitude
-    yield Hitch(team, polygon, altitude, goal.q_legs, ROLL_RESERVE * goal.roll)
+    team = goal.team
+    polygon = goal.polygon
+    yield Hitch(team, polygon, goal.altitude, goal.q_legs, ROLL_RESERVE * goal.roll)
     sign = -1.0 if np.sum(goal.roll) < 0.0 else 1.0
     splits = [goal.q_legs, *(split * goal.slack for split in HELD_SPLITS)]
     shortest = requirements.limits.leg
@@ -510,11 +592,18 @@ def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
         for q_legs in splits:
             if np.min([q_legs, goal.slack - q_legs]) < shortest:
                 continue
-            arguments = polygon.vertices[None], q_legs[None], shortest, 1.0
             with contextlib.suppress(InfeasibleError):
-                task = LegTask(team, requirements, *arguments, roll=rolls)
+                task = LegTask(
+                    team,
+                    requirements,
+                    polygons=polygon.vertices[None],
+                    reference=q_legs[None],
+                    shortest_leg=shortest,
+                    margin=1.0,
+                    roll=rolls,
+                )
                 if task.reference_margin() >= 1.0:
-                    yield Hitch(team, polygon, altitude, q_legs, rolls)
+                    yield Hitch(team, polygon, goal.altitude, q_legs, rolls)
 
 
 @documented
@@ -583,19 +672,22 @@ class SetDown(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical descent to a stable support."""
-        objects, planner = task.requirements.objects, planner_of(task)
-        body, to = objects[self.object], goal_of(self, task.requirements, self.object)
-        margin = footing({**objects, self.object: body.moved_to(to)}, self.object)
+        objects = task.requirements.objects
+        planner = planner_of(task)
+        to = goal_of(self, task.requirements, self.object)
+        set_down = objects[self.object].moved_to(to)
+        margin = footing({**objects, self.object: set_down}, self.object)
         if margin < MIN_FOOTING:
             bound = (
                 f"where the centre of mass of objects.{self.object} is {MIN_FOOTING:g} m within "
                 f"the edges of what it stands on, not {max(margin, 0.0):.3g} m"
             )
-            place = [round(float(x), 9) for x in to[:3]]
+            place = [round(float(coordinate), 9) for coordinate in to[:3]]
             remedy = "set it down farther in, or on something wider"
             raise InputError(f"mission[{task.index}]", place, bound, remedy)
         down = planner.carry(to, LIFT_SPEED)
-        moves = [down, replace(planner.transfer(1.0, 0.0), start=to, end=to)]
+        unloading = replace(planner.transfer(1.0, 0.0), start=to, end=to)
+        moves = [down, unloading]
         return moves_plan(self, task, replace(task.grasp, carried=False), moves)
 
 
@@ -610,8 +702,11 @@ class Loosen(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the change to a hitch around the object."""
-        body, planner, team = object_of(task, self.object), planner_of(task), task.before.team
-        freed, hold = replace(task.grasp, tension=team.tension, hold=None), planner.hold
+        body = object_of(task, self.object)
+        team = task.before.team
+        planner = planner_of(task)
+        hold = planner.hold
+        freed = replace(task.grasp, tension=team.tension, hold=None)
         if isinstance(hold, GripHold):
             motion = self.with_duration(task, planner.open_grip(team.tension, self.name))
             after = plan_to(task, freed, motion, body.place).after
@@ -704,12 +799,14 @@ class TransportObject(TensionStep):
         along = unit(end[:2] - start[:2])
         across = np.array([-along[1], along[0]])
         for body in self._obstacles(objects, names):
-            section, centre = body.section, body.section.centroid
-            radius = float(np.max(length(section.core - centre))) + section.rounding
-            offset = in_world(body.pose, np.append(centre, 0.0))[:2] - start[:2]
+            section = body.section
+            radius = float(np.max(length(section.core - section.centroid))) + section.rounding
+            centre = in_world(body.pose, np.append(section.centroid, 0.0))[:2]
+            offset = centre - start[:2]
             for side in (across, -across):
+                forward = (offset @ along) * along
                 sideways = (offset @ side + (distance + radius)) * side
-                yield np.array([*(start[:2] + (offset @ along) * along + sideways), altitude])
+                yield np.array([*(start[:2] + forward + sideways), altitude])
 
     def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:
         """Return the hold; two robots tie their cables around the object."""
@@ -729,7 +826,8 @@ class TransportObject(TensionStep):
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
         """Return the route of the object: its greatest height, and its waypoints."""
         via = [] if self.via is None else self.via.tolist()
-        highest = max([self.flight_height(requirements.objects[self.object]), *(x[2] for x in via)])
+        flight_height = self.flight_height(requirements.objects[self.object])
+        highest = max([flight_height, *(z for _, _, z in via)])
         return {"route": {"object": self.object, "highest": highest, "via": via}}
 
     def flight_height(self, body: SolidObject) -> float:
@@ -740,9 +838,10 @@ class TransportObject(TensionStep):
         """Return the plan of the seven steps; ``to`` must be on the surface below it."""
         body = object_of(task, self.object)
         flight_height = self.flight_height(body)
+        waypoints = [] if self.via is None else list(self.via)
         carrying: list[Step] = [
             Lift(flight_height - float(body.at[2])),
-            *(Carry(self.object, place) for place in ([] if self.via is None else self.via)),
+            *(Carry(self.object, place) for place in waypoints),
             Carry(self.object, np.append(self.to[:2], flight_height), self.yaw),
             SetDown(self.object),
         ]
@@ -754,7 +853,7 @@ class TransportObject(TensionStep):
             leaving = [Untie().plan]
         else:
             around = Enclose(self.object).orientations(task)
-            holds = [partial(plan_in_sequence, [each, grasp.plan]) for each in around]
+            holds = [partial(plan_in_sequence, [enclose, grasp.plan]) for enclose in around]
             taking = partial(first_orientation, holds)
         plan = plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
         height = float(plan.after.with_objects(task.requirements).objects[self.object].at[2])
