@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from hitchopt.api import Legs, Polygon, SettleTime, new_step, solve
 from hitchopt.errors import InputError
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.requirements import Arena, Limits, Separation
 from hitchopt.mission.problem import DronesStart, Problem, Start
 from hitchopt.plan import Plan
@@ -51,6 +52,7 @@ def morph(
     separation: Separation | None = None,
     arena: Arena | None = None,
     limit: float | None = None,
+    cost: CostFunction | None = None,
 ) -> Plan:
     """Return the certified plan of a change of the polygon: every vertex moves to its place.
 
@@ -69,6 +71,10 @@ def morph(
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None: unlimited.
+    cost: a function of shapes in casadi, to be minimized together with the duration: its integral
+        over s counts as seconds. It takes outputs of ``model`` at rest by name (``positions``,
+        ``thrusts``, ``tilt_cosines``, ``legs``, ``exterior_angles``, ``separations``), the inputs
+        ``vertices``, ``q_legs`` and ``tensions``, and s. The optimiser then always runs.
 
     Raises
     ------
@@ -84,6 +90,7 @@ def morph(
         optimize=optimize,
         tension=tension,
         settle=settle,
+        cost=cost,
     )
     required = Required(limits, separation, arena, limit)
     return _plan_from_hitch(start, step, required)

@@ -11,6 +11,7 @@ import numpy as np
 from hitchopt.api import Legs, Polygon, new_step
 from hitchopt.errors import InputError, time_limit
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.mission.solving import route_of
 from hitchopt.motion.motion import Motion, Phase
@@ -35,6 +36,7 @@ def route(
     separation: Separation | None = None,
     arena: Arena | None = None,
     limit: float | None = None,
+    cost: CostFunction | None = None,
 ) -> Path:
     """Return the path on which ``morph`` changes the polygon.
 
@@ -54,6 +56,10 @@ def route(
     tension: range of tensions [N].
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None: unlimited.
+    cost: a function of shapes in casadi, to be minimized together with the duration: its integral
+        over s counts as seconds. It takes outputs of ``model`` at rest by name (``positions``,
+        ``thrusts``, ``tilt_cosines``, ``legs``, ``exterior_angles``, ``separations``), the inputs
+        ``vertices``, ``q_legs`` and ``tensions``, and s. The optimiser then always runs.
 
     Raises
     ------
@@ -62,7 +68,13 @@ def route(
     TimeLimitError: no route within ``limit``.
     """
     step = new_step(
-        Morph, polygon=polygon, legs=legs, optimize=optimize, tension=tension, settle=False
+        Morph,
+        polygon=polygon,
+        legs=legs,
+        optimize=optimize,
+        tension=tension,
+        settle=False,
+        cost=cost,
     )
     required = Required(limits, separation, arena, limit)
     problem = problem_from_hitch(start, step, required)

@@ -38,6 +38,7 @@ R = [[0.6, -1.2, 0.0], [0.6, 0.0, 0.0], [0.6, 1.2, 0.0]]
 TEAM = ho.Team(3, 2.4)
 START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
 PLAN = ho.hold(START, 1.0)
+SMALLER = [[0.0, -0.9], [-0.4, 0.5], [0.4, 0.5]]
 PATH = ho.Path.of(TEAM, [START.vertices, 1.01 * START.vertices, START.vertices])
 PAIR = ho.Swarm(2)
 LOWER, UPPER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
@@ -104,6 +105,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.certify, {"flight": PLAN.flight}),
     (ho.route, {"start": START, "polygon": TRIANGLE, "legs": "balanced", "optimize": False,
                 "tension": None, **REST, "limit": None}),
+    (lambda cost: ho.morph(START, SMALLER, cost=cost), {"cost": None}),
     (ho.time, {"path": PATH, "duration": None, **REST}),
     (ho.Path.of, {"team": TEAM, "vertices": [TRIANGLE] * 3, "legs": None, "roll": None,
                   "altitude": 1.0}),

@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
@@ -128,6 +128,9 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     outputs = {"length": cable.value, "chord": size.value, "force": force.value}
     return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
 
+
+CostFunction = Callable[[Mapping[str, Any], Any], Any]
+"""Function of the outputs of ``model`` at rest by name, and of s, to a cost [s], all in casadi."""
 
 SINGULAR = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions": "tension"}
 """Prefixes of the names of derivatives, by the name of the value."""

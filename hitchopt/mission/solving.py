@@ -270,19 +270,27 @@ def _assigned_sides(team: Team, drones: Array) -> Assignment:
 
 def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:
     """Return the certified plan of steps without a stop, from the cache if possible."""
+    if any(getattr(step, "cost", None) is not None for step in group):
+        return _new_plan(group, task, report)  # functions cannot be compared
     key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
     plan = _CACHE.pop(key, None)
     if plan is None:
-        task = replace(task, progress=report)
-        plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
-        plan = with_settling(plan, task, group[-1].settling)
-        report(f"certifying step {task.index} ({group[0].name})")
-        _ = plan.certificate  # stored with the plan
+        plan = _new_plan(group, task, report)
     else:
         report("reused from cache")
     _CACHE[key] = plan
     if len(_CACHE) > CACHE_SIZE:
         del _CACHE[next(iter(_CACHE))]
+    return plan
+
+
+def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:
+    """Return the certified plan of steps without a stop."""
+    task = replace(task, progress=report)
+    plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
+    plan = with_settling(plan, task, group[-1].settling)
+    report(f"certifying step {task.index} ({group[0].name})")
+    _ = plan.certificate  # stored with the plan
     return plan
 
 

@@ -18,6 +18,7 @@ from hitchopt.checks.rule import CheckRule, ReportRule
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.flight import Flight
@@ -345,6 +346,7 @@ def optimised_plan(
     *,
     straight: Path | None = None,
     allow_slides: bool = False,
+    cost: CostFunction | None = None,
 ) -> StepPlan:
     """Return the fastest plan that the optimiser finds to a hitch, at the same altitude or not.
 
@@ -356,8 +358,10 @@ def optimised_plan(
     duration: prescribed duration [s], or None.
     straight: the step's own path, which is a candidate if it is feasible; None if it is not.
     allow_slides: also try legs that lead and lag.
+    cost: minimized together with the duration.
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
+    from hitchopt.planners.optimise.cost import ShapeCost
     from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
     from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
@@ -385,7 +389,10 @@ def optimised_plan(
                 return plan.motion
         return None
 
-    morph = OptimisedMorph(start, end, requirements, certified_motion, phase.tension, straight)
+    own_cost = None if cost is None else ShapeCost(start.team, cost)
+    morph = OptimisedMorph(
+        start, end, requirements, certified_motion, phase.tension, straight, own_cost
+    )
     try:
         candidates = morph.solve()
     except NoRouteError as error:
@@ -402,6 +409,8 @@ def optimised_plan(
     if plan.path is straight:
         return plan
     route = f"on an optimised route, first guess {name}" if name else "legs lead and lag"
+    if cost is not None:
+        return plan.with_remark(f"{route}; its cost is {candidates[0].cost:.4g} s")
     is_feasible = any(not candidate.name for candidate in candidates)
     return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
 

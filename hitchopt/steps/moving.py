@@ -16,6 +16,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -133,12 +134,13 @@ class ShapeStep(HitchStep):
         tension: tuple[float, float] | None = getattr(self, "tension", None)
         allow_slides = bool(getattr(self, "optimize", False))
         phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
+        cost: CostFunction | None = getattr(self, "cost", None)
         optimise = partial(
-            optimised_plan, task, end.hitch, phase, duration, allow_slides=allow_slides
+            optimised_plan, task, end.hitch, phase, duration, allow_slides=allow_slides, cost=cost
         )
         optimised: StepPlan | HitchoptError | None = None
-        requested = (allow_slides or tension) and moves(start, end.hitch)
-        if task.optimiser and requested and duration is None:
+        requested = cost is not None or ((allow_slides or tension) and duration is None)
+        if task.optimiser and requested and moves(start, end.hitch):
             try:
                 straight = straight_path(start, end.hitch, task.requirements)
             except InfeasibleError:
@@ -146,6 +148,8 @@ class ShapeStep(HitchStep):
             optimised = attempt(partial(optimise, straight=straight))
             if isinstance(optimised, StepPlan):
                 return optimised
+            if isinstance(optimised, InputError):  # of the cost
+                raise optimised
         direct = attempt(lambda: require_certified(self.direct_plan(task, end)))
         if isinstance(direct, StepPlan):
             searches = self.searches_faster_routes and task.optimiser and duration is None
@@ -309,10 +313,18 @@ class Morph(ShapeStep):
         tuple[float, float] | None, Key(TENSION_RANGE, "Range of tensions during the step")
     ] = None
     settle: SettleAtEnd = AUTO
+    cost: CostFunction | None = None  # of scripts: problem files have no functions
 
     def resolved_for(self, team: Team) -> Self:
-        """Return the step for a team; raise InputError if the team's tensions exceed its range."""
+        """Return the step for a team.
+
+        Raises InputError if the team's tensions exceed its range, or for an unsuitable cost.
+        """
         step, (low, high) = super().resolved_for(team), self.tension or (0.0, math.inf)
+        if self.cost is not None:
+            from hitchopt.planners.optimise.cost import ShapeCost
+
+            ShapeCost(team, self.cost)
         smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
         if not low <= smallest <= largest <= high:
             bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"

@@ -6,8 +6,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
+from typing import NamedTuple, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
@@ -187,6 +189,10 @@ def _knot_spline(values: Array) -> PiecewisePolynomial:
 KNOT_MARGIN = 5e-3
 """[m] Margin of walls and shortest legs at knots, for the spline between."""
 
+COST_LEG_MARGIN = 0.025
+"""[m] The same margin of legs with a cost of one's own, which bends paths more: splines between
+knots fell up to 0.022 m short."""
+
 TENSION_MARGIN = 0.02
 """Margin at both ends of a range of tensions, over the range, for the same reason."""
 
@@ -232,6 +238,23 @@ class Effort:
         return self.spent <= self.limit
 
 
+class CostTerms(NamedTuple):
+    """Second-order expansion of a cost by the inner rows of a path's table."""
+
+    hessian: sp.csr_array[np.float64]  # positive semidefinite
+    gradient: Array
+
+
+class PathCost(Protocol):
+    """A cost of paths [s]."""
+
+    def integral(self, path: Path) -> float:
+        """Return the cost of a path [s]."""
+
+    def terms(self, path: KnotPath) -> CostTerms:
+        """Return the expansion around a path."""
+
+
 @dataclass(frozen=True, eq=False)
 class SearchLimits:
     """Constraints of all paths of one search."""
@@ -244,6 +267,11 @@ class SearchLimits:
     effort: Effort = field(default_factory=Effort)  # of all programs of the search
     # refined paths that break a limit, for the diagnosis
     rejected: list[KnotPath] = field(default_factory=list)
+    cost: PathCost | None = None  # of one's own, to be minimized with the duration
+
+    def cost_of(self, path: Path) -> float:
+        """Return the cost of a path [s]; 0 without one."""
+        return 0.0 if self.cost is None else self.cost.integral(path)
 
     def margins(self, steps: int, indices: Array) -> Array:
         """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""
@@ -276,7 +304,8 @@ def variable_bounds(path: KnotPath, search: SearchLimits, stride: float) -> tupl
         static = np.minimum(largest - margin, static)
         upper[:, columns.tensions] = np.maximum(smallest + margin, static)
     share = (margins - 1.0) / max(search.margin - 1.0, 1e-9)
-    legs = limits.leg + KNOT_MARGIN * np.clip(share, 0.0, 1.0)
+    leg_margin = KNOT_MARGIN if search.cost is None else COST_LEG_MARGIN
+    legs = limits.leg + leg_margin * np.clip(share, 0.0, 1.0)
     lower[:, columns.q_legs] = lower[:, columns.r_legs] = legs[:, None]
     nodes = columns.nodes
     lower[:, nodes] = np.maximum(lower[:, nodes], table[:, nodes] - stride)

@@ -3,8 +3,8 @@
 Variables are the changes of vertices, q-legs and tensions at the inner knots. Drones and r-legs
 follow by casadi's exact derivatives of the model, evaluated at all robots and knots at once. The
 objective is either the energy of the motion of all vertices and drones, which is quadratic, or the
-duration within the limits of speed, acceleration, thrust and tilt. Rows are sparse: the cost is
-linear in knots · n.
+duration within the limits of speed, acceleration, thrust and tilt, plus a cost of one's own. Rows
+are sparse: the effort is linear in knots · n.
 """
 
 from __future__ import annotations
@@ -109,6 +109,8 @@ def iterates(
         if moved is None:
             return
         distance = float(np.max(np.abs(moved.polygons - path.polygons)))
+        if search.cost is not None:  # which may depend on legs alone
+            distance = max(distance, float(np.max(np.abs(moved.q_legs - path.q_legs))))
         path = moved
         yield path
         if distance < progress * step.stride:
@@ -171,6 +173,9 @@ def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> Mor
     lower = np.concatenate([lower[bounded], min_sine - turns, needed])
     upper = np.append(upper[bounded], np.full(len(turns) + len(needed), np.inf))
     hessian, gradient = _energy(path, search, step.fastest)
+    if step.fastest and search.cost is not None:
+        terms = search.cost.terms(path)
+        hessian, gradient = hessian + terms.hessian, gradient + terms.gradient
     costs = [np.asarray(tangent.T @ gradient)]
     extra: list[tuple[Indices, Indices, Array]] = []  # entries of other variables than changes
     limits, changes = search.requirements.limits, tangent.shape[1]

@@ -21,6 +21,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
 from hitchopt.planners.morph.morph import check_loads, check_shapes
 from hitchopt.planners.morph.path import Path
+from hitchopt.planners.optimise.cost import ShapeCost
 from hitchopt.planners.optimise.guesses import (
     STRAIGHT,
     WIDENED,
@@ -81,6 +82,9 @@ MIN_MARGIN_GAIN = 0.03
 
 MAX_FASTEST_STEPS = 12
 """Maximum number of steps from a feasible path to faster ones."""
+
+MAX_COST_STEPS = 36
+"""Maximum number of steps from a feasible path to better ones by a cost of one's own."""
 
 MAX_JUDGED = 4
 """Maximum number of faster paths that are judged, which samples found feasible: distances between
@@ -160,6 +164,12 @@ class Candidate:
 
     name: str
     motion: Motion
+    cost: float = 0.0  # integral of a cost of one's own on its path [s]
+
+    @property
+    def objective(self) -> float:
+        """Duration and cost [s], which the best candidate minimizes."""
+        return self.motion.duration + self.cost
 
 
 class NoRouteError(HitchoptError):
@@ -185,6 +195,8 @@ class OptimisedMorph:
     # smallest and largest [N] of variable tensions, or None
     tension: tuple[float, float] | None = None
     straight: Path | None = None  # path with straight vertices; None if it is infeasible
+    # with a cost all guesses are optimized, whatever their durations
+    cost: ShapeCost | None = None
 
     @property
     def min_duration(self) -> float:
@@ -217,14 +229,16 @@ class OptimisedMorph:
         return margins
 
     def solve(self) -> list[Candidate]:
-        """Return the motions along feasible paths, the fastest first.
+        """Return the motions along feasible paths, the fastest, or cheapest with a cost, first.
 
         Guesses are optimized in the order of their estimated durations; on ties, turning edges
         precede turning polygons. Optimized paths that equal earlier ones are skipped, and the
         search ends if no path can be faster by MIN_GAIN. Raises NoRouteError if there is none.
         """
         motion = None if self.straight is None else _judged(self.straight, self.judge)
-        candidates = [] if motion is None else [Candidate("", motion)]
+        candidates = list[Candidate]()
+        if self.straight is not None and motion is not None:
+            candidates.append(Candidate("", motion, self._cost_of(self.straight)))
         rejected: list[KnotPath] = []
         if self.start.team.layout.closed:
             candidates += self._optimised(motion, rejected)
@@ -235,15 +249,20 @@ class OptimisedMorph:
             candidates = self._around_obstacles(best)
             if not candidates:
                 raise NoRouteError(best)
-        return sorted(candidates, key=lambda candidate: candidate.motion.duration)
+        return sorted(candidates, key=lambda candidate: candidate.objective)
+
+    def _cost_of(self, path: Path) -> float:
+        """Return the integral of the cost on a path [s]; 0 without a cost."""
+        return 0.0 if self.cost is None else self.cost.integral(path)
 
     def _optimised(self, straight: Motion | None, rejected: list[KnotPath]) -> list[Candidate]:
         """Return the motions along optimized guesses that may be faster than the straight one."""
         fastest = math.inf if straight is None else straight.duration
-        if self.min_duration > (1.0 - MIN_GAIN) * fastest:
+        if self.cost is None and self.min_duration > (1.0 - MIN_GAIN) * fastest:
             return []
-        # Tensions may vary on the straight path too.
-        margins = self.margins(straight=straight is None or self.tension is not None)
+        # Tensions may vary on the straight path too, and a cost may bend it.
+        bends = self.tension is not None or self.cost is not None
+        margins = self.margins(straight=straight is None or bends)
         paths = [path for path, each in margins.items() if np.min(each) >= MIN_GUESS_MARGIN]
         if straight is None:
             paths = paths or list(margins)
@@ -251,8 +270,10 @@ class OptimisedMorph:
             return []
         paths = [path.resampled(_steps(path)) for path in paths]
         max_effort = max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
-        if straight is None:
+        if straight is None or self.cost is not None:
             max_effort = MAX_EFFORT * max(path.size for path in paths)
+        if self.cost is not None:
+            max_effort *= len(paths)  # all of them are optimized
         estimates = np.zeros(len(paths))
         if len(paths) > 1 or straight is not None:
             smooth = [path.path for path in paths]
@@ -275,6 +296,7 @@ class OptimisedMorph:
             (first, last),
             effort=effort,
             rejected=rejected,
+            cost=self.cost,
         )
 
     @property
@@ -292,8 +314,9 @@ class OptimisedMorph:
         candidates: list[Candidate] = []
         visited: list[KnotPath] = []
         shortest = math.inf  # estimate of the last optimized path with a motion [s]
+        only_time = self.cost is None
         for guess, estimate in zip(guesses, estimates, strict=True):
-            if estimate > MAX_GUESS_RATIO * fastest:
+            if only_time and estimate > MAX_GUESS_RATIO * fastest:
                 break
             path = _optimized(guess, search, visited)
             visited.append(guess)
@@ -301,15 +324,16 @@ class OptimisedMorph:
                 continue
             visited.append(path)
             optimised = _estimate(path, self.requirements)
-            if optimised > min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * shortest):
+            longest = min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * shortest)
+            if only_time and optimised > longest:
                 continue
-            motion = _refined(path, search)
-            if motion is None:
+            candidate = _refined(path, search)
+            if candidate is None:
                 continue
-            candidates.append(Candidate(path.name, motion))
+            candidates.append(candidate)
             shortest = optimised
-            fastest = min(fastest, motion.duration)
-            if self.min_duration > (1.0 - MIN_GAIN) * fastest:
+            fastest = min(fastest, candidate.motion.duration)
+            if only_time and self.min_duration > (1.0 - MIN_GAIN) * fastest:
                 break
         return candidates
 
@@ -325,16 +349,16 @@ class OptimisedMorph:
             search = self._limits(max_effort, rejected)
             if self.start.team.layout.closed:
                 path = _optimized(guess.with_perturbed_legs(LEG_PERTURBATION), search, [])
-                motion = None if path is None else _refined(path, search)
-                if motion is not None:
-                    return [Candidate(guess.name, motion)]
+                candidate = None if path is None else _refined(path, search)
+                if candidate is not None:
+                    return [candidate]
                 spent += search.effort.spent
             if not as_it_is:
                 motion = self._flown_as_it_is(guess)
                 if motion is None:
                     rejected.append(guess)
                 else:
-                    as_it_is = [Candidate(guess.name, motion)]
+                    as_it_is = [Candidate(guess.name, motion, self._cost_of(guess.path))]
         return as_it_is
 
     def _around_obstacles(self, path: KnotPath) -> list[Candidate]:
@@ -344,7 +368,7 @@ class OptimisedMorph:
         for detour in detours(path):
             motion = self._flown_as_it_is(detour)
             if motion is not None:
-                return [Candidate(detour.name, motion)]
+                return [Candidate(detour.name, motion, self._cost_of(detour.path))]
         return []
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
@@ -369,6 +393,11 @@ def _estimate(path: KnotPath, requirements: Requirements) -> float:
     return flight_estimate(path.path, requirements.limits)
 
 
+def _objective(path: KnotPath, search: SearchLimits) -> float:
+    """Return an estimate of the duration [s] plus the cost of one's own, if any [s]."""
+    return _estimate(path, search.requirements) + search.cost_of(path.path)
+
+
 def _equal(path: KnotPath, other: KnotPath) -> bool:
     """Return whether two paths are equal up to PATH_TOLERANCE."""
     if path.steps != other.steps:
@@ -386,17 +415,20 @@ def _optimized(guess: KnotPath, search: SearchLimits, visited: list[KnotPath]) -
     return path
 
 
-def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
-    """Return the motion along a refined path of minimum energy, or along a faster one near it.
+def _refined(path: KnotPath, search: SearchLimits) -> Candidate | None:
+    """Return the motion along a refined path of minimum energy, or along a better one near it.
 
-    Refinement enforces distances between the knots, then adds knots, up to a feasible path.
+    Refinement enforces distances between the knots, then adds knots, up to a feasible path. With a
+    cost, further knots then improve this path.
     """
     steps = path.steps
+    best: Candidate | None = None
     for factor, margin in REFINEMENTS:
         tight = replace(search, margin=margin)
         if factor > 1:
             path = path.resampled(factor * steps)
-        if factor > 1 or not _is_feasible(path, search):
+        restored = factor > 1 and search.cost is None
+        if restored or not _is_feasible(path, search):
             path, feasible = _feasible_near(path, tight)
             if not feasible:
                 if _worst_margin(path, search.requirements) < HOPEFUL_MARGIN:
@@ -407,9 +439,15 @@ def _refined(path: KnotPath, search: SearchLimits) -> Motion | None:
         for feasible_path in reversed(tried):
             motion = _judged(feasible_path.path, search.judge)
             if motion is not None:
-                return motion
-    search.rejected.append(path)
-    return None
+                candidate = Candidate(path.name, motion, search.cost_of(feasible_path.path))
+                if search.cost is None:
+                    return candidate
+                if best is None or candidate.objective < best.objective:
+                    best, path = candidate, feasible_path
+                break
+    if best is None:
+        search.rejected.append(path)
+    return best
 
 
 def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool]:
@@ -426,32 +464,32 @@ def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool
 
 
 def _shortened(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
-    """Return the feasible paths of repeated steps from a feasible one, each faster than the last.
+    """Return the feasible paths of repeated steps from a feasible one, each better than the last.
 
+    A path is better if it takes less time, with a cost less time and cost together.
     Steps go on from infeasible paths too, whose distances the next step restores. When they gain no
     more, the last feasible path is kept, and the stride is halved.
     """
-    requirements, step = (
-        search.requirements,
-        SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True),
-    )
-    best, shortest, programs = path, _estimate(path, requirements), 0
+    step = SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True)
+    best, shortest, programs = path, _objective(path, search), 0
+    max_programs = MAX_FASTEST_STEPS if search.cost is None else MAX_COST_STEPS
     faster = list[KnotPath]()
     while step.stride >= MIN_STRIDE:
         faster_but_infeasible, last = False, math.inf
-        for moved in iterates(best, search, step, MAX_FASTEST_STEPS, MIN_REFINED_PROGRESS):
+        for moved in iterates(best, search, step, max_programs, MIN_REFINED_PROGRESS):
             programs += 1
-            estimate = _estimate(moved, requirements)
+            estimate = _objective(moved, search)
             if estimate < shortest:
                 feasible = _is_feasible(moved, search)
                 faster_but_infeasible = not feasible
                 if feasible:
                     best, shortest = moved, estimate
                     faster.append(moved)
-            if estimate > (1.0 - MIN_STEP_GAIN) * last or programs >= MAX_FASTEST_STEPS:
+            if estimate > last - MIN_STEP_GAIN * abs(last) or programs >= max_programs:
                 break
             last = estimate
-        if not faster_but_infeasible or programs >= MAX_FASTEST_STEPS:
+        # Steps may pass the minimum of a cost: shorter ones follow.
+        if programs >= max_programs or not (faster_but_infeasible or search.cost is not None):
             break
         step = replace(step, stride=0.5 * step.stride)
     return faster

@@ -1,0 +1,163 @@
+"""Costs of one's own on the shapes of a path, differentiated by casadi."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+import scipy.sparse as sp
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Team
+from hitchopt.hitch.casadi_model import CostFunction, model
+from hitchopt.planners.morph.path import Path
+from hitchopt.planners.optimise.knots import CostTerms, KnotPath
+from hitchopt.values import Array
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+OUTPUTS = ("positions", "thrusts", "tilt_cosines", "legs", "exterior_angles", "separations")
+"""Outputs of ``ho.model`` that depend on the shape alone, and that a cost may use."""
+
+COST_SAMPLES = 65
+"""Number of samples of a path by which the integral of its cost is computed."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShapeCost:
+    """The integral over s of a cost [s] of a closed hitch's shapes.
+
+    Raises InputError if the function cannot be evaluated on casadi's symbols, returns no scalar,
+    has steps (``floor``, ``sign``, …), which have no useful derivative, or depends on no shape.
+    """
+
+    team: Team
+    function: CostFunction
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise self._refusal("give one, or None")
+        if not self.team.layout.closed:
+            remedy = "leave the cost out: routes of chains are not optimised"
+            raise InputError("cost", self.name, "given for a closed hitch only", remedy)
+        _ = self._integrand
+
+    @property
+    def name(self) -> str:
+        """Name of the function."""
+        return str(getattr(self.function, "__name__", type(self.function).__name__))
+
+    def _refusal(self, reason: str) -> InputError:
+        bound = "a function of the model's outputs and s that casadi differentiates"
+        return InputError("cost", self.name, bound, reason)
+
+    @cached_property
+    def _integrand(self) -> ca.Function:
+        """The function of the named outputs, in order, and s."""
+        import casadi as ca
+
+        team, n = self.team, self.team.robots
+        hitch = model(team, roll=True, tensions=True)
+        sizes = {name: hitch.size1_out(name) for name in OUTPUTS}
+        sizes |= {"vertices": 3 * n, "q_legs": n, "tensions": n}
+        outputs, s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}, ca.SX.sym("s")
+        try:
+            value = ca.SX(self.function(outputs, s))
+        except KeyError as error:
+            raise self._refusal(f"{error} is not one of {', '.join(sizes)}") from error
+        except Exception as error:
+            reason = str(error).strip().splitlines() or [type(error).__name__]
+            raise self._refusal(f"it raises {type(error).__name__}: {reason[-1]}") from error
+        if value.shape != (1, 1):
+            raise self._refusal(f"return one number, not {value.shape[0]} x {value.shape[1]}")
+        symbols = ca.vertcat(*outputs.values())
+        if not ca.depends_on(value, symbols):
+            raise self._refusal("it depends on no shape")
+        function = ca.Function("cost", [symbols, s], [value])
+        steps = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_SIGN: "sign", ca.OP_FMOD: "fmod"}
+        used = {function.instruction_id(k) for k in range(function.n_instructions())}
+        for operation in sorted(used & steps.keys()):
+            raise self._refusal(f"{steps[operation]} has no useful derivative")
+        return function
+
+    @cached_property
+    def _of_level(self) -> ca.Function:
+        return self._expansion(rolled=False)
+
+    @cached_property
+    def _of_rolled(self) -> ca.Function:
+        return self._expansion(rolled=True)
+
+    def _expansion(self, *, rolled: bool) -> ca.Function:
+        """Return the function of a shape to its cost, and the cost's gradient and Hessian.
+
+        Its inputs are ``shape``, plan view of vertices (2n), q-legs (n) and tensions (n), in the
+        order of a table's columns, and ``height`` (n), ``roll`` (n) and ``s``.
+        """
+        import casadi as ca
+
+        n = self.team.robots
+        shape, height = ca.SX.sym("shape", 4 * n), ca.SX.sym("height", n)
+        roll, s = ca.SX.sym("roll", n), ca.SX.sym("s")
+        plan_view, q_legs, tensions = ca.vertsplit(shape, [0, 2 * n, 3 * n, 4 * n])
+        vertices = ca.vec(ca.vertcat(ca.reshape(plan_view, 2, n), height.T))
+        inputs = {"vertices": vertices, "q_legs": q_legs, "tensions": tensions}
+        hitch = model(self.team, roll=rolled, tensions=True)
+        results = hitch(**inputs, **({"roll": roll} if rolled else {}))
+        outputs = ca.vertcat(*(results[name] for name in OUTPUTS), vertices, q_legs, tensions)
+        value = self._integrand(outputs, s)
+        hessian, gradient = ca.hessian(value, shape)
+        return ca.Function(
+            "expansion",
+            [shape, height, roll, s],
+            [value, gradient, ca.densify(hessian)],
+            ["shape", "height", "roll", "s"],
+            ["value", "gradient", "hessian"],
+            {"cse": True},
+        )
+
+    def expand(self, shapes: Array, heights: Array, roll: Array | None, s: Array) -> list[Array]:
+        """Return values (J,), gradients (J, 4n) and Hessians (J, 4n, 4n) of shapes (J, 4n)."""
+        function = self._of_level if roll is None else self._of_rolled
+        angles = np.zeros((len(s), self.team.robots)) if roll is None else roll
+        results = function.map(len(s))(shape=shapes.T, height=heights.T, roll=angles.T, s=s[None])
+        values, gradients, hessians = (
+            np.asarray(results[name]) for name in ("value", "gradient", "hessian")
+        )
+        if not all(np.all(np.isfinite(each)) for each in (values, gradients, hessians)):
+            raise self._refusal("its value or derivative is not finite on the route")
+        size = shapes.shape[1]
+        return [values[0], gradients.T, hessians.T.reshape(len(s), size, size)]
+
+    def integral(self, path: Path) -> float:
+        """Return the integral over s of the cost [s] on a path, by the trapezoidal rule."""
+        s = np.linspace(0.0, 1.0, COST_SAMPLES)
+        flat = path.flat(s, 1)
+        places = flat.vertices[..., 0]
+        plan_view = places[..., :2].reshape(len(s), -1)
+        shapes = np.concatenate([plan_view, flat.q_legs[..., 0], flat.tensions[..., 0]], axis=1)
+        roll = None if flat.roll is None else flat.roll[..., 0]
+        values = self.expand(shapes, places[..., 2], roll, s)[0]
+        return float(np.sum(values[1:] + values[:-1]) / (2.0 * (len(s) - 1)))
+
+    def terms(self, path: KnotPath) -> CostTerms:
+        """Return the expansion of the integral around a path, convex by clipped eigenvalues."""
+        columns, inner, steps = path.columns, path.table[1:-1], path.steps
+        by = np.concatenate([columns.vertices.ravel(), columns.q_legs, columns.tensions])
+        roll = None if path.roll is None else path.roll[1:-1]
+        heights = np.full((len(inner), self.team.robots), path.altitude)
+        s = np.arange(1, steps) / steps
+        _, gradients, hessians = self.expand(inner[:, by], heights, roll, s)
+        values, vectors = np.linalg.eigh(hessians)
+        convex = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+        gradient = np.zeros(inner.shape)
+        gradient[:, by] = gradients / steps
+        places = columns.size * np.arange(len(inner))[:, None] + by
+        row = np.broadcast_to(places[..., None], convex.shape)
+        column = np.broadcast_to(places[:, None], convex.shape)
+        entries = (convex / steps).ravel(), (row.ravel(), column.ravel())
+        hessian = sp.csr_array(sp.coo_array(entries, (inner.size, inner.size)))
+        return CostTerms(hessian, gradient.ravel())
