@@ -47,7 +47,8 @@ from hitchopt.values import Array, Indices
 SHARES = tuple(0.5 + sign * off for off in np.linspace(0.0, 0.2, 11) for sign in (1.0, -1.0))
 """Slack splits in the order of the search."""
 
-ANGLES = 61  # Number of sampled angles of the roll; the certificate bounds all of them
+ANGLES = 61
+"""Number of sampled angles of the roll; the certificate bounds all of them."""
 
 DISTANCE_FACTOR = 1.2
 """Factor on distance limits of cables in planning."""
@@ -81,8 +82,13 @@ class RollPath:
     """A path on which legs turn about fixed clasps: the roll (clasps,) is linear in s."""
 
     hitch: Hitch
-    start: Array  # (clasps,) [rad]
-    end: Array  # (clasps,) [rad]
+    """The hitch, whose clasps, slack split and tensions are constant."""
+
+    start: Array
+    """(clasps,) [rad], roll at s = 0."""
+
+    end: Array
+    """(clasps,) [rad], roll at s = 1."""
 
     @property
     def team(self) -> Team:
@@ -91,14 +97,13 @@ class RollPath:
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
-        constants = self.hitch.vertices, self.hitch.q_legs, self.team.tension
-        vertices, q_legs, tensions, roll = (
-            np.zeros((len(s), *np.shape(value), count)) for value in (*constants, self.start)
-        )
-        for jets, value in zip((vertices, q_legs, tensions), constants, strict=True):
-            jets[..., 0] = value
-        roll[..., 0] = self.start + s[:, None] * (self.end - self.start)
-        roll[..., 1:2] = (self.end - self.start)[:, None]
+        vertices = _constant_jets(self.hitch.vertices, len(s), count)
+        q_legs = _constant_jets(self.hitch.q_legs, len(s), count)
+        tensions = _constant_jets(self.team.tension, len(s), count)
+        change = self.end - self.start
+        roll = np.zeros((len(s), *self.start.shape, count))
+        roll[..., 0] = self.start + s[:, None] * change
+        roll[..., 1:2] = change[:, None]
         return FlatJets(vertices, q_legs, tensions, roll)
 
     def drones(self, s: Array) -> Array:
@@ -107,19 +112,28 @@ class RollPath:
         return drones
 
 
+def _constant_jets(value: Array, knots: int, count: int) -> Array:
+    """Return the jets (knots, …, count) of a constant (…)."""
+    jets = np.zeros((knots, *value.shape, count))
+    jets[..., 0] = value
+    return jets
+
+
 def levels_of(layout: Layout, order: Iterable[int] | None) -> Indices:
     """Return the levels (n,) of a ring's cables, 0 the lowest; those of neighbours differ.
 
     ``order`` lists the cables from bottom to top; None for alternating levels.
     """
     n = layout.robots
-    levels = np.full(n, -1)
     if order is None:
         levels = np.arange(n) % 2
-        levels[-1] += 2 * (n % 2) * (levels[-1] == levels[0])
+        if levels[-1] == levels[0]:  # of an odd number of cables
+            levels[-1] = 2
         return levels
+    levels = np.full(n, -1)
     for k in order:
-        levels[k] = 1 + max(levels[k - 1], levels[(k + 1) % n])
+        neighbours = levels[k - 1], levels[(k + 1) % n]
+        levels[k] = 1 + max(neighbours)
     return levels
 
 
@@ -134,10 +148,19 @@ class Laying:
     """A hitch with its laying order and start positions."""
 
     hitch: Hitch
-    levels: Indices  # (n,), order of the cables, 0 the lowest
-    spacing: float = 0.0  # [m], between levels
-    offsets: Array | float = 0.0  # (n, 2) [m], of the start from the edges' lines
-    doubtful: ClassVar[bool] = True  # samples are of drones alone
+    """The hitch to be tied."""
+
+    levels: Indices
+    """(n,), order of the cables, 0 the lowest."""
+
+    spacing: float = 0.0
+    """[m], between levels."""
+
+    offsets: Array | float = 0.0
+    """(n, 2) [m], of the start from the edges' lines."""
+
+    doubtful: ClassVar[bool] = True
+    """Whether a requirement may be violated: samples are of drones alone."""
 
     @property
     def senses(self) -> Array:
@@ -171,35 +194,42 @@ class Laying:
     @property
     def drones_hanging(self) -> Array:
         """(2n, 3) [m]: the drones outside of the edges' lines, with hanging cables."""
-        pairs, length = self.drones_outside.reshape(-1, 2, 3), self.hitch.team.cable_length
-        middle = np.mean(pairs, axis=1, keepdims=True)
-        share = MAX_SPAN_RATIO * length / np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
-        drones: Array = middle + share[:, None, None] * (pairs - middle)
+        pairs = self.drones_outside.reshape(-1, 2, 3)
+        middles = np.mean(pairs, axis=1, keepdims=True)
+        chords = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
+        scale = MAX_SPAN_RATIO * self.hitch.team.cable_length / chords
+        drones: Array = middles + scale[:, None, None] * (pairs - middles)
         return np.asarray(drones.reshape(-1, 3))
 
     def clear_of_ground(self, requirements: Requirements) -> Laying:
         """Return the laying at the altitude that its hanging cables need."""
-        hitch, start = self.hitch, self.drones_hanging
-        rise = hover_altitude(hitch.team, start, requirements) - float(np.min(start[:, 2]))
+        hitch = self.hitch
+        hanging = self.drones_hanging
+        altitude = hover_altitude(hitch.team, hanging, requirements)
+        rise = altitude - float(np.min(hanging[:, 2]))
         if rise <= ALTITUDE_TOLERANCE:
             return self
         return replace(self, hitch=hitch.at_altitude(hitch.altitude + rise))
 
     def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
         """Return the motions from hanging cables to the hitch, in phases of step ``index``."""
-        hitch, context = self.hitch, (requirements, index)
         roll = roll_motion(self.path, requirements, Phase("roll", index, 0.0, 0.0))
-        legs, rolling = roll.legs.coefficients[0, ..., 0], CableState.ROLLING
         keyframes = (
             Keyframe("draw taut", self.drones_outside),
             Keyframe("slide in", self.drones_above, CableState.LAYING),
             Keyframe("lay", self.drones_laid, CableState.LAYING),
         )
-        return [
-            *straight_stages(self.drones_hanging, keyframes, self.hitch.team, *context),
-            tension_stage(hitch, self.drones_laid, legs, TENSION_SECONDS, *context, rolling),
-            roll,
-        ]
+        laid = straight_stages(self.drones_hanging, keyframes, self.hitch.team, requirements, index)
+        tension = tension_stage(
+            self.hitch,
+            self.drones_laid,
+            roll.legs.coefficients[0, ..., 0],
+            TENSION_SECONDS,
+            requirements,
+            index,
+            CableState.ROLLING,
+        )
+        return [*laid, tension, roll]
 
 
 def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -> Hitch:
@@ -210,7 +240,8 @@ def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -
     """
 
     def candidates() -> Iterator[tuple[float, Hitch]]:
-        for q_legs in (hitch.q_legs, *(share * hitch.slack for share in SHARES)):
+        splits = [hitch.q_legs, *(share * hitch.slack for share in SHARES)]
+        for q_legs in splits:
             split = Hitch(hitch.team, hitch.polygon, hitch.altitude, q_legs, hitch.roll)
             path = RollPath(split, -np.pi * senses, split.roll)
             drones = path.drones(np.linspace(0.0, 1.0, ANGLES))
@@ -225,40 +256,66 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     Levels are spaced by the sag of cables and the planned distance. Robots start as near to their
     edges as cables permit without crossing.
     """
-    team, separation = hitch.team, requirements.separation
-    layout, unplaced = team.layout, Laying(hitch, levels)
-    laid = unplaced.drones_laid
-    q, r = laid[0::2], laid[1::2]
-    sag = float(np.max(Catenary.between(q, r, team.cable_length).depth(0.0) + np.abs(r - q)[:, 2]))
+    separation = requirements.separation
     distance = planned_distance(separation)
-    u = hitch.polygon.edge_directions
-    outward = left_of(u)
-    step = OFFSET_STEP * float(np.mean(team.cable_length))
+    unplaced = Laying(hitch, levels)
+    laid = unplaced.drones_laid
+    spacing = _largest_sag(hitch.team, laid) + distance
+    along = hitch.polygon.edge_directions
+    outward = left_of(along)
 
     def candidates() -> Iterator[tuple[float, Laying]]:
         for slant in SLANTS:
-            direction = outward + slant * u
-            for i in range(MAX_OFFSET_STEPS):
-                offsets = (i * step) * direction
-                if _cable_distance(layout, laid[:, :2] + np.repeat(offsets, 2, axis=0)) < distance:
-                    continue
-                landed = replace(unplaced, offsets=offsets).drones_hanging * [1.0, 1.0, 0.0]
-                if smallest_separation(landed[None], separation) >= MIN_SEPARATION:
-                    break
+            start = _nearest_start(unplaced, outward + slant * along, distance, separation)
             for factor in SPACINGS:
-                laying = Laying(hitch, levels, factor * (sag + distance), offsets)
-                outside, above = laying.drones_outside, laying.drones_above
+                laying = replace(start, spacing=factor * spacing)
+                outside = laying.drones_outside
+                above = laying.drones_above
                 inward = outside + SAMPLES[:, None, None] * (above - outside)
                 down = above + SAMPLES[:, None, None] * (laid - above)
-                yield smallest_separation(np.concatenate([inward, down]), separation), laying
+                drones = np.concatenate([inward, down])
+                yield smallest_separation(drones, separation), laying
 
     return best(candidates(), MIN_SEPARATION)
+
+
+def _largest_sag(team: Team, drones: Array) -> float:
+    """Return the largest height [m] of hanging cables, sag and rise, between drones (2n, 3) [m]."""
+    q = drones[0::2]
+    r = drones[1::2]
+    sags = Catenary.between(q, r, team.cable_length).depth(0.0)
+    rises = np.abs(r - q)[:, 2]
+    return float(np.max(sags + rises))
+
+
+def _nearest_start(
+    laying: Laying, direction: Array, distance: float, separation: Separation
+) -> Laying:
+    """Return the laying with the smallest offsets along directions (n, 2), else the largest ones.
+
+    Taut cables are at a distance [m], and landed drones separated.
+    """
+    team = laying.hitch.team
+    level = laying.drones_laid[:, :2]
+    step = OFFSET_STEP * float(np.mean(team.cable_length))
+    start = laying
+    for i in range(MAX_OFFSET_STEPS):
+        offsets = (i * step) * direction
+        start = replace(laying, offsets=offsets)
+        taut = level + np.repeat(offsets, 2, axis=0)
+        if _cable_distance(team.layout, taut) < distance:
+            continue
+        landed = start.drones_hanging * [1.0, 1.0, 0.0]
+        if smallest_separation(landed[None], separation) >= MIN_SEPARATION:
+            break
+    return start
 
 
 def _cable_distance(layout: Layout, drones: Array) -> float:
     """Return the minimum distance of cables of a ring to the next two, drones (2n, 2) [m]."""
     ends = np.concatenate([drones, np.zeros((len(drones), 1))], axis=1).reshape(-1, 2, 3)
-    k, smallest = np.arange(layout.robots), np.inf
+    k = np.arange(layout.robots)
+    smallest = np.inf
     for other in (k - 1, k - 2):
         differences = ends[:, [0, 0, 1, 1]] - ends[other][:, [0, 1, 0, 1]]
         distances = np.linalg.norm(shortest_offset(differences), axis=-1)
