@@ -178,7 +178,12 @@ class Rule(ByValue, Generic[S]):
 
     def _bound(self, spans: S) -> Bound:
         """Return the bound of the formula's value; raise InputError if it is not one number."""
-        quantity = self.formula(spans)
+        try:
+            quantity = self.formula(spans)
+        except AttributeError as error:  # of a value that spans or enclosed numbers do not have
+            names = [name for name, each in vars(self.over).items() if isinstance(each, property)]
+            remedy = f"values of {self.over.__name__} are {', '.join(names)}"
+            raise InputError(f"{self.name}.formula", error, "a formula", remedy) from error
         scalar: Any = quantity.cosine if isinstance(quantity, Angle) else quantity
         if not isinstance(scalar, Enclosed):
             remedy = "compute with the values of the spans, without taking numbers out of them"

@@ -132,6 +132,12 @@ def solve(
         edited = None if repair_to is None else (text, repair_to, take)
         _leave_diagnosis(folder, error, problem if is_searched else None, seconds, edited)
     show_notes(plan)
+    for mission in problem.teams.values():
+        stated, used = (math.degrees(x.limits.tilt) for x in (problem, mission.requirements))
+        if used < stated:
+            team = f"{mission.name}: " if mission.name else ""
+            words = f"limits.tilt_deg is {stated:g}, but the controllers tilt by at most {used:g}"
+            say(f"note: {team}{words}: planned for {used:g}")
     if not no_picture:
         _draw(plan, folder)
 

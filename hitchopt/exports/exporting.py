@@ -21,7 +21,16 @@ from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import certificate_of, certify
 from hitchopt.checks.tracking import TRACKING_RADIUS
-from hitchopt.errors import FileError, InfeasibleError, InputError, OneLine, Progress, contained
+from hitchopt.errors import (
+    FileError,
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    OneLine,
+    Progress,
+    UnsupportedError,
+    contained,
+)
 from hitchopt.exports.contents import (
     MANIFEST,
     MANIFEST_FORMAT,
@@ -30,9 +39,9 @@ from hitchopt.exports.contents import (
     listed_names,
     read_manifest,
 )
-from hitchopt.exports.format import ExportTask, Format, format_of
+from hitchopt.exports.format import ExportTask, Format, FormatOutput, format_of
 from hitchopt.exports.held_tension import held_tension, loop_gains, trailing_times
-from hitchopt.exports.options import ENDINGS, ExportOptions
+from hitchopt.exports.options import ENDINGS, HOMES, ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, places_text, read_fleet
 from hitchopt.exports.tension import TensionPolicy
 from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict, verify
@@ -418,6 +427,19 @@ def _exceeds_memory(refusal: InfeasibleError) -> bool:
     return any(each.constraint == "memory" for each in refusal.violations)
 
 
+def _written(kind: Format, folder: Path, task: ExportTask) -> FormatOutput:
+    """Return what a format has written; raise UnsupportedError if another package's code fails."""
+    try:
+        return kind.write(folder, task)
+    except (HitchoptError, OSError):
+        raise
+    except Exception as error:
+        if f"{type(kind).__module__}:{type(kind).__name__}" in HOMES.values():
+            raise  # a fault of hitchopt
+        words = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UnsupportedError(f"the format {kind.name} failed to write: {words}") from error
+
+
 def _export_part(
     kind: Format, task: ExportTask, place: Path, say: Progress, refusals: list[InfeasibleError]
 ) -> Export:
@@ -431,7 +453,7 @@ def _export_part(
     for attempt, bound in enumerate(kind.bounds, 1):
         say(f"writing {kind.name}" + (f", attempt {attempt}" if attempt > 1 else ""))
         try:
-            written = kind.write(folder, replace(task, bound=bound))
+            written = _written(kind, folder, replace(task, bound=bound))
             say(f"reading {kind.name} back")
             contents = kind.read(folder, task)
             violated = {each.constraint for refusal in refusals for each in refusal.violations}

@@ -451,6 +451,8 @@ def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
     try:
         stated, found = np.array(value, dtype=float), np.array(own[name], dtype=float)
         stated = np.radians(stated) if key.endswith("_deg") else stated
+        if name == "tilt":  # the plan has that of controllers that tilt less
+            found = np.maximum(stated, found)
         return not np.allclose(stated, found, rtol=1e-9, atol=1e-12)
     except (TypeError, ValueError):  # a list of words, or of another form
         return False

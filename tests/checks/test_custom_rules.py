@@ -289,6 +289,11 @@ def test_rules_refuse_invalid_arguments(arguments: dict[str, Any], message: str)
         (lambda s: s.position, r"high.formula = 'of shape \(6, 3\)': must be \(6, 1\)"),
         (lambda s: s.position[2].upper, "must be an enclosed scalar"),
         (lambda _: 1.0, "high.formula = 1.0: must be an enclosed scalar"),
+        (
+            lambda s: s.place,
+            "high.formula = .*'place'.*values of DroneSpans are position, velocity",
+        ),
+        (lambda s: s.position.length, "high.formula = .*'Enclosed' .* no attribute 'length'"),
         (lambda _: Enclosed.of([1.0]), r"must be \(6, 1\)"),
     ],
 )

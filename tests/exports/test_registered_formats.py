@@ -258,6 +258,25 @@ def test_a_broken_package_is_named_in_one_line_and_stops_nothing_else(
     assert "our_fleet" in listed
 
 
+@pytest.mark.usefixtures("example")
+def test_a_fault_of_another_package_s_writer_is_told_in_one_line(
+    install: Install, place: Path
+) -> None:
+    faulty = """
+from our_fleet import OurFleet
+
+class Typo(OurFleet):
+    name = "typo"
+    def write(self, folder, task):
+        return task.nonsense
+"""
+    install("typo-fleet", {"typo": "typo_fleet:Typo"}, faulty)
+    words = "the format typo failed to write: AttributeError: .*nonsense"
+    with pytest.raises(UnsupportedError, match=words):
+        exported(swarm_plan(), "typo", place / "typo")
+    assert not (place / "typo").exists()
+
+
 def test_a_format_whose_package_is_gone_is_unknown() -> None:
     with pytest.raises(InputError, match=r"one of crazyswarm2, .*hitchopt export lists them"):
         format_of("our_fleet")

@@ -223,6 +223,26 @@ def test_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
     assert found(name, (), None, tmp_path) == []
 
 
+def test_plans_for_controllers_that_tilt_less_are_as_requested(tmp_path: Path) -> None:
+    """PX4 commands at most 45°: plans state that limit; a lower one of the problem counts."""
+    drones = "quadrotor: {mass: 0.25, max_thrust: 5.0, controller: px4}"
+    text = f"""team: {{robots: 3, cable_length: 2.6, {drones}}}
+limits: {{tilt_deg: 60, tracking: 0.01}}
+start: {{hitch: {{polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0}}}}
+mission: [{{hold: {{seconds: 1.0}}}}]
+"""
+    (tmp_path / "problem.yaml").write_text(text)
+    arguments = ["solve", str(tmp_path / "problem.yaml"), "-o", str(tmp_path / "plan")]
+    solved = CliRunner().invoke(main, [*arguments, "--no-picture"])
+    assert solved.exit_code == 0
+    assert "limits.tilt_deg is 60, but the controllers tilt by at most 45" in solved.output
+    for command in ("check", "verify"):
+        assert CliRunner().invoke(main, [command, str(tmp_path / "plan")]).exit_code == 0
+    flown = {"tilt": np.radians(45.0)}
+    assert not request.contradicts("tilt_deg", 60.0, flown)
+    assert request.contradicts("tilt_deg", 44.0, flown)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [BOX, "two_teams", "lay_triangle", "carry_tray", "lay_hexagon"])
 def test_long_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
