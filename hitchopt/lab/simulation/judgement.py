@@ -49,11 +49,11 @@ HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone 
 NO_FRICTION = (
     "friction is assumed to be 0; with a coefficient of 0.1, vertices end about 5 cm off: "
 )
-NO_FRICTION += "state team.cable_friction, or give friction="
+NO_FRICTION += "state team.cable_friction, or perturb friction"
 WEIGHTLESS = (
     "cables are weightless in the plan, and fly as ropes of {:.2g} g/m, the lightest that {} "
 )
-WEIGHTLESS += "can simulate: state team.cable_density, or give density="
+WEIGHTLESS += "can simulate: state team.cable_density, or perturb density"
 SEVERAL = "controllers are replaced by the ideal one; choose another with controller="
 NOT_FLOWN = (
     "only hitches are simulated: these drones follow their setpoints exactly, without cables"
