@@ -183,7 +183,9 @@ def _report(path: Path, rules: Rules) -> Report:
         reason = f"follow from the curves with {kind.velocity_settings}; without them {TRAILING}"
         findings.append(note("velocities", "", f"{reason}, v up to {flight.speed:.2g} m/s"))
     if not contents.frame:
-        findings.append(note("frame", "", "the files do not state their axes; read as given"))
+        stated = _manifest_of(path)[0].get("frame")
+        exported = f", exported as {stated}" if isinstance(stated, str) else ""
+        findings.append(note("frame", "", f"the files do not state their axes{exported}"))
     findings.sort(key=lambda f: LEVELS.index(f.level))
     return Report(path, kind.name, contents.frame, contents.facts, flight, tuple(findings))
 

@@ -280,3 +280,12 @@ class Typo(OurFleet):
 def test_a_format_whose_package_is_gone_is_unknown() -> None:
     with pytest.raises(InputError, match=r"one of crazyswarm2, .*hitchopt export lists them"):
         format_of("our_fleet")
+
+
+@pytest.mark.parametrize("frame", ["enu", "ned"])
+def test_tables_that_state_no_axes_are_told_with_those_of_their_manifest(
+    frame: str, place: Path
+) -> None:
+    exported(swarm_plan(), "csv", place / "show.csv", frame=frame)
+    (note,) = [each for each in report(place / "show.csv").findings if each.rule == "frame"]
+    assert str(note).endswith(f"the files do not state their axes, exported as {frame}")
