@@ -10,6 +10,7 @@ import numpy as np
 
 from hitchopt.api import Legs, Polygon, new_step
 from hitchopt.errors import InputError, time_limit
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
@@ -113,7 +114,7 @@ def time(
 
     Raises
     ------
-    InputError: an argument is invalid.
+    InputError: an argument is invalid, or drones rest on a part of the path.
     InfeasibleError: a polygon on the path is not convex, a leg vanishes, drones cannot hover there,
         or the duration is too short.
     """
@@ -127,6 +128,7 @@ def time(
     enforced = requirements.with_reserve
     check_shapes(path)
     check_loads(path, enforced.limits)
+    _check_moves(path)
     motion = motion_along(path, enforced, seconds)
     span = None
     if path.tensions is not None:
@@ -134,3 +136,19 @@ def time(
         span = float(np.min(tensions)), float(np.max(tensions))
     phase = Phase("path", 0, 0.0, motion.duration, tension=span)
     return motion.replaced(phases=(phase,), requirements=requirements)
+
+
+MOVING_SAMPLES = 257  # Number of places of a path at which drones are compared
+
+MIN_MOVE = 1e-9  # [m] Smallest motion of some drone between two of these
+
+
+def _check_moves(path: Path) -> None:
+    """Raise InputError if all drones rest on a part of a path, which no speed along it passes."""
+    s = np.linspace(0.0, 1.0, MOVING_SAMPLES)
+    moves = np.max(length(np.diff(path.drones(s), axis=0)), axis=1)
+    resting = np.flatnonzero(moves < MIN_MOVE)
+    if resting.size:
+        first, last = float(s[resting[0]]), float(s[resting[-1] + 1])
+        found = f"at rest from s = {first:.3g} to {last:.3g}"
+        raise InputError("path", found, "moving everywhere", "split it there, and hold between")

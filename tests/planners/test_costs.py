@@ -108,11 +108,25 @@ def test_derivatives_are_those_of_finite_differences(roll: float) -> None:
         assert exact == pytest.approx(numeric, rel=1e-5, abs=1e-8)
 
 
+class Opaque(ca.Callback):
+    """A function of one number without derivatives."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.construct("opaque", {})
+
+    def eval(self, values: list[Any]) -> list[Any]:
+        return [values[0] ** 2]
+
+
 REFUSED: list[tuple[Any, str]] = [
     (lambda out, _: out["legs"], "one number, not 8 x 1"),
     (lambda out, _: out["velocities"][0], "'velocities' is not one of positions"),
     (lambda _, s: s, "depends on no shape"),
     (lambda out, _: ca.floor(out["legs"][0]), "floor has no useful derivative"),
+    (lambda out, _: out["positions"][0] > 1, "its derivative is zero"),
+    (lambda out, _: ca.if_else(out["legs"][0] > 1, 0, 1), "its derivative is zero"),
+    (lambda out, _: Opaque()(out["legs"][0]), "it raises RuntimeError: Derivatives cannot"),
     (lambda out, _: 1.0 if out["legs"][0] > 1 else 0.0, "it raises RuntimeError"),
     (lambda out, _: ca.log(-out["legs"][0]), "not finite on the route"),
     (lambda: 0.0, "it raises TypeError"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ SQUARE = ho.regular_polygon(4, 1.2)
 TEAM = ho.Team(robots=4, cable_length=2.4)
 START = ho.Hitch.spread(TEAM, SQUARE)
 TURNED = SQUARE.rotated(1.0)  # the straight path is slow
+TRIANGLE = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
 SMALLER = ho.regular_polygon(4, 1.1)  # the straight path is fast
 
 
@@ -110,3 +113,42 @@ def test_impossible_shapes_are_refused_where_they_are() -> None:
         ho.Path.of(TEAM, lambda s: SQUARE.vertices / s if s else SQUARE.vertices * np.nan)
     with pytest.raises(ho.InputError, match=r"^s = "):
         ho.Path.of(TEAM, on_circle).shapes([1.5])
+
+
+def circling(turns: int) -> Callable[[float], np.ndarray]:
+    """Return a function of s by which one vertex of a triangle circles."""
+
+    def vertices(s: float) -> np.ndarray:
+        angle = 2.0 * np.pi * turns * s
+        return TRIANGLE + [[0.1 * (np.cos(angle) - 1.0), 0.1 * np.sin(angle)], [0, 0], [0, 0]]
+
+    return vertices
+
+
+@pytest.mark.parametrize("turns", [1, 10, 50])
+def test_splines_fit_their_functions_between_samples(turns: int) -> None:
+    path = ho.Path.of(ho.Team(3, 2.4), circling(turns))
+    s = np.linspace(0.0, 1.0, 7001)
+    expected = np.stack([circling(turns)(each) for each in s.tolist()])
+    assert np.max(np.abs(path.vertices.at(s)[..., :2] - expected)) < 1e-4
+
+
+@pytest.mark.parametrize(
+    "vertices",
+    [*map(circling, (128, 256, 300, 512)), lambda s: TRIANGLE + (0.05 if s > 0.3 else 0.0)],
+)
+def test_functions_that_samples_miss_are_refused(vertices: Callable[[float], np.ndarray]) -> None:
+    with pytest.raises(
+        ho.InputError, match=r"vertices = 'off by .* near s = 0\.\d+': must be smooth"
+    ):
+        ho.Path.of(ho.Team(3, 2.4), vertices)
+
+
+def test_paths_that_rest_are_not_timed() -> None:
+    def waiting(s: float) -> np.ndarray:
+        return TRIANGLE * (1.0 + 4.0 * max(s - 0.5, 0.0) ** 6)
+
+    for vertices, end in ((waiting, "0.5"), (lambda _: TRIANGLE, "1")):
+        path = ho.Path.of(ho.Team(3, 2.4), vertices)
+        with pytest.raises(ho.InputError, match=rf"path = 'at rest from s = 0 to {end}"):
+            ho.time(path)

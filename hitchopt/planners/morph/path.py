@@ -72,8 +72,14 @@ class LegLaw:
         return self.length.jet(s, count) + part if np.any(self.length.coefficients) else part
 
 
-FUNCTION_SAMPLES = 65
-"""Number of samples of a function of s."""
+FUNCTION_SAMPLES = 65, 129, 257, 513
+"""Numbers of samples of a function of s, tried until the spline fits between them."""
+
+FIT_TOLERANCE = 1e-4
+"""Largest difference of a spline from its function between samples [m or rad]."""
+
+FIT_SHARES = 0.382, 0.618
+"""Where a fit is tested between two samples: whole turns between them are noticed, too."""
 
 MIN_KNOTS = 3  # Smallest number of knots of a natural quintic spline
 
@@ -116,9 +122,9 @@ class Path(OneLine):
     ) -> Path:
         """Return a custom path.
 
-        A function of s is sampled, and the spline through the samples has four continuous
-        derivatives. Knots are joined by a natural quintic spline, which minimizes the third
-        derivative. Shapes are checked by ``ho.time``, limits by ``ho.certify``.
+        A function of s is sampled until the spline through the samples, which has four continuous
+        derivatives, is within 0.1 mm of it. Knots are joined by a natural quintic spline, which
+        minimizes the third derivative. Shapes are checked by ``ho.time``, limits by ``ho.certify``.
 
         Parameters
         ----------
@@ -132,7 +138,8 @@ class Path(OneLine):
 
         Raises
         ------
-        InputError: values of another shape, or that are not finite.
+        InputError: values of another shape, or that are not finite; or a function that jumps or
+            turns too often for 513 samples.
         """
         check_instance("team", team, Team)
         points, height = team.layout.points, coordinate("altitude", altitude)
@@ -272,26 +279,56 @@ def _sampled(key: str, given: Samples, shapes: tuple[tuple[int, ...], ...]) -> _
     """Return samples of a function of s, or knots, whose values have one of the shapes."""
     words = " or ".join(map(str, shapes))
     if callable(given):
-        bound = f"a function of s to shape {words}"
-        try:
-            rows = [as_array(given(float(s))) for s in np.linspace(0.0, 1.0, FUNCTION_SAMPLES)]
-        except (TypeError, ValueError) as error:
-            raise InputError(key, given, bound, f"it raises {error}") from error
-        wrong = next((row for row in rows if row.shape not in shapes), None)
-        if wrong is not None or len({row.shape for row in rows}) > 1:
-            found = rows[0].shape if wrong is None else wrong.shape
-            remedy = "return a row per point or robot, as numbers"
-            raise InputError(key, f"shape {found}", bound, remedy)
-        values, smooth = np.stack(rows), True
-    else:
-        values, smooth = as_array(given), False
-        if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
-            bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {words}"
-            remedy = "give a knot for each of evenly spaced s from 0 to 1"
-            raise InputError(key, given, bound, remedy)
+        return _fitted(key, given, shapes)
+    values = as_array(given)
+    if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
+        bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {words}"
+        remedy = "give a knot for each of evenly spaced s from 0 to 1"
+        raise InputError(key, given, bound, remedy)
+    return _Samples(_finite(key, values), smooth=False)
+
+
+def _fitted(
+    key: str, function: Callable[[float], Points], shapes: tuple[tuple[int, ...], ...]
+) -> _Samples:
+    """Return as many samples of a function of s as its spline needs to fit between them."""
+    for count in FUNCTION_SAMPLES:
+        s = np.linspace(0.0, 1.0, count)
+        samples = _Samples(_values(key, function, shapes, s), smooth=True)
+        between = np.concatenate([s[:-1] + share / (count - 1) for share in FIT_SHARES])
+        expected = _values(key, function, shapes, between)
+        misfits = np.abs(samples.spline.at(between) - expected).reshape(len(between), -1)
+        if np.max(misfits) <= FIT_TOLERANCE:
+            return samples
+    worst = int(np.argmax(np.max(misfits, axis=1)))
+    found = f"off by {np.max(misfits):.2g} between {count} samples near s = {between[worst]:.3g}"
+    bound = f"smooth, within {FIT_TOLERANCE:g} of its spline"
+    raise InputError(key, found, bound, "make it smoother or split the path")
+
+
+def _values(
+    key: str, function: Callable[[float], Points], shapes: tuple[tuple[int, ...], ...], s: Array
+) -> Array:
+    """Return the finite values (J, *shape) of a function at s (J,)."""
+    words = " or ".join(map(str, shapes))
+    bound = f"a function of s to shape {words}"
+    try:
+        rows = [as_array(function(float(each))) for each in s]
+    except (TypeError, ValueError) as error:
+        raise InputError(key, function, bound, f"it raises {error}") from error
+    wrong = next((row for row in rows if row.shape not in shapes), None)
+    if wrong is not None or len({row.shape for row in rows}) > 1:
+        found = rows[0].shape if wrong is None else wrong.shape
+        remedy = "return a row per point or robot, as numbers"
+        raise InputError(key, f"shape {found}", bound, remedy)
+    return _finite(key, np.stack(rows))
+
+
+def _finite(key: str, values: Array) -> Array:
+    """Return values, or raise InputError if they are not finite."""
     if not np.all(np.isfinite(values)):
         raise InputError(key, "nan or infinite", "finite for s from 0 to 1", "check its formula")
-    return _Samples(values, smooth)
+    return values
 
 
 def _checked_s(s: ArrayLike) -> Array:

@@ -64,8 +64,10 @@ class ShapeCost:
         sizes = {name: hitch.size1_out(name) for name in OUTPUTS}
         sizes |= {"vertices": 3 * n, "q_legs": n, "tensions": n}
         outputs, s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}, ca.SX.sym("s")
+        symbols = ca.vertcat(*outputs.values())
         try:
             value = ca.SX(self.function(outputs, s))
+            gradient = ca.gradient(value, symbols) if value.is_scalar() else symbols
         except KeyError as error:
             raise self._refusal(f"{error} is not one of {', '.join(sizes)}") from error
         except Exception as error:
@@ -73,7 +75,6 @@ class ShapeCost:
             raise self._refusal(f"it raises {type(error).__name__}: {reason[-1]}") from error
         if value.shape != (1, 1):
             raise self._refusal(f"return one number, not {value.shape[0]} x {value.shape[1]}")
-        symbols = ca.vertcat(*outputs.values())
         if not ca.depends_on(value, symbols):
             raise self._refusal("it depends on no shape")
         function = ca.Function("cost", [symbols, s], [value])
@@ -81,6 +82,8 @@ class ShapeCost:
         used = {function.instruction_id(k) for k in range(function.n_instructions())}
         for operation in sorted(used & steps.keys()):
             raise self._refusal(f"{steps[operation]} has no useful derivative")
+        if gradient.is_zero():
+            raise self._refusal("its derivative is zero for all shapes")
         return function
 
     @cached_property
