@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -115,7 +115,7 @@ class Opaque(ca.Callback):
         super().__init__()
         self.construct("opaque", {})
 
-    def eval(self, values: list[Any]) -> list[Any]:
+    def eval(self, values: Sequence[ca.DM]) -> list[ca.DM]:
         return [values[0] ** 2]
 
 

@@ -120,7 +120,9 @@ def circling(turns: int) -> Callable[[float], np.ndarray]:
 
     def vertices(s: float) -> np.ndarray:
         angle = 2.0 * np.pi * turns * s
-        return TRIANGLE + [[0.1 * (np.cos(angle) - 1.0), 0.1 * np.sin(angle)], [0, 0], [0, 0]]
+        moved = TRIANGLE.copy()
+        moved[0] += [0.1 * (np.cos(angle) - 1.0), 0.1 * np.sin(angle)]
+        return moved
 
     return vertices
 
