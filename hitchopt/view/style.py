@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hitchopt.checks.certificate import Certificate
+from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight
@@ -114,13 +114,22 @@ def facts(flight: Flight) -> str:
 
 
 def verdict(certificate: Certificate) -> str:
-    """Return the result of a certificate as text."""
+    """Return the result of a certificate as text, with the worst values of custom rules."""
+    if not certificate.certified:
+        return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
     total = sum(check.limit is not None for check in certificate.checks)
-    if certificate.certified:
-        stated = ", ".join(rule.name for rule in certificate.not_recomputed)
-        holds = f"certified for all t: {total} of {total} limits hold"
-        return holds + (f"; not recomputed: {stated}" if stated else "")
-    return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
+    parts = [f"certified for all t: {total} of {total} limits hold"]
+    parts += [_rule_in_words(check) for check in certificate.checks if check.custom]
+    if stated := ", ".join(rule.name for rule in certificate.not_recomputed):
+        parts.append(f"not recomputed: {stated}")
+    return "; ".join(parts)
+
+
+def _rule_in_words(check: Check) -> str:
+    """Return the worst value of a custom rule beside its limit."""
+    relation = "≥" if check.sense == "min" else "≤"
+    limit = "" if check.limit is None else f" ({relation} {check.limit:g})"
+    return f"{check.name} {check.worst:.4g} {check.unit}{limit}"
 
 
 def new_figure(

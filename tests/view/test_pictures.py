@@ -306,3 +306,15 @@ def test_phases_after_the_end_of_what_was_flown_are_not_drawn(share: float) -> N
     assert names
     assert all(0.0 <= float(text.xy[0]) <= end for text in names)  # type: ignore[attr-defined]
     assert axes.get_position().width > 0.7
+
+
+def test_pictures_name_the_worst_of_custom_rules() -> None:
+    flight = planned("triangle").flight
+    rule = ho.Rule("leg", "m", "min", 0.2, ho.ClaspSpans, lambda clasp: clasp.q_leg.norm)
+    certificate = ho.certify(flight, rules=[rule])
+    words = f"leg {certificate['leg'].worst:.4g} m (≥ 0.2)"
+    figure = draw_summary(flight, certificate, "A rule")
+    written = " ".join(text.get_text() for text in figure.findobj(Text))
+    assert words in " ".join(written.split())
+    plain = draw_summary(flight, ho.certify(flight), "None")
+    assert "(≥ 0.2)" not in " ".join(text.get_text() for text in plain.findobj(Text))
