@@ -17,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import hitchopt as ho
-from hitchopt.motion.motion import Phase
+
+if TYPE_CHECKING:
+    from hitchopt.motion.motion import Phase
 
 if TYPE_CHECKING:
     from rich.progress import Progress

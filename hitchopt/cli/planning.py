@@ -46,7 +46,9 @@ from hitchopt.errors import (
     TimeLimitError,
     contained,
 )
-from hitchopt.mission.repair import Suggestion
+
+if TYPE_CHECKING:
+    from hitchopt.mission.repair import Suggestion
 
 if TYPE_CHECKING:
     from hitchopt.live.lost import UnsurvivableSpan

@@ -21,8 +21,9 @@ from hitchopt.cli.options import (
 )
 from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text, table
 from hitchopt.errors import InputError
-from hitchopt.lab.flights.hover import calibrate_hover
-from hitchopt.lab.statics.calibrate import Calibration
+
+if TYPE_CHECKING:
+    from hitchopt.lab.statics.calibrate import Calibration
 
 if TYPE_CHECKING:
     import click
@@ -246,6 +247,8 @@ def _calibrate_hover(
 ) -> None:
     """Report the calibration of single drones from hovers, and write it."""
     with ProgressBar("reading"):
+        from hitchopt.lab.flights.hover import calibrate_hover
+
         calibration = calibrate_hover(recordings, **options)
     rows = [
         {

@@ -10,8 +10,10 @@ import hitchopt as ho
 from hitchopt.cli.options import PATH, command, option, paper_option, picture_format, plan_path
 from hitchopt.cli.output import ProgressBar, known_text, say, table
 from hitchopt.errors import InputError
-from hitchopt.lab.flights.evaluation import Evaluation
-from hitchopt.lab.flights.recordings import RecordedFlight
+
+if TYPE_CHECKING:
+    from hitchopt.lab.flights.evaluation import Evaluation
+    from hitchopt.lab.flights.recordings import RecordedFlight
 
 if TYPE_CHECKING:
     from hitchopt.lab.simulation.task import Task
