@@ -18,6 +18,7 @@ from hitchopt.mission.solving import route_of
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.morph.morph import check_loads, check_shapes
 from hitchopt.planners.morph.path import Path
+from hitchopt.planners.timing.profile import TimingError
 from hitchopt.planners.timing.timed_motion import motion_along
 from hitchopt.single_steps import Required, problem_from_hitch, step_errors
 from hitchopt.steps.moving import Morph
@@ -114,7 +115,7 @@ def time(
 
     Raises
     ------
-    InputError: an argument is invalid, or drones rest on a part of the path.
+    InputError: an argument is invalid, or the path has no timing, as where all drones rest.
     InfeasibleError: a polygon on the path is not convex, a leg vanishes, drones cannot hover there,
         or the duration is too short.
     """
@@ -128,8 +129,10 @@ def time(
     enforced = requirements.with_reserve
     check_shapes(path)
     check_loads(path, enforced.limits)
-    _check_moves(path)
-    motion = motion_along(path, enforced, seconds)
+    try:
+        motion = motion_along(path, enforced, seconds)
+    except TimingError as error:
+        raise _untimed(path) from error
     span = None
     if path.tensions is not None:
         tensions = motion.tensions.coefficients
@@ -143,12 +146,14 @@ MOVING_SAMPLES = 257  # Number of places of a path at which drones are compared
 MIN_MOVE = 1e-9  # [m] Smallest motion of some drone between two of these
 
 
-def _check_moves(path: Path) -> None:
-    """Raise InputError if all drones rest on a part of a path, which no speed along it passes."""
+def _untimed(path: Path) -> InputError:
+    """Return the error of a path that has no timing, with where all drones rest, if they do."""
     s = np.linspace(0.0, 1.0, MOVING_SAMPLES)
     moves = np.max(length(np.diff(path.drones(s), axis=0)), axis=1)
     resting = np.flatnonzero(moves < MIN_MOVE)
-    if resting.size:
-        first, last = float(s[resting[0]]), float(s[resting[-1] + 1])
-        found = f"at rest from s = {first:.3g} to {last:.3g}"
-        raise InputError("path", found, "moving everywhere", "split it there, and hold between")
+    if not resting.size:
+        return InputError("path", "without a timing", "smooth", "make it smoother or split it")
+    after = np.flatnonzero(np.diff(resting) > 1)
+    last = resting[after[0]] if after.size else resting[-1]
+    found = f"at rest from s = {s[resting[0]]:.3g} to {s[last + 1]:.3g}"
+    return InputError("path", found, "moving everywhere", "split it there, and hold between")

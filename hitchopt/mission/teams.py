@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from hitchopt.checks import certify
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch.requirements import Separation
 from hitchopt.mission.problem import Problem
@@ -136,6 +137,7 @@ class _Item:
         if layer <= 2:
             height = gap if is_higher else -gap
         else:
+            gap += 2.0 * motion.requirements.limits.tube.largest + MARGINS[-1]
             others = [_heights(each) for each in self.tracks if each is not track]
             bottom, top = min(low for low, _ in others), max(high for _, high in others)
             height = top + gap - lowest if is_higher else bottom - gap - highest
@@ -236,6 +238,6 @@ def _blocked_error(blocked: Blocked, item: int) -> InfeasibleError:
     else:
         when = f"{where}, {blocked.time:.1f} s after it begins, whatever the delay"
         remedy = f"move the goal of {one} or {other}, or let one of them fly in a separate item"
-    unit = "ratio" if blocked.check == "separation" else "m"
+    unit = RULE_OF[blocked.check].unit
     values = blocked.check, blocked.value, blocked.limit, "min", unit, (one, other), when, remedy
     return InfeasibleError([Violation(*values)])

@@ -393,7 +393,8 @@ class Schedule:
             if not np.any(remaining):
                 last_feasible = int(np.flatnonzero(feasible)[-1])
                 sample = int(clock[np.argmax(too_close[last_feasible])])
-                return self._blocked(track, each, sample, int(starts[last_feasible]))
+                start = int(starts[last_feasible])
+                return self._blocked(track, each, sample, start, float(needed))
             feasible = remaining
         return int(starts[np.argmax(feasible)])
 
@@ -404,8 +405,13 @@ class Schedule:
             self.tables[a, b] = slacks(a, b, self.separation)
         return self.tables[a, b]
 
-    def _blocked(self, track: SampledPath, other: Placed, sample: int, start: int) -> Blocked:
-        """Return the minimum distance at a sample, or at rest if it is smaller there."""
+    def _blocked(
+        self, track: SampledPath, other: Placed, sample: int, start: int, needed: float
+    ) -> Blocked:
+        """Return the minimum distance at a sample, or at rest if it is smaller there.
+
+        The limit includes the ``needed`` slack [m], such as errors of position.
+        """
         a, b = track, other.track
         i = int(np.clip(sample - start, 0, len(a) - 1))
         j = int(np.clip(sample - other.start, 0, len(b) - 1))
@@ -414,7 +420,7 @@ class Schedule:
             if table[k, k] <= table[i, j]:
                 i, j, at = k % len(a), k % len(b), name
         rows = [
-            (float(slack[0]) * unit, check, float(slack[0]) + limit, limit)
+            (float(slack[0]) * unit, check, float(slack[0]) + limit, limit + needed / unit)
             for check, limit, unit, slack in _slacks_by_check(
                 a, b, self.separation, np.array([i]), np.array([j])
             )

@@ -253,3 +253,18 @@ def heights_in_passing(data: dict[str, Any]) -> tuple[float, float]:
     above = np.min(near[..., 2]) - np.max(there[..., 2]) - gap
     below = np.min(there[..., 2]) - np.max(near[..., 2]) - gap
     return float(above), float(below)
+
+
+def test_layers_leave_room_for_errors_of_position_and_refusals_count_them() -> None:
+    limits = {"tracking": 0.05}
+    data = {**past_team(8), "limits": limits}
+    above, below = heights_in_passing(data)
+    assert above > 2.0 * 0.05
+    low = {**data, "arena": {"lower": [-20, -20, 0.5], "upper": [20, 20, 2.2]}}
+    with pytest.raises(ho.InfeasibleError, match="whatever the delay") as refused:
+        ho.solve(problem_from_dict(low))
+    (violation,) = refused.value.violations
+    assert violation.value < violation.limit
+    assert violation.limit > 1.0
+    assert violation.unit == "ratio"
+    assert below < 0.0

@@ -154,3 +154,14 @@ def test_paths_that_rest_are_not_timed() -> None:
         path = ho.Path.of(ho.Team(3, 2.4), vertices)
         with pytest.raises(ho.InputError, match=rf"path = 'at rest from s = 0 to {end}"):
             ho.time(path)
+
+
+@pytest.mark.parametrize("power", [4, 6, 8])
+def test_paths_that_begin_slowly_are_timed(power: int) -> None:
+    def slow(s: float) -> np.ndarray:
+        moved = TRIANGLE.copy()
+        moved[0, 1] += 0.1 * s**power
+        return moved
+
+    motion = ho.time(ho.Path.of(ho.Team(3, 2.4), slow))
+    assert np.ptp(motion.vertices.at([0.0, motion.duration])[:, 0, 1]) == pytest.approx(0.1)
