@@ -254,7 +254,7 @@ class Certificate(OneLine):
     def stated_rules(self) -> tuple[StatedRule, ...]:
         """Its custom rules, as plan files state them."""
         custom = [check for check in self.limited if check.custom]
-        return (*map(_stated, custom), *self.not_recomputed)
+        return (*map(stated_rule, custom), *self.not_recomputed)
 
     @property
     def binding(self) -> tuple[str, ...]:
@@ -308,7 +308,7 @@ class Certificate(OneLine):
         }
 
 
-def _stated(check: Check) -> StatedRule:
+def stated_rule(check: Check) -> StatedRule:
     """Return the check of a custom rule as plan files state it."""
     worst = check.worst if check.is_evaluated else None
     return StatedRule(check.name, check.unit, check.sense, check.number, worst)

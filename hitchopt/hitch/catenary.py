@@ -109,6 +109,21 @@ def displacement_bound(
     return bound
 
 
+def bounded_radius(
+    across: tuple[Array, Array], length: ArrayLike, height_ratio: float = 1.0
+) -> Array:
+    """Return the radii (…) [m] up to which ``displacement_bound`` is finite for level ends.
+
+    Ends that move by r are up to x = 2r closer or farther apart, and ρ x higher, where ρ is the
+    height ratio: cables are taut where (s + x)² + (ρ x)² = L².
+    """
+    closest, farthest = across
+    nearly_taut = np.asarray(length) * SERIES_LIMIT / np.sinh(SERIES_LIMIT)
+    share = 1.0 + height_ratio**2
+    root = np.sqrt(np.maximum(farthest**2 + share * (nearly_taut**2 - farthest**2), 0.0))
+    return np.asarray(0.5 * np.minimum((root - farthest) / share, closest))
+
+
 @dataclass(frozen=True, eq=False)
 class Catenary:
     """Hanging cables (…): s, h and L [m], the steepness σ and ``h / Λ``."""

@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from hitchopt.checks.certificate import Certificate, Check
+from hitchopt.checks.certificate import Certificate, stated_rule
 from hitchopt.errors import FileError, InputError
 from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight
@@ -119,17 +119,10 @@ def verdict(certificate: Certificate) -> str:
         return "NOT CERTIFIED: " + ", ".join(check.name for check in certificate.violated)
     total = sum(check.limit is not None for check in certificate.checks)
     parts = [f"certified for all t: {total} of {total} limits hold"]
-    parts += [_rule_in_words(check) for check in certificate.checks if check.custom]
+    parts += [str(stated_rule(check)) for check in certificate.checks if check.custom]
     if stated := ", ".join(rule.name for rule in certificate.not_recomputed):
         parts.append(f"not recomputed: {stated}")
     return "; ".join(parts)
-
-
-def _rule_in_words(check: Check) -> str:
-    """Return the worst value of a custom rule beside its limit."""
-    relation = "≥" if check.sense == "min" else "≤"
-    limit = "" if check.limit is None else f" ({relation} {check.limit:g})"
-    return f"{check.name} {check.worst:.4g} {check.unit}{limit}"
 
 
 def new_figure(

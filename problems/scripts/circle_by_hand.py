@@ -1,4 +1,4 @@
-"""Move a vertex on a circle by a path of one's own, then time and certify it."""
+"""Move a vertex on a circle along a custom path, then time and certify it."""
 
 import numpy as np
 

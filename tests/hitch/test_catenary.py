@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.catenary import (
     Catenary,
+    bounded_radius,
     depth_rate,
     depth_terms,
     displacement_bound,
@@ -139,3 +140,18 @@ def test_cables_that_upright_errors_may_straighten_have_no_bound() -> None:
     assert np.isfinite(bounds[0])
     assert bounds == sorted(bounds)
     assert bounds[3:] == [np.inf, np.inf]  # chords as long as the cable
+
+
+@pytest.mark.parametrize("height_ratio", [1.0, 2.5])
+def test_displacements_are_bounded_up_to_a_radius(height_ratio: float) -> None:
+    rng = np.random.default_rng(5)
+    length = rng.uniform(1.0, 3.0, 200)
+    farthest = length * rng.uniform(0.2, 0.95, 200)
+    across = farthest * rng.uniform(0.2, 1.0, 200), farthest
+    radii = bounded_radius(across, length, height_ratio)
+    for share, is_finite in ((0.999, True), (1.001, False)):
+        bounds = [
+            displacement_bound((low, high), np.zeros(1), size, share * radius, height_ratio)
+            for low, high, size, radius in zip(*across, length, radii, strict=True)
+        ]
+        assert np.all(np.isfinite(bounds) == is_finite)

@@ -1,4 +1,4 @@
-"""Costs of one's own: what they change, by which derivatives, and what is refused."""
+"""Custom costs: what they change, by which derivatives, and what is refused."""
 
 from __future__ import annotations
 

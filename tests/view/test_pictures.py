@@ -312,9 +312,9 @@ def test_pictures_name_the_worst_of_custom_rules() -> None:
     flight = planned("triangle").flight
     rule = ho.Rule("leg", "m", "min", 0.2, ho.ClaspSpans, lambda clasp: clasp.q_leg.norm)
     certificate = ho.certify(flight, rules=[rule])
-    words = f"leg {certificate['leg'].worst:.4g} m (≥ 0.2)"
+    words = f"leg ({certificate['leg'].worst:.4g} m, limit ≥ 0.2 m)"
     figure = draw_summary(flight, certificate, "A rule")
     written = " ".join(text.get_text() for text in figure.findobj(Text))
     assert words in " ".join(written.split())
     plain = draw_summary(flight, ho.certify(flight), "None")
-    assert "(≥ 0.2)" not in " ".join(text.get_text() for text in plain.findobj(Text))
+    assert "≥ 0.2" not in " ".join(text.get_text() for text in plain.findobj(Text))

@@ -13,7 +13,7 @@ from hitchopt.checks.clearance import above_ground
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.catenary import SERIES_LIMIT, Catenary
+from hitchopt.hitch.catenary import Catenary, bounded_radius
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
@@ -211,12 +211,8 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
     if math.isfinite(altitude):
         return altitude
     apart = length(level[..., 1::2, :] - level[..., 0::2, :]).reshape(-1, team.robots)
-    farthest, closest = np.max(apart, axis=0), np.min(apart, axis=0)
-    # Taut where (s + x)² + (ρ x)² = L²: ends move apart by x, and upright by the ratio ρ of it.
-    nearly_taut = team.cable_length * SERIES_LIMIT / math.sinh(SERIES_LIMIT)
-    share = 1.0 + requirements.height_ratio**2
-    root = np.sqrt(np.maximum(farthest**2 + share * (nearly_taut**2 - farthest**2), 0.0))
-    borne = 0.5 * np.minimum((root - farthest) / share, closest)
+    across = np.min(apart, axis=0), np.max(apart, axis=0)
+    borne = bounded_radius(across, team.cable_length, requirements.height_ratio)
     cable = int(np.argmin(borne))
     needed, where = requirements.position_error, (team.cable_names[cable],)
     remedy = "use a longer cable, and place its drones neither at its full length nor in one place"

@@ -1,4 +1,4 @@
-"""Costs of one's own on the shapes of a path, differentiated by casadi."""
+"""Custom costs on the shapes of a path, differentiated by casadi."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ShapeCost:
         if not callable(self.function):
             raise self._refusal("give one, or None")
         if not self.team.layout.closed:
-            remedy = "leave the cost out: routes of chains are not optimised"
+            remedy = "omit the cost: routes of chains are not optimised"
             raise InputError("cost", self.name, "given for a closed hitch only", remedy)
         _ = self._integrand
 

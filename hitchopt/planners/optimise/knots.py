@@ -190,7 +190,7 @@ KNOT_MARGIN = 5e-3
 """[m] Margin of walls and shortest legs at knots, for the spline between."""
 
 COST_LEG_MARGIN = 0.025
-"""[m] The same margin of legs with a cost of one's own, which bends paths more: splines between
+"""[m] The same margin of legs with a custom cost, which bends paths more: splines between
 knots fell up to 0.022 m short."""
 
 TENSION_MARGIN = 0.02
@@ -267,7 +267,7 @@ class SearchLimits:
     effort: Effort = field(default_factory=Effort)  # of all programs of the search
     # refined paths that break a limit, for the diagnosis
     rejected: list[KnotPath] = field(default_factory=list)
-    cost: PathCost | None = None  # of one's own, to be minimized with the duration
+    cost: PathCost | None = None  # custom, to be minimized with the duration
 
     def cost_of(self, path: Path) -> float:
         """Return the cost of a path [s]; 0 without one."""

@@ -3,7 +3,7 @@
 Variables are the changes of vertices, q-legs and tensions at the inner knots. Drones and r-legs
 follow by casadi's exact derivatives of the model, evaluated at all robots and knots at once. The
 objective is either the energy of the motion of all vertices and drones, which is quadratic, or the
-duration within the limits of speed, acceleration, thrust and tilt, plus a cost of one's own. Rows
+duration within the limits of speed, acceleration, thrust and tilt, plus a custom cost. Rows
 are sparse: the effort is linear in knots · n.
 """
 

@@ -84,7 +84,7 @@ MAX_FASTEST_STEPS = 12
 """Maximum number of steps from a feasible path to faster ones."""
 
 MAX_COST_STEPS = 36
-"""Maximum number of steps from a feasible path to better ones by a cost of one's own."""
+"""Maximum number of steps from a feasible path to better ones by a custom cost."""
 
 MAX_JUDGED = 4
 """Maximum number of faster paths that are judged, which samples found feasible: distances between
@@ -164,7 +164,7 @@ class Candidate:
 
     name: str
     motion: Motion
-    cost: float = 0.0  # integral of a cost of one's own on its path [s]
+    cost: float = 0.0  # integral of a custom cost on its path [s]
 
     @property
     def objective(self) -> float:
@@ -394,7 +394,7 @@ def _estimate(path: KnotPath, requirements: Requirements) -> float:
 
 
 def _objective(path: KnotPath, search: SearchLimits) -> float:
-    """Return an estimate of the duration [s] plus the cost of one's own, if any [s]."""
+    """Return an estimate of the duration [s] plus the custom cost, if any [s]."""
     return _estimate(path, search.requirements) + search.cost_of(path.path)
 
 

@@ -1,4 +1,4 @@
-"""Morph with costs of one's own: a drone near a camera, vertices near a line, even legs."""
+"""Morph with custom costs: a drone near a camera, vertices near a line, even legs."""
 
 import casadi as ca
 import numpy as np
