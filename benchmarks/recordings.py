@@ -21,7 +21,7 @@ import hitchopt as ho
 from benchmarks.measuring import PROBLEMS, Array, Table, parser, timed
 from hitchopt.lab.flights.evaluation import Evaluation
 from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 
 RATE, EXAMPLE_RATE = 120.0, 25.0  # Of recordings, and of the one that is shipped [Hz]
 SPACING = 0.15  # Distance between the markers of an edge [m]
@@ -101,7 +101,7 @@ class Camera:
         return visible
 
 
-def exact_markers(task: Task, t: Array, count: int = 3) -> Array:
+def exact_markers(task: TeamTask, t: Array, count: int = 3) -> Array:
     """Return markers (times, n count, 3) [m] on the parabolas of a plan's edges."""
     vertices, layout = plan_at(task, t, task.states.vertices), task.team.layout
     starts, edges = vertices[:, layout.starts], layout.edges(vertices)
@@ -116,7 +116,7 @@ def exact_markers(task: Task, t: Array, count: int = 3) -> Array:
     return np.concatenate(found, axis=1)
 
 
-def rope_markers(task: Task, film: Any, t: Array, count: int = 3) -> tuple[Array, Array]:
+def rope_markers(task: TeamTask, film: Any, t: Array, count: int = 3) -> tuple[Array, Array]:
     """Return markers (times, n count, 3) on simulated ropes, and their crossings (times, n, 3)."""
     layout, lengths = task.team.layout, task.team.cable_length
     nodes = CubicSpline(film.t, film.nodes.astype(np.float64))(t)
@@ -205,7 +205,7 @@ def fly(plan: ho.Plan, rate: float, seed: int) -> tuple[Array, Array, Array, Arr
     """Return times, drones, markers and true crossings of a perturbed flight of a plan."""
     flown, task = (
         ho.simulate(plan, perturbed=True, seed=seed, pull_test=False),
-        Task.of(plan.flight),
+        TeamTask.of(plan.motion),
     )
     record = flown.flight.record
     t = np.arange(0.0, min(task.duration, record.t[-1]), 1.0 / rate)
@@ -239,7 +239,7 @@ class Comparison:
     elapsed: float
 
     @classmethod
-    def of(cls, task: Task, flown: Any, camera: Camera, seed: int) -> Comparison:
+    def of(cls, task: TeamTask, flown: Any, camera: Camera, seed: int) -> Comparison:
         """Record a flight with a camera and evaluate the recording."""
         t, drones, markers, crossings = flown
         recording = camera.recorded(t, drones, markers, seed)
@@ -287,14 +287,14 @@ def main() -> None:
         plan = plan_of(name)
         flown = fly(plan, RATE, options.seed)
         table.section(f"{name}, {plan.duration:.1f} s", *columns)
-        task = Task.of(plan.flight)
+        task = TeamTask.of(plan.motion)
         for words, camera in ROWS.items():
             table.row(words, *Comparison.of(task, flown, camera, options.seed).row())
     columns = ("experiment", "evaluated", "true crossings", "the paper's flight")
     table.section("The paper's experiments: mean errors of the vertices [m]", *columns)
     for name, paper in PAPER.items():
         plan = experiment(name)
-        task, flown = Task.of(plan.flight), fly(plan, RATE, options.seed)
+        task, flown = TeamTask.of(plan.motion), fly(plan, RATE, options.seed)
         comparison = Comparison.of(task, flown, Camera(noise=5e-4, lost=0.1), options.seed)
         true = np.linalg.norm(comparison.true - comparison.evaluation.planned, axis=-1)
         table.row(

@@ -76,13 +76,13 @@ def settle_row(seed: int) -> tuple[object, ...]:
     rows = (record.t > plan.duration - REST_TIME) & (record.t <= plan.duration)
     pulls = np.mean(record.tensions[rows], axis=0)
     vertices = np.nanmean(record.vertices[rows], axis=0)
+    bends = bend_lengths(simulation.flight.task.of_one_team("this benchmark"), *ROPE)
     equilibrium = ho.equilibrium(
         plan,
         plan.duration,
         cable_length=effective_lengths(simulation.flight),
         cable_density=simulation.flight.density,
-        load=team.load
-        + simulation.flight.density * 2.0 * bend_lengths(simulation.flight.task, *ROPE),
+        load=team.load + simulation.flight.density * 2.0 * bends,
         stiffness=stiffness,
         offsets=-mean_noise(simulation),
     )

@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from clocks import Clock
 from hypothesis import settings
 from plans import FOLDER, digest
 
@@ -49,6 +50,14 @@ def pytest_collection_finish() -> None:
 def _nothing_remembered() -> None:
     """No test gets what another one has planned, but for those that ask ``plans`` for it."""
     ho.forget()
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """The machine's clock, which goes on by a second whenever it is read."""
+    clock = Clock()
+    monkeypatch.setattr("time.monotonic", clock.monotonic)
+    return clock
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ import dataclasses
 import inspect
 import math
 import sys
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from hypothesis import strategies as st
 from matplotlib import pyplot
 
 import hitchopt as ho
-from hitchopt import api, single_steps
+from hitchopt import single_steps
 from hitchopt.errors import MAX_REPR, OneLine, UnsupportedError, broken_limit, short
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.steps import STEPS
@@ -63,33 +62,6 @@ def test_methods_and_functions_have_the_arguments_and_words_of_their_records(
             assert defaults.get(name, EMPTY) == (None if name == "swap" else default)
             meaning = keys[name].described(keys[name].kind).replace("null:", "None:")
             assert f"{name}: {meaning[0].lower()}{meaning[1:]}." in words
-
-
-@pytest.mark.parametrize("kind", STEPS, ids=lambda kind: kind.name)
-def test_methods_and_functions_pass_every_argument_on(
-    kind: type[Hold], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As the record's field of the same name, whatever its value."""
-    given = dict[str, object]()
-
-    def noted(_: type[Hold], **arguments: object) -> Hold:
-        given.update(arguments)
-        raise StopIteration
-
-    for module in (api, single_steps):
-        monkeypatch.setattr(module, "new_step", noted)
-    values = {name: object() for name in [*keys_of(kind), *NO_KEYS.get(kind.name, [])]}
-    functions: list[Any] = [getattr(ho.Mission(TEAM, START), kind.name)]
-    if kind.name in vars(single_steps):
-        first = (TEAM, START, START) if kind.needs_hitch is False else (START,)
-        functions.append(partial(vars(single_steps)[kind.name], *first))
-    for function in functions:
-        names = inspect.signature(function).parameters
-        passed = {name: value for name, value in values.items() if name in names}
-        given.clear()
-        with pytest.raises(StopIteration):
-            function(**passed)
-        assert given == passed
 
 
 def test_a_mission_is_the_problem_of_the_same_steps_and_objects() -> None:

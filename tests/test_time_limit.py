@@ -7,34 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clocks import Clock
 from plans import PROBLEMS, planned
 from refusing_steps import NEEDED_SPEED, brittle_problem
 
 import hitchopt as ho
-from hitchopt import errors as limits
 from hitchopt import single_steps
 from hitchopt.errors import Progress, TimeIsUp, TimeLimitError, check_time, time_left, time_limit
 from hitchopt.mission.repair import find_suggestions
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import Hold
-
-
-class Clock:
-    """A clock that goes on by a second whenever it is read."""
-
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def monotonic(self) -> float:
-        self.now += 1.0
-        return self.now
-
-
-@pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
-    made = Clock()
-    monkeypatch.setattr(limits, "time", made)
-    return made
 
 
 def wait(seconds: float, *progress: Progress) -> None:

@@ -37,6 +37,7 @@ Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]
 R = [[0.6, -1.2, 0.0], [0.6, 0.0, 0.0], [0.6, 1.2, 0.0]]
 TEAM = ho.Team(3, 2.4)
 START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+ROUGH = ho.Hitch(ho.Team(3, 2.4, cable_friction=0.1), TRIANGLE, 1.0, [0.3, 0.8, 0.25])
 PLAN = ho.hold(START, 1.0)
 SMALLER = [[0.0, -0.9], [-0.4, 0.5], [0.4, 0.5]]
 PATH = ho.Path.of(TEAM, [START.vertices, 1.01 * START.vertices, START.vertices])
@@ -60,6 +61,7 @@ BEGUN: dict[str, ho.Mission] = {
     **{"enclose": CRATE, "transport_object": CRATE, "grasp": ENCLOSED, "lift": HELD},
     **{"carry": HELD.lift(0.1), "set_down": HELD.lift(0.1), "loosen": HELD},
     "leave": ENCLOSED,
+    "settle": ho.Mission(ROUGH.team, ROUGH),
 }  # Missions in which steps are possible, where not at the start of one with a hitch
 
 
@@ -74,14 +76,12 @@ def arguments(kind: type[Step]) -> dict[str, Any]:
 
 
 def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
-    """Methods and functions of all kinds of steps, but for what only a team with friction does."""
+    """Methods and functions of all kinds of steps."""
     for kind in STEPS:
         given = arguments(kind)
-        if kind is Settle:
-            continue
         if kind.name in vars(single_steps):
-            free = kind.needs_hitch is False
-            start = {"team": TEAM, "q": Q, "r": R} if free else {"start": START}
+            free, hitch = kind.needs_hitch is False, ROUGH if kind is Settle else START
+            start = {"team": TEAM, "q": Q, "r": R} if free else {"start": hitch}
             alone = {name: value for name, value in given.items() if name != "blend"}
             yield getattr(ho, kind.name), {**start, **alone, **REST, "limit": None}
         yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given

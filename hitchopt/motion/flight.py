@@ -42,6 +42,11 @@ NAME = re.compile(r"[^\W\d][\w-]*")
 REST_RATE = 1e-6  # Largest speed [m/s] and acceleration [m/s²] at rest
 
 
+def team_label(team: str, name: str) -> str:
+    """Return the full name of a team's drone, point, cable or object, such as ``a.q0``."""
+    return f"{team}.{name}" if team else name
+
+
 @dataclass(frozen=True, eq=False)
 class TeamMotion(OneLine):
     """The motion of one team in a flight, with the team's name, which is empty for a single team.
@@ -62,7 +67,7 @@ class TeamMotion(OneLine):
 
     def label(self, name: str) -> str:
         """Return the full name of one of its drones, cables or vertices, such as ``a.q0``."""
-        return f"{self.name}.{name}" if self.name else name
+        return team_label(self.name, name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +76,7 @@ class CombinedSwarm(Swarm):
 
     def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
         kinds = [kind for _, team in teams for kind in team.kinds]
-        names = tuple(
-            f"{name}.{drone}" if name else drone
-            for name, team in teams
-            for drone in team.drone_names
-        )
+        names = tuple(team_label(name, drone) for name, team in teams for drone in team.drone_names)
         super().__init__(len(kinds), quadrotor=kinds)
         object.__setattr__(self, "_names", names)
         firsts = np.cumsum([0, *(len(team.drone_names) for _, team in teams)]).tolist()

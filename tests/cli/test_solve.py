@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from baseline import SWARMS, differences
+from clocks import Clock
 from commands import TRIANGLE, refused, run
 from matplotlib.figure import Figure
 from plans import GOOD, INFEASIBLE, ROOT, header, planned
@@ -122,15 +122,12 @@ def test_check_repeats_the_certificate_from_the_plan_alone(place: Path) -> None:
     assert (place / "out-csv").is_dir()
 
 
-def test_a_limit_ends_solve_and_search_with_a_diagnosis(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_limit_ends_solve_and_search_with_a_diagnosis(clock: Clock) -> None:
     told = run("solve", TRIANGLE, "-o", "out", "--limit", "1e-9", code=3).stderr
     assert "s is above the limit of 1e-09 s (last: " in told
     (violation,) = diagnosis()["violations"]
     assert (violation["constraint"], violation["limit"]) == ("time limit", 1e-9)
-    monkeypatch.setattr("hitchopt.cli.planning.MIN_SEARCH_TIME", 1e-9)
-    reads = iter([0.0])  # then the time is up
-    clock = SimpleNamespace(monotonic=lambda: next(reads, 1e9))
-    monkeypatch.setattr("hitchopt.cli.planning.time", clock)
+    clock.tick = 1.0
     told = run("solve", CLOSE, "-o", "out", "--limit", "60", code=3).stderr
     note = "the search for changes ended at the time limit (--limit)"
     assert note in told.splitlines()

@@ -306,20 +306,18 @@ def test_bags_of_other_messages_and_slow_ones(tmp_path: Path) -> None:
         assert said(report(tmp_path / words)) == words
 
 
-def referring(path: Path, member: str, files: int = 1, drones: int = 300) -> Path:
-    """Write a show whose drones refer to files of one content, the first to the first."""
-    refer = [{"$ref": f"./{i % files}.json#"} for i in range(drones)]
+def referring(path: Path, members: dict[str, str], drones: int = 300) -> Path:
+    """Write a show whose drones refer to its files in turn."""
+    refer = [{"$ref": f"./{i % len(members)}.json#"} for i in range(drones)]
     names = [{"settings": {"name": f"d{i}", "trajectory": each}} for i, each in enumerate(refer)]
-    members = {f"{i}.json": member for i in range(files)}
     return write_zip(path, members | {"show.json": {"swarm": {"drones": names}}})
 
 
-def test_small_files_that_unpack_to_very_much(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    bomb = referring(tmp_path / "bomb.skyc", '{"points": [' + " " * 100_000_000)
+def test_small_files_that_unpack_to_very_much(tmp_path: Path) -> None:
+    bomb = referring(tmp_path / "bomb.skyc", {"0.json": '{"points": [' + " " * 100_000_000})
     assert bomb.stat().st_size < 120_000
-    many = referring(tmp_path / "many.skyc", " " * 10_000_000, files=8)
+    spaces = {f"{i}.json": " " * 10_000_000 for i in range(8)}
+    many = referring(tmp_path / "many.skyc", spaces)
     for path, words in ((bomb, "would unpack to 1e"), (many, "would unpack to 8e")):
         tracemalloc.start()
         with pytest.raises(FileError, match=words):
@@ -327,12 +325,13 @@ def test_small_files_that_unpack_to_very_much(
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         assert peak < 5e6
-    spans = json.dumps({"points": [[k, [0, 0, 1], []] for k in range(100)]})
-    path = referring(tmp_path / "show.skyc", spans)
-    monkeypatch.setattr(contents, "MAX_SPANS", 99 * 300)
-    assert lint(path)
-    monkeypatch.setattr(contents, "MAX_SPANS", 99 * 300 - 1)
-    with pytest.raises(FileError, match="300 drones with 99 spans"):
+    # Each drone has times of its own, on whose breaks all curves would be stored.
+    members = {
+        f"{i}.json": json.dumps({"points": [[k + 0.003 * i, [0, 0, 1], []] for k in range(230)]})
+        for i in range(300)
+    }
+    path = referring(tmp_path / "show.skyc", members)
+    with pytest.raises(FileError, match=r"300 drones with 6\d{4} spans of time are too many"):
         lint(path)
 
 
@@ -370,17 +369,21 @@ FLAWS: dict[str, tuple[list[Any], Rules, str]] = {
 
 
 @pytest.mark.parametrize("name", FLAWS)
-def test_each_rule_detects_its_violation(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_rule_detects_its_violation(name: str, tmp_path: Path) -> None:
     drones, rules, expected = FLAWS[name]
     polys(tmp_path, *drones)
     found = report(tmp_path, rules)
     assert said(found) == expected
     assert found.sound is ("error" not in expected)
-    monkeypatch.setattr(contents, "WINDOW", 1)  # pieces at once: nothing is lost between them
-    again = report(tmp_path, rules)
-    assert (said(again), again.flight.jumps) == (expected, found.flight.jumps)
+
+
+def test_jumps_between_windows_are_found(tmp_path: Path) -> None:
+    """Files of more than WINDOW pieces are read in parts."""
+    pieces = [[0.1 * (k >= contents.WINDOW)] for k in range(contents.WINDOW + 3)]
+    polys(tmp_path, ([0.1] * len(pieces), pieces))
+    found = report(tmp_path)
+    assert found.flight.jumps[0] == pytest.approx(0.1, rel=1e-5)
+    assert "0.1 m where pieces join at t = 2000 s" in str(found.findings)
 
 
 def test_figures_and_places_of_findings(tmp_path: Path) -> None:

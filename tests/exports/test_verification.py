@@ -19,7 +19,7 @@ from hitchopt.checks import registry
 from hitchopt.checks.certificate import CertificateError
 from hitchopt.checks.registry import certificate_of
 from hitchopt.errors import FileError, InputError
-from hitchopt.exports.contents import FileContents, Trajectory
+from hitchopt.exports.contents import WINDOW, FileContents, Trajectory
 from hitchopt.exports.lint import load
 from hitchopt.exports.placing import AXES, ReferenceFrame
 from hitchopt.exports.verification import Verdict, verify
@@ -27,6 +27,7 @@ from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
 
 PLAIN = ReferenceFrame()
@@ -80,13 +81,15 @@ def test_a_motion_is_certified_once_and_another_one_again(
 
 
 @pytest.mark.slow
-def test_windows_of_any_size_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    motion, found = hitch_plan(), []
+def test_curves_in_several_windows_are_verified_as_in_one() -> None:
+    """Files of more than WINDOW pieces are read in parts."""
+    motion = hitch_plan()
     late = np.array(motion.drones.coefficients)
     late[-1, 0, 0] += 1e-3  # what is off at the end alone is found in the last window
-    for size in (20_000, 1):
-        monkeypatch.setattr("hitchopt.exports.contents.WINDOW", size)
-        found.append(verified(motion, PiecewisePolynomial(motion.drones.breaks, late)))
+    curves = PiecewisePolynomial(motion.drones.breaks, late)
+    pieces = WINDOW // motion.team.drones + 1
+    breaks = np.union1d(curves.breaks, np.linspace(*curves.breaks[[0, -1]], pieces))
+    found = [verified(motion, curves), verified(motion, on_breaks(curves, breaks))]
     one, many = found
     assert many.position.worst == pytest.approx(one.position.worst)
     assert one.position.worst > 9e-4

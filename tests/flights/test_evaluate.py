@@ -24,7 +24,7 @@ from hitchopt.lab.flights.alignment import align
 from hitchopt.lab.flights.evaluation import summary
 from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
 from hitchopt.lab.flights.vertices import ROPE_SCATTER, clasps_of, marker_plan
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
 from hitchopt.view.cables import CLASPS
 from hitchopt.view.scene import ghost_scene, scene_at
@@ -52,11 +52,11 @@ def plan(name: str) -> ho.Plan:
 
 
 @cache
-def task(name: str) -> Task:
-    return Task.of(plan(name).flight)
+def task(name: str) -> TeamTask:
+    return TeamTask.of(plan(name).motion)
 
 
-def drones_of(target: Task, t: Array) -> Array:
+def drones_of(target: TeamTask, t: Array) -> Array:
     return plan_at(target, t, target.states.positions)
 
 
@@ -260,14 +260,14 @@ def test_the_height_of_a_fitted_frame_changes_no_result(up: str) -> None:
         assert any(note in remark for remark in results[-1].remarks)
 
 
-def task_with_movement(target: Task, offsets: Array) -> Task:
+def task_with_movement(target: TeamTask, offsets: Array) -> TeamTask:
     """Return a task that starts as another and moves drones by offsets (times, 2n, 3) [m]."""
     start = target.states.positions[:1]
     return replace(target, states=replace(target.states, positions=start + offsets))
 
 
 @cache
-def small_movement() -> tuple[Task, Array]:
+def small_movement() -> tuple[TeamTask, Array]:
     """Return a task that moves by a few centimetres, and its movements (times, 2n, 3) [m]."""
     positions = task("triangle").states.positions
     offsets = 0.25 * (positions - positions[0])
@@ -275,7 +275,7 @@ def small_movement() -> tuple[Task, Array]:
 
 
 def swinging_drones(
-    target: Task, seed: int, scatter: float, time: float = 1.0
+    target: TeamTask, seed: int, scatter: float, time: float = 1.0
 ) -> tuple[Array, Array]:
     """Return times and positions of drones that swing about their plan, partly in common."""
     from scipy.signal import lfilter  # a second to import
@@ -404,7 +404,7 @@ def test_remarks_name_bare_edges() -> None:
 
 
 def test_recorded_vertices_are_used_while_hitched() -> None:
-    target = Task.of(planned_problem("tie_carry_untie").flight)
+    target = TeamTask.of(planned_problem("tie_carry_untie").motion)
     t = np.arange(0.0, target.duration, 0.02)
     flight = drones_recording(Camera(lost=0.0), t, drones_of(target, t))
     places = plan_at(target, t, target.states.vertices) + [0.01, 0.0, 0.0]

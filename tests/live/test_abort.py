@@ -18,7 +18,7 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.cli import main
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.live.abort import Abort, Aborts, abort_table
 from hitchopt.live.lost import DELAY, RELEASE_TIME, Reactions, free_fall, survivable
 from hitchopt.live.player import Player
@@ -282,7 +282,7 @@ def test_a_fall_keeps_its_energy_and_ends_on_the_ground() -> None:
 @pytest.mark.slow
 def test_a_reaction_follows_the_plan_and_then_releases_tension() -> None:
     plan, found = plan_of(2.4), Reactions(plan_of(2.4).motion).plan("r2", TIME)
-    task = Task.of(plan.flight)
+    task = TeamTask.of(plan.motion)
     flown = task.released(found.motion, found.start, RELEASE_TIME)
     assert 0.0 < np.min(np.diff(flown.states.t)) <= np.max(np.diff(flown.states.t)) <= 0.011
     assert flown.duration == pytest.approx(found.motion.duration)

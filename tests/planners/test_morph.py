@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clocks import Clock
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
+from hitchopt.hitch.quadratic_program import solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import leg_task_along, with_legs_clear
@@ -20,8 +21,8 @@ from hitchopt.planners.morph.morph import moves, straight_path
 from hitchopt.planners.morph.path import Path, shapes_along
 from hitchopt.planners.optimise import program, search
 from hitchopt.planners.optimise.guesses import polygon_guesses
-from hitchopt.planners.optimise.knots import KnotPath, SearchLimits, SolverStep
-from hitchopt.planners.optimise.program import iterates
+from hitchopt.planners.optimise.knots import Effort, KnotPath, SearchLimits, SolverStep
+from hitchopt.planners.optimise.program import build_program, iterates
 from hitchopt.planners.optimise.search import OptimisedMorph
 from hitchopt.planners.optimise.times import acceleration_rows, speed_rows, step_times
 from hitchopt.planners.timing.timed_motion import motion_along
@@ -176,27 +177,29 @@ def test_half_turns_of_regular_polygons(robots: int, edge: float, bound: float) 
     assert plan.duration < bound
 
 
-def test_steps_keep_rows_that_were_far_at_first(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The result is that of all rows at once, enforced in several programs."""
+def turned_pentagon(effort: Effort) -> tuple[KnotPath, SearchLimits]:
+    """Return a guess that turns a pentagon, and the constraints of its search."""
     polygons = polygon_guesses(PENTAGON, PENTAGON.renumbered(2), 9)
     guess = next(polygons[name] for name in polygons if name.startswith("turned"))
     path = KnotPath.through("", *ends(Team(5, 2.6), PENTAGON, PENTAGON.renumbered(2)), guess)
-    bounds = SearchLimits(FREE, lambda _: None, None, (1.5, 1.5), 1.03)
-    solve, counts = solve_qp, list[int]()
+    return path, SearchLimits(FREE, lambda _: None, None, (1.5, 1.5), 1.03, effort)
 
-    def counted(given: QuadraticProgram) -> Array | None:
-        counts.append(len(given.lower))
-        return solve(given)
 
-    monkeypatch.setattr(program, "solve_qp", counted)
-    results = []
-    for near in (program.NEAR_RANGE, np.inf):
-        monkeypatch.setattr(program, "NEAR_RANGE", near)
-        *_, last = iterates(path, bounds, SolverStep(0.17), 3)
-        results.append(last.table)
-    assert len(counts) > 2 * 3
-    assert min(counts) < counts[-1]
-    np.testing.assert_allclose(results[0], results[1], atol=1e-5)
+def test_steps_keep_rows_that_were_far_at_first() -> None:
+    """The result is that of all rows at once, enforced in several programs."""
+    path, bounds = turned_pentagon(Effort())
+    for _ in range(3):
+        build = build_program(path, bounds, SolverStep(0.17))
+        whole, effort = build.program, Effort()
+        moved, x = build.solve(effort), solve_qp(whole)
+        assert moved is not None
+        assert x is not None
+        table = path.table.copy()
+        changes = 0.17 * (build.tangent @ x[: build.tangent.shape[1]])
+        table[1:-1] += changes.reshape(table[1:-1].shape)
+        np.testing.assert_allclose(moved.table, path.with_table(table).table, atol=1e-5)
+        path = moved
+    assert effort.spent > program.ENTRY_COST * (whole.P.nnz + whole.A.nnz)  # of several programs
 
 
 def test_optimised_plans_are_repeated_bit_by_bit() -> None:
@@ -274,28 +277,33 @@ def stretched(robots: int) -> tuple[Hitch, ConvexPolygon, ho.Separation]:
     return Hitch.spread(Team(robots, 2.0), polygon, 1.5, separation=separation), goal, separation
 
 
-def test_what_cannot_be_faster_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No guess of a stretched 12-gon is nearly as fast as straight lines."""
+def test_what_cannot_be_faster_is_not_searched(clock: Clock) -> None:
+    """No guess of a stretched 12-gon is nearly as fast as straight lines.
+
+    Planners read the clock before every program of the optimiser.
+    """
     start, goal, separation = stretched(12)
-    straight = ho.morph(start, goal, separation=separation)
-    monkeypatch.setattr(program, "solve_qp", None)
-    optimised = ho.morph(start, goal, separation=separation, optimize=True)
-    assert optimised.duration <= straight.duration
+    reads = []
+    for optimize in (False, True):
+        before = clock.now
+        ho.morph(start, goal, separation=separation, optimize=optimize, limit=1e6)
+        reads.append(clock.now - before)
+    assert reads[1] < 1.1 * reads[0]
 
 
-def test_the_optimizer_ends_at_the_limit_of_its_effort(monkeypatch: pytest.MonkeyPatch) -> None:
-    """For a morph with legs as long as edges, whose programs never have a feasible path."""
-    solve, costs = solve_qp, list[float]()
+def test_the_optimizer_ends_at_the_limit_of_its_effort() -> None:
+    path, bounds = turned_pentagon(Effort())
+    steps = [*iterates(path, bounds, SolverStep(0.17), 8, progress=0.0)]
+    assert len(steps) == 8
+    path, bounds = turned_pentagon(Effort(0.5 * bounds.effort.spent))
+    fewer = [*iterates(path, bounds, SolverStep(0.17), 8, progress=0.0)]
+    assert 2 <= len(fewer) < 8
+    for one, other in zip(fewer, steps, strict=False):
+        np.testing.assert_array_equal(one.table, other.table)
 
-    def counted(given: QuadraticProgram) -> Array | None:
-        costs.append(program.ENTRY_COST * (given.P.nnz + given.A.nnz))
-        return solve(given)
 
-    monkeypatch.setattr(program, "solve_qp", counted)
-    monkeypatch.setattr(search, "MAX_EFFORT", 30.0)
+def test_a_morph_without_a_route_names_the_best_one_tried() -> None:
+    """Legs are as long as edges; no path of the search is feasible."""
     start, end = ends(Team(4, 4.0), SQUARE, SQUARE.rotated(0.5))
     with pytest.raises(search.NoRouteError, match="the best one tried: edges turned"):
         OptimisedMorph(start, end, FREE, lambda _: None).solve()
-    limit = 30.0 * 4 * 7  # robots and inner knots
-    rolled = 30.0 * 4 * 15  # of each guess with roll
-    assert limit < sum(costs) <= limit + search.MAX_ROLLED * rolled

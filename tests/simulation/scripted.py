@@ -14,7 +14,7 @@ from hitchopt.lab.simulation.control import PositionGains
 from hitchopt.lab.simulation.flight import Film, FlightSamples, SimulatedFlight
 from hitchopt.lab.simulation.ropes import Ropes
 from hitchopt.lab.simulation.settings import FAST, Preset, Settings
-from hitchopt.lab.simulation.task import RATE, Task
+from hitchopt.lab.simulation.task import RATE, Task, TeamTask
 from hitchopt.lab.simulation.world import World
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
@@ -55,7 +55,7 @@ def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     given = {"velocities": velocities, "accelerations": accelerations, "jerks": jerks}
     given |= {"cable_forces": cable_forces, "vertices": np.zeros((len(t), team.layout.points, 3))}
     given |= {"tensions": np.zeros((len(t), team.robots))}
-    return Task(team, states_of(t, positions, **given))
+    return Task((TeamTask(team, states_of(t, positions, **given)),))
 
 
 def resting_task(hitch: Hitch, seconds: float, *, formed: bool = True, since: int = 0) -> Task:
@@ -69,7 +69,13 @@ def resting_task(hitch: Hitch, seconds: float, *, formed: bool = True, since: in
     tensions = np.where(is_formed[:, None], hitch.team.tension, 0.0)
     fields_of_states: Any = {"formed": is_formed, "vertices": vertices, "tensions": tensions}
     task = hanging_task(hitch.team, positions, forces)
-    return replace(task, states=replace(task.states, **fields_of_states))
+    return changed(task, states=replace(task.states, **fields_of_states))
+
+
+def changed(task: Task, **values: Any) -> Task:
+    """Return the task of a single team with other values of its ``TeamTask``."""
+    (team_task,) = task.teams
+    return replace(task, teams=(replace(team_task, **values),))
 
 
 def regular_hitch(n: int, edge: float = 1.3, **of_team: Any) -> Hitch:

@@ -44,7 +44,7 @@ from hitchopt.lab.simulation.estimator import (
 )
 from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
 from hitchopt.lab.simulation.settings import Settings, settings_of
-from hitchopt.lab.simulation.task import Commands, Task
+from hitchopt.lab.simulation.task import Commands, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.values import Array
 
@@ -376,7 +376,7 @@ def test_without_noise_the_filter_is_exact_for_a_free_drone() -> None:
 
 def test_packets_are_rounded_and_hold_the_pull() -> None:
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.0)
-    task = resting_task(hitch, 0.1)
+    (task,) = resting_task(hitch, 0.1).teams
     settings = Settings(controller="mellinger")
     sent = received(task, flown_team(task.team, settings), settings)
     for values in sent.arrays.values():
@@ -386,10 +386,12 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
     gain = [1.2, 1.2, 1.0]  # 1 + 0.02 s times the damping of 10/s
     np.testing.assert_allclose(sent.accelerations, gain * pull, atol=1e-3)
     far = np.full((3, 6, 3), 50.0)
-    there = received(hanging_task(hitch.team, far, 0.0 * far), hitch.team, settings)
+    (hovering,) = hanging_task(hitch.team, far, 0.0 * far).teams
+    there = received(hovering, hitch.team, settings)
     assert np.max(there.positions) == 32.767
     t = np.arange(200)[:, None, None] / 100.0
-    swung = hanging_task(hitch.team, np.sin(2.0 * t) * np.ones((6, 3)), np.zeros((200, 6, 3)))
+    swings = np.sin(2.0 * t) * np.ones((6, 3))
+    (swung,) = hanging_task(hitch.team, swings, np.zeros((200, 6, 3))).teams
     rates = received(swung, hitch.team, settings).rates
     assert not rates[-1].any()  # held from then on
     rates = rates[20:-20]  # without ends' differences
@@ -401,7 +403,7 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
     kind = ho.Quadrotor(controller="mellinger", gains={"kp": [2.0, 4.0], "kd": 1.0, "ki": 0.0})
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, quadrotor=kind)
     plan = ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4), seconds=1.0)
-    task = Task.of(plan.flight)
+    task = TeamTask.of(plan.motion)
     settings = Settings(controller="mellinger", upload=True)
     held = received(task, flown_team(team, settings), settings)
     offset = held.positions[0] - task.states.positions[0]
@@ -416,13 +418,13 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
         free = received(task, flown_team(team, wound), wound)
         np.testing.assert_allclose(free.positions[0], task.states.positions[0], atol=1e-3)
     with pytest.raises(InputError, match="with a plan"):
-        received(replace(task, flight=None), team, settings)
+        received(replace(task, motion=None), team, settings)
 
 
 def test_lees_law_feeds_forward_angular_velocity_of_uploads_only() -> None:
     """Only uploads contain jerks; without cable forces accelerations determine the attitude."""
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.4)
-    task = Task.of(ho.transport(hitch, [0.6, 0.0, 1.4]).flight)
+    task = TeamTask.of(ho.transport(hitch, [0.6, 0.0, 1.4]).motion)
     settings = Settings(controller="lee", gains={"ki": 1e-9})
     team = flown_team(task.team, settings)
     assert not received(task, team, settings).rates.any()
@@ -520,19 +522,21 @@ def test_drones_with_several_controllers_fly_the_ideal_one() -> None:
     assert resolved(task, Settings(controller="lee")).controller == "lee"
 
 
-def test_plans_that_exceed_the_memory_are_streamed_unless_uploads_are_requested(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def refused(*_: object, **__: object) -> None:
-        raise ho.InfeasibleError([], "4096 bytes are too few")
-
-    monkeypatch.setattr("hitchopt.lab.simulation.commands.uploaded", refused)
-    monkeypatch.setattr("hitchopt.lab.simulation.world.MAX_STRAIN", -1.0)  # it ends at once
-    task = still_task(ho.Quadrotor(controller="lee"), 0.05)
-    flight = fly(task, Settings(pull_test=False))
-    assert (flight.settings.controller, flight.settings.upload) == ("lee", False)
-    with pytest.raises(ho.InfeasibleError, match="too few"):
-        fly(task, Settings(upload=True))
+@pytest.mark.slow
+def test_plans_that_exceed_the_memory_are_streamed_unless_uploads_are_requested() -> None:
+    """A vertex that follows 400 points without a rest takes more pieces than a drone stores."""
+    kind, team = ho.Quadrotor(controller="lee"), ho.Team(3, 2.4, cable_density=0.005)
+    start = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
+    x, y = start.vertices[0, :2]
+    t = np.arange(1, 401)
+    path = np.column_stack([t, x + 0.05 * np.sin(2.0 * t), y + 0.05 * np.cos(3.0 * t)])
+    motion = ho.follow_vertex(start, 0, path).motion
+    flown = replace(motion.team, quadrotor=(kind,) * 3)  # planned without tracking errors
+    task = Task.of(ho.Flight.of(motion.replaced(team=flown)))
+    assert "crazyswarm2" in FlightInProgress(still_task(kind), Settings()).files
+    assert FlightInProgress(task, Settings()).files == ""
+    with pytest.raises(ho.InfeasibleError, match="memory"):
+        FlightInProgress(task, Settings(upload=True))
 
 
 def test_motors_of_named_controllers_lag_more() -> None:

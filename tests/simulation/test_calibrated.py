@@ -9,11 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 from plans import planned
+from scripted import changed
 
 import hitchopt as ho
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
-from hitchopt.lab.simulation.control import ROTOR_DRAG, FlownDrones, flown_kinds, read_calibrated
+from hitchopt.lab.simulation.control import (
+    ROTOR_DRAG,
+    FlownDrones,
+    calibrated_kinds,
+    read_calibrated,
+)
 from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
@@ -33,7 +39,7 @@ def known_task() -> Task:
     """The task of a plan that states how its drones are off."""
     plain = task()
     assert plain.team.assignment is not None
-    return replace(plain, team=plain.team.assignment.team(ho.Team(3, 2.4, quadrotor=OFF)))
+    return changed(plain, team=plain.team.assignment.team(ho.Team(3, 2.4, quadrotor=OFF)))
 
 
 def place(drone: str) -> int:
@@ -85,7 +91,7 @@ def test_plans_add_the_trims_that_they_know() -> None:
 
 def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> None:
     with pytest.raises(ho.InputError, match=r"as_calibrated\.quadrotor\.q9 .*name a drone"):
-        flown_kinds(task(), Settings(as_calibrated={"q9": {"trim": [0, 0]}}))
+        calibrated_kinds(task().team, {"q9": {"trim": [0, 0]}})
     text = "quadrotor: {q0: {trim: [0.1, 0.0], thrust_factor: 1.1}, r1: {trim: [-0.03, 0.08]}}\n"
     for prefix in ("", "team: {robots: 3, cable_length: 2, "):
         (tmp_path / "drones.yaml").write_text(prefix + text.strip() + "}" * bool(prefix) + "\n")

@@ -47,7 +47,7 @@ def test_streamed_setpoints_are_those_of_the_file_as_packets_hold_them(
     settings = resolved(flown.task, Settings())
     assert (settings.controller, settings.upload) == ("mellinger", False)
     assert settings.estimator == HELD
-    own = streamed(task, flown_team(task.team, settings), follows=True)
+    own = streamed(task.teams[0], flown_team(task.team, settings), follows=True)
     assert files is not None
     assert flown.task.duration == pytest.approx(plan.duration)
     for name in ("positions", "velocities", "accelerations"):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scripted import hanging_task, regular_hitch, resting_task, smooth_step, world_of
+from scripted import changed, hanging_task, regular_hitch, resting_task, smooth_step, world_of
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
@@ -78,7 +78,7 @@ def test_drones_carry_loads_and_vertices_keep_their_heights() -> None:
     task = resting_task(regular_hitch(3, load=loads, tension=0.8), 0.5)
     for share in (1.0, 0.5):  # share of the load at the vertices
         result = Simulation.of(
-            replace(task, taut=np.full(task.states.tensions.shape, share)), BRIEF
+            changed(task, taut=np.full(task.states.tensions.shape, share)), BRIEF
         )
         assert result.outcome.failures == ()
         record, gains = result.flight.record, result.flight.gains
@@ -218,7 +218,7 @@ def lifting_task(mass: float = MASS, height: float = 0.2) -> Task:
     formed, tensions = np.ones(len(t), dtype=np.bool_), np.ones((len(t), 3))
     cargo = Cargo(objects, poses, held, load_share, FLOOR)
     states = replace(task.states, formed=formed, vertices=vertices, tensions=tensions)
-    return replace(task, states=states, cargo=cargo)
+    return changed(task, states=states, cargo=cargo)
 
 
 @pytest.mark.slow
@@ -243,7 +243,7 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
     assert not replace(tray, turned=40.0, round=False).well_placed
     assert not replace(tray, tilted=6.0).well_placed
     cargo = flight.task.cargo
-    shifted_task = replace(flight.task, cargo=replace(cargo, poses=cargo.poses + 0.01))
+    shifted_task = changed(flight.task, cargo=replace(cargo, poses=cargo.poses + 0.01))
     (shifted,) = judge(replace(flight, task=shifted_task)).objects
     # Slip is relative to the pose at lift-off, and swinging about the hitch is none.
     assert shifted.slipped == pytest.approx(tray.slipped)
@@ -258,7 +258,7 @@ def test_a_tray_is_lifted_by_its_rim_and_not_by_the_pull_test() -> None:
     unheld = {name: np.zeros_like(getattr(cargo, name)) for name in ("held", "load_share")}
     poses = np.repeat(cargo.poses[:1], len(cargo.poses), axis=0)
     cargo_at_rest = replace(cargo, **unheld, poses=poses)
-    outcome = judge(replace(flight, task=replace(flight.task, cargo=cargo_at_rest)))
+    outcome = judge(replace(flight, task=changed(flight.task, cargo=cargo_at_rest)))
     assert {failure.kind for failure in outcome.failures} == {"misplaced", "caught"}
     assert outcome.objects[0].placed == pytest.approx(0.2, abs=0.02)
     assert np.isnan(outcome.objects[0].slipped)

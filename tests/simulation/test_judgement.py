@@ -15,7 +15,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 from numpy.typing import NDArray
 from plans import planned
-from scripted import flight_of, regular_hitch, resting_task
+from scripted import changed, flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
@@ -26,7 +26,7 @@ from hitchopt.lab.simulation.judgement import Failure, Outcome, judge
 from hitchopt.lab.simulation.report import Simulation, drawn_flight, flight_scene, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
-from hitchopt.lab.simulation.task import Cargo, Task
+from hitchopt.lab.simulation.task import Cargo, Task, TeamTask
 from hitchopt.lab.simulation.world import InvalidRunError
 from hitchopt.lab.sweeps.campaign import run_campaign, save_campaign
 from hitchopt.live.lost import RELEASE_TIME, Reactions
@@ -151,7 +151,7 @@ def test_errors_are_distances_while_hitched_and_at_rest() -> None:
     shift = np.concatenate([np.zeros(10), np.linspace(0, 0.1, 11)])
 
     def variant_of(**values: Any) -> Task:
-        return replace(late_task, states=replace(late_task.states, **values))
+        return changed(late_task, states=replace(late_task.states, **values))
 
     moving = variant_of(vertices=late_task.states.vertices + shift[:, None, None])
     tension_rise = variant_of(tensions=late_task.states.tensions * (1.0 + shift[:, None]))
@@ -228,7 +228,7 @@ def test_separation_and_tension_are_measured_before_the_pull_test() -> None:
     motion = ho.hold(HITCH, 2.0).motion
     separation = ho.Separation(radius=0.1, height=0.4)
     motion = motion.replaced(requirements=replace(motion.requirements, separation=separation))
-    task = replace(Task.of(ho.Flight.of(motion)), taut=None)
+    task = changed(Task.of(ho.Flight.of(motion)), taut=None)
     t = np.arange(0.0, 5.005, 0.01)
     drones = np.repeat(HITCH.drones[None], len(t), axis=0)
     drones[120, 3] = drones[120, 0] + [0.3, -0.4, 1.0]
@@ -265,8 +265,8 @@ def test_a_reaction_lowers_the_tension() -> None:
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
     plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
     reaction = Reactions(plan.motion).plan("r1", 0.3)
-    task = Task.of(plan.flight).released(reaction.motion, reaction.start, RELEASE_TIME)
-    flight = fly(task, Settings(lost=Loss("r1", 0.3)))
+    task = TeamTask.of(plan.motion).released(reaction.motion, reaction.start, RELEASE_TIME)
+    flight = fly(Task((task,)), Settings(lost=Loss("r1", 0.3)))
     outcome, record = judgement.loss_outcome(flight), flight.record
     assert outcome is not None
     assert outcome.collision_free
@@ -308,7 +308,7 @@ def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
     task = resting_task(regular_hitch(3), 0.05)
     vertices = task.states.vertices.copy()
     vertices[4:, :, 0] += [[0.01], [0.02]]  # the plan moves it at the end
-    task, messages = replace(task, states=replace(task.states, vertices=vertices)), list[str]()
+    task, messages = changed(task, states=replace(task.states, vertices=vertices)), list[str]()
     campaign = run_campaign(task, BRIEF, 2, workers=2, progress=messages.append)
     alone = Simulation.of(task, BRIEF)
     for name, value in alone.figures.items():
@@ -333,7 +333,7 @@ def test_runs_do_not_depend_on_the_number_of_processes(tmp_path: Path) -> None:
 def test_infeasible_starts_are_failures_of_their_run(tmp_path: Path) -> None:
     free = resting_task(regular_hitch(3), 0.05, formed=False)
     apart = replace(free.states, positions=free.states.positions * 1.6)
-    campaign = run_campaign(replace(free, states=apart), BRIEF, 2, workers=1)
+    campaign = run_campaign(changed(free, states=apart), BRIEF, 2, workers=1)
     assert (campaign.successes, campaign.failures) == (0, {("start", ""): 2})
     assert campaign.to_dict()["not_simulated"] == campaign.not_simulated == 2
     save_campaign(tmp_path, campaign)
@@ -362,7 +362,7 @@ def placed_with(tracking: float | ho.Tube | None, off: list[float], *, held: boo
     record = replace(
         simulation.flight.record, poses=poses, touched=np.full((count, 1), held, dtype=np.bool_)
     )
-    task = replace(task, cargo=cargo, flight=ho.Flight.of(motion))
+    task = changed(replace(task, flight=ho.Flight.of(motion)), cargo=cargo)
     return judge(replace(simulation.flight, task=task, record=record))
 
 

@@ -150,6 +150,7 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
         lambda: ho.calibrate(recording, folder),
         lambda: Simulation.of(task, replace(BRIEF, feedback=True)),
         lambda: Simulation.of(task, replace(BRIEF, lost=Loss("a.q0", 1.0))),
+        lambda: Simulation.of(task, replace(BRIEF, as_calibrated={"a.q0": {"trim": [0.1, 0.0]}})),
     ):
         with pytest.raises(UnsupportedError, match="supports a single team, not a, b"):
             call()
@@ -175,7 +176,7 @@ def test_two_teams_cross_in_one_hall(options: dict[str, str], tmp_path: Path) ->
     names = task.team.drone_names
 
     def places(t: Array) -> Array:
-        return plan_at(task, t, task.states.positions)
+        return plan_at(task.teams[0], t, task.states.positions)
 
     result = Simulation.of(task, Settings(perturbations=CALM, friction=0.1, **options))  # type: ignore[arg-type]
     assert result.outcome.hitched

@@ -20,7 +20,7 @@ from hitchopt.lab.simulation import ropes as shapes
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.ropes import Ropes
 from hitchopt.lab.simulation.settings import ACCURATE, FAST, Preset, Settings
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
 
 PRESETS = pytest.mark.parametrize("preset", [FAST, ACCURATE], ids=lambda preset: preset.name)
@@ -221,7 +221,7 @@ def test_linking_numbers_of_random_polygons_are_those_of_their_crossings(seed: i
 def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n: int) -> None:
     """Drawn as polygons: a circle of one diameter about the other cable, and tangents to it."""
     hitch, turn, diameter = regular_hitch(n), 2.0 * np.pi / n, 0.01
-    task = resting_task(hitch, 0.1)
+    (task,) = resting_task(hitch, 0.1).teams
     angle = np.linspace(0.5 * turn, np.pi - 0.5 * turn, 2001) + 0.5 * np.pi
     arc = 0.5 * diameter + diameter * np.exp(1j * angle)
     far = np.exp(0.5j * turn)
@@ -232,7 +232,7 @@ def test_thick_cables_are_longer_by_their_bends_and_lead_legs_past_the_vertex(n:
     coarse = shapes.thickness_allowance(task, diameter, 0.02)
     expected = 2.0 * shapes.COARSENESS * 0.02**2 / diameter * np.cos(0.5 * turn)
     np.testing.assert_allclose(coarse - allowance, expected)
-    free = resting_task(hitch, 0.1, formed=False)
+    (free,) = resting_task(hitch, 0.1, formed=False).teams
     np.testing.assert_array_equal(
         shapes.thickness_allowance(free, FAST.diameter, 0.03), np.zeros(n)
     )
@@ -270,7 +270,7 @@ def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
     cables = flight.film.cables
     ends = flight.film.nodes[-1][np.column_stack([cables[:-1], cables[1:] - 1]).ravel()]
     end_offsets = ends - record.drones[-1]  # without offsets vertices are 14 mm inward
-    expected = shapes.leg_end_offsets(task, preset.diameter)[-1]
+    expected = shapes.leg_end_offsets(task.teams[0], preset.diameter)[-1]
     np.testing.assert_allclose(end_offsets, expected, atol=1e-3)
     assert flight.end_offset == pytest.approx(0.0068, abs=1e-4)
 
@@ -279,7 +279,7 @@ def test_thick_cables_act_like_thin_ones(preset: Preset, longer: float) -> None:
 def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None:
     """Cables of a drum's grip follow the path that their thickness makes of the plan's lines."""
     motion = planned("grip_drum").motion
-    task, layout = Task.of(ho.Flight.of(motion)), motion.team.layout
+    task, layout = TeamTask.of(motion), motion.team.layout
     assert motion.has_wraps
     (carried,) = np.nonzero(task.cargo.carried.any(axis=1))
     t = float(task.states.t[carried[len(carried) // 2]])
@@ -294,5 +294,5 @@ def test_gripping_cables_are_longer_by_bends_around_objects_and_clasps() -> None
     allowance = shapes.thickness_allowance(task, FAST.diameter, 0.0)
     expected = 2.0 * FAST.diameter * (turn - np.sin(0.5 * turn)) + 0.5 * FAST.diameter * wrapped
     np.testing.assert_allclose(allowance, expected, atol=1e-3)
-    straight = shapes.thickness_allowance(replace(task, flight=None), FAST.diameter, 0.0)
+    straight = shapes.thickness_allowance(replace(task, motion=None), FAST.diameter, 0.0)
     assert np.all(allowance > straight + 0.015)

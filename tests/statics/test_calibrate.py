@@ -20,7 +20,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.energy import energy_of
 from hitchopt.lab.flights.readers import HEADER
 from hitchopt.lab.flights.recordings import RecordedFlight, Recording, Track, windows_of
-from hitchopt.lab.simulation.task import Task, read_task
+from hitchopt.lab.simulation.task import TeamTask, team_task
 from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.motion.states import States
@@ -78,7 +78,7 @@ def flight_between(
     friction: float = 0.0,
     wind: Wind = (0.0, 0.0),
     stiffness: Array = K,
-) -> tuple[Task, Recording]:
+) -> tuple[TeamTask, Recording]:
     """Return a plan from one hitch to another that neglects the cables' weight, and its flight.
 
     Drones have a ``stiffness`` (2n,) [N/m].
@@ -105,7 +105,7 @@ def flight_between(
     values: Any = dict.fromkeys((each.name for each in fields(States)), 0.0 * drones)
     values |= {"t": t, "positions": commanded, "cable_forces": fed_forward, "vertices": points}
     values |= {"formed": np.ones(len(t), np.bool_), "tensions": np.tile(team.tension, (len(t), 1))}
-    return Task(team, States(**values)), Recording(t, drones, points)
+    return TeamTask(team, States(**values)), Recording(t, drones, points)
 
 
 def hitch_pair(topology: str = "closed", *, outward: bool = False) -> Pair:
@@ -126,7 +126,7 @@ def hitch_pair(topology: str = "closed", *, outward: bool = False) -> Pair:
 
 
 @cache
-def weighted_recording(friction: float = 0.0) -> tuple[Task, Recording]:
+def weighted_recording(friction: float = 0.0) -> tuple[TeamTask, Recording]:
     return flight_between(hitch_pair(), DENSITY, friction)
 
 
@@ -135,14 +135,13 @@ def weighted_recording(friction: float = 0.0) -> tuple[Task, Recording]:
     ("pair", "friction", "tolerance", "wind"),
     [
         (hitch_pair(), MU, 0.005, (0.05, -0.08)),  # wind does not bias the stiffness
-        (hitch_pair(outward=True), MU, 0.01, (0.0, 0.0)),
+        (hitch_pair(outward=True), MU, 0.015, (0.0, 0.0)),
         (hitch_pair("open"), 0.0, 1e-5, (0.0, 0.0)),
     ],
 )
-def test_without_noise_stiffness_and_friction_are_exact(
-    pair: Pair, friction: float, tolerance: float, wind: Wind, monkeypatch: pytest.MonkeyPatch
+def test_without_noise_stiffness_and_friction_are_nearly_exact(
+    pair: Pair, friction: float, tolerance: float, wind: Wind
 ) -> None:
-    monkeypatch.setattr("hitchopt.lab.statics.calibrate.UNCERTAIN_RATE", 1e-4)  # no creep
     task, recording = flight_between(pair, DENSITY, friction, wind)
     result = ho.calibrate(recording, task, density=DENSITY)
     assert all(one.known for one in result.stiffness)
@@ -186,10 +185,8 @@ def test_standard_errors_are_those_of_repeated_flights() -> None:
 
 
 @pytest.mark.slow
-def test_standard_errors_cover_plans_that_know_the_weight(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Steady forces displace drones by more than the errors of their plan.
+def test_steady_forces_on_drones_whose_plan_knows_the_weight_determine_no_stiffness() -> None:
+    """They displace drones by more than the errors of their plan.
 
     Lines of thick ropes cross up to 2 cm inward of their contact.
     """
@@ -198,7 +195,7 @@ def test_standard_errors_cover_plans_that_know_the_weight(
     tensions, k = 0.5 * (1.0 + np.array([0.08, -0.1, -0.06, 0.07, 0.05])), 4.75
     hitch = ho.Hitch.balanced(ho.Team(5, 3.0, tension=tensions), corners, 1.5)
     flown = flight_between((hitch, hitch), DENSITY, stiffness=np.full(10, k))
-    (task, recording), scores = flown, []
+    task, recording = flown
     drones, vertices = recording.drones, recording.vertices
     fed_forward = task.states.cable_forces
     uniform = -0.5 * unit(drones - vertices[:, task.team.layout.pulled_to])  # tensions, to the plan
@@ -217,12 +214,8 @@ def test_standard_errors_cover_plans_that_know_the_weight(
         noisy = drones + steady + 1e-3 * rng.normal(size=drones.shape)
         crossings = vertices + inward * rng.uniform(0.0, 0.02, (1, 5, 1))
         noisy_recording = replace(recording, drones=noisy, vertices=crossings)
-        assert not ho.calibrate(noisy_recording, task, density=DENSITY).stiffness[0].known
-        with monkeypatch.context() as patch:
-            patch.setattr("hitchopt.lab.statics.calibrate.MAX_STIFFNESS_ERROR", np.inf)
-            stiffness = ho.calibrate(noisy_recording, task, density=DENSITY).stiffness[0]
-        scores.append(np.log(stiffness.value / k) * stiffness.value / stiffness.error)
-    assert np.sqrt(np.mean(np.square(scores))) < 1.3
+        result = ho.calibrate(noisy_recording, task, density=DENSITY)
+        assert "displacements of drones are too small" in result.stiffness[0].remark
 
 
 @pytest.mark.slow
@@ -305,7 +298,7 @@ def plan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return ho.hold(hitch, seconds=2.0).save(tmp_path_factory.mktemp("plan") / "out", picture=False)
 
 
-def rows_of(task: Task) -> list[str]:
+def rows_of(task: TeamTask) -> list[str]:
     """Return the rows of a recording in which all is as planned."""
     places = np.concatenate([task.states.positions, task.states.vertices], axis=1)
     names = (*task.team.drone_names, *task.team.point_names)
@@ -326,7 +319,7 @@ def run(*arguments: str | Path) -> Result:
 
 
 def test_flights_as_planned_have_lengths_and_no_errors(plan_folder: Path, tmp_path: Path) -> None:
-    table = write(tmp_path / "flight.csv", rows_of(read_task(plan_folder)))
+    table = write(tmp_path / "flight.csv", rows_of(team_task(plan_folder, "a test")))
     output = tmp_path / "team.yaml"
     result = run("calibrate", table, "--plan", plan_folder, "-o", output)
     assert result.exit_code == 0, result.output
@@ -347,7 +340,7 @@ def test_flights_as_planned_have_lengths_and_no_errors(plan_folder: Path, tmp_pa
 def test_order_other_columns_and_unknown_names_do_not_matter(
     plan_folder: Path, tmp_path: Path
 ) -> None:
-    rows = rows_of(read_task(plan_folder))
+    rows = rows_of(team_task(plan_folder, "a test"))
     plain = ho.read_flight(write(tmp_path / "a.csv", rows)).tracks
     mixed = sorted(rows, key=lambda row: row.split(",")[1][::-1])  # one body after another
     fields = [row.split(",") for row in mixed]
@@ -363,7 +356,7 @@ def test_order_other_columns_and_unknown_names_do_not_matter(
 
 def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
     team = ho.Team(3, [2.2, 2.6, 2.3], topology="open", tension=0.5)
-    task = Task.of(ho.hold(ho.Hitch.balanced(team, ARC, altitude=1.4), seconds=2.0).flight)
+    task = TeamTask.of(ho.hold(ho.Hitch.balanced(team, ARC, altitude=1.4), seconds=2.0).motion)
     rows = [row for row in rows_of(task) if ",p0," not in row and ",p3," not in row]
     result = ho.calibrate(write(tmp_path / "flight.csv", rows), task)
     np.testing.assert_array_equal(result.recording.vertices, task.states.vertices[::5])
@@ -381,7 +374,7 @@ def test_positions_are_interpolated_between_neighbours() -> None:
 
 
 def test_windows_need_half_of_their_samples(plan_folder: Path) -> None:
-    task = read_task(plan_folder)
+    task = team_task(plan_folder, "a test")
     vertices = task.states.vertices.copy()
     vertices[55:120, 0] = np.nan  # 5 of 50 samples are left, then 30
     drones = task.states.positions.copy()
@@ -414,7 +407,7 @@ def test_gaps_in_movements_do_not_bias_means() -> None:
 
 
 def test_invalid_recordings_are_refused(plan_folder: Path, tmp_path: Path) -> None:
-    rows = rows_of(read_task(plan_folder))
+    rows = rows_of(team_task(plan_folder, "a test"))
     tables = (
         ([r for r in rows if ",r1," not in r], "5 bodies (q0, r0, q1, q2, r2) of 6"),
         ([*rows, "inf,q0,1,2,3"], "a time is not finite"),
@@ -448,7 +441,10 @@ def map_rows(rows: list[str], times: Any, places: Any = None) -> list[str]:
 def test_doubtful_recordings_are_repaired_with_a_note_or_refused(
     plan_folder: Path, tmp_path: Path
 ) -> None:
-    rows, lost = rows_of(read_task(plan_folder)), np.random.default_rng(5).random(1000) < 0.1
+    rows, lost = (
+        rows_of(team_task(plan_folder, "a test")),
+        np.random.default_rng(5).random(1000) < 0.1,
+    )
 
     def unchanged(_: int, t: float) -> float:
         return t
@@ -490,7 +486,7 @@ def test_vertices_are_estimated_from_markers_first() -> None:
     """The recording is a cloud of markers on the edges, on another clock."""
     hitch = ho.Hitch.balanced(ho.Team(3, [2.4, 2.5, 2.45], tension=0.5), TRIANGLE, altitude=1.4)
     plan = ho.move_vertex(hitch, 0, by=[0.0, -0.3], duration=5.0)
-    task = Task.of(plan.flight)
+    task = TeamTask.of(plan.motion)
     t, shares = task.states.t[::2], np.array([0.3, 0.5, 0.7])
     ends = task.states.vertices[::2], np.roll(task.states.vertices[::2], -1, axis=1)
     points = ends[0][:, :, None] + shares[:, None] * (ends[1] - ends[0])[:, :, None]
@@ -526,7 +522,7 @@ def test_a_simulated_flight_is_calibrated_from_its_files(plan_folder: Path) -> N
 
 
 def test_a_team_of_different_kinds_lists_them(plan_folder: Path) -> None:
-    task = read_task(plan_folder)
+    task = team_task(plan_folder, "a test")
     recording = Recording(task.states.t, task.states.positions, task.states.vertices)
     plain = ho.calibrate(recording, task, density=0.01)
     stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))

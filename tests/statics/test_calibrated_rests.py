@@ -16,7 +16,7 @@ from hitchopt.cli import main
 from hitchopt.hitch.rest_errors import ErrorSizes
 from hitchopt.hitch.team import Errors
 from hitchopt.lab.flights.recordings import Recording
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.lab.statics.calibrate import Calibration, Estimate
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array
@@ -41,12 +41,12 @@ def planned(
     return plan
 
 
-def flown(of: ho.Team, *polygons: Array) -> Task:
+def flown(of: ho.Team, *polygons: Array) -> TeamTask:
     """Return the task of a plan that rests for four seconds at each of some polygons."""
-    return Task.of(planned(of, *polygons).flight)
+    return TeamTask.of(planned(of, *polygons).motion)
 
 
-def recorded(task: Task, offsets: Array) -> Recording:
+def recorded(task: TeamTask, offsets: Array) -> Recording:
     """Return a recording of drones that are off by offsets (…, 2n, 3) [m]."""
     return Recording(task.states.t, task.states.positions + offsets, task.states.vertices)
 
@@ -173,7 +173,7 @@ def test_the_command_prints_trims_and_how_far_the_vertex_error_falls(tmp_path: P
     stated = Errors(0.02, 0.03, 0.0)
     plan = planned(team(errors=stated), OTHER)
     folder = plan.save(tmp_path / "out", picture=False)
-    task = Task.of(plan.flight)
+    task = TeamTask.of(plan.motion)
     drones = task.states.positions - level(TRIMS)
     rows = ["t,name,x,y,z"]
     for places, names in (
@@ -223,7 +223,7 @@ def calibration_of_a_flight(of: ho.Team, tilted: dict[str, Any]) -> Calibration:
     plan = planned(of, other, start=triangle, altitude=1.2)
     record = ho.simulate(plan, as_calibrated=tilted).flight.record
     recording = Recording(record.t, record.drones, record.vertices)
-    return ho.calibrate(recording, Task.of(plan.flight))
+    return ho.calibrate(recording, TeamTask.of(plan.motion))
 
 
 def team_of(calibration: Calibration) -> ho.Team:

@@ -20,7 +20,6 @@ from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.values import Array, Indices
-from hitchopt.verify import spans
 
 Change = Callable[[Motion], Motion]
 REFUSED = "refused"
@@ -282,8 +281,7 @@ def test_parts_as_they_are_are_proven(name: str, tmp_path: Path) -> None:
     "lie",
     [pytest.param(lie, id=f"{lie.part}: {lie.words}") for lie in LIES],
 )
-def test_lies_are_refused(lie: Lie, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(spans, "BUDGET", 300_000)
+def test_lies_are_refused(lie: Lie, tmp_path: Path) -> None:
     motion = lie.change(parts(lie.part))
     if lie.check in RULE_OF:
         check = check_of(RULE_OF[lie.check], Flight.of(motion))

@@ -14,9 +14,7 @@ from hitchopt.errors import InputError
 if TYPE_CHECKING:
     from hitchopt.lab.flights.evaluation import Evaluation
     from hitchopt.lab.flights.recordings import RecordedFlight
-
-if TYPE_CHECKING:
-    from hitchopt.lab.simulation.task import Task
+    from hitchopt.lab.simulation.task import TeamTask
 
 RESULTS = "evaluation"  # Default directory of the results, next to the recording
 
@@ -79,15 +77,14 @@ def evaluate(
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
     evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.
     """
-    from hitchopt.lab.simulation.task import read_task
+    from hitchopt.lab.simulation.task import team_task
     from hitchopt.values.fields import Missing
 
-    task = None if plan is None else read_task(plan_path(plan).parent)
+    task = None if plan is None else team_task(plan_path(plan).parent, "evaluate")
     if markers:
         if task is None:
             remedy = "name the directory of the plan"
             raise InputError("plan", None, "given with markers=True", remedy)
-        task.require_one_team("evaluate")
         _say_markers(task)
         return
     if recording is None:
@@ -179,7 +176,7 @@ def _say_contents(flight: RecordedFlight) -> None:
         say(f"note: {note}")
 
 
-def _say_markers(task: Task) -> None:
+def _say_markers(task: TeamTask) -> None:
     """Report the positions of markers on every cable."""
     from hitchopt.lab.flights.vertices import ROPE_SCATTER, marker_plan
 

@@ -198,6 +198,7 @@ def _with_loss(
 ) -> tuple[Settings, Task]:
     """Return settings and task of a flight with the loss of a drone, and report the reaction."""
     from hitchopt.lab.simulation.settings import Loss
+    from hitchopt.lab.simulation.task import Task
     from hitchopt.live.lost import FEATURE, RELEASE_TIME, Reactions
     from hitchopt.motion.plan_file import read_plan
 
@@ -213,7 +214,8 @@ def _with_loss(
         f"ground at {reaction.motion.duration:.3f} s; hovering takes up to {reaction.thrust:.0%} "
         "of a drone's thrust"
     )
-    return settings, task.released(reaction.motion, reaction.start, RELEASE_TIME)
+    released = task.of_one_team(FEATURE).released(reaction.motion, reaction.start, RELEASE_TIME)
+    return settings, Task((released,))
 
 
 def _flown(task: Task, settings: Settings) -> Simulation:
@@ -252,7 +254,7 @@ def _report(simulation: Simulation, folder: Path, plan: Path | None) -> None:
     say(message, directory=str(folder), simulation=summary(simulation))
     if words := tracking_verdict(simulation.flight):
         say(words, tracking=words)
-    is_alone = len(simulation.flight.task.parts) == 1
+    is_alone = len(simulation.flight.task.teams) == 1
     if simulation.errors.t.size and is_alone and plan is not None:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(plan)])
         say(f"LaTeX table: {command}")

@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from hitchopt.errors import FileError, InputError, OneLine
 from hitchopt.lab.flights.recordings import RecordedFlight
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.storage.files import file_text, parsed_json
 from hitchopt.values import Array
 
@@ -105,7 +105,7 @@ class Alignment(OneLine):
 
 def align(
     flight: RecordedFlight,
-    task: Task,
+    task: TeamTask,
     *,
     names: Mapping[str, str] | None = None,
     frame: str | None = None,
@@ -148,7 +148,11 @@ class _Trial:
     """Search for the alignment of a recording; offsets of fits count from its middle."""
 
     def __init__(
-        self, flight: RecordedFlight, task: Task, requested: Mapping[str, str], start: float | None
+        self,
+        flight: RecordedFlight,
+        task: TeamTask,
+        requested: Mapping[str, str],
+        start: float | None,
     ) -> None:
         self._task, self._one_clock, drones = task, flight.one_clock, task.team.drone_names
         bodies = [name for name in flight.tracks if name not in task.team.point_names]

@@ -30,7 +30,7 @@ from hitchopt.lab.flights.vertices import (
     measured_vertices,
     through_gaps,
 )
-from hitchopt.lab.simulation.task import Task, read_task
+from hitchopt.lab.simulation.task import TeamTask, team_task
 from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, RECORDING
@@ -103,7 +103,7 @@ class Evaluation(OneLine):
     remarks: fitted quantities, corrections, and reasons for missing vertices.
     """
 
-    task: Task
+    task: TeamTask
     flight: RecordedFlight
     alignment: Alignment
     t: Array
@@ -143,9 +143,10 @@ class Evaluation(OneLine):
     @property
     def planned_flight(self) -> Flight:
         """The plan; InputError for a task without one."""
-        if self.task.flight is None:
-            raise InputError("plan", "setpoints", "a plan", "read it with read_task")
-        return self.task.flight
+        flight = self.task.flight
+        if flight is None:
+            raise InputError("plan", "setpoints", "a plan", "pass the plan or its directory")
+        return flight
 
     @property
     def table(self) -> tuple[ErrorRow, ...]:
@@ -220,7 +221,7 @@ class Evaluation(OneLine):
 
 def evaluate(
     recording: RecordedFlight | Path | str,
-    plan: Task | Plan | Path | str,
+    plan: TeamTask | Plan | Path | str,
     *,
     names: Mapping[str, str] | str | None = None,
     frame: str | Path | None = None,
@@ -265,11 +266,7 @@ def evaluate(
         flight = read_flight(path("recording", flight), unit, topic)
     elif unit is not None or topic is not None:
         raise InputError("unit, topic", (unit, topic), "omitted", "the recording is read already")
-    if isinstance(plan, Plan):
-        task = Task.of(plan.flight)
-    else:
-        task = plan if isinstance(plan, Task) else read_task(path("plan", plan))
-    task.require_one_team("evaluate")
+    task = team_task(plan, "evaluate")
     if flight.simulated and start is None:
         start = 0.0  # The clock of a simulation is the plan's
     try:
@@ -282,7 +279,7 @@ def evaluate(
 
 def _evaluated(
     flight: RecordedFlight,
-    task: Task,
+    task: TeamTask,
     alignment: Alignment,
     density: Any,
     diameter: Any,
@@ -351,7 +348,7 @@ def _remarks(alignment: Alignment, flight: RecordedFlight) -> Iterator[str]:
         yield f"the frame is fitted: a displacement {shared}; heights are {heights}"
 
 
-def _missing(measured: Measured, task: Task) -> Iterator[str]:
+def _missing(measured: Measured, task: TeamTask) -> Iterator[str]:
     """Yield reasons for missing vertices."""
     layout, markers = task.team.layout, measured.markers
     for a, point, b in zip(layout.behind, layout.clasps, layout.ahead, strict=True):

@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
 from hitchopt.lab.simulation.judgement import TAUT_RATIO
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array, as_array
 
 # Units of length [m], and names of units in files
@@ -423,14 +423,14 @@ class Recording(OneLine):
     notes: tuple[str, ...] = ()
 
 
-def plan_at(task: Task, t: ArrayLike, values: Array) -> Array:
+def plan_at(task: TeamTask, t: ArrayLike, values: Array) -> Array:
     """Return a plan's values (samples, …) at times [s] from its start, constant beyond its ends."""
     times = task.states.t[0] + np.clip(t, 0.0, task.duration)
     curve: Array = make_interp_spline(task.states.t, values, k=1)(times)
     return curve
 
 
-def taut_at(task: Task, t: Array, ratio: float = TAUT_RATIO) -> NDArray[np.bool_]:
+def taut_at(task: TeamTask, t: Array, ratio: float = TAUT_RATIO) -> NDArray[np.bool_]:
     """Return whether the plan's hitch has at least a ratio of the team's tension at times."""
     taut = np.all(task.states.tensions >= ratio * task.team.tension, axis=-1) & task.states.formed
     return plan_at(task, t, taut.astype(np.float64)) > 1.0 - 1e-9
@@ -452,7 +452,7 @@ class Windows:
     tensions: Array  # planned (W, n) [N]
 
 
-def windows_of(recording: Recording, task: Task, size: float) -> Windows:
+def windows_of(recording: Recording, task: TeamTask, size: float) -> Windows:
     """Return means over windows of a size [s].
 
     A window counts if every drone, and half of the vertices, are visible in half of it. Deviations

@@ -24,7 +24,7 @@ from hitchopt.geometry.vectors import cross, left_of, length, unit
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.flights.recordings import Track, plan_at, taut_at
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array, Indices
 
 RATE = 20.0  # Sampling rate of vertices [Hz]
@@ -78,7 +78,7 @@ class _Edges:
     curvature: Array  # (t, n) [m²/kg], second derivative of the height over the density
 
     @classmethod
-    def of(cls, task: Task, t: Array, displacement: Array) -> _Edges:
+    def of(cls, task: TeamTask, t: Array, displacement: Array) -> _Edges:
         """Return the edges of a plan at times (t,), with a displacement (t, 3) [m]."""
         layout = task.team.layout
         points = plan_at(task, t, task.states.vertices) + displacement[:, None]
@@ -116,7 +116,7 @@ def relative_errors(markers: Array, ends: Array, sine: Array, layout: Layout) ->
 
 
 def measured_vertices(
-    task: Task, t: Array, cloud: Track, drones: Array, density: float | None, window: float
+    task: TeamTask, t: Array, cloud: Track, drones: Array, density: float | None, window: float
 ) -> Measured:
     """Return the vertices at times at which the plan's hitch is taut.
 
@@ -303,7 +303,7 @@ class MarkerPlan(OneLine):
     standard_errors: Array
 
 
-def marker_plan(task: Task) -> MarkerPlan:
+def marker_plan(task: TeamTask) -> MarkerPlan:
     """Return marker positions on the cables of a plan's hitch.
 
     A section that never leaves the edge gets three evenly spaced markers. If a cable slides too far

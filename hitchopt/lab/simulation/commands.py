@@ -16,7 +16,7 @@ from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.flight_controller import HELD, STOCK, Gains, latency_scale
 from hitchopt.lab.simulation.settings import IDEAL, Settings
-from hitchopt.lab.simulation.task import RATE, Commands, Received, Task
+from hitchopt.lab.simulation.task import RATE, Commands, Received, Task, TeamTask
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import SavedPlan
 from hitchopt.motion.states import HOVER, attitudes
@@ -49,7 +49,7 @@ def resolved(task: Task, settings: Settings) -> Settings:
                 estimator = HELD
             if upload is None:
                 # Exported files would hold the tension by offsets
-                teams = (flown_team(part.team, settings) for part in task.parts)
+                teams = (flown_team(part.team, settings) for part in task.teams)
                 upload = task.flight is not None and not settings.feedback
                 upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
     estimator = None if estimator == IDEAL else estimator
@@ -74,7 +74,7 @@ def _of_files(files: Received, settings: Settings) -> Settings:
 
 def named_controllers(task: Task) -> set[str | None]:
     """Return the names of the controllers of a task's drones, with None for drones without one."""
-    return {kind.controller for part in task.parts for kind in part.team.quadrotor}
+    return {kind.controller for part in task.teams for kind in part.team.quadrotor}
 
 
 def flown_team(team: Team, settings: Settings) -> Team:
@@ -97,7 +97,7 @@ def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
     return Quadrotor(kind.mass, kind.max_thrust, controller=name, gains=gains)
 
 
-def received(task: Task, team: Team, settings: Settings) -> Commands:
+def received(task: TeamTask, team: Team, settings: Settings) -> Commands:
     """Return the setpoints of a task that a team's controllers receive, at RATE.
 
     Raises InputError for an upload without a plan, InfeasibleError for a plan too large for it.
@@ -109,7 +109,7 @@ def received(task: Task, team: Team, settings: Settings) -> Commands:
     return uploaded(task.flight, team, follows=settings.controller in CURVE_RATES)
 
 
-def streamed(task: Task, team: Team, *, follows: bool) -> Commands:
+def streamed(task: TeamTask, team: Team, *, follows: bool) -> Commands:
     """Return the rounded packets of full states, with body rates if ``follows``."""
     setpoints, mass = task.states, team.mass[:, None]
     forward = setpoints.accelerations - team.pull_gain * setpoints.cable_forces / mass

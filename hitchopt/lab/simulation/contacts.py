@@ -34,7 +34,7 @@ def least_bearing(task: Task) -> Array:
     equal tensions; 0 if a cable has no tension.
     """
     by_part, t = [], task.states.t - task.states.t[0]
-    for part in task.parts:
+    for part in task.teams:
         team, motion, T = part.team, part.motion, part.states.tensions
         bearing = np.zeros((len(t), len(team.layout.clasps)))
         taut = np.all(T > 0.0, axis=-1)

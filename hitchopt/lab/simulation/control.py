@@ -86,17 +86,13 @@ def read_calibrated(path: Path) -> Mapping[str, Any]:
     return data
 
 
-def flown_kinds(task: Task, settings: Settings) -> tuple[Quadrotor, ...]:
-    """Return the kinds (2n,) of the drones that fly: those of the plan, as calibrated if stated.
+def calibrated_kinds(team: Team, calibrated: Mapping[str, Any]) -> tuple[Quadrotor, ...]:
+    """Return the kinds (2n,) of a team's drones, as calibrated where a mapping by drone states it.
 
     Raises InputError for drones that the team does not have.
     """
-    team, stated = task.team, settings.as_calibrated
-    if stated is None:
-        return team.kinds
-    task.require_one_team("drones as calibrated")
     try:
-        kinds = kinds_of(stated, team.robots, "robot", team.listed_names)
+        kinds = kinds_of(calibrated, team.robots, "robot", team.listed_names)
     except InputError as error:
         raise error.within("as_calibrated") from None
     listed = [kind for kind in kinds for _ in range(team.drones // len(kinds))]
@@ -122,8 +118,14 @@ class FlownDrones:
 
     @classmethod
     def of(cls, task: Task, settings: Settings, stiffness: Array) -> FlownDrones:
-        """Return the drones of a task whose position loops have some stiffness (2n, 3) [N/m]."""
-        kinds, team = flown_kinds(task, settings), task.team
+        """Return the drones of a task whose position loops have some stiffness (2n, 3) [N/m].
+
+        Raises UnsupportedError for drones as calibrated of several teams.
+        """
+        team, calibrated = task.team, settings.as_calibrated
+        kinds = team.kinds
+        if calibrated is not None:
+            kinds = calibrated_kinds(task.of_one_team("drones as calibrated").team, calibrated)
         trims = np.array([kind.trim or (0.0, 0.0) for kind in kinds])
         lean = stiffness[:, :1] * trims / (GRAVITY * team.mass[:, None])  # tangents of tilts
         axis, size = left_of(lean), length(lean)
@@ -131,7 +133,7 @@ class FlownDrones:
         turns = Rotation.from_rotvec(np.insert(axis * angle[:, None], 2, 0.0, axis=1)).as_matrix()
         drag = settings.perturbations.rotor_drag
         if drag is None:
-            drag = ROTOR_DRAG if settings.as_calibrated is not None else 0.0
+            drag = 0.0 if calibrated is None else ROTOR_DRAG
         flown = np.array([kind.thrust_factor or 1.0 for kind in kinds])
         exported = [kind.controller in SCALED for kind in team.kinds]
         factors = flown / np.where(exported, team.thrust_factor, 1.0)

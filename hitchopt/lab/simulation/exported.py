@@ -215,10 +215,9 @@ def _flown(
         _take_off(jets, t, first, floor)
         places[t < before] = jets[0, t < before]
     trims = np.insert(task.team.trim, 2, 0.0, axis=1)  # simulated drones add theirs
-    states = replace(task.states, positions=places)
     commands = _commands(kind, jets, trims, task, parts[0])
     received = Received(commands, _loops(parts[0], task), _estimator(parts[0]), kind.flown_by)
-    task = replace(task, states=states, received=received)
+    task = replace(task.with_positions(places), received=received)
     return ExportedFlight(kind.name, title, tuple(parts), bool(before), tuple(changed), task)
 
 
@@ -234,7 +233,8 @@ def _jets(kind: Format, parts: Sequence[ExportedPart], starts: Sequence[float], 
             sample = np.searchsorted(curve.breaks, elapsed + BREAK_TOLERANCE, side="right") - 1
             elapsed = curve.breaks[np.maximum(sample, 0)]
         jets[:, rows] = np.moveaxis(curve.jet(elapsed, 3), -1, 0)
-        jets[1:, rows[(t[rows] < start) | (t[rows] > start + curve.duration)]] = 0.0
+        ended = t[rows] > start + curve.duration + BREAK_TOLERANCE
+        jets[1:, rows[(t[rows] < start) | ended]] = 0.0
         if i + 1 < len(parts):
             goal, leave = parts[i + 1].curves.at(0.0), starts[i + 1] - GO_TIME
             leave -= SETTLE_TIME + UPLOAD_TIME

@@ -160,7 +160,7 @@ class FlightInProgress:
         self._task, self._settings = task, settings
         self.files = ""  # what an export of the plan would contain, in words; empty if streamed
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
-        self._disturbances, parts = disturbances, task.parts
+        self._disturbances, parts = disturbances, task.teams
         end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
         extra = [ropes.thickness_allowance(p, preset.diameter, preset.segment) for p in parts]
         self._end_offsets = np.concatenate(end_offsets, axis=1)
@@ -239,7 +239,7 @@ class FlightInProgress:
         loops = self._receive()
         settings = self._settings
         if isinstance(settings.estimator, EstimatorParameters):
-            stated = [kind.latency or 0.0 for part in task.parts for kind in part.team.quadrotor]
+            stated = [kind.latency or 0.0 for part in task.teams for kind in part.team.quadrotor]
             latency = max(stated) if settings.latency is None else settings.latency
             age = frame_age(latency) if latency else LATENCY
             self._command_delay = 0.0 if settings.upload else latency or LATENCY
@@ -261,12 +261,12 @@ class FlightInProgress:
     def _receive(self) -> Sequence[FlightController]:
         """Store the commands of flight controllers, from files or the plan; return their loops."""
         task, settings = self._task, self._settings
-        teams = [flown_team(part.team, settings) for part in task.parts]
+        teams = [flown_team(part.team, settings) for part in task.teams]
         loops = [kind.loop for team in teams for kind in team.kinds]
         if (files := task.received) is not None:
             self._commands = files.commands
             return files.loops or loops
-        pairs = [*zip(task.parts, teams, strict=True)]
+        pairs = [*zip(task.teams, teams, strict=True)]
         try:
             each = [received(part, team, settings) for part, team in pairs]
         except (InfeasibleError, UnsupportedError):
@@ -314,7 +314,7 @@ class FlightInProgress:
             raise self._error
         task, world = self._task, self._world
         tied = np.concatenate(
-            [np.full(part.team.drones, part.states.formed[0]) for part in task.parts]
+            [np.full(part.team.drones, part.states.formed[0]) for part in task.teams]
         )
         friction = world.model.flex_friction.copy()
         world.model.flex_friction[:] = 0.0

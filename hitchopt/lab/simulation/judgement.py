@@ -20,7 +20,7 @@ from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
-from hitchopt.lab.simulation.task import Task, team_of
+from hitchopt.lab.simulation.task import Task, TeamTask, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.values import Array
 
@@ -112,7 +112,7 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     """
     task, record = flight.task, flight.record
     taut, moves = list[NDArray[np.bool_]](), np.zeros(len(task.states.t), np.bool_)
-    for part in task.parts:
+    for part in task.teams:
         formed = part.states.formed
         taut.append(taut_samples(part))
         moves[1:] |= ~resting_samples(part)[1:] & formed[1:] & formed[:-1]
@@ -128,14 +128,14 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
 
 
-def taut_samples(task: Task) -> NDArray[np.bool_]:
+def taut_samples(task: TeamTask) -> NDArray[np.bool_]:
     """Return whether a team's hitch is taut at the samples of its task (samples,)."""
     tension, states = task.team.tension, task.states
     taut: NDArray[np.bool_] = np.all(states.tensions >= TAUT_RATIO * tension, axis=-1)
     return states.formed & taut
 
 
-def resting_samples(task: Task) -> NDArray[np.bool_]:
+def resting_samples(task: TeamTask) -> NDArray[np.bool_]:
     """Return whether no vertex moves and no tension changes before samples of a task (samples,)."""
     steps = length(np.diff(task.states.vertices, axis=0))
     changes = np.abs(np.diff(task.states.tensions, axis=0)) / task.team.tension
@@ -298,7 +298,7 @@ def clasp_links(links: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
 def _clasps(flight: SimulatedFlight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     """Return the state of every vertex at the end of the plan."""
     team, layout = flight.task.team, flight.task.team.layout
-    hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.parts])
+    hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.teams])
     legs_before, bearing = _means(flight, flight.rested)
     moved = np.max(np.abs(_means(flight, flight.pulled)[0] - legs_before), axis=-1)
     stays = (moved <= MAX_SLIP) | np.isnan(flight.pulled)  # both are nan without a pull test
@@ -333,7 +333,7 @@ def _failed_links(
     """Return failures of cables that should not be linked, and of clasps that do not hold."""
     task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
     unexpected = np.triu(linking, 1)
-    hitched = task.clasped([part.states.formed[-1] for part in task.parts])
+    hitched = task.clasped([part.states.formed[-1] for part in task.teams])
     ahead, behind = layout.ahead[hitched], layout.behind[hitched]
     unexpected[behind, ahead] = unexpected[ahead, behind] = 0
     for i, j in np.argwhere(unexpected).tolist():
@@ -554,9 +554,9 @@ def closest(flight: SimulatedFlight, scale: ArrayLike = 1.0) -> Closest:
 
 def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
     """Return warnings about quantities that the plan leaves open, and drones not simulated."""
-    frictionless = any(not part.team.cable_friction for part in task.parts)
+    frictionless = any(not part.team.cable_friction for part in task.teams)
     messages = [NO_FRICTION] if settings.friction is None and frictionless else []
-    weightless = [part for part in task.parts if not part.team.cable_density]
+    weightless = [part for part in task.teams if not part.team.cable_density]
     if weightless and settings.density is None:
         each = (simulated_density(x.team, settings, largest_tension(x)) for x in weightless)
         density = max(each)

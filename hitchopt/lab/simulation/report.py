@@ -178,7 +178,7 @@ class Simulation(OneLine):
         rows, t, off = errors.rows, record.t, length(record.drones - record.commanded)
         drones, cables = team.listed, team.edges
         vertices: Iterable[object] = team.layout.clasps
-        if len(task.parts) > 1:
+        if len(task.teams) > 1:
             vertices = [team.point_names[point] for point in team.layout.clasps]
         # Kind and names of the rows, their times (times,), and columns (times, names[, columns])
         tables: dict[str, tuple[str, Iterable[object], Array, dict[str, Any]]] = {
@@ -272,7 +272,7 @@ def _check_names(key: str, options: dict[str, Any], names: dict[str, Any]) -> No
 
 def _cables(flight: SimulatedFlight) -> Sequence[object]:
     """Return the cables' names in files, in order: indices, or names for several teams."""
-    return flight.cable_names if len(flight.task.parts) > 1 else range(flight.task.team.robots)
+    return flight.cable_names if len(flight.task.teams) > 1 else range(flight.task.team.robots)
 
 
 def write_table(
@@ -308,7 +308,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     ratios = [Spread.of(each).mean for each in tension_ratios(flight, errors.rows).T]
     columns = (np.array(each)[team.edges].tolist() for each in (means, peaks, ratios))
     tensions = zip(_cables(flight), *columns, strict=True)
-    planned = [part.team.cable_density for part in flight.task.parts for _ in part.team.tension]
+    planned = [part.team.cable_density for part in flight.task.teams for _ in part.team.tension]
     return {
         "format": FORMAT,
         "settings": asdict(simulation.settings),
@@ -317,7 +317,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
         "compensation": {"cables_longer": flight.extra_length, "legs_aside": flight.end_offset},
         "density": {
             "simulated": np.asarray(flight.density).tolist(),
-            "planned": planned if len(flight.task.parts) > 1 else planned[0],
+            "planned": planned if len(flight.task.teams) > 1 else planned[0],
         },
         "nearest": closest(flight)._asdict(),
         "separation": closest(flight, separation_of(flight).scale)._asdict(),
@@ -413,7 +413,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     for k, colour in enumerate(colours):
         middle.plot(record.t, record.tensions[:, k], color=colour, lw=0.4, alpha=0.25)
         middle.plot(record.t, smooth[:, k], color=colour, lw=1.2)
-    each = [part.states for part in task.parts]
+    each = [part.states for part in task.teams]
     planned = [np.where(states.formed[:, None], states.tensions, np.nan) for states in each]
     for tension in np.unique(np.concatenate(planned, axis=1).T, axis=0):
         line: dict[str, Any] = {"color": style.LIMIT_COLOUR, "lw": 1.2, "ls": style.DASHES}
@@ -443,7 +443,7 @@ def ending(simulation: Simulation) -> str:
         return "no two survivors touch" if loss.collision_free else "survivors TOUCH each other"
     if flight.linking is None:
         return "not simulated to its end"
-    ends, parts = [part.states.formed[-1] for part in flight.task.parts], list[str]()
+    ends, parts = [part.states.formed[-1] for part in flight.task.teams], list[str]()
     if any(ends):
         parts.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
     if not all(ends):

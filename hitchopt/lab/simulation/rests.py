@@ -32,7 +32,7 @@ from hitchopt.lab.simulation.judgement import (
     taut_samples,
 )
 from hitchopt.lab.simulation.ropes import linking_matrix
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
 
 SHORTEST = 0.1  # Shortest time over which values at rest are averaged [s]
@@ -87,7 +87,7 @@ def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
     task, found = flight.task, list[Rest]()
     holds_at_end = {clasp.name: clasp.holds for clasp in outcome.clasps}
     clasps = drones = slice(0, 0)
-    for part in task.parts:
+    for part in task.teams:
         clasps = slice(clasps.stop, clasps.stop + len(part.team.layout.clasps))
         drones = slice(drones.stop, drones.stop + part.team.drones)
         spans = [*_spans(part)]
@@ -107,14 +107,14 @@ def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
     return tuple(sorted(found, key=lambda rest: rest.end))
 
 
-def _spans(part: Task) -> Iterator[tuple[str, float, float]]:
+def _spans(part: TeamTask) -> Iterator[tuple[str, float, float]]:
     """Yield name, start and end [s] of the rests at which steps of a team end, its last excluded.
 
     Only rests with a taut hitch are yielded. Times count from the flight's start.
     """
-    if part.flight is None:
+    if part.motion is None:
         return
-    t, phases = part.states.t - part.states.t[0], part.flight.teams[0].motion.phases
+    t, phases = part.states.t - part.states.t[0], part.motion.phases
     taut = taut_samples(part)
     still = taut & resting_samples(part)
     for phase, following in pairwise(phases):

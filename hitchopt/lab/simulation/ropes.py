@@ -18,7 +18,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.settings import Preset, Settings
-from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
 
 # Largest ratio of the time step to the time in which a transverse wave passes a segment
@@ -125,7 +125,7 @@ class Ropes:
             raise InputError("density", self.density, bound, "simulate heavier cables (density=)")
 
 
-def largest_tension(task: Task) -> float:
+def largest_tension(task: TeamTask) -> float:
     """Return the largest tension of a team's cables and of their plan [N]."""
     return float(max(np.max(task.team.tension), np.max(task.states.tensions)))
 
@@ -284,7 +284,7 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
     return unit(np.where(slope[:, None] == 0.0, level, forward + (slope / a)[:, None] * UP))
 
 
-def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
+def thickness_allowance(task: TeamTask, diameter: float, segment: float) -> Array:
     """Return the additional length of thick cables for their bends (n,) [m].
 
     Without it the tension would exceed the plan's. It is the sum of ``bend_lengths`` of a cable's
@@ -301,7 +301,7 @@ def thickness_allowance(task: Task, diameter: float, segment: float) -> Array:
     return allowance
 
 
-def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
+def bend_lengths(task: TeamTask, diameter: float, segment: float) -> Array:
     """Return the additional length of each cable of a clasp due to thickness (clasps,) [m].
 
     A cable turns by ``π - φ`` about another, where φ is the angle between the edges. Its centre
@@ -321,7 +321,7 @@ def bend_lengths(task: Task, diameter: float, segment: float) -> Array:
     return np.asarray(np.mean(bends, axis=0))
 
 
-def _edge_ends(task: Task) -> tuple[Array, Array]:
+def _edge_ends(task: TeamTask) -> tuple[Array, Array]:
     """Return unit vectors (samples, n, 3) along edges at both ends, see ``bend_lengths``."""
     layout, motion = task.team.layout, task.motion
     carrying = task.states.formed & np.any(task.cargo.carried, axis=-1)
@@ -334,7 +334,7 @@ def _edge_ends(task: Task) -> tuple[Array, Array]:
     return unit(first - vertices[:, layout.starts]), unit(vertices[:, layout.ends] - last)
 
 
-def leg_end_offsets(task: Task, diameter: float) -> Array:
+def leg_end_offsets(task: TeamTask, diameter: float) -> Array:
     """Return offsets of the ends of thick ropes from their drones (samples, 2n, 3) [m].
 
     The circle of a bend, see ``bend_lengths``, displaces a leg from the vertex by ``1 - sin(h)/2``

@@ -1,8 +1,12 @@
-"""The task of a simulated flight: setpoints of a plan at 100 Hz, its team and its objects."""
+"""The tasks of flights: setpoints of a plan at 100 Hz, its teams and its objects.
+
+A ``TeamTask`` is that of one team. A ``Task`` is that of a flight: the tasks of all teams with
+cables, and what flies with them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,15 +19,16 @@ from hitchopt.exports.directory import refuse_mixture
 from hitchopt.hitch import Team
 from hitchopt.hitch.flight_controller import EstimatorParameters, FlightController
 from hitchopt.hitch.team import Layout
-from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion
+from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion, team_label
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
+from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, lazy, path
 
 Flags = NDArray[np.bool_]
 
@@ -64,23 +69,23 @@ class Cargo:
         return cls(objects, poses, held, load_share, motion.requirements.floor)
 
     @classmethod
-    def joined(cls, flight: Flight, teams: Sequence[TeamMotion], t: Array) -> Cargo:
+    def joined(cls, flight: Flight, teams: Sequence[TeamTask]) -> Cargo:
         """Return the objects of several teams, and the teams that hold them."""
-        requirements, holders = flight.requirements, dict[str, str]()
+        requirements, holders, t = flight.requirements, dict[str, str](), teams[0].states.t
         shape = len(t), len(requirements.objects)
         held, load_share = np.zeros(shape, dtype=np.bool_), np.zeros(shape)
         poses = flight.poses.at(t)
         whole = cls(requirements.objects, poses, held, load_share, requirements.floor)
-        for flown in teams:
-            part = cls.of(flown.motion, t)
-            for j, name in enumerate(part.names):
-                key = flown.label(name) if flown.label(name) in whole.objects else name
-                i, held = whole.names.index(key), part.held[:, j]
+        for task in teams:
+            for j, name in enumerate(task.cargo.names):
+                label = team_label(task.name, name)
+                key = label if label in whole.objects else name
+                i, held = whole.names.index(key), task.cargo.held[:, j]
                 whole.held[:, i] |= held
                 share = whole.load_share[:, i]
-                np.maximum(share, part.load_share[:, j], out=share)
+                np.maximum(share, task.cargo.load_share[:, j], out=share)
                 if held.any() or key not in holders:
-                    holders[key] = flown.name
+                    holders[key] = task.name
         return replace(whole, holders=holders)
 
     @property
@@ -189,8 +194,7 @@ class Passing(NamedTuple):
 class Crew(CombinedSwarm):
     """Several teams with cables as one, with concatenated arrays and prefixed names."""
 
-    def __init__(self, flown: Sequence[TeamMotion]) -> None:
-        teams = [(each.name, each.motion.team) for each in flown]
+    def __init__(self, teams: Sequence[tuple[str, Team]]) -> None:
         super().__init__(teams)
         layouts = [team.layout for _, team in teams]
         cables = np.cumsum([0, *(each.robots for each in layouts)]).tolist()
@@ -211,7 +215,7 @@ class Crew(CombinedSwarm):
         }
         arrays |= {"robots": cables[-1], "_layout": Layout(cables[-1], points[-1], **tables)}
         arrays["_points"] = tuple(
-            each.label(name) for each in flown for name in each.motion.team.point_names
+            team_label(name, point) for name, team in teams for point in team.point_names
         )
         vars(self).update(arrays)
 
@@ -229,11 +233,8 @@ class Crew(CombinedSwarm):
 
 
 @dataclass(frozen=True, eq=False)
-class Task:
-    """Setpoints of a flight, and the plan's hitch at their times.
-
-    For several teams it holds drones, vertices and cables of all teams with cables.
-    """
+class TeamTask:
+    """Setpoints of one team with cables, and the plan's hitch at their times."""
 
     team: Team  # the team that flies
     states: States  # (samples, …), objects aside; without a hitch, vertices and tensions are zero
@@ -241,11 +242,10 @@ class Task:
     # tension
     taut: Array | None = None
     cargo: Cargo = field(default_factory=Cargo)  # objects
-    # the plan, which feedback and gripped cables need; None for other setpoints
-    flight: Flight | None = None
-    teams: tuple[Task, ...] = ()  # the tasks of several teams
-    passing: Passing = field(default_factory=Passing)  # drones that are not simulated
-    received: Received | None = None  # from exported files; None if the plan itself is flown
+    # the team's plan, which feedback and gripped cables need; None for other setpoints
+    motion: Motion | None = None
+    others: tuple[TeamMotion, ...] = ()  # teams of external plans, on the plan's clock
+    name: str = ""  # in a flight of several teams; empty for a single team
 
     def __post_init__(self) -> None:
         states, formed = self.states, self.states.formed[:, None]
@@ -254,73 +254,31 @@ class Task:
         object.__setattr__(self, "states", replace(states, vertices=vertices, tensions=tensions))
 
     @classmethod
-    def of(cls, flight: Flight) -> Task:
-        """Return the task of a plan; UnsupportedError for drones without cables."""
-        if not flight.has_cables:
-            raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
-        t = sample_times(flight.duration, RATE)
-        tied = [each for each in flight.teams if each.motion.team.has_cables]
-        single = [each for each in flight.teams if not each.motion.team.has_cables]
-        passing = Passing.of([*single, *flight.others], float(flight.breaks[0]), t)
-        parts = tuple(cls._of_team(each.motion, t) for each in tied)
-        if len(flight.teams) == 1:
-            return replace(parts[0], flight=flight, passing=passing)
-
-        def joined(records: list[Any], names: Iterable[str]) -> dict[str, Any]:
-            rows = {name: [getattr(record, name) for record in records] for name in names}
-            return {name: np.concatenate(values, axis=1) for name, values in rows.items()}
-
-        each = [part.states for part in parts]
-        formed = np.any([states.formed for states in each], axis=0)
-        states = replace(each[0], formed=formed, **joined(each, JOINED_FIELDS))
-        task = cls(Crew(tied), states, flight=flight, teams=parts, passing=passing)
-        cargo = Cargo.joined(flight, tied, t)
-        return replace(task, cargo=cargo, **joined(list(parts), ["taut"]))
+    def of(cls, motion: Motion) -> TeamTask:
+        """Return the task of one team's plan."""
+        return cls.in_flight(TeamMotion("", motion), sample_times(motion.duration, RATE))
 
     @classmethod
-    def _of_team(cls, motion: Motion, t: Array) -> Task:
-        """Return the task of one team at times (samples,) [s]."""
+    def in_flight(
+        cls, flown: TeamMotion, t: Array, others: tuple[TeamMotion, ...] = ()
+    ) -> TeamTask:
+        """Return the task of a flight's team at times (samples,) [s], among external plans."""
+        motion = flown.motion
         taut = PiecewisePolynomial(motion.drones.breaks, tautness(motion)).at(t)
         states, cargo = states_at(motion, t), Cargo.of(motion, t)
-        return cls(motion.team, states, taut, cargo, Flight.of(motion))
+        return cls(motion.team, states, taut, cargo, motion, others, flown.name)
 
     @property
-    def parts(self) -> tuple[Task, ...]:
-        """Tasks of all teams; the task itself for one team."""
-        return self.teams or (self,)
-
-    @property
-    def motion(self) -> Motion | None:
-        """The motion of the plan's only team; None for other setpoints.
-
-        Raises UnsupportedError for several teams: each part has its motion.
-        """
-        if self.flight is None:
+    def flight(self) -> Flight | None:
+        """The flight of the team and the external plans; None for other setpoints."""
+        if self.motion is None:
             return None
-        return self.flight.of_one_team("the motion of a task", others=True)
-
-    def require_one_team(self, what: str) -> None:
-        """Raise UnsupportedError for several teams, which ``what`` does not support."""
-        if self.flight is not None:
-            self.flight.of_one_team(what, others=True)
-
-    def clasped(self, flags: Sequence[Flags]) -> Flags:
-        """Return flags (…) of every team, repeated for its clasps (…, clasps)."""
-        counts = [len(part.team.layout.clasps) for part in self.parts]
-        each = zip(flags, counts, strict=True)
-        return np.concatenate([np.repeat(x[..., None], count, axis=-1) for x, count in each], -1)
+        return Flight((TeamMotion("", self.motion),), self.others)
 
     @property
     def duration(self) -> float:
         """Time from the first setpoint to the last [s]."""
         return float(self.states.t[-1] - self.states.t[0])
-
-    def released(self, motion: Motion, start: float, duration: float) -> Task:
-        """Return the task of a motion whose cable forces vanish smoothly in a ``duration`` [s]."""
-        new = Task.of(Flight.of(motion)).states
-        share = np.clip((new.t - start) / duration, 0.0, 1.0)[:, None, None]
-        forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
-        return Task(self.team, replace(new, t=self.states.t[0] + new.t, cable_forces=forces))
 
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of loads that cables carry at a sample."""
@@ -332,6 +290,120 @@ class Task:
         t = self.states.t
         index = int(np.searchsorted(t, t[0] + elapsed + TIME_TOLERANCE, side="right")) - 1
         return min(max(index, 0), len(t) - 1)
+
+    def released(self, motion: Motion, start: float, duration: float) -> TeamTask:
+        """Return the task of a motion whose cable forces vanish smoothly in a ``duration`` [s]."""
+        new = TeamTask.of(motion).states
+        share = np.clip((new.t - start) / duration, 0.0, 1.0)[:, None, None]
+        forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
+        states = replace(new, t=self.states.t[0] + new.t, cable_forces=forces)
+        return TeamTask(self.team, states)
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """Setpoints of a flight: the tasks of its teams with cables, and what flies with them.
+
+    Drones, vertices and cables of several teams are concatenated.
+    """
+
+    teams: tuple[TeamTask, ...]  # at least one, at the same times
+    flight: Flight | None = None  # the plan; None for other setpoints
+    passing: Passing = field(default_factory=Passing)  # drones that are not simulated
+    received: Received | None = None  # from exported files; None if the plan itself is flown
+
+    @classmethod
+    def of(cls, flight: Flight) -> Task:
+        """Return the task of a plan; UnsupportedError for drones without cables."""
+        if not flight.has_cables:
+            raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
+        t = sample_times(flight.duration, RATE)
+        tied = [each for each in flight.teams if each.motion.team.has_cables]
+        single = [each for each in flight.teams if not each.motion.team.has_cables]
+        passing = Passing.of([*single, *flight.others], float(flight.breaks[0]), t)
+        teams = tuple(TeamTask.in_flight(each, t, flight.others) for each in tied)
+        return cls(teams, flight, passing)
+
+    def of_one_team(self, feature: str) -> TeamTask:
+        """Return the task of the only team, for a ``feature`` that supports a single one.
+
+        Raises UnsupportedError for several teams.
+        """
+        if self.flight is not None:
+            self.flight.of_one_team(feature, others=True)
+        return self.teams[0]
+
+    @property
+    def _is_single(self) -> bool:
+        """Whether no other team is part of the flight."""
+        return len(self.teams) == 1 and not self.teams[0].name
+
+    @lazy
+    def team(self) -> Team:
+        """The only team, or those with cables as one."""
+        if self._is_single:
+            return self.teams[0].team
+        return Crew([(each.name, each.team) for each in self.teams])
+
+    @lazy
+    def states(self) -> States:
+        """States of all teams; without any hitch, vertices and tensions are zero."""
+        each = [task.states for task in self.teams]
+        if len(each) == 1:
+            return each[0]
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(states, name) for states in each], axis=1)
+            for name in JOINED_FIELDS
+        }
+        formed = np.any([states.formed for states in each], axis=0)
+        return replace(each[0], formed=formed, **joined)
+
+    @lazy
+    def cargo(self) -> Cargo:
+        """The objects of all teams."""
+        if self._is_single or self.flight is None:
+            return self.teams[0].cargo
+        return Cargo.joined(self.flight, self.teams)
+
+    @property
+    def duration(self) -> float:
+        """Time from the first setpoint to the last [s]."""
+        return self.teams[0].duration
+
+    def with_positions(self, positions: Array) -> Task:
+        """Return the task with other positions of the drones (samples, 2n, 3) [m]."""
+        counts = np.cumsum([each.team.drones for each in self.teams])[:-1]
+        parts = np.split(positions, counts, axis=1)
+        teams = [
+            replace(each, states=replace(each.states, positions=part))
+            for each, part in zip(self.teams, parts, strict=True)
+        ]
+        return replace(self, teams=tuple(teams))
+
+    def clasped(self, flags: Sequence[Flags]) -> Flags:
+        """Return flags (…) of every team, repeated for its clasps (…, clasps)."""
+        counts = [len(each.team.layout.clasps) for each in self.teams]
+        each = zip(flags, counts, strict=True)
+        return np.concatenate([np.repeat(x[..., None], count, axis=-1) for x, count in each], -1)
+
+    def load_shares(self, index: int) -> Array:
+        """Return the shares (n,) of loads that cables carry at a sample."""
+        return np.concatenate([each.load_shares(index) for each in self.teams])
+
+    def index(self, elapsed: float) -> int:
+        """Return the setpoint that applies ``elapsed`` [s] after the first one."""
+        return self.teams[0].index(elapsed)
+
+
+def team_task(plan: TeamTask | Plan | Path | str, feature: str) -> TeamTask:
+    """Return the task of a plan, or of the plan in a directory, for a ``feature`` of one team.
+
+    Raises FileError if the plan is missing or damaged, and UnsupportedError for several teams.
+    """
+    if isinstance(plan, TeamTask):
+        return plan
+    task = Task.of(plan.flight) if isinstance(plan, Plan) else read_task(path("plan", plan))
+    return task.of_one_team(feature)
 
 
 def read_task(directory: Path) -> Task:

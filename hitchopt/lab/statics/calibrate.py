@@ -52,9 +52,10 @@ from hitchopt.lab.flights.recordings import (
     windows_of,
 )
 from hitchopt.lab.simulation.judgement import TAUT_RATIO
-from hitchopt.lab.simulation.task import Task, read_task
+from hitchopt.lab.simulation.task import TeamTask, team_task
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.lab.statics.rests import DronesAtRests, drones_at_rests
+from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, reading
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path
@@ -153,7 +154,7 @@ class Calibration(OneLine):
     drone_errors: (samples, 2n) [m], distances from the setpoints.
     """
 
-    task: Task
+    task: TeamTask
     recording: Recording
     density: float
     lengths: tuple[Estimate, ...]
@@ -243,7 +244,7 @@ def _yaml(value: object) -> str:
 
 def calibrate(
     recording: Recording | RecordedFlight | Path | str,
-    plan: Task | Path | str | None = None,
+    plan: TeamTask | Plan | Path | str | None = None,
     *,
     density: float | None = None,
 ) -> Calibration:
@@ -257,7 +258,7 @@ def calibrate(
     ----------
     recording: file or directory in a format of ``read_flight``, a ``RecordedFlight``, or a
         ``Recording`` of the team's drones and vertices.
-    plan: directory of the plan that was flown, or its task; None: the directory of the recording.
+    plan: the plan that was flown, or its directory; None: the directory of the recording.
     density: of the cables [kg/m]; None: that of the simulated flight, else the plan's.
 
     Raises
@@ -330,7 +331,7 @@ def calibrate(
 
 
 def _friction(
-    task: Task, recording: Recording, windows: Windows, balance: _Balance, expected: Array
+    task: TeamTask, recording: Recording, windows: Windows, balance: _Balance, expected: Array
 ) -> tuple[Estimate, Array]:
     """Return the friction and tensions (windows, n) [N] for ``expected`` common unknowns."""
     if not np.all(np.isfinite(expected)):
@@ -346,7 +347,7 @@ def _friction(
 
 
 def _at_rests(
-    task: Task, windows: Windows, conditions: dict[str, Any], lengths: list[Estimate]
+    task: TeamTask, windows: Windows, conditions: dict[str, Any], lengths: list[Estimate]
 ) -> DronesAtRests:
     """Return drones at rests with measured cables, those of the plan where not determined."""
     if task.motion is None:
@@ -356,7 +357,9 @@ def _at_rests(
     return drones_at_rests(task.motion, windows, conditions, cables)
 
 
-def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tuple[Recording, Task]:
+def _recording_and_task(
+    recording: Any, plan: Any, density: float | None
+) -> tuple[Recording, TeamTask]:
     """Return the recording and its plan; InputError if times or positions do not match.
 
     Recordings with the team's names on a clock from zero are used as they are; others are aligned
@@ -370,8 +373,7 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
         plan = Path(os.path.abspath(recording)).parent if plan is None else plan
     if plan is None:
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
-    task = plan if isinstance(plan, Task) else read_task(checked_path("plan", plan))
-    task.require_one_team("calibrate")
+    task = team_task(plan, "calibrate")
     if isinstance(recording, Path):
         with reading(recording, "recording"):
             recording = _aligned(read_flight(recording), task, density)
@@ -392,7 +394,7 @@ def _recording_and_task(recording: Any, plan: Any, density: float | None) -> tup
     return recording, task
 
 
-def _aligned(flight: RecordedFlight, task: Task, density: float | None) -> Recording:
+def _aligned(flight: RecordedFlight, task: TeamTask, density: float | None) -> Recording:
     """Return the drones and vertices of a recorded flight in the plan's time and frame."""
     team, own = task.team, set(flight.tracks)
     named = bool(own & set(team.point_names)) or not len(flight.markers.t)
@@ -443,7 +445,7 @@ class _Balance:
     pulls: Array  # (windows, n, 2), log tension ratios for a coefficient of 1; zero if sticking
 
     @classmethod
-    def of(cls, task: Task, windows: Windows, conditions: Any, kinds: Indices) -> _Balance:
+    def of(cls, task: TeamTask, windows: Windows, conditions: Any, kinds: Indices) -> _Balance:
         """Return the problem at windows, without friction."""
         team, zero = task.team, np.zeros_like(windows.positions)
         lengths = np.broadcast_to(team.cable_length, windows.tensions.shape)
@@ -522,7 +524,7 @@ class _Balance:
         tensions = unknown[g:].reshape(*planned.shape, 3)[..., 0]
         return unknown[:g], errors, tensions, max(factor, 1.0)
 
-    def slide(self, task: Task, recording: Recording, windows: Windows) -> float:
+    def slide(self, task: TeamTask, recording: Recording, windows: Windows) -> float:
         """Set ``pulls`` where the plan slides cables over each other; return the distance [m].
 
         Sliding directions are those of short windows, as noise slides cables back and forth.
