@@ -154,7 +154,7 @@ def test_lint_reports_errors_and_foreign_files_stay(plan: Path) -> None:
 def test_notes_of_several_parts_are_said_once(place: Path) -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), PROBLEM["start"]["hitch"]["polygon"])  # type: ignore[index]
     mission = ho.Mission(start.team, start)
-    for k in range(6):
+    for k in range(9):
         mission = mission.move_vertex(0, by=[0.0, 0.1 * (-1.0) ** k]).hold(1.0)
     mission.solve().save(place / "out", picture=False)
     said = run("export", "out", "--format", "crazyswarm2", "--stiffness", "4.75", code=0).stdout

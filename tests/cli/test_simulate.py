@@ -121,30 +121,15 @@ def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
     assert (varied["noise"], varied["wind"], varied["downwash"]) == (0.0, 0.05, True)
 
 
-@pytest.mark.parametrize(
-    ("limit", "value", "told", "shown"),
-    [
-        pytest.param(
-            *("judgement.MAX_SLIP", 1e-4),  # every vertex moves more
-            *("failed: t = .*in the pull test", "not hitched"),
-            marks=pytest.mark.slow,
-        ),
-        (
-            "steady_wind=50",  # it blows all drones away
-            *("not simulated: t = -2.48 s, simulation: strain of", "not simulated to its end"),
-        ),
-    ],
-)
-def test_a_flight_that_fails_or_is_invalid_ends_with_3(
-    solved: Path, monkeypatch: pytest.MonkeyPatch, limit: str, value: float, told: str, shown: str
-) -> None:
-    monkeypatch.setattr(f"hitchopt.lab.simulation.{limit}", value)
-    result = run("simulate", solved, "-o", "x", code=3)
-    assert re.search(told, result.stderr, re.DOTALL)
-    assert shown in result.stdout
+def test_a_flight_that_is_invalid_ends_with_3(solved: Path) -> None:
+    """A gale tears the drones apart; verdicts of other flights: tests/simulation."""
+    result = run("simulate", solved, "-o", "x", "--perturb", "steady_wind=50", code=3)
+    assert re.search("not simulated: t = -2.4. s, simulation: strain of", result.stderr)
+    assert "not simulated to its end" in result.stdout
+    assert "p0" not in result.stdout
     summary = read(Path("x/simulation.json"))
-    assert (summary["verdict"], summary["succeeded"]) == (told.partition(":")[0], False)
-    assert bool(summary["clasps"]) is ("p0" in result.stdout) is (summary["verdict"] == "failed")
+    assert (summary["verdict"], summary["succeeded"]) == ("not simulated", False)
+    assert summary["clasps"] == []
 
 
 @pytest.mark.parametrize(

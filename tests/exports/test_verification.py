@@ -88,7 +88,8 @@ def test_curves_in_several_windows_are_verified_as_in_one() -> None:
     late[-1, 0, 0] += 1e-3  # what is off at the end alone is found in the last window
     curves = PiecewisePolynomial(motion.drones.breaks, late)
     pieces = WINDOW // motion.team.drones + 1
-    breaks = np.union1d(curves.breaks, np.linspace(*curves.breaks[[0, -1]], pieces))
+    first, last = curves.breaks[[0, -1]].tolist()
+    breaks = np.union1d(curves.breaks, np.linspace(first, last, pieces))
     found = [verified(motion, curves), verified(motion, on_breaks(curves, breaks))]
     one, many = found
     assert many.position.worst == pytest.approx(one.position.worst)

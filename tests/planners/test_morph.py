@@ -195,7 +195,7 @@ def test_steps_keep_rows_that_were_far_at_first() -> None:
         assert moved is not None
         assert x is not None
         table = path.table.copy()
-        changes = 0.17 * (build.tangent @ x[: build.tangent.shape[1]])
+        changes = np.asarray(0.17 * (build.tangent @ x[: build.tangent.shape[1]]))
         table[1:-1] += changes.reshape(table[1:-1].shape)
         np.testing.assert_allclose(moved.table, path.with_table(table).table, atol=1e-5)
         path = moved
