@@ -484,21 +484,23 @@ def above_ground(motion: Motion) -> bool:
     return closest.worst >= with_tolerance(limit, "min", closest.size)
 
 
-def approach_of(motion: Motion) -> Callable[[float], float]:
-    """Return the approach of drones and hanging cables [m] as a function of tracking errors [m].
+def cable_displacement(motion: Motion) -> Callable[[float], float]:
+    """Return the largest displacement [m] of hanging cables as a function of tracking errors [m].
 
     Heights are divided by ``Requirements.height_ratio``.
     """
-    ends, L = cable_ends(split_long_pieces(motion.drones).coefficients), motion.team.cable_length
+    ends = cable_ends(split_long_pieces(motion.drones).coefficients)
+    cable_length = motion.team.cable_length
     offset = Enclosed(ends[:, :, 1] - ends[:, :, 0])
-    across, height = offset.xy.norm_range, offset[2].norm_upper.value
+    across = offset.xy.norm_range
+    rise = offset[2].norm_upper.value
     ratio = motion.requirements.height_ratio
 
-    def approach(radius: float) -> float:
-        shift = displacement_bound((across.low, across.high), height, L, radius, ratio)
-        return radius + float(np.max(shift))
+    def displacement(radius: float) -> float:
+        spans = (across.low, across.high)
+        return float(np.max(displacement_bound(spans, rise, cable_length, radius, ratio)))
 
-    return approach
+    return displacement
 
 
 ENTRY_DISTANCE = 2e-5  # [m] Holding cables that come closer to an object's body enter it

@@ -138,6 +138,10 @@ class SpanResult(NamedTuple):
     check: Check
 
 
+REPORT_IT = "this plan must not be flown; please report it"
+"""Remedy of checks that plans violate only by a fault, or because they violate another one."""
+
+
 @dataclass(frozen=True, eq=False)
 class CheckRule:
     """A check of the certificate, and its metadata."""
@@ -148,7 +152,7 @@ class CheckRule:
     # the limit, or a function of a motion that returns it; None if there is nothing to check
     limit: float | Callable[[Motion], float | None]
     evaluators: tuple[Evaluator, ...]  # evaluators for cables in different states
-    remedy: str = "this plan must not be flown; please report it"  # suggested change
+    remedy: str = REPORT_IT  # suggested change
     free_remedy: str = ""  # suggested change without a hitch, if different
     # kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of legs) or
     # ``tension`` (lower, or less weight); empty for none

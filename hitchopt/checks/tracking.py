@@ -36,7 +36,7 @@ from hitchopt.checks.clearance import (
     CABLE_CLEARANCE,
     KEEP_OUT,
     OBJECT_CLEARANCE,
-    approach_of,
+    cable_displacement,
     drone_wall_gap,
 )
 from hitchopt.checks.distances import CROSSING, Moving, PairSpans, Shape, gap, smallest
@@ -195,16 +195,20 @@ def _excess(spans: Drones) -> Bound:
 
 
 def _hanging_radius(span: Motion, check: Check) -> float:
-    """Return the largest radius at which hanging cables keep their clearance [m]."""
+    """Return the largest radius at which hanging cables keep their clearance [m].
+
+    Drones approach cables by the radius; objects are at rest.
+    """
     if not check.is_evaluated:
         return math.inf
     slack = _slack(check)
-    approach = approach_of(span)
+    displacement = cable_displacement(span)
+    drone_share = 1.0 if check.name == CABLE_CLEARANCE.name else 0.0
     sufficient = 0.0
     insufficient = slack
     for _ in range(HALVINGS):
         radius = 0.5 * (sufficient + insufficient)
-        if approach(radius) <= slack:
+        if drone_share * radius + displacement(radius) <= slack:
             sufficient = radius
         else:
             insufficient = radius

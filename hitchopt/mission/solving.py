@@ -29,6 +29,7 @@ from hitchopt.steps.certified_motions import (
     check_at_rest,
     check_start,
     infeasible_error,
+    named_checks,
     plan_blended,
     split_hitch,
     with_settling,
@@ -321,8 +322,9 @@ def _in_step(error: InfeasibleError, first: int, group: Sequence[Step]) -> Infea
 def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> InfeasibleError:
     """Return the error of a failed certificate with advice that depends on the steps."""
     error = infeasible_error(certified.certificate, certified.motion)
+    named = named_checks(certified.certificate, Flight.of(certified.motion))
     violations = []
-    for violation, check in zip(error.violations, certified.certificate.violated, strict=True):
+    for violation, check in zip(error.violations, named, strict=True):
         indices = [p.step for p in certified.motion.phases if p.start <= check.time <= p.end]
         neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
         is_blended = check.name != "duration" and any(step.blends for step in neighbours)

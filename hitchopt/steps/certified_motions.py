@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from hitchopt.checks import Certificate, Check
 from hitchopt.checks.custom import Rule
 from hitchopt.checks.registry import RULE_OF, TEAM_REPORTS
-from hitchopt.checks.rule import CheckRule, ReportRule
+from hitchopt.checks.rule import REPORT_IT, CheckRule, ReportRule
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -134,27 +134,51 @@ def infeasible_error(
 
     ``rules`` are the custom rules in the certificate.
     """
-    violations, flight = [], Flight.of(flown)
+    flight = Flight.of(flown)
+    violations = list[Violation]()
+    for check in named_checks(certificate, flight, rules):
+        phases = _phases_at(check, flight)
+        time_and_step = when
+        if not when and check.name != "duration":
+            step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
+            time_and_step = f"at t = {check.time:.4g} s{step}"
+        remedy = _separation_shortfall(check, flight) + _remedy(check, flight, rules)
+        violations.append(check.violation(time_and_step, remedy))
+    return InfeasibleError(violations)
+
+
+def named_checks(
+    certificate: Certificate, flight: Flight, rules: Sequence[Rule[Any]] = ()
+) -> list[Check]:
+    """Return the violated checks that a refusal names: those that a user can change, if any.
+
+    What only a fault can break otherwise, such as the balance of an object that slips, follows from
+    them.
+    """
+    violated = certificate.violated
+    named = [check for check in violated if _remedy(check, flight, rules) != REPORT_IT]
+    return named or list(violated)
+
+
+def _phases_at(check: Check, flight: Flight) -> list[Phase]:
+    """Return the phases in which a check is worst."""
+    return [phase for phase in flight.phases if phase.start <= check.time <= phase.end]
+
+
+def _remedy(check: Check, flight: Flight, rules: Sequence[Rule[Any]]) -> str:
+    """Return the suggested change for a violated check."""
     rule_of: dict[str, CheckRule | ReportRule] = {
         **RULE_OF,
         **{report.name: report for report in TEAM_REPORTS},
         **{rule.name: rule.check_rule for rule in rules},
     }
-    for check in certificate.violated:
-        phases = [p for p in flight.phases if p.start <= check.time <= p.end]
-        time_and_step = when
-        if not when and check.name != "duration":
-            step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
-            time_and_step = f"at t = {check.time:.4g} s{step}"
-        rule = rule_of[check.name]
-        is_free = phases and not any(phase.formed for phase in phases)
-        remedy = rule.free_remedy if is_free else ""
-        if not is_free and isinstance(rule, CheckRule) and len(flight.teams) == 1:
-            remedy = rule.remedy_at(flight.teams[0].motion, check)
-        remedy = remedy or rule.remedy
-        remedy = _separation_shortfall(check, flight) + remedy
-        violations.append(check.violation(time_and_step, remedy))
-    return InfeasibleError(violations)
+    rule = rule_of[check.name]
+    phases = _phases_at(check, flight)
+    is_free = bool(phases) and not any(phase.formed for phase in phases)
+    remedy = rule.free_remedy if is_free else ""
+    if not is_free and isinstance(rule, CheckRule) and len(flight.teams) == 1:
+        remedy = rule.remedy_at(flight.teams[0].motion, check)
+    return remedy or rule.remedy
 
 
 def _separation_shortfall(check: Check, flight: Flight) -> str:
@@ -435,11 +459,12 @@ def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: P
     plan = plan_along(task, path, end, phase)
     if plan.certificate.certified:
         return plan
-    motion, violated = plan.motion, plan.certificate.violated
+    motion = plan.motion
+    named = named_checks(plan.certificate, Flight.of(motion))
     step = motion.phases[0]
     places = [
         f"at {check.time / motion.duration:.0%} {route}, in step {step.step} ({step.name})"
-        for check in violated
+        for check in named
     ]
     unplaced = infeasible_error(plan.certificate, motion).violations
     raise InfeasibleError(

@@ -188,7 +188,7 @@ class Tie(Step):
         hold = GripHold.tied(team, body, clasps, height)
         tying = self.tension_for(team), requirements, i, before.drones
         planner = find_straddle(name, hold, *tying)
-        approach = _approach_motions(task, planner.hanging[0], body)
+        approach = _approach_motions(task, planner.hanging.drones, body)
         tied = [*planner.stages(), *planner.draw_grip(tension)]
         motion = self.with_duration(task, concatenated([*approach, *tied]))
         return plan_to(task, replace(planner.state, tension=tension), motion, body.place)

@@ -18,18 +18,23 @@ from hitchopt import verify
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import UnsupportedError
+from hitchopt.errors import UnsupportedError, Violation
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.quadrotor import GRAVITY
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
 from hitchopt.objects.placing import REST_DRIFT
-from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.planners.carrying.holds import GripHold
+from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
+from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
+from hitchopt.planners.carrying.straddle_planner import BESIDE, find_straddle
+from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, Tie, needed_height
 from hitchopt.values import Array
 from hitchopt.verify import objects
@@ -513,3 +518,84 @@ def test_three_robots_neither_tie_nor_untie(step: dict[str, Any]) -> None:
     }
     with pytest.raises(ho.InputError, match=r"(tie|untie)\.robots = 3: must be 2"):
         ho.solve(ho.problem_from_dict(stated))
+
+
+PX4: dict[str, Any] = {"mass": 0.25, "max_thrust": 6.0, "controller": "px4"}
+
+
+def tied_grip(stated: ho.Problem) -> tuple[GripHold, Requirements]:
+    """The grip of the drum at the height of ``tie``, and the requirements of planners."""
+    requirements = stated.teams[""].requirements.flown_by(stated.team).with_reserve
+    body = stated.objects["drum"]
+    clasps = grip_clasps("drum", body, stated.team, requirements)
+    height = Tie("drum").height_for(body, requirements)
+    return GripHold.tied(stated.team, body, clasps, height), requirements
+
+
+@pytest.mark.parametrize("tension", [1.0, 1.7])
+@pytest.mark.parametrize(("kp", "kd"), [(9.0, 2.5), (2.0, 1.2), (1.2, 1.0)])
+def test_cables_hang_beside_an_object_with_a_reserve_beyond_their_displacement(
+    kp: float, kd: float, tension: float
+) -> None:
+    """By which drones' errors of position displace them, also cables with ends of two heights."""
+    quadrotor = {**PX4, "gains": {"kp": kp, "kd": kd}}
+    stated = problem([TIE], {**DRUM, "mass": 0.2}, tension=tension, quadrotor=quadrotor)
+    stated = replace(stated, limits=replace(stated.limits, tracking=None))
+    grip, requirements = tied_grip(stated)
+    error = requirements.position_error
+    assert error > 0.07
+    tensions = Tie("drum").tension_for(stated.team)
+    planner = find_straddle("drum", grip, tensions, requirements)
+    drones = planner.hanging.drones
+    q, r = drones[0::2], drones[1::2]
+    assert np.max(np.abs(r - q)[:, 2]) > 1e-3
+    across = (r - q)[:, :2]
+    to_centre = np.array(AT[:2]) - q[:, :2]
+    sideways = np.abs(across[:, 0] * to_centre[:, 1] - across[:, 1] * to_centre[:, 0])
+    distance = sideways / np.linalg.norm(across, axis=1) - DRUM["circle"]
+    displacement = Catenary.between(q, r, stated.team.cable_length).extra_displacement(error)
+    assert np.min(distance - displacement) >= requirements.separation.object + BESIDE - 1e-9
+
+
+def test_errors_that_leave_no_room_around_an_object_are_refused() -> None:
+    """Also where another distance, of which more is missing from the reserve, keeps its limit."""
+    stated = problem([TIE], DRUM, quadrotor=PX4)
+    stated = replace(stated, limits=replace(stated.limits, tracking=0.15))
+    grip, requirements = tied_grip(stated)
+    tensions = Tie("drum").tension_for(stated.team)
+    with pytest.raises(ho.InfeasibleError, match="as cables bend around the object and roll"):
+        find_straddle("drum", grip, tensions, requirements)
+
+
+@pytest.mark.parametrize(("friction", "violated"), [(1.2, set()), (0.5, {"grip"})])
+def test_carrying_is_slowed_until_two_clasps_balance_the_object(
+    friction: float, violated: set[str]
+) -> None:
+    """However weak they pull; friction that does not suffice at rest slows nothing down."""
+    body = {**DRUM, "to": 0.5, "mass": 0.2, "friction": friction}
+    stated = problem([TIE], body, quadrotor=PX4)
+    grip, requirements = tied_grip(stated)
+    polygons = HoldPolygons(grip.polygon, grip.polygon)
+    grasp = GraspState("drum", polygons, stated.team.tension, grip, carried=True)
+    planner = MovePlanner(grasp, requirements, 0)
+    move = planner.carry(planner.body.place + [0.5, 0.0, 0.0, 0.0], 1.0)
+    motion = planner.motion([move])
+    found = {name for name in ("equilibrium", "grip") if first_violated(motion, [name])}
+    assert found == violated
+
+
+def test_objects_that_slip_are_refused_for_that_alone() -> None:
+    """Their forces are out of balance too, which is named only where nothing else is violated."""
+    lifted = part(cycle().motion, "lift", "carry")
+    drum = lifted.requirements.objects["drum"]
+    refused = list[list[Violation]]()
+    for friction in (0.1, drum.friction):
+        heavy = replace(drum, mass=1.2 * drum.mass, friction=friction)
+        requirements = replace(lifted.requirements, objects={"drum": heavy})
+        motion = lifted.replaced(requirements=requirements)
+        certificate = certify(motion, reports=())
+        assert not certificate["equilibrium"].holds
+        refused.append(list(infeasible_error(certificate, motion).violations))
+    slipping, gripping = refused
+    assert [violation.constraint for violation in slipping] == ["grip"]
+    assert [violation.constraint for violation in gripping] == ["equilibrium"]

@@ -30,9 +30,11 @@ from hitchopt.checks import Check, certify, tracking
 from hitchopt.checks.distances import closeness
 from hitchopt.checks.registry import RULES, TEAM_REPORTS
 from hitchopt.hitch import Team
+from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion
+from hitchopt.objects import Section
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -174,6 +176,22 @@ def test_hanging_cables_keep_off_the_ground_for_all_errors(seed: int, ratio: flo
     shifts *= radius / np.linalg.norm(shifts / [1.0, 1.0, ratio], axis=-1, keepdims=True)
     assert np.min(lowest(np.stack([q, r]) + shifts)) >= floor + 0.10
     assert radius > 0.002 / ratio
+
+
+@pytest.mark.parametrize("distance", [0.1, 0.3])
+@pytest.mark.parametrize("rise", [0.0, 0.5])
+def test_hanging_cables_alone_approach_an_object_at_rest(distance: float, rise: float) -> None:
+    """The radius is that at which they are displaced by their distance beyond the limit."""
+    q, r = np.array([-0.8, 0.0, 3.0]), np.array([0.8, 0.0, 3.0 + rise])
+    far = [0.0, 9.0, 0.0]
+    drones = PiecewisePolynomial.constant([0.0, 1.0], np.stack([q, r, q + far, r + far]))
+    team = Team(2, 2.0, topology="open")
+    column = ho.SolidObject(Section(radius=0.1), 0.0, 6.0, 1.0, 0.5, at=[0.0, 0.1 + distance, 0.0])
+    motion = free_motion(team, drones, objects={"column": column})
+    radius = radius_of(with_tracking(motion, ho.Tube(0.01, 0.01))).worst
+    cable = Catenary.between(q, r, 2.0)
+    displacement = radius + float(cable.extra_displacement(radius))
+    assert displacement == pytest.approx(distance - motion.requirements.separation.object, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ LOAD_LAW = SmoothLaw(0.75)
 MIN_PATH = 1e-6
 """[m] Length of paths up to which clasps do not move."""
 
-MAX_SLOWINGS = 5
+MAX_SLOWINGS = 10
 """Maximum number of slowings of a move."""
 
 SLOWING_FACTOR = 1.5
@@ -54,6 +54,9 @@ SLOWING_FACTOR = 1.5
 
 SLOWING_RESERVE = 1.01
 """Factor of a slowing over the required one."""
+
+REST_SECONDS = 0.5
+"""[s] Duration of the rest at which a hold is checked before it moves."""
 
 LOW_OPENING_TENSION = 0.3
 """[N] Preferred tension of cables as grips open, and the lowest one as they close, if edges would
@@ -206,9 +209,13 @@ class MovePlanner:
         """Return a pause [s] as a move."""
         return self.move(SmoothLaw(0.5 * seconds))
 
+    def _load_move(self, **changes: Any) -> Move:
+        """Return the move that changes loads of the hold, as fast as limits allow."""
+        return self.within_limits(self.move(LOAD_LAW, **changes))
+
     def transfer(self, before: float, after: float) -> Move:
         """Return the move that changes the clasps' fraction of the weight."""
-        return self.within_limits(self.move(LOAD_LAW, load_share=(before, after)))
+        return self._load_move(load_share=(before, after))
 
     @property
     def gap(self) -> float:
@@ -219,8 +226,7 @@ class MovePlanner:
         """Return the move that changes tensions (n,) [N] below the rim, if they differ."""
         if np.array_equal(before, after):
             return []
-        move = self.move(LOAD_LAW, tension=(before, after), below=(self.gap, self.gap))
-        return [self.within_limits(move)]
+        return [self._load_move(tension=(before, after), below=(self.gap, self.gap))]
 
     def rim_move(self, before: float, after: float) -> Move:
         """Return the move between two depths below the rim [m], one of which is 0."""
@@ -257,7 +263,13 @@ class MovePlanner:
             top_speed = min(speed, limits.speed, limits.vertex_speed)
             law = SmoothLaw.fastest(top_speed / length, acceleration / length, limits.jerk / length)
         carrying = self.from_state(carried=True)
-        return carrying.within_limits(carrying.move(law, start=start, end=to), *CARRY_CHECKS)
+        move = carrying.move(law, start=start, end=to)
+        return carrying.within_limits(move, *carrying.met_at_rest(CARRY_CHECKS))
+
+    def met_at_rest(self, checks: Sequence[str]) -> list[str]:
+        """Return the checks that the hold meets at rest: slower moves violate the others too."""
+        at_rest = self.motion([self.rest(REST_SECONDS)])
+        return [name for name in checks if first_violated(at_rest, [name]) is None]
 
     def within_limits(self, move: Move, *checks: str) -> Move:
         """Return a move slowed down to the limits of motion and to some checks, by name."""
@@ -301,7 +313,7 @@ class MovePlanner:
         before = self.state.tension
         motions = [self._passage((before, before), (0.0, 1.0), "draw").motion]
         if np.any(before != after):
-            motions.append(self.motion([self.move(LOAD_LAW, tension=(before, after))], "tighten"))
+            motions.append(self.motion([self._load_move(tension=(before, after))], "tighten"))
         return motions
 
     def open_grip(self, after: Array, name: str) -> Motion:
@@ -393,11 +405,11 @@ class MovePlanner:
         start, end = closure
         moves = list[Move]()
         if np.any(before != between):
-            moves.append(self.move(LOAD_LAW, tension=(before, between), closure=(start, start)))
+            moves.append(self._load_move(tension=(before, between), closure=(start, start)))
         planner = self.from_state(tension=between)
         moves.extend(planner.closure_moves(hold, start, end, feedforward))
         if np.any(between != after):
-            moves.append(self.move(LOAD_LAW, tension=(between, after), closure=(end, end)))
+            moves.append(self._load_move(tension=(between, after), closure=(end, end)))
         return moves
 
     def _tensions_between(self, hold: GripHold, opens: bool) -> list[Array]:
@@ -432,7 +444,7 @@ class MovePlanner:
         """Yield the moves from one closure to another, with friction feed-forward in between."""
         if friction_share:
             rising = (0.0, friction_share)
-            yield self.move(LOAD_LAW, closure=(start, start), friction_share=rising)
+            yield self._load_move(closure=(start, start), friction_share=rising)
         closures = np.unique([start, *hold.events, end])
         if start > end:
             closures = closures[::-1]
@@ -445,7 +457,7 @@ class MovePlanner:
             yield self.within_limits(move)
         if friction_share:
             falling = (friction_share, 0.0)
-            yield self.move(LOAD_LAW, closure=(end, end), friction_share=falling)
+            yield self._load_move(closure=(end, end), friction_share=falling)
 
 
 MAX_SLOPE = 0.065

@@ -112,8 +112,18 @@ class Distance(NamedTuple):
 
     @property
     def margin(self) -> float:
-        """Margin over the planned distance."""
-        return self.value / self.planned - 1.0
+        """Margin over the planned distance, over the reserve of planning: -1 at the limit."""
+        return (self.value - self.planned) / (self.planned - self.limit)
+
+
+class HangingDrones(NamedTuple):
+    """Drones of two cables that hang beside an object."""
+
+    drones: Array
+    """(2n, 3) [m]"""
+
+    rise: float
+    """Their height above the drones of cables that are drawn taut there [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,27 +200,29 @@ class StraddlePlanner(MovePlanner):
         If pairs cannot roll, or cables cannot be pitched or balanced, only this one, of level ones.
         """
         try:
-            rolling_margin = self.closest_rolling.margin
+            rolling = self.closest_rolling
         except InfeasibleError:
-            rolling_margin = -math.inf
-        if rolling_margin < 0.0:
-            yield rolling_margin - 1.0, self
+            yield -math.inf, self
+            return
+        if rolling.value < rolling.limit:
+            yield rolling.margin - 1.0, self
             return
         if self.path.sides_passed or self.unbalanced:
             yield UNFIT, self
             return
         for pitch in PITCHES:
             pitched = replace(self, path=replace(self.path, pitch=pitch))
-            yield min(rolling_margin, pitched.closest_bent.margin), pitched
+            yield min(rolling.margin, pitched.closest_bent.margin), pitched
 
     # Motions.
 
-    @cached_property
-    def hanging(self) -> tuple[Array, float]:
-        """Drones (2n, 3) [m] with cables that hang beside the object, and their rise [m].
+    def moved_beside(self, distance: float) -> StraddlePlanner:
+        """Return the planner whose straight cables are at a distance [m] from the object."""
+        return replace(self, path=replace(self.path, beside=distance))
 
-        Cables also keep off the ground as they turn about it there.
-        """
+    @cached_property
+    def hanging(self) -> HangingDrones:
+        """Drones whose cables hang beside the object, and off the ground as they turn about it."""
         team = self.hold.team
         pairs = self.path.drones_taut.reshape(-1, 2, 3)
         middles = np.mean(pairs, axis=1, keepdims=True)
@@ -226,7 +238,7 @@ class StraddlePlanner(MovePlanner):
         drones = straight_and_turned[0]
         altitude = hover_altitude(team, straight_and_turned, self.requirements)
         rise = max(altitude - float(np.min(drones[:, 2])), 0.0)
-        return drones + [0.0, 0.0, rise], rise
+        return HangingDrones(drones + [0.0, 0.0, rise], rise)
 
     def stages(self) -> list[Motion]:
         """Return the motions from hanging cables to those that are tied, with one tension."""
@@ -376,7 +388,9 @@ def find_straddle(
     team = hold.team
     centre = np.mean(hold.polygon, axis=0)
     aligned = rotated(hold.polygon - centre, _angle_to_side(hold))
-    beside = _distance_beside(hold, requirements, drones)
+    before = [] if drones is None else [_hanging_cables(team, drones)]
+    level_cables = Catenary.spanning(_longest_spans(team, requirements), 0.0, team.cable_length)
+    beside = _distance_beside(hold, requirements, [level_cables, *before])
 
     def candidates() -> Iterator[tuple[float, StraddlePlanner]]:
         for scale, share in product(SCALES, SHORT_SHARES):
@@ -392,7 +406,8 @@ def find_straddle(
 
     planner = best(candidates(), 0.0)
     _check_straddle(planner)
-    return planner
+    hanging_cables = _hanging_cables(team, planner.hanging.drones)
+    return planner.moved_beside(_distance_beside(hold, requirements, [hanging_cables, *before]))
 
 
 def _check_straddle(planner: StraddlePlanner) -> None:
@@ -425,16 +440,19 @@ def _check_straddle(planner: StraddlePlanner) -> None:
         raise InfeasibleError([violation])
 
 
-def _distance_beside(hold: GripHold, requirements: Requirements, drones: Array | None) -> float:
+def _hanging_cables(team: Team, drones: Array) -> Catenary:
+    """Return the cables (n,) that hang between drones (2n, 3) [m]."""
+    return Catenary.between(drones[0::2], drones[1::2], team.cable_length)
+
+
+def _distance_beside(
+    hold: GripHold, requirements: Requirements, hanging: Sequence[Catenary]
+) -> float:
     """Return the distance [m] of straight cables to the object.
 
-    Cables that hang there, and between ``drones`` (2n, 3) [m], keep off as they turn about it.
+    The ``hanging`` cables keep off the object there and as they turn about it, however position
+    errors of their drones displace them.
     """
-    cable_length = hold.team.cable_length
-    spans = _longest_spans(hold.team, requirements)
-    hanging = [Catenary.spanning(spans, 0.0, cable_length)]
-    if drones is not None:
-        hanging.append(Catenary.between(drones[0::2], drones[1::2], cable_length))
     displacements = [
         cables.extra_displacement(requirements.position_error, requirements.height_ratio)
         for cables in hanging
