@@ -20,25 +20,34 @@ from hitchopt.values import Array
 STEP = np.polynomial.Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 """A step from 0 to 1 with three zero derivatives at its ends."""
 
-MAX_STEP_SLOPE, MAX_STEP_CURVATURE = 2.1875, 7.52
-"""Largest first and second derivative of that step."""
+MAX_STEP_SLOPE = 2.1875
+"""Largest derivative of that step."""
 
-RAMP_PIECES, MIN_PIECE_SHARE = 10, 0.02
-"""Number of pieces of a ramp, which approximate the clasps' balance to 1e-4 of the tension, and
-shortest piece of a cruise over one of these."""
+MAX_STEP_CURVATURE = 7.52
+"""Largest second derivative of that step."""
+
+RAMP_PIECES = 10
+"""Number of pieces of a ramp, which approximate the clasps' balance to 1e-4 of the tension."""
+
+MIN_PIECE_SHARE = 0.02
+"""Duration of the shortest piece of a cruise over that of a piece of a ramp."""
 
 
 @dataclass(frozen=True)
 class SmoothLaw:
     """A progress from 0 to 1 with a rising, a constant and a falling speed."""
 
-    ramp: float  # duration of each change of the speed [s]
-    cruise: float = 0.0  # duration of the constant speed [s]
+    ramp: float
+    """[s] Duration of each change of the speed."""
+
+    cruise: float = 0.0
+    """[s] Duration of the constant speed."""
 
     @classmethod
     def fastest(cls, speed: float, acceleration: float, jerk: float) -> SmoothLaw:
         """Return the fastest law with these limits of derivatives [1/s], [1/s²], [1/s³]."""
-        slope, curvature = MAX_STEP_SLOPE, MAX_STEP_CURVATURE
+        slope = MAX_STEP_SLOPE
+        curvature = MAX_STEP_CURVATURE
         top = min(speed, math.sqrt(acceleration / slope), (jerk / curvature) ** (1.0 / 3.0))
         ramp = max(slope * top / acceleration, math.sqrt(curvature * top / jerk))
         return cls(ramp, max(1.0 / top - ramp, 0.0))
@@ -75,7 +84,8 @@ class SmoothLaw:
         rise = np.clip(t / self.ramp, 0.0, 1.0)
         fall = np.clip((t - self.ramp - self.cruise) / self.ramp, 0.0, 1.0)
         cruise = np.clip(t - self.ramp, 0.0, self.cruise)
-        area, slope = STEP.integ(), STEP.deriv()
+        area = STEP.integ()
+        slope = STEP.deriv()
         share = self.ramp * (area(rise) + fall - area(fall)) + cruise
         speed = STEP(rise) - STEP(fall)
         acceleration = (slope(rise) - slope(fall)) / self.ramp
@@ -84,21 +94,40 @@ class SmoothLaw:
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Linear changes of state variables with one progress from 0 to 1."""
+    """Linear changes of state variables with one progress from 0 to 1.
 
-    start: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
-    end: Array  # (4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow
-    tension: Array  # (2, n) [N], before and after
-    load_share: tuple[float, float]  # fraction of the object's weight on clasps before and after
-    law: SmoothLaw  # of the progress
-    # depth of the clasps below the rim before and after [m]; 0 if they touch it
+    Pairs are values before and after.
+    """
+
+    start: Array
+    """(4,) x, y, z [m] of the object's base and its yaw [rad], which the clasps follow."""
+
+    end: Array
+    """(4,) Those after the move."""
+
+    tension: Array
+    """(2, n) [N]"""
+
+    load_share: tuple[float, float]
+    """Fractions of the object's weight on clasps."""
+
+    law: SmoothLaw
+    """Law of the progress."""
+
     below: tuple[float, float] = (0.0, 0.0)
-    # closure of a gripping hitch before and after: 0 around the object, 1 in its grip
+    """[m] Depths of the clasps below the rim; 0 if they touch it."""
+
     closure: tuple[float, float] = (1.0, 1.0)
-    # friction feed-forward before and after, as a fraction of clasp friction: legs pull harder than
-    # edges, so that clasps close; negative while they open
+    """Closures of a gripping hitch: 0 around the object, 1 in its grip."""
+
     friction_share: tuple[float, float] = (0.0, 0.0)
-    roll: tuple[float, float] = (0.0, 0.0)  # of all clasps before and after [rad]
+    """Friction feed-forwards, as fractions of clasp friction.
+
+    Legs pull harder than edges, so that clasps close; it is negative while they open.
+    """
+
+    roll: tuple[float, float] = (0.0, 0.0)
+    """[rad] Rolls of all clasps."""
 
     @property
     def lifted(self) -> bool:
@@ -108,24 +137,40 @@ class Move:
     @property
     def steady(self) -> bool:
         """Whether the object or the clasps move straight, with constant loads and shapes."""
-        yaw = self.start[3], self.end[3]
-        pairs = self.tension, self.load_share, self.closure, self.friction_share, yaw, self.roll
+        yaw = (self.start[3], self.end[3])
+        pairs = (
+            self.tension,
+            self.load_share,
+            self.closure,
+            self.friction_share,
+            yaw,
+            self.roll,
+        )
+        are_constant = all(np.array_equal(before, after) for before, after in pairs)
         travels = bool(np.any(self.start != self.end)) or self.below[0] != self.below[1]
-        return travels and all(np.array_equal(before, after) for before, after in pairs)
+        return travels and are_constant
 
     def state(self, t: Array) -> MoveState:
         """Return the state of the move at times t (…) [s]."""
-        return MoveState(self, *np.moveaxis(self.law.jet(t), -1, 0))
+        progress, speed, acceleration = np.moveaxis(self.law.jet(t), -1, 0)
+        return MoveState(self, progress, speed, acceleration)
 
 
 @dataclass(frozen=True, eq=False)
 class MoveState:
     """The state of an object during a move, at times (…)."""
 
-    move: Move  # the move
-    progress: Array  # (…), of the move
-    speed: Array  # (…) [1/s]
-    acceleration: Array  # (…) [1/s²]
+    move: Move
+    """The move."""
+
+    progress: Array
+    """(…), of the move."""
+
+    speed: Array
+    """(…) [1/s], of the progress."""
+
+    acceleration: Array
+    """(…) [1/s²], of the progress."""
 
     def between(self, before: Array | float, after: Array | float) -> Array:
         """Return interpolated values (…) or (…, k) between two values, scalars or (k,)."""
@@ -151,27 +196,39 @@ class MoveState:
 
     def accelerations(self, points: Array) -> Array:
         """Return accelerations (…, k, 3) [m/s²] of points (k, 3) of the object, in its frame."""
-        x, y, offset = points[:, 0], points[:, 1], self.move.end - self.move.start
-        inverse = self.pose * [0.0, 0.0, 0.0, 1.0, -1.0]
-        linear = in_world(inverse, self.acceleration[..., None] * offset[:3])
-        centripetal = (self.speed * offset[3])[..., None] ** 2
-        angular = (self.acceleration * offset[3])[..., None]
-        horizontal = -centripetal * x - angular * y, angular * x - centripetal * y
-        rotation = np.stack([*horizontal, 0.0 * centripetal * x], axis=-1)
-        return np.asarray(linear[..., None, :] + rotation)
+        x, y = points[:, 0], points[:, 1]
+        travel = self.move.end - self.move.start
+        to_object = self.pose * [0.0, 0.0, 0.0, 1.0, -1.0]  # rotation by the opposite yaw
+        linear = in_world(to_object, self.acceleration[..., None] * travel[:3])
+        squared_yaw_rate = (self.speed * travel[3])[..., None] ** 2
+        yaw_acceleration = (self.acceleration * travel[3])[..., None]
+        along_x = -squared_yaw_rate * x - yaw_acceleration * y
+        along_y = yaw_acceleration * x - squared_yaw_rate * y
+        of_rotation = np.stack([along_x, along_y, np.zeros_like(along_x)], axis=-1)
+        return np.asarray(linear[..., None, :] + of_rotation)
 
 
 DIFFERENCE_STEP = 2e-3
 """[s] Step of fourth-order finite differences, whose error is 1e-9 m/s² for typical motions."""
 
 STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
-SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
+"""Times at which differences take values, in steps."""
 
-MAX_PIECE, MAX_STEADY_PIECE = 0.5, 2.5
-"""[s] Longest piece in general, and of steady moves. An error of second derivatives at the ends of
-a piece, some 0.01 of the loads' rate of change before, displaces clasps by that times its squared
-duration."""
+MIDDLE = 2
+"""Index of the stencil's middle."""
+
+FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
+"""Weights of these values in the first derivative."""
+
+SECOND = np.array([-1.0, 16.0, -30.0, 16.0, -1.0]) / 12.0
+"""Weights of these values in the second derivative."""
+
+MAX_PIECE = 0.5
+"""[s] Longest piece of a cruise. An error of second derivatives at the ends of a piece, some 0.01
+of the loads' rate of change before, displaces clasps by that times its squared duration."""
+
+MAX_STEADY_PIECE = 2.5
+"""[s] Longest piece of the cruise of steady moves."""
 
 
 class Timed(Protocol):
@@ -193,15 +250,19 @@ def polynomials(
 
     ``curves`` returns their values at times (…) [s].
     """
-    breaks, parts = move.law.breaks(MAX_STEADY_PIECE if move.steady else MAX_PIECE), {}
-    t = np.clip(breaks[:, None] + DIFFERENCE_STEP * STENCIL, 0.0, move.law.duration)
-    for name, each in curves(t).items():
-        if np.all(each == each[:1, :1]):
-            parts[name] = PiecewisePolynomial.constant(breaks, each[0, 0])
-            continue
-        first = np.tensordot(FIRST / DIFFERENCE_STEP, each, (0, 1))
-        second = np.tensordot(SECOND / DIFFERENCE_STEP**2, each, (0, 1))
-        first[[0, -1]] = second[[0, -1]] = 0.0
-        jets = np.stack([each[:, len(STENCIL) // 2], first, second])
-        parts[name] = PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])
-    return parts
+    breaks = move.law.breaks(MAX_STEADY_PIECE if move.steady else MAX_PIECE)
+    times = breaks[:, None] + DIFFERENCE_STEP * STENCIL
+    samples = curves(np.clip(times, 0.0, move.law.duration))
+    return {name: _fitted(breaks, values) for name, values in samples.items()}
+
+
+def _fitted(breaks: Array, values: Array) -> PiecewisePolynomial:
+    """Return the curve with values (pieces + 1, stencil, …) about breakpoints [s], from rest."""
+    if np.all(values == values[:1, :1]):
+        return PiecewisePolynomial.constant(breaks, values[0, 0])
+    first = np.tensordot(FIRST / DIFFERENCE_STEP, values, (0, 1))
+    second = np.tensordot(SECOND / DIFFERENCE_STEP**2, values, (0, 1))
+    first[[0, -1]] = 0.0
+    second[[0, -1]] = 0.0
+    jets = np.stack([values[:, MIDDLE], first, second])
+    return PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])

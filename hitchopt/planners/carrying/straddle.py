@@ -6,8 +6,9 @@ and untied without slack. They are drawn taut beside the object, touch it, and b
 their ends cross beyond it, those of q-drones above those of r-drones. They come to lie on one
 another, and both pairs roll by half a turn into their clasps.
 
-Lengths are in the object's frame. Cable k bends by ``turns[k, 0]`` before and ``turns[k, 1]``
-behind the direction of the line from its first to its last clasp.
+Lengths are in the object's frame. The object splits the edge of a cable into two straight parts, at
+its q-end and at its r-end; arrays (…, n, 2, …) hold both. Cable k bends by ``turns[k, 0]`` before
+and ``turns[k, 1]`` behind the direction of the line from its first to its last clasp.
 """
 
 from __future__ import annotations
@@ -33,21 +34,40 @@ SENSE = 1.0
 OPEN = -math.pi * SENSE
 """[rad] Roll at which cables lie on one another."""
 
-MIN_BEND, PITCHED_SHARE = 1e-3, 0.6
-"""Minimum distance of bends at which drones rest, and bend up to which cables are pitched, over
-that at which drones pass each other."""
+MIN_BEND = 1e-3
+"""Smallest difference of two bends at which drones rest."""
+
+PITCHED_SHARE = 0.6
+"""Bend up to which cables are pitched, over that at which drones pass each other."""
+
+MAX_PITCHED = 0.5
+"""Largest bend up to which cables are pitched."""
 
 ITERATIONS = 8
 """Fixed-point steps of the length of edges, whose sag changes as they bend."""
 
+OUTWARD = np.array([[-1.0], [1.0]])
+"""(2, 1): sign of the direction away from the object, at the q- and the r-end of a cable, along the
+direction from its q- to its r-drone."""
+
+TURN_SENSES = np.array([1.0, -1.0])
+"""(2,): senses in which the straight parts of a cable turn as it bends, counter-clockwise."""
+
 
 class Place(NamedTuple):
-    """A place of cables on their path around the object, (4,) in sequence."""
+    """A place of cables on their path around the object."""
 
-    bend: float  # fraction of the final turns, from 0 (straight) to 1 (crossing at the clasps)
-    beside: float  # distance from the object [m]
-    pitch: float  # slope of cables, q-drones up [rad]
-    above: float  # height above the clasps [m]
+    bend: float
+    """Fraction of the final turns, from 0 (straight) to 1 (crossing at the clasps)."""
+
+    beside: float
+    """[m] Distance from the object."""
+
+    pitch: float
+    """[rad] Slope of cables, q-drones up."""
+
+    above: float
+    """[m] Height above the clasps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,23 +75,33 @@ class PlaceChange:
     """A change of the place with a smooth progress."""
 
     start: Place
+    """The place at the start."""
+
     end: Place
+    """The place at the end."""
+
     law: SmoothLaw
+    """Law of the progress."""
+
     steady: ClassVar[bool] = False
+    """Whether all points move straight, with constant loads and shapes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Straddle:
-    """Two cables that are tied around an object with one tension.
-
-    ``grip`` is their final hitch, tied ``around`` and drawn to the object, and ``tension`` (n,) [N]
-    that of all cables as they are tied.
-    """
+    """Two cables that are tied around an object with one tension."""
 
     grip: GripHold
+    """Their final hitch, tied ``around`` and drawn to the object."""
+
     tension: Array
+    """(n,) [N], of all cables as they are tied."""
+
     pitch: float
+    """[rad] Slope of cables whose ends cross beyond the object, q-drones up."""
+
     beside: float
+    """[m] Distance of straight cables to the object, before they touch it."""
 
     @cached_property
     def hold(self) -> GripHold:
@@ -84,7 +114,8 @@ class Straddle:
         origin = np.zeros(4)
         tension = np.stack([self.tension, self.tension])
         rest = Move(origin, origin, tension, (0.0, 0.0), SmoothLaw(1.0), roll=(OPEN, OPEN))
-        return {name: each[0] for name, each in self.hold.curves(rest, np.zeros(1)).items()}
+        curves = self.hold.curves(rest, np.zeros(1))
+        return {name: values[0] for name, values in curves.items()}
 
     @cached_property
     def _axes(self) -> Array:
@@ -95,63 +126,70 @@ class Straddle:
     def turns(self) -> Array:
         """(n, 2) [rad]: turns of each cable before and behind the middle of its edge."""
         wraps = wraps_around(self.hold.body.section, self.hold.polygon)
-        first, last = turn(self._axes, wraps.leaving), turn(wraps.arriving, self._axes)
-        return np.stack([first, last], axis=-1)
+        before = turn(self._axes, wraps.leaving)
+        behind = turn(wraps.arriving, self._axes)
+        return np.stack([before, behind], axis=-1)
 
     @cached_property
     def _legs(self) -> Array:
         """(n, 2, 3) [m]: legs outward, to the left and upward of their edges, at the clasps."""
         pairs = self._laid["drones"].reshape(-1, 2, 3)
-        legs = pairs - self._laid["vertices"][self.hold.team.layout.anchors].reshape(pairs.shape)
-        outward = self._directions(np.ones(1))[0]
-        along, across = (dot(legs[..., :2], each) for each in (outward, left_of(outward)))
+        clasps = self._laid["vertices"][self.hold.team.layout.anchors].reshape(pairs.shape)
+        legs = pairs - clasps
+        outward = OUTWARD * self._directions(np.array(1.0))
+        along = dot(legs[..., :2], outward)
+        across = dot(legs[..., :2], left_of(outward))
         return np.stack([along, across, legs[..., 2]], axis=-1)
 
     def _directions(self, bend: Array) -> Array:
-        """Return unit vectors (…, n, 2, 2) from the object to the q- and to the r-drones."""
-        angles = np.arctan2(self._axes[:, 1], self._axes[:, 0])[:, None]
-        angles = angles + self.turns * [1.0, -1.0] * bend[..., None, None]
-        return np.stack([np.cos(angles), np.sin(angles)], axis=-1) * [[-1.0], [1.0]]
+        """Return the directions (…, n, 2, 2) of the straight parts, from q- to r-drones."""
+        axis_angles = np.arctan2(self._axes[:, 1], self._axes[:, 0])[:, None]
+        angles = axis_angles + self.turns * TURN_SENSES * bend[..., None, None]
+        return np.stack([np.cos(angles), np.sin(angles)], axis=-1)
 
     def _corners(self, bend: float) -> Indices:
         """Return the corners (n, 2) of the section about which edges bend, or begin to bend."""
-        onward = self._directions(np.array(max(bend, MIN_BEND))) * [[-1.0], [1.0]]
-        normals = left_of(onward)
+        normals = left_of(self._directions(np.array(max(bend, MIN_BEND))))
         return np.asarray(np.argmax(normals @ self.hold.body.section.core.T, axis=-1))
 
     @cached_property
     def events(self) -> list[float]:
         """Bends, from 0 to 1, at which an edge meets another corner, where drones rest."""
-        found, sides = list[float](), self.hold.body.section.sides
+        sides = self.hold.body.section.sides
+        bends = {0.0, 1.0}
         if len(sides) == 1:
-            return [0.0, 1.0]
-        normals = np.arctan2(*(sides[:, 1] - sides[:, 0]).T[::-1])
-        for k, end in np.ndindex(self.turns.shape):
-            angle = float(np.arctan2(*self._axes[k][::-1]))
-            gaps = (normals - angle) * (1.0 if end == 0 else -1.0)
-            gaps = (gaps + math.pi) % (2.0 * math.pi) - math.pi
-            found += [float(x) for x in gaps / self.turns[k, end] if MIN_BEND < x < 1.0 - MIN_BEND]
-        return sorted({0.0, *found, 1.0})
+            return sorted(bends)
+        along_sides = sides[:, 1] - sides[:, 0]
+        side_angles = np.arctan2(along_sides[:, 1], along_sides[:, 0])
+        axis_angles = np.arctan2(self._axes[:, 1], self._axes[:, 0])
+        for cable, end in np.ndindex(self.turns.shape):
+            turns_to_sides = (side_angles - axis_angles[cable]) * TURN_SENSES[end]
+            turns_to_sides = (turns_to_sides + math.pi) % (2.0 * math.pi) - math.pi
+            bends_at_sides = turns_to_sides / self.turns[cable, end]
+            between = (bends_at_sides > MIN_BEND) & (bends_at_sides < 1.0 - MIN_BEND)
+            bends.update(bends_at_sides[between].tolist())
+        return sorted(bends)
 
     @cached_property
     def largest_pitched(self) -> float:
         """Bend up to which cables are pitched, before drones pass over the other cables."""
-        section, polygon = self.hold.body.section, self.hold.polygon
+        polygon = self.hold.polygon
         left = left_of(self._axes)
-        widths = section.support(left) - dot(left, polygon)  # (n,)
-        reaches = length(self._laid["drones"].reshape(-1, 2, 3)[..., :2] - polygon.mean(axis=0))
+        widths = self.hold.body.section.support(left) - dot(left, polygon)  # (n,)
+        pairs = self._laid["drones"].reshape(-1, 2, 3)
+        reaches = length(pairs[..., :2] - polygon.mean(axis=0))
         passing = np.arctan2(widths[:, None], reaches) / self.turns
-        return float(np.clip(PITCHED_SHARE * np.min(passing), 10.0 * MIN_BEND, 0.5))
+        return float(np.clip(PITCHED_SHARE * np.min(passing), 10.0 * MIN_BEND, MAX_PITCHED))
 
     @property
     def _level(self) -> float:
         """Bend of the last event before cables are pitched: those along sides are level."""
-        return max(x for x in self.events if x < self.largest_pitched - MIN_BEND)
+        return max(bend for bend in self.events if bend < self.largest_pitched - MIN_BEND)
 
     @property
     def sides_passed(self) -> list[float]:
         """Bends of events at which cables are pitched, and edges would leave the next side."""
-        return [x for x in self.events[1:-1] if x >= self.largest_pitched - MIN_BEND]
+        return [bend for bend in self.events[1:-1] if bend >= self.largest_pitched - MIN_BEND]
 
     def _corners_of(self, change: PlaceChange) -> Indices:
         """Return the corners (n, 2) about which edges bend during a change of the place."""
@@ -159,43 +197,70 @@ class Straddle:
 
     def curves(self, change: PlaceChange, t: Array) -> dict[str, Array]:
         """Return all curves of a change of the place at times t (…) [s], in the world."""
-        hold, section = self.hold, self.hold.body.section
         progress = change.law.jet(t)[..., :1]
-        start, end = np.array(change.start), np.array(change.end)
+        start = np.array(change.start)
+        end = np.array(change.end)
         bend, beside, pitch, above = np.moveaxis(start + progress * (end - start), -1, 0)
-        corners, straight = self._corners_of(change), bool(np.max(beside) > 0.0)
-        outward = self._directions(bend)  # (…, n, 2, 2)
-        sideways = left_of(outward)
-        contacts = section.core[corners] + section.rounding * sideways * [[-1.0], [1.0]]
-        contacts = contacts + beside[..., None, None, None] * left_of(self._axes)[:, None]
-        seams = [self._seam(place, change) for place in (change.start, change.end)]
-        gained = self._sag_when_laid - seams[0] - progress * (seams[1] - seams[0])
-        edges, level = self._edges(bend, corners), outward * np.cos(pitch)[..., None, None, None]
+        is_straight = bool(np.max(beside) > 0.0)
+        corners = self._corners_of(change)
+        directions = self._directions(bend)
+        edges = self._edges(bend, corners)
+
+        seam_at_start = self._seam(change.start, change)
+        seam_at_end = self._seam(change.end, change)
+        seam_change = seam_at_end - seam_at_start
+        reference_sag = self._sag_when_laid - seam_at_start - progress * seam_change
+        level_directions = directions * np.cos(pitch)[..., None, None, None]
         lengths = edges
         for _ in range(ITERATIONS):
-            excess = self._sag(lengths, level, corners, straight=straight) - gained
-            lengths = edges - 0.5 * excess[..., None]
-        slopes, zero = pitch[..., None, None, None] * [[1.0], [-1.0]], 0.0 * contacts[..., :1]
-        c, s, height = np.cos(slopes), np.sin(slopes), hold.height + above[..., None, None, None]
-        along = np.concatenate([c * outward, s + zero], axis=-1)
-        across = np.concatenate([sideways, zero], axis=-1)
-        upward = np.concatenate([-s * outward, c + zero], axis=-1)
-        contacts = np.concatenate([contacts, height + zero], axis=-1)
+            sag = self._sag(lengths, level_directions, corners, straight=is_straight)
+            lengths = edges - 0.5 * (sag - reference_sag)[..., None]
+
+        contacts = self._contacts(directions, corners, beside, above)
+        along, across, upward = self._leg_axes(directions, pitch)
         anchors = contacts + lengths[..., None] * along
-        drones = anchors + np.sum(self._legs[..., None] * np.stack([along, across, upward], -2), -2)
-        if straight:  # a single point
+        axes = np.stack([along, across, upward], axis=-2)
+        drones = anchors + np.sum(self._legs[..., None] * axes, axis=-2)
+        if is_straight:  # a single point
             contacts = np.repeat(np.mean(contacts, axis=-2, keepdims=True), 2, axis=-2)
-        fixed = {
-            name: np.broadcast_to(self._laid[name], (*bend.shape, *self._laid[name].shape))
-            for name in ("vertices", "legs", "tensions")
-        }
-        moving = {
+        points = {
             "drones": drones.reshape(*bend.shape, -1, 3),
-            "vertices": fixed.pop("vertices"),
+            "vertices": _repeated(self._laid["vertices"], bend.shape),
             "contacts": contacts,
             "anchors": anchors,
         }
-        return fixed | {name: in_world(hold.body.pose, each) for name, each in moving.items()}
+        pose = self.hold.body.pose
+        curves = {name: in_world(pose, values) for name, values in points.items()}
+        curves["legs"] = _repeated(self._laid["legs"], bend.shape)
+        curves["tensions"] = _repeated(self._laid["tensions"], bend.shape)
+        return curves
+
+    def _contacts(self, directions: Array, corners: Indices, beside: Array, above: Array) -> Array:
+        """Return the points (…, n, 2, 3) [m] at which straight parts touch the object.
+
+        Cables at a distance ``beside`` (…) [m] would touch it there if they came nearer; all are
+        ``above`` (…) [m] the clasps.
+        """
+        section = self.hold.body.section
+        on_section = section.core[corners] + section.rounding * left_of(directions)
+        level = on_section + beside[..., None, None, None] * left_of(self._axes)[:, None]
+        heights = self.hold.height + above[..., None, None, None]
+        return np.concatenate([level, heights + np.zeros_like(level[..., :1])], axis=-1)
+
+    def _leg_axes(self, directions: Array, pitch: Array) -> tuple[Array, Array, Array]:
+        """Return unit vectors (…, n, 2, 3) along, across and upward of pitched straight parts.
+
+        The first ones lead from the object to the drones.
+        """
+        outward = OUTWARD * directions
+        slopes = -OUTWARD * pitch[..., None, None, None]
+        cosines = np.cos(slopes)
+        sines = np.sin(slopes)
+        zero = np.zeros_like(outward[..., :1])
+        along = np.concatenate([cosines * outward, sines + zero], axis=-1)
+        across = np.concatenate([left_of(outward), zero], axis=-1)
+        upward = np.concatenate([-sines * outward, cosines + zero], axis=-1)
+        return along, across, upward
 
     def _seam(self, place: Place, change: PlaceChange) -> Array:
         """Return half of the jump of the sag of edges (n,) [m] at an end of a change of the place.
@@ -205,29 +270,39 @@ class Straddle:
         """
         if place.beside > 0.0 or place in (self.crossed, self.laid):
             return np.zeros(self.hold.team.robots)
-        bend, touches = np.array(place.bend), place == self.touching
-        outward = self._directions(bend) * math.cos(place.pitch)
-        own = self._corners_of(change)
-        sides = [self._corners(place.bend + off) for off in (-0.5 * MIN_BEND, 0.5 * MIN_BEND)]
-        other = sides[0] if np.array_equal(sides[1], own) else sides[1]
-        straight = touches and max(change.start.beside, change.end.beside) > 0.0
-        sags = [
-            self._sag(self._edges(bend, corners), outward, corners, straight=flat)
-            for corners, flat in ((own, straight), (other, touches and not straight))
-        ]
-        return np.asarray(0.5 * (sags[1] - sags[0]))
+        corners = self._corners_of(change)
+        corners_before = self._corners(place.bend - 0.5 * MIN_BEND)
+        corners_after = self._corners(place.bend + 0.5 * MIN_BEND)
+        is_after = np.array_equal(corners_after, corners)
+        corners_beyond = corners_before if is_after else corners_after
+        touches = place == self.touching
+        is_straight = touches and max(change.start.beside, change.end.beside) > 0.0
+        is_straight_beyond = touches and not is_straight
+
+        bend = np.array(place.bend)
+        directions = self._directions(bend) * math.cos(place.pitch)
+        edges = self._edges(bend, corners)
+        edges_beyond = self._edges(bend, corners_beyond)
+        sag = self._sag(edges, directions, corners, straight=is_straight)
+        sag_beyond = self._sag(
+            edges_beyond, directions, corners_beyond, straight=is_straight_beyond
+        )
+        return np.asarray(0.5 * (sag_beyond - sag))
 
     def _edges(self, bend: Array, corners: Indices) -> Array:
         """Return the lengths (…, n, 2) [m] of the straight parts of edges without their sag.
 
-        As edges bend, the object takes up cable.
+        As edges bend, the object takes up cable: along its rounding, and along sides between
+        ``corners`` (n, 2) and those of cables that cross.
         """
         section = self.hold.body.section
-        ring = np.append(0.0, np.cumsum(length(section.sides[:, 1] - section.sides[:, 0])))
-        after = (ring[self._corners(1.0)] - ring[corners]) * [-1.0, 1.0]
-        sides = after % ring[-1] if ring[-1] > 0.0 else np.zeros(corners.shape)
-        taken = section.rounding * self.turns * (1.0 - bend)[..., None, None] + sides
-        return np.asarray(self._edges_when_laid + taken)
+        side_lengths = length(section.sides[:, 1] - section.sides[:, 0])
+        around = np.append(0.0, np.cumsum(side_lengths))  # lengths along sides, from corner 0
+        perimeter = around[-1]
+        ahead = (around[self._corners(1.0)] - around[corners]) * [-1.0, 1.0]
+        along_sides = ahead % perimeter if perimeter > 0.0 else np.zeros(corners.shape)
+        along_rounding = section.rounding * self.turns * (1.0 - bend)[..., None, None]
+        return np.asarray(self._edges_when_laid + (along_rounding + along_sides))
 
     @cached_property
     def _edges_when_laid(self) -> Array:
@@ -238,28 +313,34 @@ class Straddle:
     @cached_property
     def _sag_when_laid(self) -> Array:
         """(n,) [m]: excess of these edges by their sag."""
-        return self._sag(self._edges_when_laid, self._directions(np.ones(1))[0], self._corners(1.0))
+        directions = self._directions(np.array(1.0))
+        return self._sag(self._edges_when_laid, directions, self._corners(1.0))
 
     def _sag(
-        self, lengths: Array, outward: Array, corners: Indices, *, straight: bool = False
+        self, lengths: Array, directions: Array, corners: Indices, *, straight: bool = False
     ) -> Array:
-        """Return the excess (…, n) [m] of edges with straight parts (…, n, 2) [m] by their sag.
+        """Return the excess (…, n) [m] of edges by their sag.
 
-        Edges that are ``straight`` do not touch the object.
+        Parameters
+        ----------
+        lengths: (…, n, 2) [m], of straight parts.
+        directions: (…, n, 2, 2), of straight parts in plan view.
+        corners: (n, 2), about which edges bend.
+        straight: whether edges do not touch the object, so that they sag between corners too.
         """
         core = self.hold.body.section.core[corners]
-        between = (core[:, 1] - core[:, 0]) * float(straight)
-        span = np.sum(lengths[..., None] * outward * [[-1.0], [1.0]], axis=-2) + between
-        total = np.sum(lengths, axis=-1) + length(between)
+        between_corners = (core[:, 1] - core[:, 0]) * float(straight)
+        spans = np.sum(lengths[..., None] * directions, axis=-2) + between_corners
+        total = np.sum(lengths, axis=-1) + length(between_corners)
         factors = sag_factors(self.hold.team, self.tension)
-        return np.asarray(factors * total * np.sum(span * span, axis=-1))
+        return np.asarray(factors * total * np.sum(spans * spans, axis=-1))
 
     # The path.
 
     @property
     def first(self) -> Place:
         """The place of straight cables beside the object."""
-        return Place(0.0, self.beside, 0.0, 0.0)
+        return Place(bend=0.0, beside=self.beside, pitch=0.0, above=0.0)
 
     @cached_property
     def ready(self) -> Place:
@@ -268,8 +349,9 @@ class Straddle:
         They are pitched already, unless they touch a side then or later.
         """
         corners = self._corners(0.0)
-        is_level = bool(np.any(corners[:, 0] != corners[:, 1])) or self._level > 0.0
-        return self.first if is_level else self.first._replace(pitch=self.pitch)
+        touches_side = bool(np.any(corners[:, 0] != corners[:, 1]))
+        stays_level = touches_side or self._level > 0.0
+        return self.first if stays_level else self.first._replace(pitch=self.pitch)
 
     @property
     def touching(self) -> Place:
@@ -285,9 +367,12 @@ class Straddle:
     def bent(self) -> list[Place]:
         """Places of cables that touch the object, from straight ones on, where drones rest."""
         bends = sorted({*self.events, self.largest_pitched})
-        start, level = self.ready.pitch, self._level
-        pitches = np.interp(bends, [level, self.largest_pitched], [start, self.pitch]).tolist()
-        return [Place(x, 0.0, pitch, 0.0) for x, pitch in zip(bends, pitches, strict=True)]
+        pitched_from = [self._level, self.largest_pitched]
+        pitches = np.interp(bends, pitched_from, [self.ready.pitch, self.pitch]).tolist()
+        return [
+            Place(bend=bend, beside=0.0, pitch=pitch, above=0.0)
+            for bend, pitch in zip(bends, pitches, strict=True)
+        ]
 
     @property
     def laid(self) -> Place:
@@ -299,3 +384,8 @@ class Straddle:
         """(2n, 3) [m]: drones of straight cables beside the object."""
         change = PlaceChange(self.first, self.first, SmoothLaw(0.5))
         return np.asarray(self.curves(change, np.zeros(1))["drones"][0])
+
+
+def _repeated(values: Array, times: tuple[int, ...]) -> Array:
+    """Return constant values for an array of times (…), as a view."""
+    return np.broadcast_to(values, (*times, *values.shape))
