@@ -25,7 +25,8 @@ from hitchopt.values import Array
 
 T = TypeVar("T")
 
-MIN_RISE_SECONDS = 1.0  # [s] Shortest rise of the tensions, against which drones tilt
+MIN_RISE_SECONDS = 1.0
+"""[s] Shortest rise of the tensions, against which drones tilt."""
 
 MIN_RISE_PERIODS = 3.0
 """Shortest rise of the tensions over the longest period of a cable (see ``rise_seconds``)."""
@@ -33,9 +34,19 @@ MIN_RISE_PERIODS = 3.0
 SMOOTH = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of a rise from 0 to 1 with three zero derivatives at both ends."""
 
-BACKWARD = {"swap 1": "unswap 2", "swap 2": "unswap 1", "tighten": "loosen", "tension": "relax"}
-BACKWARD |= {"draw taut": "slacken", "slide in": "slide out", "lay": "lift", "roll": "unroll"}
-BACKWARD |= {"approach": "leave", "straddle": "unstraddle", "lower": "raise"}
+BACKWARD = {
+    "swap 1": "unswap 2",
+    "swap 2": "unswap 1",
+    "tighten": "loosen",
+    "tension": "relax",
+    "draw taut": "slacken",
+    "slide in": "slide out",
+    "lay": "lift",
+    "roll": "unroll",
+    "approach": "leave",
+    "straddle": "unstraddle",
+    "lower": "raise",
+}
 """Names of reversed stages of forming."""
 
 
@@ -69,17 +80,27 @@ def stage(
     if limit is None:
         return motion
     pulls = np.where(motion.formed[:, None, None], motion.pulls.coefficients, 0.0)
-    forces = (PiecewisePolynomial(drones.breaks, c) for c in (pulls, tautness(motion)))
-    factor = turning_stretch(team, limit, (drones, motion.pull_points, *forces))
+    parts = (
+        drones,
+        motion.pull_points,
+        PiecewisePolynomial(drones.breaks, pulls),
+        PiecewisePolynomial(drones.breaks, tautness(motion)),
+    )
+    factor = turning_stretch(team, limit, parts)
     return motion.slowed(factor) if 1.0 < factor < math.inf else motion
 
 
 class Keyframe(NamedTuple):
     """The end of a stage in which drones fly on straight lines, with their cables in one state."""
 
-    name: str  # of the phase
-    drones: Array  # (2n, 3) [m]
+    name: str
+    """Name of the phase."""
+
+    drones: Array
+    """(2n, 3) [m]"""
+
     state: CableState = CableState.FREE
+    """State of the cables."""
 
 
 def straight_stages(
@@ -105,13 +126,20 @@ def tension_stage(
     state: CableState,
 ) -> Motion:
     """Return the stage in which tensions rise to those of a hitch, drones (2n, 3) [m] at rest."""
-    team, rest = hitch.team, np.array([0.0, seconds])
-    places, points, lengths = (
-        PiecewisePolynomial.constant(rest, value) for value in (drones, hitch.vertices, legs)
+    team = hitch.team
+    breaks = np.array([0.0, seconds])
+    rising = team.tension[:, None] * SMOOTH  # (n, coefficients)
+    return stage(
+        "tension",
+        PiecewisePolynomial.constant(breaks, drones),
+        team,
+        requirements,
+        index,
+        state,
+        vertices=PiecewisePolynomial.constant(breaks, hitch.vertices),
+        legs=PiecewisePolynomial.constant(breaks, legs),
+        tensions=PiecewisePolynomial(breaks, rising[None]),
     )
-    tensions = PiecewisePolynomial(rest, (team.tension[:, None] * SMOOTH)[None])
-    curves: dict[str, Any] = {"vertices": points, "legs": lengths, "tensions": tensions}
-    return stage("tension", places, team, requirements, index, state, **curves)
 
 
 def best(candidates: Iterable[tuple[float, T]], enough: float) -> T:
@@ -119,15 +147,16 @@ def best(candidates: Iterable[tuple[float, T]], enough: float) -> T:
 
     Raises ValueError without a candidate.
     """
-    largest, found = -math.inf, list[T]()
+    largest: tuple[float, T] | None = None
     for margin, candidate in candidates:
         check_time()
-        if margin > largest or not found:
-            largest, found = margin, [candidate]
-        if largest >= enough:
+        if largest is None or margin > largest[0]:
+            largest = margin, candidate
+        if largest[0] >= enough:
             break
-    (one,) = found
-    return one
+    if largest is None:
+        raise ValueError("no candidate")
+    return largest[1]
 
 
 def rise_seconds(team: Team) -> float:
@@ -140,8 +169,9 @@ def rise_seconds(team: Team) -> float:
     periods allow for the longer periods at low tensions.
     """
     layout = team.layout
-    cables, halves = np.append(layout.ahead, layout.behind), np.tile(0.5 * team.load, 2)
-    loads = np.bincount(cables, halves, team.robots)
+    cables_at_clasps = np.append(layout.ahead, layout.behind)
+    half_loads = np.tile(0.5 * team.load, 2)
+    loads = np.bincount(cables_at_clasps, half_loads, team.robots)
     masses = team.cable_density * team.cable_length + loads
     periods = 2.0 * np.sqrt(team.cable_length * masses / team.tension)
     return max(MIN_RISE_SECONDS, MIN_RISE_PERIODS * float(np.max(periods)))
@@ -149,13 +179,13 @@ def rise_seconds(team: Team) -> float:
 
 def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
     """Return the time-reversed motions of forming, which release the hitch."""
-    return [
-        each.map_curves(
-            lambda part: part.reversed(),
-            [replace(phase, name=BACKWARD[phase.name]) for phase in each.phases],
-        )
-        for each in reversed(stages)
-    ]
+    return [_reversed_stage(motion) for motion in reversed(stages)]
+
+
+def _reversed_stage(motion: Motion) -> Motion:
+    """Return the time-reversed motion of one stage."""
+    phases = [replace(phase, name=BACKWARD[phase.name]) for phase in motion.phases]
+    return motion.map_curves(lambda curve: curve.reversed(), phases)
 
 
 # Flights on straight lines, and hovering.
@@ -166,9 +196,14 @@ GROUND_CLEARANCE = 1.1
 JOINT_RESERVE = 2e-3
 """[m] Reserve for bounds of ``tracking_radius``, which are lower than values at samples."""
 
-LINE_SAMPLES = 9  # Number of points on a line at which usable accelerations are computed
-MIN_FLIGHT = 1e-9  # [m] Shortest distance of a flight
-PAUSE = 0.01  # [s] Duration of a flight in which no drone moves
+LINE_SAMPLES = 9
+"""Number of points on a line at which usable accelerations are computed."""
+
+MIN_FLIGHT = 1e-9
+"""[m] Shortest distance of a flight."""
+
+PAUSE = 0.01
+"""[s] Duration of a flight in which no drone moves."""
 
 
 def straight_lines(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:
@@ -186,18 +221,25 @@ def line_progress(
     distance = float(np.max(np.linalg.norm(end - start, axis=1)))
     if distance < MIN_FLIGHT:
         return PiecewisePolynomial.constant([0.0, PAUSE], 1.0)
-    share = np.linspace(0.0, 1.0, LINE_SAMPLES)[:, None, None]
-    usable = float(np.min(usable_accelerations(team, limits, start + share * (end - start))))
-    length = max(distance, min_distance)
-    clock = fastest_clock(length, LIMIT_SHARE * limits.speed, usable, LIMIT_SHARE * limits.jerk)
-    share = clock.coefficients / clock.coefficients[-1, -1]
-    return PiecewisePolynomial(clock.breaks, np.clip(share, 0.0, 1.0))  # rounding: not below floors
+    shares = np.linspace(0.0, 1.0, LINE_SAMPLES)[:, None, None]
+    on_line = start + shares * (end - start)
+    usable = float(np.min(usable_accelerations(team, limits, on_line)))
+    clock = fastest_clock(
+        max(distance, min_distance),
+        LIMIT_SHARE * limits.speed,
+        usable,
+        LIMIT_SHARE * limits.jerk,
+    )
+    progress = clock.coefficients / clock.coefficients[-1, -1]
+    # Rounding would lead below the floor
+    return PiecewisePolynomial(clock.breaks, np.clip(progress, 0.0, 1.0))
 
 
 def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
     """Return points (k, 3) [m] on straight lines at a progress from 0 to 1."""
-    s = progress.coefficients[:, None, None, :]
-    return PiecewisePolynomial(progress.breaks, start[..., None] * (1.0 - s) + end[..., None] * s)
+    share = progress.coefficients[:, None, None, :]
+    points = start[..., None] * (1.0 - share) + end[..., None] * share
+    return PiecewisePolynomial(progress.breaks, points)
 
 
 def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> float:
@@ -210,14 +252,24 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
     altitude = missing_height(team, level, requirements)
     if math.isfinite(altitude):
         return altitude
-    apart = length(level[..., 1::2, :] - level[..., 0::2, :]).reshape(-1, team.robots)
-    across = np.min(apart, axis=0), np.max(apart, axis=0)
-    borne = bounded_radius(across, team.cable_length, requirements.height_ratio)
-    cable = int(np.argmin(borne))
-    needed, where = requirements.position_error, (team.cable_names[cable],)
+    spans = length(level[..., 1::2, :] - level[..., 0::2, :]).reshape(-1, team.robots)
+    span_range = np.min(spans, axis=0), np.max(spans, axis=0)
+    radii = bounded_radius(span_range, team.cable_length, requirements.height_ratio)
+    cable = int(np.argmin(radii))
+    where = (team.cable_names[cable],)
+    when = "between its drones' places"
     remedy = "use a longer cable, and place its drones neither at its full length nor in one place"
-    words = float(borne[cable]), needed, "min", "m", where, "between its drones' places", remedy
-    raise InfeasibleError([Violation("tracking_radius", *words)])
+    violation = Violation(
+        "tracking_radius",
+        float(radii[cable]),
+        requirements.position_error,
+        "min",
+        "m",
+        where,
+        when,
+        remedy,
+    )
+    raise InfeasibleError([violation])
 
 
 def ground_clearance(requirements: Requirements) -> float:
@@ -231,10 +283,13 @@ def missing_height(team: Team, drones: Array, requirements: Requirements) -> flo
     Position errors of drones displace cables farther. ``tracking_radius`` counts the lowest cable
     with the largest displacement of all.
     """
-    q, r = drones[..., 0::2, :], drones[..., 1::2, :]
+    q = drones[..., 0::2, :]
+    r = drones[..., 1::2, :]
     cables = Catenary.between(q, r, team.cable_length)
-    off, ratio = requirements.position_error, requirements.height_ratio
-    heights, displaced = q[..., 2] + cables.lowest, ratio * cables.extra_displacement(off, ratio)
-    each = float(np.min(heights - displaced)) - ground_clearance(requirements)
-    joint = float(np.min(heights) - np.max(displaced)) - JOINT_RESERVE
-    return requirements.floor - min(each, joint - requirements.ground_clearance)
+    ratio = requirements.height_ratio
+    lowest = q[..., 2] + cables.lowest
+    sinking = ratio * cables.extra_displacement(requirements.position_error, ratio)
+    lowest_cable = float(np.min(lowest - sinking)) - ground_clearance(requirements)
+    lowest_with_largest = float(np.min(lowest) - np.max(sinking)) - JOINT_RESERVE
+    lowest_counted = lowest_with_largest - requirements.ground_clearance
+    return requirements.floor - min(lowest_cable, lowest_counted)
