@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -41,20 +42,43 @@ from hitchopt.values.fields import with_fields
 if TYPE_CHECKING:
     from hitchopt.planners.separation import SeparationTask
 
-PAIR_SEPARATION = 1.6  # Separation [1] of a gathered robot's two drones
-HEIGHT_SAMPLES = 101  # Number of times at which the cables' heights are sampled
-DISC_SEPARATION = 1.15  # Minimum separation [1] of the discs at the goal
+PAIR_SEPARATION = 1.6
+"""Separation [1] of a gathered robot's two drones."""
+
+HEIGHT_SAMPLES = 101
+"""Number of times at which the cables' heights are sampled."""
+
+DISC_SEPARATION = 1.15
+"""Minimum separation [1] of the discs at the goal."""
+
+MIN_DISC_DISTANCE = 1e-9
+"""[m] Smallest distance of discs at the goal by which the needed one is divided."""
+
+RISE_RESERVE = 0.1
+"""Reserve of a raised flight over the height that its cables lack, over ``separation.cable``."""
+
+PREFERENCE_OF_ORDER = 0.1
+"""Cost of the order that resolves ties, over that of edges of another number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Approach(ABC):
     """A planner of flights with free cables."""
 
-    team: Team  # of the drones
-    start: Array  # (2n, 3) [m]
-    goal: Array  # (2n, 3) [m]
-    requirements: Requirements  # enforced at all times
-    index: int = 0  # of the step in its mission
+    team: Team
+    """The team of the drones."""
+
+    start: Array
+    """(2n, 3) [m]"""
+
+    goal: Array
+    """(2n, 3) [m]"""
+
+    requirements: Requirements
+    """Requirements at all times."""
+
+    index: int = 0
+    """Index of the step in its mission."""
 
     @property
     @abstractmethod
@@ -66,6 +90,7 @@ class Approach(ABC):
         """Return the motions of the flight, or raise InfeasibleError."""
 
     def _stage(self, name: str, drones: PiecewisePolynomial) -> Motion:
+        """Return the motion of drones with hanging cables as one phase."""
         return stage(name, drones, self.team, self.requirements, self.index)
 
     def _lines(self, start: Array, *keyframes: Keyframe) -> list[Motion]:
@@ -77,9 +102,9 @@ class Approach(ABC):
 
         Cables hang free at that altitude, also with drones over ``others`` (2n, 3).
         """
-        requirements, drones = self.requirements, self.start.copy()
+        drones = self.start.copy()
         altitude = max(
-            hover_altitude(self.team, each, requirements) for each in (self.start, *others)
+            hover_altitude(self.team, places, self.requirements) for places in (self.start, *others)
         )
         if np.min(drones[:, 2]) < altitude:
             altitude = max(altitude, float(np.max(self.goal[:, 2])))
@@ -97,15 +122,16 @@ class Approach(ABC):
         from hitchopt.planners.separation import SeparationTask
 
         limits = self.requirements.limits
-        accelerations = usable_accelerations(self.team, limits, drones)
-        accelerations = accelerations.reshape(len(start), -1).min(axis=1)
-        rates = {
-            name: LIMIT_SHARE * getattr(limits, name) for name in ("speed", "acceleration", "jerk")
-        }
-        requirements = replace(
-            self.requirements, limits=with_fields(limits, **rates), separation=separation
+        usable = usable_accelerations(self.team, limits, drones)
+        reserved = with_fields(
+            limits,
+            speed=LIMIT_SHARE * limits.speed,
+            acceleration=LIMIT_SHARE * limits.acceleration,
+            jerk=LIMIT_SHARE * limits.jerk,
         )
-        return SeparationTask(start, goal, requirements, acceleration=accelerations, **bodies)
+        requirements = replace(self.requirements, limits=reserved, separation=separation)
+        of_bodies = usable.reshape(len(start), -1).min(axis=1)
+        return SeparationTask(start, goal, requirements, acceleration=of_bodies, **bodies)
 
 
 def separated(task: SeparationTask) -> PiecewisePolynomial:
@@ -129,32 +155,48 @@ class DirectApproach(Approach):
     @cached_property
     def problem(self) -> SeparationTask:
         """The flight of all drones, with the two drones of a cable tethered."""
-        spans = enumerate((MAX_SPAN_RATIO * self.team.cable_length).tolist())
-        tethers = tuple((2 * k, 2 * k + 1, span) for k, span in spans)
-        start, bodies = self._after_take_off(), {"names": self.team.drone_names, "tethers": tethers}
-        drones, separation = np.stack([start, self.goal]), self.requirements.separation
-        return self._task(drones, start, self.goal, separation, **bodies)
+        longest_spans = (MAX_SPAN_RATIO * self.team.cable_length).tolist()
+        start = self._after_take_off()
+        return self._task(
+            np.stack([start, self.goal]),
+            start,
+            self.goal,
+            self.requirements.separation,
+            names=self.team.drone_names,
+            tethers=tuple((2 * k, 2 * k + 1, span) for k, span in enumerate(longest_spans)),
+        )
 
     def solve(self) -> list[Motion]:
         """Return the motions of the flight, raised as a whole if cables come near the ground."""
-        start, goal, requirements = self.problem.start, self.goal, self.requirements
-        rise = self._lines(self.start, Keyframe(TAKE_OFF, start, CableState.GROUND))
+        start = self.problem.start
+        goal = self.goal
+        take_off = self._lines(self.start, Keyframe(TAKE_OFF, start, CableState.GROUND))
         if np.max(np.abs(goal - start)) < MIN_FLIGHT:
             pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
-            return [*rise, self._stage("approach", pause)]
-        drones = separated(self.problem)
-        at = np.linspace(drones.breaks[0], drones.breaks[-1], HEIGHT_SAMPLES)
-        deficit = missing_height(self.team, drones.at(at), requirements) + self.obstacle_height
+            return [*take_off, self._stage("approach", pause)]
+        flight = separated(self.problem)
+        times = np.linspace(flight.breaks[0], flight.breaks[-1], HEIGHT_SAMPLES)
+        missing = missing_height(self.team, flight.at(times), self.requirements)
+        deficit = missing + self.obstacle_height
         if deficit <= 0.0:
-            return [*rise, self._stage("approach", drones)]
-        up = np.array([0.0, 0.0, deficit + 0.1 * requirements.separation.cable])
-        higher = PiecewisePolynomial(drones.breaks, drones.coefficients + up[:, None])
-        if rise and requirements.position_error:  # a single climb: position errors often require it
-            rise = self._lines(self.start, Keyframe(TAKE_OFF, start + up, CableState.GROUND))
+            return [*take_off, self._stage("approach", flight)]
+        rise = deficit + RISE_RESERVE * self.requirements.separation.cable
+        return self._raised(take_off, flight, np.array([0.0, 0.0, rise]))
+
+    def _raised(
+        self, take_off: Sequence[Motion], flight: PiecewisePolynomial, up: Array
+    ) -> list[Motion]:
+        """Return the motions of a flight that is raised by an offset (3,) [m]."""
+        start = self.problem.start
+        goal = self.goal
+        # Position errors often require a rise: drones climb once then
+        if take_off and self.requirements.position_error:
+            climb = self._lines(self.start, Keyframe(TAKE_OFF, start + up, CableState.GROUND))
         else:
-            rise += self._lines(start, Keyframe("climb", start + up))
-        down = self._lines(goal + up, Keyframe("descend", goal))
-        return [*rise, self._stage("approach", higher), *down]
+            climb = [*take_off, *self._lines(start, Keyframe("climb", start + up))]
+        higher = PiecewisePolynomial(flight.breaks, flight.coefficients + up[:, None])
+        descent = self._lines(goal + up, Keyframe("descend", goal))
+        return [*climb, self._stage("approach", higher), *descent]
 
 
 class OverApproach(DirectApproach):
@@ -163,8 +205,24 @@ class OverApproach(DirectApproach):
     @property
     def obstacle_height(self) -> float:
         """Height of the highest object over the ground [m]."""
-        objects = self.requirements.objects.values()
-        return max(float(x.at[2]) + x.upper for x in objects) - self.requirements.floor
+        bodies = self.requirements.objects.values()
+        return max(float(body.at[2]) + body.upper for body in bodies) - self.requirements.floor
+
+
+class Headings(NamedTuple):
+    """Headings of robots, from their q- to their r-drones, as they turn."""
+
+    halfway: Array
+    """(n,) [rad], halfway through the turn."""
+
+    at_goal: Array
+    """(n,) [rad], at the goal."""
+
+
+def _headings_of(drones: Array) -> Array:
+    """Return the headings (n,) [rad] of robots from drones (2n, 3) [m]."""
+    chords = drones[1::2] - drones[0::2]
+    return np.asarray(np.arctan2(chords[:, 1], chords[:, 0]))
 
 
 class GatheredApproach(Approach):
@@ -179,57 +237,66 @@ class GatheredApproach(Approach):
         """The flight of the discs' centres, (n, 3) [m]."""
         from scipy.spatial.distance import pdist
 
-        separation, (_, last) = self.requirements.separation, self._headings
-        radius, height = separation.radius, float(np.max(self.team.cable_length))
-        discs = with_fields(separation, radius=(1.0 + PAIR_SEPARATION) * radius, height=height)
-        start, goal = (0.5 * (each[0::2] + each[1::2]) for each in (self.start, self.goal))
-        drones = self._before_gathering(start)
-        closest = max(float(np.min(pdist(goal[:, :2]))), 1e-9)
+        separation = self.requirements.separation
+        discs = with_fields(
+            separation,
+            radius=(1.0 + PAIR_SEPARATION) * separation.radius,
+            height=float(np.max(self.team.cable_length)),
+        )
+        start = 0.5 * (self.start[0::2] + self.start[1::2])
+        middles = 0.5 * (self.goal[0::2] + self.goal[1::2])
+        closest = max(float(np.min(pdist(middles[:, :2]))), MIN_DISC_DISTANCE)
         scale = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
-        goal = np.mean(goal, axis=0) + scale * (goal - np.mean(goal, axis=0))
-        start[:, 2] = goal[:, 2] = np.max(drones[:, 2])
-        names = self.team.cable_names
-        drones = np.stack([drones, self._pairs(start, last)])
-        return self._task(drones, start, goal, discs, names=names)
+        centre = np.mean(middles, axis=0)
+        goal = centre + scale * (middles - centre)
+
+        before = self._before_gathering(start)
+        altitude = np.max(before[:, 2])
+        start[:, 2] = altitude
+        goal[:, 2] = altitude
+        gathered = self._pairs(start, self._headings.at_goal)
+        drones = np.stack([before, gathered])
+        return self._task(drones, start, goal, discs, names=self.team.cable_names)
 
     def solve(self) -> list[Motion]:
         """Return the motions: gathering, turning, flying as discs, and opening."""
-        task, (halfway, last) = self.problem, self._headings
-        start = self._before_gathering(task.start)
-        gathered, turned = (self._pairs(task.start, heading) for heading in (halfway, last))
-        over_goal = self.goal.copy()
-        over_goal[:, 2] = np.maximum(over_goal[:, 2], task.goal[0, 2])
+        task = self.problem
+        headings = self._headings
+        gathering = self._lines(
+            self.start,
+            Keyframe(TAKE_OFF, self._before_gathering(task.start), CableState.GROUND),
+            Keyframe("gather", self._pairs(task.start, headings.halfway)),
+            Keyframe("turn", self._pairs(task.start, headings.at_goal)),
+        )
         flight = separated(task)
         centres = np.moveaxis(flight.coefficients, -1, 1)
-        drones = np.moveaxis(self._pairs(centres, last), 1, -1)
-        return [
-            *self._lines(
-                self.start,
-                Keyframe(TAKE_OFF, start, CableState.GROUND),
-                Keyframe("gather", gathered),
-                Keyframe("turn", turned),
-            ),
-            self._stage("approach", PiecewisePolynomial(flight.breaks, drones)),
-            *self._lines(
-                self._pairs(task.goal, last),
-                Keyframe("open", over_goal),
-                Keyframe("descend", self.goal),
-            ),
-        ]
+        drones = np.moveaxis(self._pairs(centres, headings.at_goal), 1, -1)
+        approach = self._stage("approach", PiecewisePolynomial(flight.breaks, drones))
+        over_goal = self.goal.copy()
+        over_goal[:, 2] = np.maximum(over_goal[:, 2], task.goal[0, 2])
+        opening = self._lines(
+            self._pairs(task.goal, headings.at_goal),
+            Keyframe("open", over_goal),
+            Keyframe("descend", self.goal),
+        )
+        return [*gathering, approach, *opening]
 
     @property
-    def _headings(self) -> tuple[Array, Array]:
-        """Headings of robots (n,) [rad] halfway through their turn, and at the goal."""
-        ends = self.start, self.goal
-        first, last = (np.arctan2(*(each[1::2] - each[0::2]).T[[1, 0]]) for each in ends)
-        return first + 0.5 * ((last - first + math.pi) % (2.0 * math.pi) - math.pi), last
+    def _headings(self) -> Headings:
+        """Headings of robots as they turn."""
+        first = _headings_of(self.start)
+        last = _headings_of(self.goal)
+        shortest_turn = (last - first + math.pi) % (2.0 * math.pi) - math.pi
+        return Headings(halfway=first + 0.5 * shortest_turn, at_goal=last)
 
     def _before_gathering(self, centres: Array) -> Array:
         """Return the drones (2n, 3) [m] before they gather about disc centres (n, 3) [m].
 
         Pairs are closest in the middle of their turn, where their cables hang lowest.
         """
-        gathered, turned = (self._pairs(centres, heading) for heading in self._headings)
+        headings = self._headings
+        gathered = self._pairs(centres, headings.halfway)
+        turned = self._pairs(centres, headings.at_goal)
         return self._after_take_off(gathered, 0.5 * (gathered + turned), self.goal)
 
     def _pairs(self, centres: Array, headings: Array) -> Array:
@@ -258,27 +325,41 @@ def assign_robots(
     """
     from scipy.optimize import linear_sum_assignment
 
-    layout, points = team.layout, outline.vertices
-    first, last = points[layout.starts], points[layout.ends]
-    q, r = drones[0::2, None, :2], drones[1::2, None, :2]
-    straight = np.sum((q - first) ** 2, axis=-1) + np.sum((r - last) ** 2, axis=-1)
-    crossed = np.sum((q - last) ** 2, axis=-1) + np.sum((r - first) ** 2, axis=-1)
-    slack = team.cable_length[:, None] - outline.edge_lengths
+    layout = team.layout
+    starts = outline.vertices[layout.starts]
+    ends = outline.vertices[layout.ends]
+    q = drones[0::2, None, :2]
+    r = drones[1::2, None, :2]
+    straight = np.sum((q - starts) ** 2, axis=-1) + np.sum((r - ends) ** 2, axis=-1)
+    crossed = np.sum((q - ends) ** 2, axis=-1) + np.sum((r - starts) ** 2, axis=-1)
     cost = np.minimum(straight, crossed)
+    slack = team.cable_length[:, None] - outline.edge_lengths
     if evenness:
         cost += evenness * (slack - np.mean(slack)) ** 2
-    short = slack < 2.0 * leg
     size = float(np.max(cost))
-    k = np.arange(team.robots)
-    # Ties: robots prefer edges of their own number; multiples of the golden ratio modulo 1 resolve
-    # the rest.
-    distinct = np.mod(GOLDEN * np.arange(1.0, cost.size + 1.0), 1.0).reshape(cost.shape)
-    preference = np.abs(k[:, None] - k) / len(k) + 0.1 * distinct
-    cost = cost + TIE * size * preference + short * (1.0 + size) * len(cost)
-    robots, roles = linear_sum_assignment(cost)
-    order = robots[np.argsort(roles)]
-    gain = straight[order, k] - crossed[order, k]
-    cables, edges = drones[1::2, :2][order] - drones[0::2, :2][order], last - first
-    # For equal costs cables turn counter-clockwise.
-    flipped = np.where(np.abs(gain) > TIE * size, gain > 0.0, cross(cables, edges) < -TIE * size)
-    return Assignment(tuple(order.tolist()), tuple(flipped.tolist()))
+    is_short = slack < 2.0 * leg
+    penalty = is_short * (1.0 + size) * len(cost)
+    cost = cost + TIE * size * _preference(team.robots) + penalty
+    robots, edges = linear_sum_assignment(cost)
+    robot_of_edge = robots[np.argsort(edges)]
+
+    every_edge = np.arange(team.robots)
+    gain = straight[robot_of_edge, every_edge] - crossed[robot_of_edge, every_edge]
+    chords = drones[1::2, :2][robot_of_edge] - drones[0::2, :2][robot_of_edge]
+    turns_clockwise = cross(chords, ends - starts) < -TIE * size
+    # For equal costs cables turn counter-clockwise
+    flipped = np.where(np.abs(gain) > TIE * size, gain > 0.0, turns_clockwise)
+    return Assignment(tuple(robot_of_edge.tolist()), tuple(flipped.tolist()))
+
+
+def _preference(robots: int) -> Array:
+    """Return small costs (robots, edges) that resolve ties of an assignment.
+
+    Robots prefer edges of their own number; multiples of the golden ratio modulo 1 resolve the
+    rest.
+    """
+    index = np.arange(robots)
+    other_number = np.abs(index[:, None] - index) / robots
+    distinct = np.mod(GOLDEN * np.arange(1.0, robots * robots + 1.0), 1.0)
+    order = distinct.reshape(robots, robots)
+    return np.asarray(other_number + PREFERENCE_OF_ORDER * order)
