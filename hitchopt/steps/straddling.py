@@ -47,8 +47,14 @@ NO_TURN = math.radians(2.0)
 EDGE = 0.02
 """[m] Minimum distance of clasps to the top and the bottom of an object."""
 
-BELOW_RIM = 0.03
+RIM_DISTANCE = 0.03
 """[m] Preferred distance of clasps to a rim above them, which cables must not touch."""
+
+HEIGHT_ROUNDING = 1e-9
+"""[m] Rounding of a height that equals its limit."""
+
+MILLIMETRE_ROUNDING = 1e-3
+"""[mm] Rounding of a suggested height, which is in whole millimetres."""
 
 
 def _height_error(requirements: Requirements) -> float:
@@ -64,24 +70,32 @@ def needed_height(body: SolidObject, requirements: Requirements) -> float:
 
 def check_hinge(planner: MovePlanner) -> None:
     """Raise InfeasibleError if an object would tip over on two clasps that lift it."""
-    hold, body, name = planner.hold, planner.body, planner.state.object
+    hold = planner.hold
+    body = planner.body
     if hold.team.robots != 2:
         return
     needed = needed_height(body, planner.requirements)
-    centre = float(body.centre_of_mass[2])
-    if hold.height >= needed - 1e-9:
+    if hold.height >= needed - HEIGHT_ROUNDING:
         return
-    limit, value = needed - centre, hold.height - centre
-    remedy = f"tie it at {math.ceil(1e3 * needed - 1e-3) / 1e3:g} m or higher above its base"
-    if needed > body.upper - EDGE:
-        error, room = _height_error(planner.requirements), body.upper - EDGE - centre - MIN_HINGE
+    centre = float(body.centre_of_mass[2])
+    highest = body.upper - EDGE
+    suggested = math.ceil(1e3 * needed - MILLIMETRE_ROUNDING) / 1e3
+    remedy = f"tie it at {suggested:g} m or higher above its base"
+    if needed > highest:
+        error = _height_error(planner.requirements)
+        largest_error = highest - centre - MIN_HINGE
+        allowed = "this object is too low"
+        if largest_error > 0.0:
+            allowed = f"this object allows {largest_error:.3g} m"
         remedy = (
-            f"two clasps can be at most {body.upper - EDGE:.3g} m above its base, where it tips "
-            f"over if drones may be off by {error:.3g} m in height; "
+            f"two clasps can be at most {highest:.3g} m above its base, where it tips over if "
+            f"drones may be off by {error:.3g} m in height; {allowed}"
         )
-        remedy += f"this object allows {room:.3g} m" if room > 0.0 else "this object is too low"
+    where = (planner.state.object,)
     when = "above the centre of mass, as it is lifted"
-    raise InfeasibleError([Violation("hinge", value, limit, "min", "m", (name,), when, remedy)])
+    value = hold.height - centre
+    violation = Violation("hinge", value, needed - centre, "min", "m", where, when, remedy)
+    raise InfeasibleError([violation])
 
 
 def _check_two(team: Team, remedy: str) -> None:
@@ -154,10 +168,10 @@ class Tie(Step):
         if self.at is not None:
             return self.at
         lowest = needed_height(body, requirements)
-        below = body.upper - max(EDGE, _height_error(requirements))
-        if body.rim is not None and body.rim.height - BELOW_RIM >= lowest:
-            below = min(below, body.rim.height - BELOW_RIM)
-        preferred = min(float(body.centre_of_mass[2]) + PREFERRED_HINGE, below)
+        highest = body.upper - max(EDGE, _height_error(requirements))
+        if body.rim is not None and body.rim.height - RIM_DISTANCE >= lowest:
+            highest = min(highest, body.rim.height - RIM_DISTANCE)
+        preferred = min(float(body.centre_of_mass[2]) + PREFERRED_HINGE, highest)
         return min(max(lowest, preferred), body.upper - EDGE)
 
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
@@ -173,25 +187,46 @@ class Tie(Step):
         """Plan how cables grip the object with tensions (n,) [N]."""
         from hitchopt.planners.carrying.straddle_planner import find_straddle
 
-        before, requirements, i = task.before, task.requirements, task.index
-        team, body, name = before.team, requirements.objects[self.around], self.around
-        check_rollable(f"step {i} ({self.name})", team, requirements)
-        if body.friction == 0.0:
-            bound, remedy = "above 0 if it is held", "cables hold it by friction"
-            raise InputError(f"objects.{name}.friction", 0.0, bound, remedy)
-        height = self.height_for(body, requirements)
-        if not body.lower + EDGE <= height <= body.upper - EDGE:
-            bound = f"from {body.lower + EDGE:g} to {body.upper - EDGE:g} m, on objects.{name}"
-            raise InputError(f"mission[{i}].{self.name}.at", height, bound, "tie it there")
+        requirements = task.requirements
+        team = task.before.team
+        body = requirements.objects[self.around]
+        check_rollable(f"step {task.index} ({self.name})", team, requirements)
+        self._check_friction(body)
+        height = self._checked_height(task, body)
         check_pull(float(np.max(tension)), team, requirements)
-        clasps = _numbered(grip_clasps(name, body, team, requirements), body, before.drones)
-        hold = GripHold.tied(team, body, clasps, height)
-        tying = self.tension_for(team), requirements, i, before.drones
-        planner = find_straddle(name, hold, *tying)
+
+        clasps = grip_clasps(self.around, body, team, requirements)
+        numbered = _numbered(clasps, body, task.before.drones)
+        hold = GripHold.tied(team, body, numbered, height)
+        planner = find_straddle(
+            self.around,
+            hold,
+            self.tension_for(team),
+            requirements,
+            task.index,
+            task.before.drones,
+        )
         approach = _approach_motions(task, planner.hanging.drones, body)
-        tied = [*planner.stages(), *planner.draw_grip(tension)]
-        motion = self.with_duration(task, concatenated([*approach, *tied]))
+        motions = [*approach, *planner.stages(), *planner.draw_grip(tension)]
+        motion = self.with_duration(task, concatenated(motions))
         return plan_to(task, replace(planner.state, tension=tension), motion, body.place)
+
+    def _check_friction(self, body: SolidObject) -> None:
+        """Raise InputError for an object that cables cannot hold."""
+        if body.friction == 0.0:
+            key = f"objects.{self.around}.friction"
+            raise InputError(key, 0.0, "above 0 if it is held", "cables hold it by friction")
+
+    def _checked_height(self, task: StepTask, body: SolidObject) -> float:
+        """Return the height of the clasps above the base [m]; raise InputError if it is off it."""
+        height = self.height_for(body, task.requirements)
+        lowest = body.lower + EDGE
+        highest = body.upper - EDGE
+        if not lowest <= height <= highest:
+            key = f"mission[{task.index}].{self.name}.at"
+            bound = f"from {lowest:g} to {highest:g} m, on objects.{self.around}"
+            raise InputError(key, height, bound, "tie it there")
+        return height
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the height, and the knobs of all steps."""
@@ -203,7 +238,9 @@ class Tie(Step):
 def _along(drones: Array) -> Array:
     """Return the direction (2,) along both cables, that of cable 0, from drones (4, 3) [m]."""
     pairs = drones.reshape(2, 2, 3)[..., :2]
-    return np.asarray((pairs[0, 1] - pairs[0, 0]) - (pairs[1, 1] - pairs[1, 0]))
+    first_chord = pairs[0, 1] - pairs[0, 0]
+    second_chord = pairs[1, 1] - pairs[1, 0]
+    return np.asarray(first_chord - second_chord)
 
 
 def _numbered(clasps: Array, body: SolidObject, drones: Array) -> Array:
@@ -225,18 +262,21 @@ def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Mo
     from hitchopt.planners.carrying.straddle_planner import MAX_TURN
     from hitchopt.planners.forming.stages import Keyframe, straight_stages
 
-    before, centre = task.before, in_world(body.pose, body.centre_of_mass)[:2]
+    before = task.before
+    centre = in_world(body.pose, body.centre_of_mass)[:2]
     angle = float(turn(_along(goal), _along(before.drones)))
 
     def turned(share: float) -> Array:
+        """Return the goal (4, 3) [m] turned by a share of the angle about the object."""
         level = centre + rotated(goal[:, :2] - centre, share * angle)
         return np.column_stack([level, goal[:, 2]])
 
-    count = max(0, math.ceil((abs(angle) - NO_TURN) / MAX_TURN))
-    shares = np.linspace(1.0, 0.0, count + 1)
-    keyframes = [Keyframe("turn", turned(share)) for share in shares[1:].tolist()]
-    first, context = turned(1.0 if count else 0.0), (before.team, task.requirements, task.index)
-    return [approach_motion(task, first), *straight_stages(first, keyframes, *context)]
+    turns = max(0, math.ceil((abs(angle) - NO_TURN) / MAX_TURN))
+    remaining_shares = np.linspace(1.0, 0.0, turns + 1)[1:].tolist()
+    keyframes = [Keyframe("turn", turned(share)) for share in remaining_shares]
+    beside = turned(1.0 if turns else 0.0)
+    turning = straight_stages(beside, keyframes, before.team, task.requirements, task.index)
+    return [approach_motion(task, beside), *turning]
 
 
 @documented
@@ -259,13 +299,20 @@ class Untie(Step):
         from hitchopt.planners.carrying.straddle_planner import find_straddle
         from hitchopt.planners.forming.stages import reversed_stages
 
-        requirements, held, team = task.requirements, planner_of(task), task.before.team
+        requirements = task.requirements
+        team = task.before.team
+        held = planner_of(task)
         tension = np.full(team.robots, tying_tension(team))
         hold = replace(held.grip, body=held.body)
         planner = find_straddle(held.state.object, hold, tension, requirements, task.index)
         loosened = planner.from_state(tension=held.state.tension).open_grip(tension, "loosen")
         untied = reversed_stages(planner.stages())
         motion = self.with_duration(task, concatenated([loosened, *untied]))
-        objects, drones = dict(requirements.objects), motion.drones.at(motion.duration)
-        after = replace(task.before, drones=drones, hitch=None, grasp=None, objects=objects)
+        after = replace(
+            task.before,
+            drones=motion.drones.at(motion.duration),
+            hitch=None,
+            grasp=None,
+            objects=dict(requirements.objects),
+        )
         return StepPlan(motion, after)

@@ -14,7 +14,7 @@ import numpy as np
 from hitchopt.checks import Check
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import length, rotated, turn, unit
+from hitchopt.geometry.vectors import left_of, length, rotated, turn, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.holding import wraps_around
@@ -58,7 +58,7 @@ STRADDLE_SPEED = 0.3
 MAX_TURN = math.radians(20.0)
 """[rad] Largest angle by which hanging cables turn about an object on straight lines."""
 
-SLACK = 6.0
+SLACK_OVER_ERROR = 6.0
 """Slack of hanging cables over the position error of drones, which displaces tauter ones far."""
 
 BESIDE = 0.08
@@ -75,6 +75,9 @@ MIN_HEIGHT = 0.06
 
 TENSION_SECONDS = 0.5
 """[s] Rise of the tension from that of cables drawn taut."""
+
+SAMPLED_LAW = SmoothLaw(0.5)
+"""Law of changes of which only the shape counts."""
 
 SAMPLES = 21
 """Number of samples of a change of the place."""
@@ -147,8 +150,8 @@ class StraddlePlanner(MovePlanner):
         hold = self.path.hold
         place = hold.body.place
         tensions = np.stack([self.path.tension, self.path.tension])
-        roll = Move(place, place, tensions, (0.0, 0.0), SmoothLaw(0.5), roll=(OPEN, 0.0))
-        curves = hold.curves(roll, np.linspace(0.0, 1.0, SAMPLES))
+        roll = Move(place, place, tensions, (0.0, 0.0), SAMPLED_LAW, roll=(OPEN, 0.0))
+        curves = hold.curves(roll, np.linspace(0.0, SAMPLED_LAW.duration, SAMPLES))
         return self._closest(curves, curves["vertices"][:, hold.team.layout.anchors])
 
     @cached_property
@@ -156,13 +159,13 @@ class StraddlePlanner(MovePlanner):
         """The distance with the smallest margin, from straight to crossing cables."""
         path = self.path
         places = [path.first, path.ready, *path.bent, path.laid]
+        changes = [PlaceChange(start, end, SAMPLED_LAW) for start, end in pairwise(places)]
         distances = list[Distance]()
         for count in (SAMPLES, FINE_SAMPLES):
-            for start, end in pairwise(places):
-                change = PlaceChange(start, end, SmoothLaw(0.5))
-                curves = path.curves(change, np.linspace(0.0, 1.0, count))
+            for change in changes:
+                curves = path.curves(change, np.linspace(0.0, SAMPLED_LAW.duration, count))
                 distances.append(self._closest(curves, curves["anchors"]))
-            if min(distance.margin for distance in distances) < 0.0:
+            if _tightest(distances).margin < 0.0:
                 break
         return _tightest(distances)
 
@@ -172,8 +175,8 @@ class StraddlePlanner(MovePlanner):
         separation = requirements.separation
         drones = curves["drones"]
         scaled = drones * separation.scale
-        i, j = np.triu_indices(drones.shape[1], 1)
-        closest = float(np.min(length(scaled[:, i] - scaled[:, j])))
+        first, second = np.triu_indices(drones.shape[1], 1)
+        closest = float(np.min(length(scaled[:, first] - scaled[:, second])))
         gap = _gap_to_cables(drones, leg_ends, curves["contacts"])
         height = float(np.min(drones[..., 2])) - requirements.floor
         height_error = requirements.position_error * requirements.height_ratio
@@ -191,7 +194,7 @@ class StraddlePlanner(MovePlanner):
 
         One cable of a clasp bears the other if their legs are of very different lengths.
         """
-        change = PlaceChange(self.path.laid, self.path.laid, SmoothLaw(0.5))
+        change = PlaceChange(self.path.laid, self.path.laid, SAMPLED_LAW)
         return first_violated(self._bent(change, "lay"), ["equilibrium"])
 
     def candidates(self) -> Iterator[tuple[float, StraddlePlanner]]:
@@ -232,8 +235,8 @@ class StraddlePlanner(MovePlanner):
         spans = np.minimum(_longest_spans(team, self.requirements), chord_lengths)
         level_share = np.sqrt((spans**2 - chord_rises**2) / (chord_lengths**2 - chord_rises**2))
         scale = level_share[:, None, None] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
-        turned_scale = math.cos(0.5 * MAX_TURN) * scale
-        scales = np.stack([scale, turned_scale])
+        halfway_scale = math.cos(0.5 * MAX_TURN) * scale  # drones are nearest halfway through turns
+        scales = np.stack([scale, halfway_scale])
         straight_and_turned = (middles + scales * (pairs - middles)).reshape(2, -1, 3)
         drones = straight_and_turned[0]
         altitude = hover_altitude(team, straight_and_turned, self.requirements)
@@ -289,8 +292,9 @@ class StraddlePlanner(MovePlanner):
     def _fastest_law(self, start: Place, end: Place) -> SmoothLaw:
         """Return the law between two places for the longest path of a drone."""
         limits = self.requirements.limits
-        change = PlaceChange(start, end, SmoothLaw(0.5))
-        drones = self.path.curves(change, np.linspace(0.0, 1.0, SAMPLES))["drones"]
+        change = PlaceChange(start, end, SAMPLED_LAW)
+        times = np.linspace(0.0, SAMPLED_LAW.duration, SAMPLES)
+        drones = self.path.curves(change, times)["drones"]
         paths = np.sum(length(np.diff(drones, axis=0)), axis=0)
         travel = max(float(np.max(paths)), MIN_TRAVEL)
         top_speed = min(STRADDLE_SPEED, limits.speed, limits.vertex_speed)
@@ -315,9 +319,14 @@ class StraddlePlanner(MovePlanner):
         curves: dict[str, Any] = polynomials(change, lambda t: self.path.curves(change, t))
         breaks = curves["drones"].breaks
         objects = self.requirements.objects
-        curves["poses"] = PiecewisePolynomial.constant(breaks, poses_of(objects))
-        curves["load_share"] = PiecewisePolynomial.constant(breaks, np.zeros(len(objects)))
-        return Motion(self.hold.team, self.requirements, **curves, phases=(phase,))
+        return Motion(
+            self.hold.team,
+            self.requirements,
+            **curves,
+            phases=(phase,),
+            poses=PiecewisePolynomial.constant(breaks, poses_of(objects)),
+            load_share=PiecewisePolynomial.constant(breaks, np.zeros(len(objects))),
+        )
 
 
 def _tightest(distances: Sequence[Distance]) -> Distance:
@@ -352,10 +361,9 @@ def _gap_to_cables(drones: Array, leg_ends: Array, contacts: Array) -> float:
 def _longest_spans(team: Team, requirements: Requirements) -> Array:
     """Return the distances (n,) [m] of drones whose cables hang beside the object."""
     height_error = requirements.position_error * requirements.height_ratio
-    cable_length = team.cable_length
-    return np.asarray(
-        np.minimum(MAX_SPAN_RATIO * cable_length, cable_length - SLACK * height_error)
-    )
+    longest_hanging = MAX_SPAN_RATIO * team.cable_length
+    with_slack = team.cable_length - SLACK_OVER_ERROR * height_error
+    return np.asarray(np.minimum(longest_hanging, with_slack))
 
 
 def find_straddle(
@@ -458,9 +466,8 @@ def _distance_beside(
         for cables in hanging
     ]
     displacement = float(np.max(displacements, where=np.isfinite(displacements), initial=0.0))
-    x, y = unit(hold.polygon[1] - hold.polygon[0])
-    sideways = np.array([[-y, x], [y, -x]])
-    half_width = 0.5 * float(np.sum(hold.body.section.support(sideways)))
+    left = left_of(unit(hold.polygon[1] - hold.polygon[0]))
+    half_width = 0.5 * float(np.sum(hold.body.section.support(np.stack([left, -left]))))
     radius = max(slab.section.circumradius for slab in hold.body.slabs)
     return requirements.separation.object + BESIDE + displacement + radius - half_width
 
@@ -471,8 +478,8 @@ def _angle_to_side(hold: GripHold) -> float:
     Grips are so accurate only. Straight cables must touch a side along all of its length.
     """
     sides = hold.body.section.sides
-    angles = turn(hold.polygon[1] - hold.polygon[0], sides[:, 1] - sides[:, 0])
-    angles = (angles + 0.5 * math.pi) % math.pi - 0.5 * math.pi
+    to_sides = turn(hold.polygon[1] - hold.polygon[0], sides[:, 1] - sides[:, 0])
+    angles = (to_sides + 0.5 * math.pi) % math.pi - 0.5 * math.pi  # of lines without direction
     nearest = float(angles[np.argmin(np.abs(angles))])
     return nearest if len(sides) > 1 and abs(nearest) < MIN_BEND else 0.0
 
