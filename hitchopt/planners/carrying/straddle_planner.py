@@ -115,8 +115,13 @@ class Distance(NamedTuple):
 
     @property
     def margin(self) -> float:
-        """Margin over the planned distance, over the reserve of planning: -1 at the limit."""
-        return (self.value - self.planned) / (self.planned - self.limit)
+        """Margin over the planned distance."""
+        return self.value / self.planned - 1.0
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether the distance is at least its limit."""
+        return self.value >= self.limit
 
 
 class HangingDrones(NamedTuple):
@@ -143,7 +148,7 @@ class StraddlePlanner(MovePlanner):
 
     @cached_property
     def closest_rolling(self) -> Distance:
-        """The distance with the smallest margin while pairs roll.
+        """The tightest distance while pairs roll.
 
         Raises InfeasibleError for clasps that tensions cannot balance.
         """
@@ -156,7 +161,7 @@ class StraddlePlanner(MovePlanner):
 
     @cached_property
     def closest_bent(self) -> Distance:
-        """The distance with the smallest margin, from straight to crossing cables."""
+        """The tightest distance from straight to crossing cables."""
         path = self.path
         places = [path.first, path.ready, *path.bent, path.laid]
         changes = [PlaceChange(start, end, SAMPLED_LAW) for start, end in pairwise(places)]
@@ -170,7 +175,7 @@ class StraddlePlanner(MovePlanner):
         return _tightest(distances)
 
     def _closest(self, curves: dict[str, Array], leg_ends: Array) -> Distance:
-        """Return the distance with the smallest margin, with inner ends of legs (J, …, 3) [m]."""
+        """Return the tightest distance of samples, with inner ends of legs (J, …, 3) [m]."""
         requirements = self.requirements
         separation = requirements.separation
         drones = curves["drones"]
@@ -207,7 +212,7 @@ class StraddlePlanner(MovePlanner):
         except InfeasibleError:
             yield -math.inf, self
             return
-        if rolling.value < rolling.limit:
+        if not rolling.is_kept:
             yield rolling.margin - 1.0, self
             return
         if self.path.sides_passed or self.unbalanced:
@@ -330,8 +335,8 @@ class StraddlePlanner(MovePlanner):
 
 
 def _tightest(distances: Sequence[Distance]) -> Distance:
-    """Return the distance with the smallest margin."""
-    return min(distances, key=lambda distance: distance.margin)
+    """Return the distance with the smallest margin; one that breaks its limit, if there is any."""
+    return min(distances, key=lambda distance: (distance.is_kept, distance.margin))
 
 
 def _gap_to_cables(drones: Array, leg_ends: Array, contacts: Array) -> float:
@@ -430,7 +435,7 @@ def _check_straddle(planner: StraddlePlanner) -> None:
     if planner.path.pitch > 0.0:  # of pairs that can roll
         distances.append(planner.closest_bent)
     tightest = _tightest(distances)
-    if tightest.value < tightest.limit:
+    if not tightest.is_kept:
         when = "as cables bend around the object and roll, wherever they are tied"
         remedy = "use longer cables, or enclose a narrow outline in a circle"
         if tightest.check == "arena":
