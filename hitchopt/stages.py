@@ -50,18 +50,7 @@ def route(
     Parameters
     ----------
     start: the hitch at s = 0.
-    polygon: vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one
-        more of the convex arc of an open chain.
-    legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
-        with sharing (one of these) and roll_deg, at the end.
-    optimize: search for a faster route even if the straight one is feasible.
-    tension: range of tensions [N].
-    limits, separation, arena: requirements of the plan; defaults as in a problem file.
-    limit: time limit [s]; None: unlimited.
-    cost: a function of shapes in casadi, to be minimized together with the duration: its integral
-        over s counts as seconds. It takes outputs of ``model`` at rest by name (``positions``,
-        ``thrusts``, ``tilt_cosines``, ``legs``, ``exterior_angles``, ``separations``), the inputs
-        ``vertices``, ``q_legs`` and ``tensions``, and s. The optimiser then always runs.
+    polygon, legs, optimize, tension, limits, separation, arena, limit, cost: as of ``morph``.
 
     Raises
     ------

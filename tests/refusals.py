@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import pytest
 
@@ -10,6 +12,18 @@ import hitchopt as ho
 
 # A call, the key that its error names, and a part of its message
 Refusal = tuple[Callable[[], object], str, str]
+
+
+@contextmanager
+def memory_below(limit: float) -> Iterator[None]:
+    """Check that Python allocates less than a limit [B] in the context."""
+    tracemalloc.start()
+    try:
+        yield
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < limit
 
 
 def assert_refused(call: Callable[[], object], key: str, words: str) -> None:

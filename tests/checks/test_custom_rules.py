@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from custom_rules import leg_angle
 from groups import two_hitches
 from motions import (
     lines,
@@ -32,18 +33,6 @@ from hitchopt.values import Array
 CAMERA = np.array([1.5, -2.0, 2.5])  # [m]
 AXIS = np.array([0.6, 0.0, 0.8])
 NEVER = {"min": 1e6, "max": -1e6}  # limits that every motion violates: their bounds are tight
-
-
-def leg_angle(limit: float = 1e6) -> ho.Rule[ho.ClaspSpans]:
-    """Return a lower limit of the angle between the two legs at a clasp."""
-    return ho.Rule(
-        "leg_angle",
-        "deg",
-        "min",
-        limit,
-        ho.ClaspSpans,
-        lambda clasp: clasp.q_leg.angle_to(clasp.r_leg),
-    )
 
 
 class Sampled:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
 from commands import TRIANGLE, run
 from plans import planned
-from refusing_steps import NEEDED_SPEED, brittle_problem
+from refusing_steps import NEEDED_SPEED, brittle_problem, problem_of, refusal
 
 import hitchopt as ho
 from hitchopt.errors import FaultWarning
+from hitchopt.steps.moving import Hold
+from hitchopt.steps.step import StepPlan, StepTask
 
 pytestmark = pytest.mark.filterwarnings("always::hitchopt.errors.FaultWarning")
 
@@ -24,10 +27,6 @@ mission: [{morph: {polygon: [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]]}}]
 
 class FaultError(Exception):
     """What a fault raises."""
-
-
-def failing(*_: object, **__: object) -> None:
-    raise FaultError("on\ntwo lines")
 
 
 @pytest.fixture
@@ -51,23 +50,22 @@ def test_drones_that_do_not_lift_themselves_are_told_so(weak: Path) -> None:
     assert diagnosis() == ["thrust"]
 
 
-@pytest.mark.parametrize("part", ["_Search._fitted", "_smallest_changes", "solve_problem"])
-def test_a_fault_of_the_search_hides_no_diagnosis(
-    part: str, weak: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(f"hitchopt.mission.repair.{part}", failing)
-    result = run("solve", weak, code=3)
-    assert "thrust: 1.35529 N is above the limit of 1 N" in result.stderr
-    fault = "warning: the search for changes failed: FaultError: on two lines"
-    assert result.stderr.splitlines().count(fault) == 1
-    assert diagnosis() == ["thrust"]
-    with pytest.warns(FaultWarning, match="on two lines"):
-        ho.suggestions(weak)
-    with (
-        pytest.warns(FaultWarning, match="on two lines"),
-        pytest.raises(ho.InfeasibleError, match=r"thrust: 1\.35529 N"),
-    ):
-        ho.repair(weak)
+class Faulty(Hold):
+    """A step that is refused at a speed limit of 1 m/s, and fails with any other one."""
+
+    def plan(self, task: StepTask) -> StepPlan:
+        """Refuse or fail."""
+        if task.requirements.limits.speed == 1.0:
+            raise refusal("speed", 1.0)
+        raise FaultError("on\ntwo lines")
+
+
+def test_a_fault_of_the_search_hides_no_refusal() -> None:
+    problem, fault = problem_of(Faulty(1.0)), "the search for changes failed: FaultError: on two"
+    with pytest.warns(FaultWarning, match=fault):
+        assert ho.suggestions(problem) == ()
+    with pytest.warns(FaultWarning, match=fault), pytest.raises(ho.InfeasibleError, match="2 is"):
+        ho.repair(problem)
 
 
 def test_a_fault_leaves_the_changes_that_were_found() -> None:
@@ -77,40 +75,14 @@ def test_a_fault_leaves_the_changes_that_were_found() -> None:
     assert float(found.change.new) > 1.05 * NEEDED_SPEED  # it is not narrowed down
 
 
-DRAWING, NOTES = "hitchopt.view.pictures.draw_summary", "hitchopt.plan.weightless_notes"
-SOLVE = ("solve", TRIANGLE, "-o", "out", "--rate", "5")
-
-
-@pytest.mark.parametrize(
-    ("part", "arguments", "words"),
-    [
-        (DRAWING, SOLVE, "summary.png failed: FaultError: on two lines"),
-        (NOTES, SOLVE, "a note failed: FaultError: on two lines"),
-        (NOTES, ("check", "out"), "a note failed: FaultError: on two lines"),
-        (
-            "hitchopt.exports.exporting.tracking_notes",
-            ("export", "out", "--format", "csv"),
-            "a note failed: FaultError: on two lines",
-        ),
-    ],
-)
-def test_faults_of_pictures_and_notes_hide_no_result(
-    part: str,
-    arguments: tuple[str | Path, ...],
-    words: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    run(*SOLVE, "--no-picture", code=0)
-    monkeypatch.setattr(part, failing)
-    assert f"warning: {words}\n" in run(*arguments, code=0).stderr
-
-
 def test_a_plan_is_saved_without_its_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(DRAWING, failing)
-    with pytest.warns(FaultWarning, match="on two lines"):
+    """No picture is drawn where matplotlib is missing."""
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.warns(FaultWarning, match=r"summary\.png failed"):
         planned("triangle").save(tmp_path / "out", rate=5.0)
     assert ho.load(tmp_path / "out").certificate.certified
+    monkeypatch.chdir(tmp_path)
+    done = run("solve", TRIANGLE, "-o", "other", "--rate", "5", code=0)
+    assert "warning: summary.png failed: " in done.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from custom_rules import leg_angle
 
 import hitchopt as ho
 from hitchopt.mission.loading import problem_from_dict
@@ -13,19 +14,6 @@ TEAM = ho.Team(robots=3, cable_length=[2.4, 2.5, 2.3])
 START = ho.Hitch.spread(TEAM, [[2.0, -1.5], [1.6, -0.5], [2.4, -0.5]])
 NEAR = [[2.0, -1.7], [1.6, -0.5], [2.4, -0.5]]
 FAR = [[2.0, -2.0], [1.6, -0.5], [2.4, -0.5]]
-
-
-def leg_angle(limit: float) -> ho.Rule[ho.ClaspSpans]:
-    """Return a lower limit of the angle between the two legs at a clasp."""
-    return ho.Rule(
-        "leg_angle",
-        "deg",
-        "min",
-        limit,
-        ho.ClaspSpans,
-        lambda clasp: clasp.q_leg.angle_to(clasp.r_leg),
-        "keep vertices apart",
-    )
 
 
 def ceiling(limit: float) -> ho.Rule[ho.DroneSpans]:
