@@ -48,7 +48,7 @@ MAX_AGE = 0.3  # age of a vertex's last measurement after which its correction f
 FADING = 2.0  # time constant with which it fades [s]
 RAMP = 2.0  # time in which corrections fade in after the hitch is tied, and out before it ends [s]
 MAX_DRONE_ERROR = 0.15  # error of a drone beyond which the integral is stopped [m]
-STIFFNESS_PER_MASS = 36.0  # of drones without a given stiffness [1/s²]
+STIFFNESS_PER_MASS = 36.0  # Stiffness of drones that state none [1/s²]
 
 # Error beyond which measurements are rejected, and limit of the integral [m]
 MAX_VERTEX_ERROR = 0.5

@@ -186,7 +186,7 @@ def interpolate(values: Array) -> Array:
 
 @lru_cache
 def nodes(order: int) -> Array:
-    """(order + 1,): Chebyshev points of the second kind on [0, 1], ends included."""
+    """Return Chebyshev points of the second kind (order + 1,) on [0, 1], ends included."""
     if order == 0:
         return _frozen(np.array([0.5]))
     return _frozen(0.5 - 0.5 * np.cos(np.pi * np.arange(order + 1) / order))
@@ -194,25 +194,25 @@ def nodes(order: int) -> Array:
 
 @lru_cache
 def at_nodes(order: int, degree: int) -> Array:
-    """(order + 1, degree + 1): the basis at ``nodes(order)``; the middle for order 0."""
+    """Return the basis (order + 1, degree + 1) at ``nodes(order)``, the middle for order 0."""
     return _frozen(basis(nodes(order), degree))
 
 
 @lru_cache
 def lowering(degree: int, order: int) -> Array:
-    """(order + 1, degree + 1): matrix that interpolates polynomials at ``nodes(order)``."""
+    """Return the matrix (order + 1, degree + 1) that interpolates at ``nodes(order)``."""
     return _frozen(_interpolation(order) @ at_nodes(order, degree))
 
 
 @lru_cache
 def binomials(order: int) -> Array:
-    """(order + 1,): row ``order`` of Pascal's triangle."""
+    """Return row ``order`` of Pascal's triangle (order + 1,)."""
     return _frozen(np.array([comb(order, i) for i in range(order + 1)], dtype=np.float64))
 
 
 @lru_cache
 def elevation(order: int, target: int) -> Array:
-    """(target + 1, order + 1): matrix that raises degree ``order`` to degree ``target``."""
+    """Return the matrix (target + 1, order + 1) that raises degree ``order`` to ``target``."""
     if target < order:
         raise ValueError(f"cannot elevate degree {order} to the lower degree {target}")
     matrix = np.zeros((target + 1, order + 1))

@@ -54,7 +54,7 @@ _ROUGH: ContextVar[bool] = ContextVar("rough", default=False)
 
 @contextmanager
 def rough_bounds() -> Iterator[None]:
-    """Within the context, accept bounds that satisfy the target without tightening them."""
+    """Accept bounds in the context that satisfy the target, without tightening them."""
     token = _ROUGH.set(True)
     try:
         yield

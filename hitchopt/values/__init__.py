@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 else:
 
     class lazy(cached_property):  # noqa: N801, used like a function
-        """``cached_property`` without a lock, which takes longer than short formulas."""
+        """A ``cached_property`` without a lock, which takes longer than short formulas."""
 
         def __get__(self, instance: object, owner: type | None = None) -> object:
             if instance is None:

@@ -22,7 +22,7 @@ UP = np.array([0.0, 0.0, 1.0])
 DEGREES = math.degrees(1.0)
 BIG = 1e30
 TINY = 1e-300
-TOLERANCE = 1e-9  # of limits, relative
+TOLERANCE = 1e-9  # relative tolerance of limits
 FAR = 1e3  # ratio of bodies above a drone, which its downwash does not meet
 POS_TOL = 1e-6  # [m] of the file format
 SAME = 1e-9  # [m], [N] largest difference of contacts from midpoints, of pulls from tensions
@@ -72,11 +72,11 @@ class Line:
         return self._product(np.multiply, self.as_line(o))
 
     def dot(self, o: Line | Array) -> Line:
-        """Scalar product."""
+        """Return the scalar product."""
         return self._product(lambda x, y: np.sum(x * y, -1, keepdims=True), self.as_line(o))
 
     def cross(self, o: Line) -> Line:
-        """Vector product."""
+        """Return the vector product."""
         return self._product(np.cross, o)
 
     def _product(self, f: Callable[[Array, Array], Array], o: Line) -> Line:
@@ -86,7 +86,7 @@ class Line:
         return Line(f(self.v, o.v), f(self.g, o.v) + f(self.v, o.g), q, self.t)
 
     def norm(self) -> Line:
-        """``|y|' = û·y'``; û deviates by at most ``deviation / min |y|``."""
+        """Return the norm: ``|y|' = û·y'``; û deviates by at most ``deviation / min |y|``."""
         n, u = self.size, normalize(self.v)
         positive, turn = n > self.deviation, self.slope * self.deviation / (n - self.deviation)
         g = np.sum(u * self.g, -1, keepdims=True) * positive[:, None]
@@ -105,7 +105,7 @@ class Line:
         return Line(f(self.v), slope * self.g, q, self.t)
 
     def inverse(self) -> Line:
-        """``1 / f`` of a positive scalar."""
+        """Return ``1 / f`` of a positive scalar."""
         return self.map(lambda x: 1.0 / x, lambda x: -1.0 / x**2)
 
     def where(self, on: Mask) -> Line:

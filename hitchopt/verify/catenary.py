@@ -23,7 +23,7 @@ from .arithmetic import (
 from .shapes import distance
 from .spans import Spans
 
-LINKS = 96  # of hanging cables
+LINKS = 96  # number of links of a hanging cable
 OWN_DISTANCES = 2.0  # distance along a cable from which it counts for its drone, over the smallest
 OWN_LINK = 0.75  # place of the end of the last link that does not count, over that distance
 

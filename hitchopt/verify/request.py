@@ -21,7 +21,7 @@ from .spans import Fault, Row, Spans, fault_row
 
 CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
 PATH_TOL = 1e-3  # [m] largest distance of a path from a point that it passes, between samples
-SAMPLES = np.linspace(0.0, 1.0, 41)  # of a piece, where points of paths are looked for
+SAMPLES = np.linspace(0.0, 1.0, 41)  # shares of a piece, where points of paths are looked for
 
 Shown = Any  # a difference, an array or an iterator of differences
 Shows = Callable[["Step", Any, Mapping[str, Any]], Shown]

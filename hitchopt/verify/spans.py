@@ -28,7 +28,7 @@ Fault = tuple[float, bool, str]  # time [s], whether it applies, text
 Worst = tuple[float, float, str]  # value, time [s], place
 
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
-RESOLUTION = 1e-3  # of worst values, relative to limits
+RESOLUTION = 1e-3  # resolution of worst values, relative to limits
 BUDGET = 6_000_000  # samples of a limit
 CHUNK = 8192  # samples at once
 DEPTH = 46  # halvings

@@ -33,11 +33,11 @@ from hitchopt.storage.yaml_file import flow
 from hitchopt.values import Array, positive, true_runs
 from hitchopt.values import path as checked_path
 
-RATE = 50.0  # Of the samples that are compared [Hz]
+RATE = 50.0  # Rate of the samples that are compared [Hz]
 SPEED_TIME = 1.0  # Time over which speeds are means [s]
 MAX_LEVEL_SPEED = 0.08  # Maximum level speed of a drone at rest [m/s]
 MAX_CLIMB = 0.06  # Maximum vertical speed of a drone at rest [m/s]
-MAX_COMMAND_SPEED = 0.02  # Of setpoints at rest [m/s]
+MAX_COMMAND_SPEED = 0.02  # Largest speed of setpoints at rest [m/s]
 TRANSIENT = 2.5  # After a movement, until the drone is settled [s]
 MAX_BREAK = 1.0  # Longest movement within a settled part [s]
 MIN_SETTLED = 1.0  # Settled time that is needed [s]

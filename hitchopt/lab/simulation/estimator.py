@@ -31,16 +31,16 @@ class SensorNoise:
     """Standard deviations of readings of motion capture and of an IMU."""
 
     position: float = 1e-3
-    """Of captured positions, per axis and frame [m]."""
+    """Deviation of captured positions, per axis and frame [m]."""
 
     attitude: float = 1e-2
-    """Of captured attitudes, per axis and frame [rad]."""
+    """Deviation of captured attitudes, per axis and frame [rad]."""
 
     gyroscope: float = 0.02
-    """Of angular rates, per reading [rad/s]."""
+    """Deviation of angular rates, per reading [rad/s]."""
 
     accelerometer: float = 0.2
-    """Of specific forces, per reading [m/s²]."""
+    """Deviation of specific forces, per reading [m/s²]."""
 
 
 SENSOR_NOISE = SensorNoise()
@@ -51,7 +51,7 @@ MIN_VARIANCE = 1e-6  # Lower bound of variances
 
 ROUNDING = 1e-9  # Rounding error of a number of steps
 
-INITIAL_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Of a converged filter [m], [m/s], [rad]
+INITIAL_ERRORS = np.repeat([0.01, 0.01, 0.01], 3)  # Errors of a converged filter [m], [m/s], [rad]
 
 EYE = np.eye(3)
 SMALL_ANGLE = 1e-3  # Below it, a series gives the angle over the sine of its half [rad]

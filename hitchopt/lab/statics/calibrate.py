@@ -67,7 +67,7 @@ FRICTION_WINDOW = 0.5  # Window in which friction is estimated [s]
 RATE_WINDOW = 0.2  # Window in which sliding rates are estimated [s]
 
 ROUNDS = 3  # Solutions of the problem, each weighted by the scatter of the previous one
-MAX_EVALUATIONS = 200  # Of residuals in each solution
+MAX_EVALUATIONS = 200  # Largest number of evaluations of the residuals in each solution
 
 # Smallest scatter in long windows, of displacements [m] and of forces over the tension. Lines of
 # thick ropes cross beside their contact: with forces balanced to 0.3 % instead of 4 %, downwash

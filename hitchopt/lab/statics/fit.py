@@ -48,7 +48,7 @@ MAX_ROBOTS = 24  # Limited by memory for pairs of parts of a grip
 TABLE_ROBOTS = (3, 4, 5, 6)  # Numbers of robots that are compared with the requested one
 TIED_STEP = 0.2  # Step of the lengths of two cables [m]
 TIED_STEPS = 15  # Number of lengths of two cables that are tried
-TIED_DENSITY = 0.005  # Of two cables, which are not tied without weight [kg/m]
+TIED_DENSITY = 0.005  # Density of two cables, which are not tied without weight [kg/m]
 
 CIRCLE_ANGLES = np.pi * np.arange(48) / 24.0
 CIRCLE = np.column_stack([np.cos(CIRCLE_ANGLES), -np.sin(CIRCLE_ANGLES)]) / np.cos(np.pi / 48.0)

@@ -335,7 +335,7 @@ class SplineBasis:
 
 @dataclass(frozen=True, eq=False)
 class RateProgram:
-    """``min Σ w / √x`` over the coefficients of a cubic spline x, with all rows below zero."""
+    """The program ``min Σ w / √x`` over coefficients of a cubic spline x, all rows below zero."""
 
     basis: SplineBasis  # of the spline at the samples
     rows: RateRows  # at the samples
