@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -82,6 +82,7 @@ from hitchopt.values.units import DURATION, SPEED, TENSION
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, FlownAction
+    from hitchopt.planners.morph.path import Path
 
 
 class HitchStep(Step):
@@ -114,8 +115,9 @@ class ShapeStep(HitchStep):
     """A step that changes vertices and legs without prescribed times on the path."""
 
     blendable: ClassVar[bool] = True
-    # whether a route is replaced that takes much longer than the lower bound
     searches_faster_routes: ClassVar[bool] = False
+    """Whether a route is replaced that takes much longer than the lower bound."""
+
     legs: SlackSplit | None
 
     @abstractmethod
@@ -128,59 +130,106 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
-        from hitchopt.planners.morph.morph import moves, straight_path
-
-        start, end, duration = task.hitch, self.end(task), self.prescribed_duration
-        tension: tuple[float, float] | None = getattr(self, "tension", None)
-        allow_slides = bool(getattr(self, "optimize", False))
-        phase = Phase(self.name, task.index, 0.0, 0.0, tension=tension)
-        cost: CostFunction | None = getattr(self, "cost", None)
-        optimise = partial(
-            optimised_plan, task, end.hitch, phase, duration, allow_slides=allow_slides, cost=cost
-        )
-        optimised: StepPlan | HitchoptError | None = None
-        requested = cost is not None or ((allow_slides or tension) and duration is None)
-        if task.optimiser and requested and moves(start, end.hitch):
-            try:
-                straight = straight_path(start, end.hitch, task.requirements)
-            except InfeasibleError:
-                straight = None
-            optimised = attempt(partial(optimise, straight=straight))
-            if isinstance(optimised, StepPlan):
-                return optimised
-            if isinstance(optimised, InputError):  # of the cost
-                raise optimised
+        end = self.end(task)
+        requested = self._requested_plan(task, end)
+        if isinstance(requested, StepPlan):
+            return requested
         direct = attempt(lambda: require_certified(self.direct_plan(task, end)))
         if isinstance(direct, StepPlan):
-            searches = self.searches_faster_routes and task.optimiser and duration is None
-            searches = searches and optimised is None and direct.path is not None
-            if not searches or not is_slow(direct, start, end.hitch):
-                return direct
-            optimised = attempt(partial(optimise, straight=direct.path))
-            return optimised if isinstance(optimised, StepPlan) else direct
-        for hitch in (start, end.hitch):
+            was_searched = requested is not None
+            return direct if was_searched else self._faster_plan(task, end, direct)
+        for hitch in (task.hitch, end.hitch):
             self.check_end(hitch, task)
         if not task.optimiser:
             raise direct
-        optimised = optimised or attempt(optimise)
+        optimised = requested or attempt(partial(self._optimised_plan, task, end))
         if isinstance(optimised, StepPlan):
             return optimised
-        route = "other route" if duration is None else "route that is fast enough either"
+        is_free = self.prescribed_duration is None
+        route = "other route" if is_free else "route that is fast enough either"
         raise combined_failure(direct, optimised, f"the optimiser found no {route}")
+
+    def _requested_plan(self, task: StepTask, end: End) -> StepPlan | HitchoptError | None:
+        """Return the optimised plan that the step asks for, or its failure; None without a request.
+
+        Raises InputError for an unsuitable cost.
+        """
+        from hitchopt.planners.morph.morph import moves, straight_path
+
+        options = self._search_options
+        for_time = options.allow_slides or options.tension is not None
+        is_requested = options.cost is not None or (for_time and self.prescribed_duration is None)
+        if not (task.optimiser and is_requested and moves(task.hitch, end.hitch)):
+            return None
+        try:
+            straight = straight_path(task.hitch, end.hitch, task.requirements)
+        except InfeasibleError:
+            straight = None
+        outcome = attempt(partial(self._optimised_plan, task, end, straight=straight))
+        if isinstance(outcome, InputError):  # of the cost
+            raise outcome
+        return outcome
+
+    def _faster_plan(self, task: StepTask, end: End, direct: StepPlan) -> StepPlan:
+        """Return an optimised plan in place of a slow direct one, if the step looks for one."""
+        searches = self.searches_faster_routes and task.optimiser
+        if not searches or self.prescribed_duration is not None or direct.path is None:
+            return direct
+        if not is_slow(direct, task.hitch, end.hitch):
+            return direct
+        outcome = attempt(partial(self._optimised_plan, task, end, straight=direct.path))
+        return outcome if isinstance(outcome, StepPlan) else direct
+
+    @property
+    def _search_options(self) -> SearchOptions:
+        """Options of the optimiser that the step's keys state."""
+        return SearchOptions(
+            allow_slides=bool(getattr(self, "optimize", False)),
+            tension=getattr(self, "tension", None),
+            cost=getattr(self, "cost", None),
+        )
+
+    def _optimised_plan(self, task: StepTask, end: End, straight: Path | None = None) -> StepPlan:
+        """Return the optimised plan; ``straight`` is the path along straight lines, if known."""
+        options = self._search_options
+        phase = Phase(self.name, task.index, 0.0, 0.0, tension=options.tension)
+        return optimised_plan(
+            task,
+            end.hitch,
+            phase,
+            self.prescribed_duration,
+            straight=straight,
+            allow_slides=options.allow_slides,
+            cost=options.cost,
+        )
+
+
+class SearchOptions(NamedTuple):
+    """Options of the optimiser that a step states."""
+
+    allow_slides: bool
+    """Whether legs lead and lag, so that cables slide through their clasps."""
+
+    tension: tuple[float, float] | None
+    """[N] Range of tensions; None if they are constant."""
+
+    cost: CostFunction | None
+    """Custom cost of shapes; None for the time alone."""
 
 
 class ActionStep(ShapeStep):
     """A step that is an action of the paper, which specifies the drones that move."""
 
-    # names of the fields that the action takes after the start and the polygon
     action_fields: ClassVar[tuple[str, ...]] = ("vertex",)
+    """Names of the fields that the action takes after the start and the polygon."""
 
     def action(self, task: StepTask) -> Action:
         """Return the action of the same name."""
         from hitchopt.planners.morph import actions
 
-        start, values = task.hitch, [getattr(self, name) for name in self.action_fields]
+        start = task.hitch
         polygon = self.polygon_after(start.team, start.polygon)
+        values = [getattr(self, name) for name in self.action_fields]
         action: Action = getattr(actions, self.name)(start, polygon, *values)
         return action
 
@@ -193,26 +242,33 @@ class ActionStep(ShapeStep):
         from hitchopt.planners.morph.actions import ActionMorph
 
         action = self.action(task)
-        flying = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration).solve()
-        motion = self.in_phase(task, flying.motion, end.hitch, self._remark(action, end, flying))
-        return replace(task.plan_ending(motion, end.hitch), path=flying.path)
+        morph = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration)
+        flown = morph.solve()
+        remark = self._remark(action.start.team, end, flown)
+        motion = self.in_phase(task, flown.motion, end.hitch, remark)
+        return replace(task.plan_ending(motion, end.hitch), path=flown.path)
 
-    def _remark(self, action: Action, end: End, flying: FlownAction) -> str:
+    def _remark(self, team: Team, end: End, flown: FlownAction) -> str:
         """Describe the further drones that move, with reasons."""
-        turning = "tensions differ, so legs turn with both edges at their vertex"
-        if action.start.team.loaded and np.ptp(action.start.team.tension) == 0.0:
-            turning = "clasps carry weight, so legs rise as it changes"
-        sliding = ["legs are to change" if self.legs is not None else end.reason]
-        if flying.worst is not None:
-            sliding.append(f"limits bind at {flying.worst:.0%} of the path")
-        reasons = turning, ", and ".join(filter(None, sliding))
-        return "; ".join(
-            f"{', '.join(names)} {verb}{'s' * (len(names) == 1)} as well: {reason}"
-            for names, verb, reason in zip(
-                (flying.turning, flying.sliding), ("turn", "slide"), reasons, strict=True
-            )
-            if names
-        )
+        remarks = list[str]()
+        if flown.turning:
+            reason = "tensions differ, so legs turn with both edges at their vertex"
+            if team.loaded and np.ptp(team.tension) == 0.0:
+                reason = "clasps carry weight, so legs rise as it changes"
+            remarks.append(_further_drones(flown.turning, "turn", reason))
+        if flown.sliding:
+            reasons = ["legs are to change" if self.legs is not None else end.reason]
+            if flown.worst is not None:
+                reasons.append(f"limits bind at {flown.worst:.0%} of the path")
+            reason = ", and ".join(filter(None, reasons))
+            remarks.append(_further_drones(flown.sliding, "slide", reason))
+        return "; ".join(remarks)
+
+
+def _further_drones(names: Sequence[str], verb: str, reason: str) -> str:
+    """Describe drones that move in addition to those of an action."""
+    ending = "s" if len(names) == 1 else ""
+    return f"{', '.join(names)} {verb}{ending} as well: {reason}"
 
 
 @documented
@@ -228,16 +284,17 @@ class Hold(HitchStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch, or of drones on free cables, at rest."""
-        if task.before.grasp is not None and task.before.grasp.hold is not None:
+        before = task.before
+        if before.grasp is not None and before.grasp.hold is not None:
             return moves_plan(self, task, task.grasp, [planner_of(task).rest(self.seconds)])
-        if task.before.open_roll is not None:
-            held = self.in_phase(task, None, task.hitch)
-            drones = PiecewisePolynomial.constant(held.drones.breaks, task.before.drones)
-            phases = tuple(replace(phase, state=CableState.ROLLING) for phase in held.phases)
-            return StepPlan(held.replaced(drones=drones, phases=phases), task.before)
-        if task.before.hitch is not None:
+        if before.open_roll is not None:
+            closed = self.in_phase(task, None, task.hitch)
+            drones = PiecewisePolynomial.constant(closed.drones.breaks, before.drones)
+            phases = tuple(replace(phase, state=CableState.ROLLING) for phase in closed.phases)
+            return StepPlan(closed.replaced(drones=drones, phases=phases), before)
+        if before.hitch is not None:
             return super().plan(task)
-        return StepPlan(hover_motion(task, self.seconds), task.before)
+        return StepPlan(hover_motion(task, self.seconds), before)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a hitch at rest."""
@@ -261,10 +318,9 @@ class Settle(Step):
     def resolved_for(self, team: Team) -> Self:
         """Return the step, or raise InputError for a team whose cables have no friction."""
         if team.cable_friction == 0.0:
+            bound = "used with a team whose cables have friction"
             remedy = "give the team's cable_friction, or omit the step"
-            raise InputError(
-                "", "no friction", "used with a team whose cables have friction", remedy
-            )
+            raise InputError("", "no friction", bound, remedy)
         return super().resolved_for(team)
 
     def plan(self, task: StepTask) -> StepPlan:
@@ -320,7 +376,8 @@ class Morph(ShapeStep):
 
         Raises InputError if the team's tensions exceed its range, or for an unsuitable cost.
         """
-        step, (low, high) = super().resolved_for(team), self.tension or (0.0, math.inf)
+        step = super().resolved_for(team)
+        low, high = self.tension or (0.0, math.inf)
         if self.cost is not None:
             from hitchopt.planners.optimise.cost import ShapeCost
 
@@ -480,14 +537,17 @@ class Adjust(ActionStep):
     settle: SettleAtEnd = AUTO
 
 
-MIN_GAP = 1e-3  # Minimum time between two points [s]; less is a typing error
-MAX_TIME = 1e5  # Maximum time of a point [s]
+MIN_GAP = 1e-3
+"""[s] Minimum time between two points; less is a typing error."""
+
+MAX_TIME = 1e5
+"""[s] Maximum time of a point."""
 
 MIN_STRETCH = 1e-3
-"""Minimum distance of two points without times [m]; a smooth path cannot turn within less."""
+"""[m] Minimum distance of two points without times; a smooth path cannot turn within less."""
 
 RIGHT_ANGLE = 1e-9
-"""Products of two stretches of a path up to this size are those of right angles [m²]."""
+"""[m²] Products of two stretches of a path up to this size are those of right angles."""
 
 _PATH_TEXT = (
     "Points [t, x, y] [s, m, m], t from the step's start, increasing; the vertex rests between "
@@ -513,7 +573,10 @@ def _vertex_path(key: str, value: object) -> Array:
         return places
     path: Array = _POINTS.check(key, value)
     bounded_points(key, path[:, 1:])
-    gaps = np.diff(path[:, 0], prepend=0.0)[int(path[0, 0] == 0.0) :]
+    times = path[:, 0]
+    gaps = np.diff(times, prepend=0.0)
+    if times[0] == 0.0:  # the point at the start
+        gaps = gaps[1:]
     if len(gaps) == 0 or np.min(gaps) < MIN_GAP:
         bound = f"a path whose times increase from 0 on by {MIN_GAP:g} s or more, and end after it"
         raise InputError(key, path.tolist(), bound, "sort its points by time")
@@ -571,17 +634,21 @@ class FollowVertex(ActionStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, from stop to stop."""
-        stretches = [self.path]
-        if not self.is_timed:
-            places = np.vstack([task.hitch.polygon.vertices[self.vertex], self.path])
-            along = np.diff(places, axis=0)
-            back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
-            stretches = np.split(self.path, np.flatnonzero(back) + 1)
-        *first, last = stretches
-        steps = [*(replace(self, path=path, legs=None) for path in first), replace(self, path=last)]
+        *first, last = self._stretches(task.hitch.polygon.vertices[self.vertex])
         if not first:
             return super().plan(task)
+        steps = [replace(self, path=stretch, legs=None) for stretch in first]
+        steps.append(replace(self, path=last))
         return plan_in_sequence([step.plan for step in steps], task)
+
+    def _stretches(self, start: Array) -> list[Array]:
+        """Return the path from a start (2,) [m], split where it turns by more than 90°."""
+        if self.is_timed:
+            return [self.path]
+        places = np.vstack([start, self.path])
+        along = np.diff(places, axis=0)
+        turns_back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
+        return np.split(self.path, np.flatnonzero(turns_back) + 1)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; the optimiser has no other route."""
@@ -589,11 +656,22 @@ class FollowVertex(ActionStep):
         self.check_end(end.hitch, task)
         if self.speed is None:
             return self.direct_plan(task, end)
-        limits, when = task.requirements.limits, f"in step {task.index} ({self.name})"
+        limits = task.requirements.limits
+        when = f"in step {task.index} ({self.name})"
         if self.speed > limits.vertex_speed:
-            values = self.speed, limits.vertex_speed, "max", "m/s", (f"p{self.vertex}",), when
+            where = (f"p{self.vertex}",)
             remedy = "lower the step's speed, or raise limits.vertex_speed"
-            raise InfeasibleError([Violation("vertex_speed", *values, remedy)])
+            violation = Violation(
+                "vertex_speed",
+                self.speed,
+                limits.vertex_speed,
+                "max",
+                "m/s",
+                where,
+                when,
+                remedy,
+            )
+            raise InfeasibleError([violation])
         slow = replace(task.requirements, limits=with_fields(limits, vertex_speed=self.speed))
         plan = self.direct_plan(task.within(slow, task.before), end)
         motion = plan.motion
@@ -606,18 +684,26 @@ class FollowVertex(ActionStep):
     def knobs(self) -> Iterator[Knob]:
         """Yield the speed, and the times of points, to be scaled up or down."""
         if self.speed is not None:
-            covers = frozenset({PLAN_DURATION, *({"vertex_speed"} if self.is_timed else ())})
-            yield Knob("speed", self.speed, "m/s", covers=covers)
+            relaxed = {PLAN_DURATION, "vertex_speed"} if self.is_timed else {PLAN_DURATION}
+            yield Knob("speed", self.speed, "m/s", covers=frozenset(relaxed))
             yield Knob("speed", self.speed, "m/s", sign=-1, covers=frozenset({"vertex_speed"}))
         if not self.is_timed:
             return
 
         def scale_times(factor: float) -> Edits:
+            """Return the edit that multiplies the points' times by a factor."""
             times = scaled_points(self.path[:, 0], factor, np.zeros(1))
             return (Edit("path", np.column_stack([times, self.path[:, 1:]]).tolist()),)
 
         covers = checks_relaxed_by("time") | checks_relaxed_by("tension")
-        knob = Knob("path", 1.0, "times", scale_times, 1, covers, "times of its points")
+        knob = Knob(
+            "path",
+            1.0,
+            "times",
+            make_edits=scale_times,
+            covers=covers,
+            words="times of its points",
+        )
         yield knob
         yield replace(knob, sign=-1, covers=frozenset({PLAN_DURATION}))
 
