@@ -70,7 +70,8 @@ OUTLINE_TEXT = (
 SPLIT_TEXT = "Slack split of the cables: balanced, spread, or a list of q-legs d_k"
 LEGS_TEXT = f"{SPLIT_TEXT}; or a mapping with sharing (one of these) and roll_deg"
 
-TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]  # Example of an outline [m]
+TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
+"""[m] Example of an outline."""
 
 AUTO: Final = "auto"
 """Automatic choice of a duration, or of a roll that is zero unless limits require one."""
@@ -135,14 +136,18 @@ def shown_legs(legs: object) -> dict[str, Any]:
     return {} if sharing is None or isinstance(sharing, str) else {"legs": sharing}
 
 
-MAX_TURNS = 5  # Maximum number of turns in one step: the number of polynomial pieces is bounded
+MAX_TURNS = 5
+"""Maximum number of turns in one step: the number of polynomial pieces is bounded."""
+
+MAX_YAW = MAX_TURNS * 2.0 * math.pi
+"""[rad] Largest turn of one step."""
 
 
 def _turn_angle(key: str, value: object) -> float:
     """Return a yaw angle [rad] within MAX_TURNS; warn if it seems to be in degrees."""
     yaw = finite(key, value)
     suggestion = f"if degrees were meant, {math.radians(yaw):.3g}"
-    if abs(yaw) > MAX_TURNS * 2.0 * math.pi:
+    if abs(yaw) > MAX_YAW:
         bound = f"at most {MAX_TURNS} turns either way"
         raise InputError(key, yaw, bound, f"turn in several steps; {suggestion}")
     if abs(yaw) > 2.0 * math.pi and yaw == round(yaw):  # rare in radians
@@ -150,8 +155,7 @@ def _turn_angle(key: str, value: object) -> float:
     return yaw
 
 
-_LIMIT = MAX_TURNS * 2.0 * math.pi
-TURN = replace(quantity("rad", (-_LIMIT, _LIMIT), (-_LIMIT, _LIMIT)), check=_turn_angle)
+TURN = replace(quantity("rad", (-MAX_YAW, MAX_YAW), (-MAX_YAW, MAX_YAW)), check=_turn_angle)
 AUTO_SECONDS = either(words(AUTO), DURATION)
 SETTLE_TEXT = (
     "Duration of the swings that end the step where cables slid against friction, added to its "
@@ -175,7 +179,8 @@ Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 
 # Records of planning and repair.
 
-IDLE = 0.01  # Default duration of a step without motion [s]
+IDLE = 0.01
+"""[s] Default duration of a step without motion."""
 
 DECIMALS = 9
 """Number of decimals of numbers in edits."""
@@ -197,29 +202,50 @@ def checks_relaxed_by(by: Literal["length", "time", "tension"]) -> frozenset[str
 class Edit(OneLine):
     """A change of one value in a problem file."""
 
-    key: str  # path such as ``mission[0].morph.polygon``; a step's own edits omit the step's path
-    value: object  # number, word, list or mapping, in the file's units
+    key: str
+    """Path such as ``mission[0].morph.polygon``; a step's own edits omit the step's path."""
+
+    value: object
+    """Number, word, list or mapping, in the file's units."""
 
 
-Edits = tuple[Edit, ...]  # Edits applied together
+Edits = tuple[Edit, ...]
+"""Edits that are applied together."""
 
 
 @dataclass(frozen=True, eq=False)
 class Knob:
     """A number that repair may raise or lower."""
 
-    key: str  # key in the file; a step's own knobs omit the step's path
-    old: float  # current value
-    unit: str  # unit of the value; ``times`` for a factor
-    # returns the edits for a new value; None for the value itself under the key
+    key: str
+    """Key in the file; a step's own knobs omit the step's path."""
+
+    old: float
+    """Current value."""
+
+    unit: str
+    """Unit of the value; ``times`` for a factor."""
+
     make_edits: Callable[[float], Edits] | None = None
-    sign: int = 1  # 1 to raise the value, -1 to lower it
-    # constraints that it can repair; it is not tried while others are broken
+    """Returns the edits for a new value; None for the value itself under the key."""
+
+    sign: int = 1
+    """1 to raise the value, -1 to lower it."""
+
     covers: frozenset[str] = frozenset()
-    words: str = ""  # description, if the key is not enough
-    extent: float | None = None  # reference of relative sizes [unit]; by default the old value
-    min_size: float = 0.0  # smaller changes are known to fail
-    max_size: float = math.inf  # larger changes make no sense
+    """Constraints that it can repair; it is not tried while others are broken."""
+
+    words: str = ""
+    """Description, if the key is not enough."""
+
+    extent: float | None = None
+    """Reference of relative sizes [unit]; by default the old value."""
+
+    min_size: float = 0.0
+    """Relative size below which changes are known to fail."""
+
+    max_size: float = math.inf
+    """Relative size above which changes make no sense."""
 
     def __post_init__(self) -> None:
         if self.sign < 0 and self.extent is None:
@@ -261,20 +287,32 @@ def scaled_outline_edit(key: str, outline: Outline, factor: float, centre: Array
 class RestState:
     """State at rest between two steps: a hitch, or drones on free cables."""
 
-    team: Team  # robots of the hitch, or of the hitch to be formed
-    drones: Array  # (2n, 3) [m], in the order q0, r0, q1, r1, …
-    hitch: Hitch | None = None  # None for free cables
-    # (clasps,) turning senses of the pairs, 1 if q went up first; None for an initial hitch
+    team: Team
+    """Robots of the hitch, or of the hitch to be formed."""
+
+    drones: Array
+    """(2n, 3) [m], in the order q0, r0, q1, r1, …"""
+
+    hitch: Hitch | None = None
+    """The hitch; None for free cables."""
+
     senses: Array | None = None
-    swap: SwapSettings = field(default_factory=SwapSettings)  # settings of these turns
-    # (n,) levels of cables after laying, 0 the lowest; None for a hitch tied by swaps
+    """(clasps,): turning senses of the pairs, 1 if q went up first; None for an initial hitch."""
+
+    swap: SwapSettings = field(default_factory=SwapSettings)
+    """Settings of these turns."""
+
     levels: Indices | None = None
-    # (clasps,) roll [rad] with an open vertex; ``hitch`` then has the roll of the closed hitch
+    """(n,): levels of cables after laying, 0 the lowest; None for a hitch tied by swaps."""
+
     open_roll: Array | None = None
-    # the enclosed or held object; ``hitch`` is then without the object's weight
+    """(clasps,) [rad]: roll with an open vertex; ``hitch`` has the roll of the closed hitch."""
+
     grasp: GraspState | None = None
-    # objects at their current places; None for those of the problem
+    """The enclosed or held object; ``hitch`` is then without the object's weight."""
+
     objects: Mapping[str, SolidObject] | None = None
+    """Objects at their current places; None for those of the problem."""
 
     @property
     def tied(self) -> Hitch:
@@ -298,8 +336,13 @@ class StepPlan:
     """The motion of a step from rest to rest, and the state after it."""
 
     motion: Motion
+    """The motion, from rest to rest."""
+
     after: RestState
-    path: Path | None = None  # path along which the motion was timed; None for other motions
+    """The state at its end."""
+
+    path: Path | None = None
+    """Path along which the motion was timed; None for other motions."""
 
     @cached_property
     def certificate(self) -> Certificate:
@@ -309,31 +352,47 @@ class StepPlan:
     def replaced(self, motion: Motion, after: RestState) -> StepPlan:
         """Return the plan with another motion and state; the same motion keeps its certificate."""
         plan = StepPlan(motion, after)
-        if motion is self.motion and "certificate" in vars(self):
-            vars(plan)["certificate"] = self.certificate
+        if motion is self.motion:
+            self._share_certificate(plan)
         return plan
 
     def with_remark(self, remark: str) -> StepPlan:
         """Return the plan with a remark appended to those of its phases."""
         phases = [
-            replace(phase, remark=f"{phase.remark}; {remark}" if phase.remark else remark)
+            replace(phase, remark="; ".join(filter(None, [phase.remark, remark])))
             for phase in self.motion.phases
         ]
         plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after, self.path)
-        if "certificate" in vars(self):  # independent of remarks
-            vars(plan)["certificate"] = self.certificate
+        self._share_certificate(plan)
         return plan
+
+    def _share_certificate(self, plan: StepPlan) -> None:
+        """Give the certificate, if it is computed, to a plan whose motion passes the same checks.
+
+        Certificates do not depend on states and remarks.
+        """
+        if "certificate" in vars(self):
+            vars(plan)["certificate"] = self.certificate
 
 
 @dataclass(frozen=True, eq=False)
 class StepTask:
     """The task of planning a step."""
 
-    before: RestState  # state at the start
-    index: int  # index of the step in its mission
-    requirements: Requirements  # requirements of the plan
-    optimiser: bool = True  # whether the optimiser may be used
-    progress: Progress | None = None  # status callback
+    before: RestState
+    """State at the start."""
+
+    index: int
+    """Index of the step in its mission."""
+
+    requirements: Requirements
+    """Requirements of the plan."""
+
+    optimiser: bool = True
+    """Whether the optimiser may be used."""
+
+    progress: Progress | None = None
+    """Status callback."""
 
     @property
     def hitch(self) -> Hitch:
@@ -343,9 +402,9 @@ class StepTask:
     @property
     def grasp(self) -> GraspState:
         """The enclosed or held object; raises InputError without one."""
-        if (grasp := self.before.grasp) is None:
+        if self.before.grasp is None:
             raise InputError("start", "no object", "an enclosed object", "enclose one before")
-        return grasp
+        return self.before.grasp
 
     def within(self, requirements: Requirements, state: RestState) -> StepTask:
         """Return the task with other requirements and another start."""
@@ -360,7 +419,8 @@ def plan_in_sequence(
     planners: Iterable[Callable[[StepTask], StepPlan]], task: StepTask
 ) -> StepPlan:
     """Return the plan of consecutive motions as one step; each starts where the last one ends."""
-    state, motions = task.before, list[Motion]()
+    state = task.before
+    motions = list[Motion]()
     for planner in planners:
         plan = planner(task.within(state.with_objects(task.requirements), state))
         motions.append(plan.motion)
@@ -386,15 +446,20 @@ def plan_to(
 
     The clasps end ``below`` the rim [m].
     """
-    objects = dict(task.requirements.objects)
-    body = objects[after.object] = objects[after.object].moved_to(place)
+    body = task.requirements.objects[after.object].moved_to(place)
     hitch = task.before.hitch
-    if (hold := after.hold) is not None and hold.team.robots > 2:  # two clasps have no outline
-        hitch = hold.hitch(body, below + float(hold.drop(after.tension, float(after.carried))))
-    drones = motion.drones.at(motion.duration)
-    return StepPlan(
-        motion, replace(task.before, drones=drones, hitch=hitch, grasp=after, objects=objects)
+    hold = after.hold
+    if hold is not None and hold.team.robots > 2:  # two clasps have no outline
+        drop = float(hold.drop(after.tension, float(after.carried)))
+        hitch = hold.hitch(body, below + drop)
+    state = replace(
+        task.before,
+        drones=motion.drones.at(motion.duration),
+        hitch=hitch,
+        grasp=after,
+        objects={**task.requirements.objects, after.object: body},
     )
+    return StepPlan(motion, state)
 
 
 class Stage(StrEnum):
@@ -412,7 +477,10 @@ class RequestedHold:
     """What a problem requests of an object that cables hold, until they let it go."""
 
     by: HoldBy
-    tension: tuple[float, float]  # [N] range of the tensions of cables
+    """How cables hold it."""
+
+    tension: tuple[float, float]
+    """[N] Range of the tensions of cables."""
 
     @classmethod
     def with_tensions(
@@ -423,9 +491,10 @@ class RequestedHold:
         Gripping edges have less tension than their legs, which lean against friction.
         """
         smallest = min(LOW_OPENING_TENSION, lowest, *map(np.min, tensions))
+        largest = max(map(np.max, tensions))
         if by is HoldBy.GRIP:
             smallest *= math.exp(-math.pi * team.cable_friction)
-        return cls(by, (smallest, max(map(np.max, tensions))))
+        return cls(by, (smallest, largest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,32 +504,55 @@ class RequestedRest:
     Planners choose outlines around objects, and their altitudes.
     """
 
-    outline: Outline | None  # of the hitch; None without one
-    outline_stated: bool  # whether the file states it
-    altitude: float | None  # [m] None if the planner chooses it
+    outline: Outline | None
+    """Outline of the hitch; None without one."""
+
+    outline_stated: bool
+    """Whether the file states the outline."""
+
+    altitude: float | None
+    """[m] Altitude of the hitch; None if the planner chooses it."""
+
     stage: Stage
-    holds: Mapping[str, RequestedHold]  # of held objects by name
-    objects: Mapping[str, SolidObject]  # at their places
+    """Stage of the hitch with respect to an object, or to an open vertex."""
+
+    holds: Mapping[str, RequestedHold]
+    """Holds of held objects, by name."""
+
+    objects: Mapping[str, SolidObject]
+    """Objects at their places, by name."""
 
 
 @dataclass(frozen=True, eq=False)
 class Step(Record, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
 
-    name: ClassVar[str]  # key in the problem file: the class's name in snake case
-    # whether the step must start with a hitch (True), on free cables (False), or with either (None)
+    name: ClassVar[str]
+    """Key in the problem file: the class's name in snake case."""
+
     needs_hitch: ClassVar[bool | None] = True
-    blendable: ClassVar[bool] = False  # whether it can precede or follow a step without a stop
-    # stages at the start and the end; None if the stage does not matter
+    """Whether it must start with a hitch (True), on free cables (False), or with either (None)."""
+
+    blendable: ClassVar[bool] = False
+    """Whether it can precede or follow a step without a stop."""
+
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
-    time_key: ClassVar[str] = "duration"  # field of the prescribed duration
-    object_key: ClassVar[str] = "object"  # key in the problem file of the name of its object
-    # whether single drones do it, which have no cables, in place of robots
+    """Stages at the start and the end; None if the stage does not matter."""
+
+    time_key: ClassVar[str] = "duration"
+    """Field of the prescribed duration."""
+
+    object_key: ClassVar[str] = "object"
+    """Key in the problem file of the name of its object."""
+
     of_single_drones: ClassVar[bool] = False
-    # whether two robots can do it, whose cables are a hitch only around an object
+    """Whether single drones do it, which have no cables, in place of robots."""
+
     of_two_robots: ClassVar[bool] = False
-    # whether it moves single points of an outline, which the file then has to state
+    """Whether two robots can do it, whose cables are a hitch only around an object."""
+
     moves_points: ClassVar[bool] = False
+    """Whether it moves single points of an outline, which the file then has to state."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -489,13 +581,14 @@ class Step(Record, ABC):
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team: polygon as an outline, legs as an array."""
-        polygon, legs = (vars(self).get(key) for key in ("polygon", "legs"))
-        changed: dict[str, Any] = {}
+        polygon = vars(self).get("polygon")
+        legs = vars(self).get("legs")
+        checked: dict[str, Any] = {}
         if polygon is not None:
-            changed["polygon"] = checked_polygon(team, polygon)
+            checked["polygon"] = checked_polygon(team, polygon)
         if legs is not None:
-            changed["legs"] = slack_split(legs, team)
-        return replace(self, **changed) if changed else self
+            checked["legs"] = slack_split(legs, team)
+        return replace(self, **checked) if checked else self
 
     def checked_polygon_after(
         self, team: Team, outline: Outline | None, reason: str = "as start states"
@@ -505,17 +598,17 @@ class Step(Record, ABC):
         ``reason`` explains why there is a hitch before the step, or none.
         """
         if self.needs_hitch is True and outline is None:
-            bound, remedy = "given a hitch at that point", f"{reason}: form one before"
-            raise InputError("", "no hitch", bound, remedy)
+            bound = "given a hitch at that point"
+            raise InputError("", "no hitch", bound, f"{reason}: form one before")
         if self.needs_hitch is False and outline is not None:
-            bound, remedy = "given drones on free cables at that point", "release it before"
-            raise InputError("", "a hitch", bound, f"{reason}: {remedy}")
+            bound = "given drones on free cables at that point"
+            raise InputError("", "a hitch", bound, f"{reason}: release it before")
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:
         """Return the outline after the step: its own polygon, if it has one, else ``outline``."""
-        own = vars(self).get("polygon", outline)
-        return None if own is None else checked_polygon(team, own)
+        polygon = vars(self).get("polygon", outline)
+        return None if polygon is None else checked_polygon(team, polygon)
 
     def place_after(self, body: SolidObject, below: float) -> Array | None:  # noqa: ARG002
         """Return the goal of a held object's base: x, y, z [m], yaw [rad]; None if it stays.
@@ -599,7 +692,8 @@ class Step(Record, ABC):
         """Return the motion slowed down to the prescribed duration, if there is one."""
         from hitchopt.planners.timing.timed_motion import check_duration
 
-        if (duration := self.prescribed_duration) is None:
+        duration = self.prescribed_duration
+        if duration is None:
             return motion
         check_duration(duration, motion.duration, f"of step {task.index} ({self.name})")
         return motion.slowed(duration / motion.duration)
@@ -608,9 +702,9 @@ class Step(Record, ABC):
         """Yield the numbers that repair may change: a prescribed duration."""
         seconds = self.prescribed_duration
         if seconds is not None:
-            yield Knob(self.time_key, seconds, "s", covers=frozenset({"duration"}))
-            covers = frozenset({PLAN_DURATION})
-            yield Knob(self.time_key, seconds, "s", sign=-1, covers=covers)
+            longer = Knob(self.time_key, seconds, "s", covers=frozenset({"duration"}))
+            yield longer
+            yield replace(longer, sign=-1, covers=frozenset({PLAN_DURATION}))
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edits that scale its geometry about ``centre``, and that of later steps.
