@@ -6,6 +6,7 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
@@ -55,6 +56,7 @@ from hitchopt.values.fields import Key, documented, either, list_of, mapping_of,
 from hitchopt.values.units import ALTITUDE
 
 if TYPE_CHECKING:
+    from hitchopt.planners.forming.approach import Approach
     from hitchopt.planners.forming.laying import Laying
     from hitchopt.planners.forming.prehitch import PreHitch
 
@@ -66,7 +68,6 @@ SLACK_EVENNESS = (0.0, 1.0, 10.0, 100.0)
 
 CABLE_MARGINS = (1.5, 1.25)
 """Preferred clearances of drones from cables during tightening, in ``separation.cable``."""
-
 
 ASSIGN_TEXT = "auto: choose which robot takes which edge, and which end is its q; fixed: in order"
 BY_TEXT = (
@@ -109,13 +110,18 @@ class Form(Step):
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team; raise InputError if the order is not one of its robots."""
-        if not isinstance(self.order, str):
-            order = np.asarray(self.order).tolist()
+        if self.stated_order is not None:
+            order = self.stated_order.tolist()
             if self.by != "laying" or sorted(order) != [*range(team.robots)]:
                 members = ", ".join(map(str, range(team.robots)))
                 bound = f"with by: laying, each of the robots {members} once"
                 raise InputError("order", order, bound, "omit it, or list all robots")
         return super().resolved_for(team)
+
+    @property
+    def stated_order(self) -> Indices | None:
+        """The order of laying, robots from bottom to top; None for alternating levels."""
+        return None if isinstance(self.order, str) else np.asarray(self.order, dtype=np.intp)
 
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:
         """Return the altitude and the legs of the hitch."""
@@ -127,15 +133,13 @@ class Form(Step):
         Drones fly to where cables hang clear of each other and of the ground, tie the hitch there,
         and lower it to its altitude.
         """
-        from hitchopt.planners.forming.laying import find_laying, levels_of
+        from hitchopt.planners.forming.laying import find_laying
 
-        before, requirements, i = task.before, task.requirements, task.index
-        team, levels = before.team, None
-        if self.by == "laying":
-            order = None if isinstance(self.order, str) else np.asarray(self.order, dtype=np.intp)
-            levels = levels_of(team.layout, None if order is None else team.edges[order])
+        requirements = task.requirements
+        team = task.before.team
+        levels = self._levels(team)
         goal = self._goal(team, levels, requirements)
-        check_at_rest(goal, requirements, f"at the end of step {i} (form)")
+        check_at_rest(goal, requirements, f"at the end of step {task.index} (form)")
         if levels is None:
             plan = self._by_swaps(task, goal)
         else:
@@ -143,6 +147,15 @@ class Form(Step):
             plan = tied_plan(task, laying, goal)
         after = replace(plan.after, swap=self.swap, levels=levels)
         return plan.replaced(self.with_duration(task, plan.motion), after)
+
+    def _levels(self, team: Team) -> Indices | None:
+        """Return the levels (n,) of cables that are laid; None if swaps tie them."""
+        from hitchopt.planners.forming.laying import levels_of
+
+        if self.by != "laying":
+            return None
+        order = self.stated_order
+        return levels_of(team.layout, None if order is None else team.edges[order])
 
     def _by_swaps(self, task: StepTask, goal: Hitch) -> StepPlan:
         """Return the plan that ties the goal, or else a hitch on a circle that becomes the goal."""
@@ -153,16 +166,17 @@ class Form(Step):
         direct = attempt(lambda: require_certified(tied_plan(task, tying, goal)))
         if isinstance(direct, StepPlan):
             return direct
-        failures = [Failure(int(not tying.doubtful), direct)]
+        reached = Attempt.PREHITCH if tying.doubtful else Attempt.FLIGHT
+        failures = [Failure(reached, direct)]
         for circular in tyings_on_circles(goal, requirements, self.swap):
             tied = attempt(partial(tied_plan, task, circular, circular.hitch))
             if not isinstance(tied, StepPlan):
-                failures.append(Failure(1, tied))
+                failures.append(Failure(Attempt.FLIGHT, tied))
                 continue
             plan = attempt(partial(morphed_plan, task, tied, goal))
             if isinstance(plan, StepPlan):
                 return plan
-            failures.append(Failure(2, plan))
+            failures.append(Failure(Attempt.MORPH, plan))
         raise farthest(failures)
 
     def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
@@ -179,14 +193,14 @@ class Form(Step):
             halves = Hitch.balanced(team, self.polygon, self.altitude)
             return split_for_rolling(halves, senses_of(team.layout, levels), requirements)
         spread = split_hitch(team, self.polygon, self.altitude, "spread", requirements)
-        cable = requirements.separation.cable
+        same_roll = RolledLegs("spread", spread.roll)
         clearance = rest_plan(spread, requirements).certificate["cable_clearance"].worst
         for margin in CABLE_MARGINS:
-            if clearance >= margin * cable:
+            preferred = margin * requirements.separation.cable
+            if clearance >= preferred:
                 break
-            separation = with_fields(requirements.separation, cable=margin * cable)
+            separation = with_fields(requirements.separation, cable=preferred)
             wider = replace(requirements, separation=separation)
-            same_roll = RolledLegs("spread", spread.roll)
             hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)
             if rest_plan(hitch, wider).certificate.certified:
                 return hitch
@@ -200,12 +214,12 @@ class Form(Step):
         """
         from hitchopt.planners.forming.approach import assign_robots
 
-        arguments = team, drones, self.polygon, requirements.limits.leg
-        shortest = assign_robots(*arguments)
+        leg = requirements.limits.leg
+        shortest = assign_robots(team, drones, self.polygon, leg)
         if self.by == "laying" or np.ptp(team.cable_length) == 0.0:
             return shortest
         for evenness in SLACK_EVENNESS:
-            assignment = assign_robots(*arguments, evenness)
+            assignment = assign_robots(team, drones, self.polygon, leg, evenness)
             with contextlib.suppress(InfeasibleError):
                 goal = self._goal(assignment.team(team), None, requirements)
                 check_at_rest(goal, requirements, "")
@@ -233,24 +247,40 @@ MAX_SHAPES = 3
 """Maximum number of their shapes, each of which is turned."""
 
 
+class Attempt(IntEnum):
+    """How far an attempt at tying got."""
+
+    PREHITCH = 0
+    """No pre-hitch is feasible."""
+
+    FLIGHT = 1
+    """The flight to the pre-hitch, or tying there, is not."""
+
+    MORPH = 2
+    """The morph of the tied hitch to the goal is not."""
+
+
 class Failure(NamedTuple):
     """An attempt at tying that failed."""
 
-    stage: int  # 0: the pre-hitch, 1: the flight to it, 2: the morph from there
+    reached: Attempt
+    """How far it got."""
+
     error: HitchoptError
+    """Its error."""
 
 
 def farthest(failures: Sequence[Failure]) -> HitchoptError:
     """Return the first error of the attempts that got farthest."""
-    last = max(failure.stage for failure in failures)
-    first, best = failures[0], next(each for each in failures if each.stage == last)
-    if best is first or not isinstance(best.error, InfeasibleError):
-        return first.error
-    tried = len(failures) - 1
-    note = f"{tried} other hitches on circles, to be morphed to this one, were not feasible either"
-    if isinstance(first.error, InfeasibleError):
-        broken = replace(first.error.violations[0], remedy="")
-        note += f"; tied directly: {str(broken).rstrip('; ')}"
+    direct = failures[0]
+    best = max(failures, key=lambda failure: failure.reached)  # the first one of several
+    if best is direct or not isinstance(best.error, InfeasibleError):
+        return direct.error
+    others = len(failures) - 1
+    note = f"{others} other hitches on circles, to be morphed to this one, were not feasible either"
+    if isinstance(direct.error, InfeasibleError):
+        violation = replace(direct.error.violations[0], remedy="")
+        note += f"; tied directly: {str(violation).rstrip('; ')}"
     return InfeasibleError(best.error.violations, note)
 
 
@@ -263,14 +293,14 @@ def tyings_on_circles(
 
     if not goal.team.layout.closed:
         return
-    circles, shapes = CircularHitches(goal, requirements), list[Hitch]()
-    for shape in circles.shapes:
-        if not find_prehitch(shape, requirements, swap).doubtful:
-            shapes.append(shape)
-        if len(shapes) == MAX_SHAPES:
-            break
-    placed = zip(*map(circles.placed, shapes), strict=True)
-    for hitch in itertools.islice(itertools.chain.from_iterable(placed), MAX_TIED):
+    circles = CircularHitches(goal, requirements)
+    feasible = (
+        shape for shape in circles.shapes if not find_prehitch(shape, requirements, swap).doubtful
+    )
+    shapes = list(itertools.islice(feasible, MAX_SHAPES))
+    by_phase = zip(*map(circles.placed, shapes), strict=True)  # all shapes at one turn, then next
+    placed = itertools.chain.from_iterable(by_phase)
+    for hitch in itertools.islice(placed, MAX_TIED):
         yield find_prehitch(hitch, requirements, swap).clear_of_ground(requirements)
 
 
@@ -279,16 +309,16 @@ def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan
 
     Drones fly to where cables hang clear of each other and of the ground, and tie the hitch there.
     """
-    before, requirements, i = task.before, task.requirements, task.index
-    tied = concatenated(tying.stages(requirements, i))
+    requirements = task.requirements
+    tied = concatenated(tying.stages(requirements, task.index))
     if tying.doubtful:  # no approach helps if tying is infeasible
-        require_certified(StepPlan(tied, before))
-    parts = [approach_motion(task, tying.drones_hanging), tied]
+        require_certified(StepPlan(tied, task.before))
+    motions = [approach_motion(task, tying.drones_hanging), tied]
     if abs(tying.hitch.altitude - goal.altitude) > ALTITUDE_TOLERANCE:
-        lower = Phase("lower", i, 0.0, 0.0, HEIGHT_REMARK)
-        parts.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
-    after = replace(before, hitch=goal, drones=goal.drones, senses=tying.senses)
-    return StepPlan(concatenated(parts), after)
+        lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
+        motions.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
+    after = replace(task.before, hitch=goal, drones=goal.drones, senses=tying.senses)
+    return StepPlan(concatenated(motions), after)
 
 
 def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
@@ -322,14 +352,15 @@ def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepP
     """Return the plan that unties the task's hitch, with the legs of ``hitch``."""
     from hitchopt.planners.forming.stages import reversed_stages
 
-    before, requirements, i = task.before, task.requirements, task.index
-    parts = adjusting_motions(task, hitch.q_legs)
+    requirements = task.requirements
+    motions = adjusting_motions(task, hitch.q_legs)
     if abs(tying.hitch.altitude - hitch.altitude) > ALTITUDE_TOLERANCE:
-        higher = Phase("raise", i, 0.0, 0.0, HEIGHT_REMARK)
-        parts.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
-    parts += reversed_stages(tying.stages(requirements, i))
-    after = replace(before, drones=tying.drones_hanging, hitch=None, senses=None, levels=None)
-    return StepPlan(concatenated(parts), after)
+        higher = Phase("raise", task.index, 0.0, 0.0, HEIGHT_REMARK)
+        motions.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
+    motions += reversed_stages(tying.stages(requirements, task.index))
+    drones = tying.drones_hanging
+    after = replace(task.before, drones=drones, hitch=None, senses=None, levels=None)
+    return StepPlan(concatenated(motions), after)
 
 
 def unmorphed_plan(task: StepTask, tying: PreHitch) -> StepPlan:
@@ -350,14 +381,18 @@ def approach_motion(task: StepTask, goal: Array) -> Motion:
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach, OverApproach
 
     before = task.before
-    arguments = before.team, before.drones, goal, task.requirements, task.index
-    errors, kinds = list[HitchoptError](), [DirectApproach, GatheredApproach]
+    kinds = [DirectApproach, GatheredApproach]
     if task.requirements.objects:
         kinds.append(OverApproach)
-    for route in (kind(*arguments) for kind in kinds):
-        outcome = attempt(
-            lambda route=route: require_certified(StepPlan(concatenated(route.solve()), before))  # type: ignore[misc]
-        )
+
+    def certified(kind: type[Approach]) -> StepPlan:
+        """Return the certified plan of one kind of approach."""
+        approach = kind(before.team, before.drones, goal, task.requirements, task.index)
+        return require_certified(StepPlan(concatenated(approach.solve()), before))
+
+    errors = list[HitchoptError]()
+    for kind in kinds:
+        outcome = attempt(partial(certified, kind))
         if isinstance(outcome, StepPlan):
             return outcome.motion
         errors.append(outcome)
@@ -369,16 +404,17 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
 
     ``step`` names the step that lays or rolls them.
     """
-    for unsupported, reason in (
-        (not team.layout.closed, "an open chain: laying ties rings; use by: swaps"),
-        (team.cable_density == 0.0, "cables without weight: give team.cable_density, from which "
-         "the pull of a taut cable follows"),
-        (np.ptp(team.tension) > 0.0, "unequal tensions: give one team.tension"),
-        (np.any(team.load), "loads on clasps, which do not roll: omit team.load"),
-        (requirements.limits.tube.level, "limits.tracking, which taut cables alone do not allow: "
-         "set limits.tracking: 0, and a larger separation.radius for the drones' errors"),
-    ):  # fmt: skip
-        if unsupported:
+    reasons = {
+        "an open chain: laying ties rings; use by: swaps": not team.layout.closed,
+        "cables without weight: give team.cable_density, from which the pull of a taut cable "
+        "follows": team.cable_density == 0.0,
+        "unequal tensions: give one team.tension": np.ptp(team.tension) > 0.0,
+        "loads on clasps, which do not roll: omit team.load": np.any(team.load),
+        "limits.tracking, which taut cables alone do not allow: set limits.tracking: 0, and a "
+        "larger separation.radius for the drones' errors": requirements.limits.tube.level > 0.0,
+    }
+    for reason, applies in reasons.items():
+        if applies:
             raise UnsupportedError(f"{step}: laying and rolling do not support {reason}")
 
 
@@ -433,14 +469,20 @@ class RollStep(Step):
         """Return the plan that rolls pairs to the angles ``end`` (clasps,) [rad]."""
         from hitchopt.planners.forming.laying import RollPath, roll_motion
 
-        before, hitch = task.before, task.hitch
-        start = hitch.roll if before.open_roll is None else before.open_roll
+        hitch = task.hitch
+        start = _current_roll(task)
         phase = Phase(self.name, task.index, 0.0, 0.0)
         motion = roll_motion(RollPath(hitch, start, end), task.requirements, phase)
         open_roll = None if np.array_equal(end, hitch.roll) else end
         drones = motion.drones.coefficients[-1, ..., -1]
-        after = replace(before, drones=drones, open_roll=open_roll)
+        after = replace(task.before, drones=drones, open_roll=open_roll)
         return StepPlan(self.with_duration(task, motion), after)
+
+
+def _current_roll(task: StepTask) -> Array:
+    """Return the roll (clasps,) [rad] at the start of a step, also with an open vertex."""
+    open_roll = task.before.open_roll
+    return task.hitch.roll if open_roll is None else open_roll
 
 
 @documented
@@ -457,9 +499,8 @@ class OpenVertex(RollStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan that rolls the vertex's pair back by half a turn."""
-        senses = task.before.senses
         end = task.hitch.roll.copy()
-        end[self.vertex] = -np.pi * (1.0 if senses is None else senses[self.vertex])
+        end[self.vertex] = -np.pi * task.before.assumed_senses[self.vertex]
         return self.rolled(task, end)
 
 
@@ -495,16 +536,26 @@ class Release(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to untie a hitch, in the reverse order of tying it."""
         from hitchopt.planners.forming.laying import find_laying, split_for_rolling
-        from hitchopt.planners.forming.prehitch import find_prehitch
 
-        before, requirements = task.before, task.requirements
-        hitch, senses = task.hitch, before.assumed_senses
-        if before.levels is not None:
-            hitch = split_for_rolling(hitch, senses, requirements)
+        before = task.before
+        requirements = task.requirements
+        if before.levels is None:
+            plan = self._by_swaps(task)
+        else:
+            hitch = split_for_rolling(task.hitch, before.assumed_senses, requirements)
             laid = find_laying(hitch, before.levels, requirements)
             plan = untied_plan(task, laid.clear_of_ground(requirements), hitch)
-            return plan.replaced(self.with_duration(task, plan.motion), plan.after)
-        tying = find_prehitch(hitch, requirements, before.swap).with_senses(senses)
+        return plan.replaced(self.with_duration(task, plan.motion), plan.after)
+
+    def _by_swaps(self, task: StepTask) -> StepPlan:
+        """Return the plan that unties the hitch as it is, or else one on a circle in its place."""
+        from hitchopt.planners.forming.prehitch import find_prehitch
+
+        requirements = task.requirements
+        hitch = task.hitch
+        swap = task.before.swap
+        senses = task.before.assumed_senses
+        tying = find_prehitch(hitch, requirements, swap).with_senses(senses)
         tying = tying.clear_of_ground(requirements)
 
         def directly() -> StepPlan:
@@ -513,11 +564,10 @@ class Release(Step):
 
         def on_circles() -> Iterator[Callable[[], StepPlan]]:
             """Yield planners that untie a hitch on a circle in its place."""
-            for circular in tyings_on_circles(hitch, requirements, before.swap):
+            for circular in tyings_on_circles(hitch, requirements, swap):
                 yield partial(unmorphed_plan, task, circular.with_senses(senses))
 
-        plan = first_feasible(itertools.chain([directly], on_circles()))
-        return plan.replaced(self.with_duration(task, plan.motion), plan.after)
+        return first_feasible(itertools.chain([directly], on_circles()))
 
 
 @documented
@@ -537,11 +587,12 @@ class Land(Step):
         """Plan the descent to the ground."""
         from hitchopt.planners.forming.stages import stage, straight_lines
 
-        before, requirements = task.before, task.requirements
+        before = task.before
+        requirements = task.requirements
         flat = np.array([1.0, 1.0, 0.0])
         floor = requirements.floor * np.array([0.0, 0.0, 1.0])
-        down = before.drones * flat + floor
-        flight = straight_lines(before.team, requirements.limits, before.drones, down)
+        landed = before.drones * flat + floor
+        flight = straight_lines(before.team, requirements.limits, before.drones, landed)
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
-        after = replace(before, drones=down)
+        after = replace(before, drones=landed)
         return StepPlan(self.with_duration(task, motion), after)
