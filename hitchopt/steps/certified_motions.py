@@ -35,15 +35,22 @@ LEVEL_TOLERANCE = 1e-3
 """Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
 than 1e-5 m."""
 
+MIN_LIMIT = 1e-9
+"""Smallest limit by which a violation is divided."""
+
 
 @dataclass(frozen=True, eq=False)
 class CertifiedMotion:
     """Motion of one team's whole plan with its certificate."""
 
     motion: Motion
+    """The motion."""
+
     certificate: Certificate
-    # paths of the groups of steps; None for one that has none, or several
+    """Its certificate."""
+
     paths: tuple[Path | None, ...] = ()
+    """Paths of the groups of steps; None for one that has none, or several."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +58,10 @@ class CertifiedFlight:
     """Flight of a whole plan with its certificate."""
 
     flight: Flight
+    """The flight."""
+
     certificate: Certificate
+    """Its certificate."""
 
 
 def require_certified(plan: StepPlan, when: str = "") -> StepPlan:
@@ -87,7 +97,8 @@ def excess(error: HitchoptError) -> float:
     if not isinstance(error, InfeasibleError):
         return math.inf
     shortfalls = [
-        abs(each.value - each.limit) / max(abs(each.limit), 1e-9) for each in error.violations
+        abs(violation.value - violation.limit) / max(abs(violation.limit), MIN_LIMIT)
+        for violation in error.violations
     ]
     return max(shortfalls, default=math.inf)
 
@@ -105,12 +116,16 @@ def nearest_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
 
 def rest_motion(hitch: Hitch, requirements: Requirements, duration: float, phase: Phase) -> Motion:
     """Return the motion of a hitch at rest for a duration [s]; the phase is retimed to it."""
-    values = (hitch.drones, hitch.vertices, hitch.legs, hitch.team.tension)
-    drones, vertices, legs, tensions = (
-        PiecewisePolynomial.constant([0.0, duration], value) for value in values
+    breaks = [0.0, duration]
+    return Motion(
+        hitch.team,
+        requirements,
+        drones=PiecewisePolynomial.constant(breaks, hitch.drones),
+        vertices=PiecewisePolynomial.constant(breaks, hitch.vertices),
+        legs=PiecewisePolynomial.constant(breaks, hitch.legs),
+        tensions=PiecewisePolynomial.constant(breaks, hitch.team.tension),
+        phases=(phase.retimed(0.0, duration),),
     )
-    phases = (phase.retimed(0.0, duration),)
-    return Motion(hitch.team, requirements, drones, vertices, legs, tensions, phases)
 
 
 def rest_plan(hitch: Hitch, requirements: Requirements) -> StepPlan:
@@ -185,18 +200,20 @@ def _separation_shortfall(check: Check, flight: Flight) -> str:
     """Describe the distance of two drones at one height and its shortfall; else return nothing."""
     if check.name != "separation":
         return ""
-    heights = []
+    heights = list[float]()
     for flown in flight.all_teams:
         drones = flown.motion.drones
-        places = drones.at(float(np.clip(check.time, *drones.breaks[[0, -1]])))
+        first, last = drones.breaks[[0, -1]]
+        places = drones.at(float(np.clip(check.time, first, last)))
         names = map(flown.label, flown.motion.team.drone_names)
-        heights += [
-            place[2] for name, place in zip(names, places, strict=True) if name in check.where
-        ]
+        for name, place in zip(names, places, strict=True):
+            if name in check.where:
+                heights.append(place[2])
     if np.ptp(heights) > LEVEL_TOLERANCE:
         return ""
     diameter = 2.0 * flight.requirements.separation.radius
-    required, distance = diameter * check.number, diameter * check.worst
+    required = diameter * check.number
+    distance = diameter * check.worst
     return f"{distance:.3g} m apart, {required - distance:.3g} m too close: "
 
 
@@ -211,10 +228,17 @@ def split_hitch(
     requirements: Requirements,
 ) -> Hitch:
     """Return the hitch with the slack split ``legs``."""
-    sharing, roll = (legs.sharing, legs.roll) if isinstance(legs, RolledLegs) else (legs, None)
+    sharing = legs.sharing if isinstance(legs, RolledLegs) else legs
+    roll = legs.roll if isinstance(legs, RolledLegs) else None
     if isinstance(sharing, str) and sharing == "spread":
-        requested = {name: getattr(requirements, name) for name in ("limits", "separation")}
-        return Hitch.spread(team, polygon, altitude, roll=roll, **requested)
+        return Hitch.spread(
+            team,
+            polygon,
+            altitude,
+            roll=roll,
+            limits=requirements.limits,
+            separation=requirements.separation,
+        )
     initial_roll = 0.0 if roll is None else roll
     if isinstance(sharing, str):
         hitch = Hitch.balanced(team, polygon, altitude, initial_roll)
@@ -225,10 +249,13 @@ def split_hitch(
 
 
 class End(NamedTuple):
-    """Hitch after a step, and a description of the limit that the action's own legs would break."""
+    """The end of a step."""
 
     hitch: Hitch
+    """Hitch after the step."""
+
     reason: str = ""
+    """Description of the limit that the legs of the paper's action would break, if they do."""
 
 
 def end_of_morph(
@@ -244,31 +271,40 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     """Return the hitch after an action; by default its legs are nearest to the action's own."""
     from hitchopt.planners.morph.legs import SLIDING_TOLERANCE
 
-    start, polygon = action.start, action.polygon
+    start = action.start
+    polygon = action.polygon
     if legs is not None:
         return end_of_morph(start, polygon, legs, requirements)
-    own_legs = action.legs_by_law
+    legs_by_law = action.legs_by_law
     try:
-        hitch = Hitch(start.team, polygon, start.altitude, own_legs, start.roll)
+        hitch = Hitch(start.team, polygon, start.altitude, legs_by_law, start.roll)
         check_at_rest(hitch, requirements, "at the end")
         return End(hitch)
     except InfeasibleError as error:
-        broken = error.violations[0]
-    nearest = _nearest(start, polygon, own_legs / cable_slack(start.team, polygon), requirements)
-    # A cable that does not slide keeps its legs to the last bit, so that its drones stay.
-    slides = np.abs(nearest.q_legs - own_legs) >= SLIDING_TOLERANCE
-    q_legs = np.where(slides, nearest.q_legs, own_legs)
+        violation = error.violations[0]
+    fractions = legs_by_law / cable_slack(start.team, polygon)
+    nearest = _nearest(start, polygon, fractions, requirements)
+    # A cable that does not slide keeps its legs to the last bit, so that its drones stay
+    slides = np.abs(nearest.q_legs - legs_by_law) >= SLIDING_TOLERANCE
+    q_legs = np.where(slides, nearest.q_legs, legs_by_law)
     end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
-    return End(end, str(replace(broken, when="at the end", remedy="with the action's own legs")))
+    reason = replace(violation, when="at the end", remedy="with the action's own legs")
+    return End(end, str(reason))
 
 
 def _nearest(
     start: Hitch, polygon: Outline, fractions: ArrayLike, requirements: Requirements
 ) -> Hitch:
     """Return the feasible hitch with the nearest fractions."""
-    requested = {name: getattr(requirements, name) for name in ("limits", "separation", "arena")}
     return Hitch.nearest(
-        start.team, polygon, start.altitude, fractions, roll=start.roll, **requested
+        start.team,
+        polygon,
+        start.altitude,
+        fractions,
+        roll=start.roll,
+        limits=requirements.limits,
+        separation=requirements.separation,
+        arena=requirements.arena,
     )
 
 
@@ -281,8 +317,11 @@ FASTER = "faster than the step's own route"
 class SearchThreshold(NamedTuple):
     """Where a faster route than the step's own one is searched without a request."""
 
-    ratio: float  # of the duration of the step's own route to its lower bound
-    turn: float  # [rad] mean turn of the edges
+    ratio: float
+    """Duration of the step's own route over its lower bound."""
+
+    turn: float
+    """[rad] Mean turn of the edges."""
 
 
 SEARCH_THRESHOLDS = (
@@ -307,8 +346,8 @@ def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
     bound = min_duration(start, end, plan.motion.requirements.limits)
     turn = abs(turns(start.polygon, end.polygon)[0])
     return any(
-        plan.motion.duration > each.ratio * bound and turn >= each.turn
-        for each in SEARCH_THRESHOLDS
+        plan.motion.duration > threshold.ratio * bound and turn >= threshold.turn
+        for threshold in SEARCH_THRESHOLDS
     )
 
 
@@ -389,8 +428,8 @@ def optimised_plan(
     from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
     from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
-    start, requirements = task.hitch, task.requirements
-    climb = end.altitude - start.altitude
+    requirements = task.requirements
+    climb = end.altitude - task.hitch.altitude
     certified: dict[Motion, StepPlan] = {}
 
     def climbing(path: Path) -> Path:
@@ -399,13 +438,16 @@ def optimised_plan(
 
     def certified_motion(path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
-        path = climbing(path)
-        variants = with_slides(path, requirements.limits) if allow_slides else ()
-        for each in (*(p for p in variants if legs_clear(p, requirements)), path):
+        climbed = climbing(path)
+        variants = list[Path]()
+        if allow_slides:
+            sliding = with_slides(climbed, requirements.limits)
+            variants += [variant for variant in sliding if legs_clear(variant, requirements)]
+        for variant in (*variants, climbed):
             try:
-                plan = plan_along(task, each, end, phase)
+                plan = plan_along(task, variant, end, phase)
             except HitchoptError:
-                if each is path:
+                if variant is climbed:
                     raise
                 continue
             if plan.certificate.certified:
@@ -413,9 +455,9 @@ def optimised_plan(
                 return plan.motion
         return None
 
-    own_cost = None if cost is None else ShapeCost(start.team, cost)
+    shape_cost = None if cost is None else ShapeCost(task.hitch.team, cost)
     morph = OptimisedMorph(
-        start, end, requirements, certified_motion, phase.tension, straight, own_cost
+        task.hitch, end, requirements, certified_motion, phase.tension, straight, shape_cost
     )
     try:
         candidates = morph.solve()
@@ -424,7 +466,8 @@ def optimised_plan(
         return _plan_along_best(task, path, error.best.name, end, phase)
     if not candidates:
         raise HitchoptError("no route was found")
-    name, plan = candidates[0].name, certified[candidates[0].motion]
+    fastest = candidates[0]
+    plan = certified[fastest.motion]
     if duration is not None:
         check_duration(duration, plan.motion.duration)
         slower = in_duration(plan.motion, duration)
@@ -432,9 +475,11 @@ def optimised_plan(
         plan = require_certified(replace(plan, motion=slower))
     if plan.path is straight:
         return plan
-    route = f"on an optimised route, first guess {name}" if name else "legs lead and lag"
+    route = "legs lead and lag"
+    if fastest.name:
+        route = f"on an optimised route, first guess {fastest.name}"
     if cost is not None:
-        return plan.with_remark(f"{route}; its cost is {candidates[0].cost:.4g} s")
+        return plan.with_remark(f"{route}; its cost is {fastest.cost:.4g} s")
     is_feasible = any(not candidate.name for candidate in candidates)
     return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
 
@@ -452,24 +497,22 @@ def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: P
         check_loads(path, task.requirements.limits)
     except InfeasibleError as error:
         violations = [
-            replace(each, when=re.sub(r"of the path( on)?", route, each.when))
-            for each in error.violations
+            replace(violation, when=re.sub(r"of the path( on)?", route, violation.when))
+            for violation in error.violations
         ]
         raise InfeasibleError(violations, error.note) from None
     plan = plan_along(task, path, end, phase)
     if plan.certificate.certified:
         return plan
     motion = plan.motion
-    named = named_checks(plan.certificate, Flight.of(motion))
-    step = motion.phases[0]
-    places = [
-        f"at {check.time / motion.duration:.0%} {route}, in step {step.step} ({step.name})"
-        for check in named
-    ]
+    step = f"in step {phase.step} ({phase.name})"
     unplaced = infeasible_error(plan.certificate, motion).violations
-    raise InfeasibleError(
-        [replace(each, when=place) for each, place in zip(unplaced, places, strict=True)]
-    )
+    named = named_checks(plan.certificate, Flight.of(motion))
+    placed = [
+        replace(violation, when=f"at {check.time / motion.duration:.0%} {route}, {step}")
+        for violation, check in zip(unplaced, named, strict=True)
+    ]
+    raise InfeasibleError(placed)
 
 
 def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
@@ -477,21 +520,26 @@ def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> 
 
     def min_duration(error: InfeasibleError) -> float:
         """Return the minimum duration of a route [s] that is only too slow, else inf."""
-        too_slow = all((v.constraint, v.sense) == ("duration", "min") for v in error.violations)
-        return max((v.limit for v in error.violations if too_slow), default=math.inf)
+        durations = [
+            violation.limit
+            for violation in error.violations
+            if (violation.constraint, violation.sense) == ("duration", "min")
+        ]
+        is_only_slow = len(durations) == len(error.violations)
+        return max(durations, default=math.inf) if is_only_slow else math.inf
 
     errors = [error for error in (direct, other) if isinstance(error, InfeasibleError)]
     if not errors:
         return direct
-    first = min(errors, key=min_duration)
-    if min_duration(first) == math.inf:
-        first = errors[-1]  # that of the best other route, if any limit of it is known
-    if first is not direct and isinstance(direct, InfeasibleError):
+    reported = min(errors, key=min_duration)
+    if min_duration(reported) == math.inf:
+        reported = errors[-1]  # that of the best other route, if any limit of it is known
+    if reported is not direct and isinstance(direct, InfeasibleError):
         note = DIRECT_TOO_SLOW
         if min_duration(direct) == math.inf:
-            broken = replace(direct.violations[0], remedy="")
-            note = f"{DIRECT_INFEASIBLE}: {str(broken).rstrip('; ')}"
-    return InfeasibleError(first.violations, first.note or note)
+            violation = replace(direct.violations[0], remedy="")
+            note = f"{DIRECT_INFEASIBLE}: {str(violation).rstrip('; ')}"
+    return InfeasibleError(reported.violations, reported.note or note)
 
 
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)
@@ -503,7 +551,8 @@ FULL_SHARE = 0.99
 MAX_SLOWDOWN = 1.5
 """Maximum ratio of a step's duration with friction feed-forward to that without."""
 
-MIN_SLIDE = 1e-3  # Change of leg lengths below which a step ends without settling [m]
+MIN_SLIDE = 1e-3
+"""[m] Change of leg lengths below which a step ends without settling."""
 
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
@@ -513,14 +562,14 @@ def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
 
     Unless its duration is prescribed (``timed``) or limited, MAX_SLOWDOWN bounds the slowdown.
     """
-    motion, limits = plan.motion, plan.motion.requirements.limits
+    motion = plan.motion
     if motion.team.cable_friction == 0.0:
         return plan
     from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
 
     if not feedforward_matters(motion):
         return plan
-    slower = not timed and limits.duration is None
+    slower = not timed and motion.requirements.limits.duration is None
     for share in FRICTION_SHARES:
         feedforward = friction_feedforward(motion, share, slower=slower)
         if feedforward is None or feedforward.motion.duration > MAX_SLOWDOWN * motion.duration:
@@ -542,7 +591,8 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
     """
     from hitchopt.planners.morph.morph import BlendedMorph, moves
 
-    requirements, hitches = task.requirements, [task.hitch]
+    requirements = task.requirements
+    hitches = [task.hitch]
     for i, step in enumerate(steps, task.index):
         start = hitches[-1]
         step_task = StepTask(RestState(start.team, start.drones, start), i, requirements)
@@ -570,10 +620,12 @@ def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) ->
     ``settle`` is ``Step.settling`` of its last step. Limits that bind leave automatic swings out;
     swings of a prescribed duration [s] raise InfeasibleError then.
     """
-    hitch, tied = plan.after.hitch, task.before.hitch is None
+    hitch = plan.after.hitch
     if settle is False or hitch is None or hitch.team.cable_friction == 0.0:
         return plan
-    if not tied and np.max(np.ptp(plan.motion.legs.coefficients, axis=(0, -1))) < MIN_SLIDE:
+    was_tied = task.before.hitch is None
+    largest_slide = np.max(np.ptp(plan.motion.legs.coefficients, axis=(0, -1)))
+    if not was_tied and largest_slide < MIN_SLIDE:
         return plan
     seconds = settle if isinstance(settle, float) else None
     settling = settling_plan(
@@ -596,7 +648,9 @@ def settling_plan(
     from hitchopt.planners.morph.friction import SWING, SWINGS, settling_swings
     from hitchopt.planners.timing.timed_motion import needed_stretch
 
-    hitch, requirements, plan = task.hitch, task.requirements, None
+    hitch = task.hitch
+    requirements = task.requirements
+    plan: StepPlan | None = None
     rest_duration = SWINGS * SWING if duration is None else duration
     rest = rest_motion(hitch, requirements, rest_duration, phase)
     for share in FRICTION_SHARES:
@@ -629,11 +683,13 @@ def hover_motion(task: StepTask, duration: float) -> Motion:
     """Return the motion of parked or hovering drones at rest on free cables."""
     from hitchopt.planners.forming.stages import stage
 
-    team, rest = task.before.team, PiecewisePolynomial.constant([0.0, duration], task.before.drones)
+    team = task.before.team
+    rest = PiecewisePolynomial.constant([0.0, duration], task.before.drones)
     motion = stage("parked", rest, team, task.requirements, task.index, CableState.GROUND)
     (phase,) = motion.phases
-    is_hovering = phase.state is CableState.FREE
-    return replace(motion, phases=(replace(phase, name="hold"),)) if is_hovering else motion
+    if phase.state is not CableState.FREE:
+        return motion
+    return replace(motion, phases=(replace(phase, name="hold"),))
 
 
 def check_start(task: StepTask) -> None:
@@ -641,20 +697,26 @@ def check_start(task: StepTask) -> None:
     try:
         require_certified(StepPlan(hover_motion(task, 1.0), task.before), "at the start (t = 0)")
     except InfeasibleError as error:
-        violations = list(error.violations)
-        for i, each in enumerate(violations):
-            if each.constraint == "span":
-                k = int(each.where[0].removeprefix("cable "))
-                q, r = task.before.drones[2 * k : 2 * k + 2]
-                apart, length = float(np.linalg.norm(r - q)), task.before.team.cable_length[k]
-                remedy = (
-                    f"{apart:.6g} m apart on a cable of {length:.6g} m: move q{k} and r{k} of "
-                    "start.drones closer together, or use a longer cable"
-                )
-                where = (f"robot {k}", f"q{k}", f"r{k}")
-                violations[i] = replace(each, where=where, remedy=remedy)
-        violations.sort(key=lambda v: v.constraint != "span")  # other violations follow from it
-        raise InfeasibleError(violations, error.note) from None
+        spans = list[Violation]()
+        consequences = list[Violation]()
+        for violation in error.violations:
+            if violation.constraint == "span":
+                spans.append(_overstretched(violation, task.before))
+            else:
+                consequences.append(violation)
+        raise InfeasibleError([*spans, *consequences], error.note) from None
+
+
+def _overstretched(violation: Violation, state: RestState) -> Violation:
+    """Return the violation of a span at the start, with the names and the distance of drones."""
+    k = int(violation.where[0].removeprefix("cable "))
+    q, r = state.drones[2 * k : 2 * k + 2]
+    distance = float(np.linalg.norm(r - q))
+    remedy = (
+        f"{distance:.6g} m apart on a cable of {state.team.cable_length[k]:.6g} m: move q{k} and "
+        f"r{k} of start.drones closer together, or use a longer cable"
+    )
+    return replace(violation, where=(f"robot {k}", f"q{k}", f"r{k}"), remedy=remedy)
 
 
 def check_above_ground(motion: Motion) -> None:
@@ -663,7 +725,8 @@ def check_above_ground(motion: Motion) -> None:
     if motion.requirements.arena is not None or np.min(heights) >= -ALTITUDE_TOLERANCE:
         return
     piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
-    lowest, name = float(np.min(heights)), motion.team.drone_names[drone]
+    lowest = float(np.min(heights))
+    where = (motion.team.drone_names[drone],)
     when = f"above the ground at about t = {motion.drones.breaks[piece]:.4g} s"
     remedy = "keep altitudes above 0, or give an arena with a lower floor"
-    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", (name,), when, remedy)])
+    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", where, when, remedy)])

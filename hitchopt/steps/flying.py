@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
 from hitchopt.checks.downwash import moves
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.requirements import Limits, Prism
+from hitchopt.hitch.requirements import Limits, Prism, Requirements
 from hitchopt.hitch.team import MAX_DRONES
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import Slab, SolidObject
@@ -24,9 +24,8 @@ from hitchopt.values.units import DURATION
 
 SWARM_PLACES = points((None, 3), "x, y, z", 1, MAX_DRONES)
 
-LIMIT_SHARE = (
-    1.0 - 1e-6
-)  # Usable fraction of the limits of thrust and tilt, as a margin for rounding
+LIMIT_SHARE = 1.0 - 1e-6
+"""Usable fraction of the limits of thrust and tilt, as a margin for rounding."""
 
 CIRCLE_CORNERS = 24
 """Number of corners of the polygon around a circle."""
@@ -38,8 +37,8 @@ MIN_PRISM_HEIGHT = 1e-3
 def check_count(key: str, places: Array, team: Team) -> None:
     """Raise InputError unless there is one place per drone."""
     if len(places) != team.drones:
-        bound, remedy = f"{team.drones} points, one per drone", "change team.drones, or these"
-        raise InputError(key, f"{len(places)} points", bound, remedy)
+        bound = f"{team.drones} points, one per drone"
+        raise InputError(key, f"{len(places)} points", bound, "change team.drones, or these")
 
 
 @documented
@@ -71,9 +70,10 @@ class Fly(Step):
     def request(self, after: RequestedRest, shown: Mapping[str, Any]) -> dict[str, Any]:
         """Return the goal, and the prescribed duration."""
         of_all_steps = super().request(after, shown)
-        return {"drones": self.goal} | {
-            key: value for key, value in of_all_steps.items() if key in ("objects", "seconds")
-        }
+        request: dict[str, Any] = {"drones": self.goal, "objects": of_all_steps["objects"]}
+        if "seconds" in of_all_steps:
+            request["seconds"] = of_all_steps["seconds"]
+        return request
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the flight.
@@ -82,34 +82,58 @@ class Fly(Step):
         """
         from hitchopt.planners.separation import SeparatedCurves, SeparationTask
 
-        requirements, team = task.requirements, task.before.team
-        duration, limit = self.duration, requirements.limits.duration
-        if limit is not None and duration is not None and duration > limit:
-            remedy = "lower duration, or raise limits.duration"
-            violation = Violation(
-                "duration", duration, limit, "max", "s", (), "as requested", remedy
-            )
-            raise InfeasibleError([violation])
-        prisms = [(f"prism {k}", prism) for k, prism in enumerate(requirements.keep_out)]
-        for name, body in requirements.objects.items():
-            rise = requirements.separation.height - requirements.separation.radius
-            rise = rise if moves(body, team) else 0.0
-            prisms += [(name, _prism_around(body, slab, rise)) for slab in body.slabs]
-        names, keep_out = zip(*prisms, strict=True) if prisms else ((), ())
+        requirements = task.requirements
+        team = task.before.team
+        _check_duration(self.duration, requirements.limits)
+        prisms = list(_named_prisms(requirements, team))
+        keep_out = tuple(named.prism for named in prisms)
         separation_task = SeparationTask(
             task.before.drones,
             self.goal,
             replace(requirements, keep_out=keep_out, objects={}),
-            duration=duration,
+            duration=self.duration,
             acceleration=flyable_accelerations(team, requirements.limits),
             names=team.drone_names,
-            prisms=names,
+            prisms=tuple(named.name for named in prisms),
         )
         separated = SeparatedCurves(separation_task).solve(task.progress)
         drones = separated.drones
         phase = Phase(self.name, task.index, 0.0, drones.duration, separated.remark)
         motion = Motion.single(team, requirements, drones, (phase,))
         return StepPlan(motion, replace(task.before, drones=self.goal))
+
+
+def _check_duration(duration: float | None, limits: Limits) -> None:
+    """Raise InfeasibleError for a prescribed duration [s] above its limit."""
+    limit = limits.duration
+    if limit is not None and duration is not None and duration > limit:
+        remedy = "lower duration, or raise limits.duration"
+        violation = Violation("duration", duration, limit, "max", "s", (), "as requested", remedy)
+        raise InfeasibleError([violation])
+
+
+class NamedPrism(NamedTuple):
+    """A prism that drones stay out of."""
+
+    name: str
+    """Name of the prism, or of the object that it contains."""
+
+    prism: Prism
+    """The prism."""
+
+
+def _named_prisms(requirements: Requirements, team: Team) -> Iterator[NamedPrism]:
+    """Yield the prisms that drones of a team stay out of, also around objects.
+
+    Above objects that their downwash moves they keep their ellipsoids' height.
+    """
+    for k, prism in enumerate(requirements.keep_out):
+        yield NamedPrism(f"prism {k}", prism)
+    separation = requirements.separation
+    for name, body in requirements.objects.items():
+        rise = separation.height - separation.radius if moves(body, team) else 0.0
+        for slab in body.slabs:
+            yield NamedPrism(name, _prism_around(body, slab, rise))
 
 
 def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
@@ -124,7 +148,8 @@ def _prism_around(body: SolidObject, slab: Slab, rise: float) -> Prism:
         radius = slab.section.radius / np.cos(np.pi / CIRCLE_CORNERS)
         corners = radius * np.column_stack([np.cos(angles), np.sin(angles)])
     placed = in_world(body.pose, np.column_stack([corners, np.zeros(len(corners))]))
-    lower, upper = body.at[2] + slab.lower, body.at[2] + slab.upper + max(rise, 0.0)
+    lower = body.at[2] + slab.lower
+    upper = body.at[2] + slab.upper + max(rise, 0.0)
     return Prism(placed[:, :2], min(lower, upper - MIN_PRISM_HEIGHT), upper)
 
 
@@ -134,14 +159,23 @@ def flyable_accelerations(team: Team, limits: Limits) -> Array:
     Raises InfeasibleError for drones that cannot hover.
     """
     vertical = team.max_thrust / team.mass - GRAVITY
-    heavy = np.flatnonzero(vertical <= 0.0)
-    if len(heavy):
-        weights, remedy = team.mass * GRAVITY, "give the drone more thrust, or less mass"
-        limit, names = team.max_thrust, team.drone_names
-        raise InfeasibleError(
-            Violation("thrust", weights[i], limit[i], "max", "N", (names[i],), "at rest", remedy)
-            for i in heavy
-        )
+    too_heavy = np.flatnonzero(vertical <= 0.0)
+    if len(too_heavy):
+        raise InfeasibleError(_weight_violation(team, drone) for drone in too_heavy)
     horizontal = GRAVITY * math.sin(limits.tilt)
     feasible = LIMIT_SHARE * np.minimum(vertical, horizontal)
     return np.minimum(feasible, limits.with_reserve.acceleration)
+
+
+def _weight_violation(team: Team, drone: int) -> Violation:
+    """Return the violation of a drone that cannot hover."""
+    return Violation(
+        "thrust",
+        team.mass[drone] * GRAVITY,
+        team.max_thrust[drone],
+        "max",
+        "N",
+        (team.drone_names[drone],),
+        "at rest",
+        "give the drone more thrust, or less mass",
+    )
