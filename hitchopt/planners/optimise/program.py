@@ -10,7 +10,7 @@ are sparse: the effort is linear in knots · n.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
@@ -36,6 +36,8 @@ from hitchopt.planners.optimise.knots import (
     variable_bounds,
 )
 from hitchopt.planners.optimise.times import (
+    TimedRows,
+    TimeEntries,
     acceleration_rows,
     segment_times,
     speed_rows,
@@ -126,90 +128,191 @@ class MorphProgram:
     violates.
     """
 
-    path: KnotPath  # the current path
-    stride: float  # [m]
-    # (inner knots · size, changes): changes of the table's inner rows by the free columns'
+    path: KnotPath
+    """The current path."""
+
+    stride: float
+    """[m] Trust radius of coordinates, the unit of changes."""
+
     tangent: sp.csr_array[np.float64]
+    """(inner knots · size, changes): changes of the table's inner rows by the free columns'."""
+
     program: QuadraticProgram
+    """The program; its solution has the units of the variables."""
 
     def solve(self, effort: Effort) -> KnotPath | None:
         """Return the path of the solution, or None without one; drones follow by the model.
 
         Rows near their bounds are enforced at first, and others when they are violated.
         """
-        program, rows = self.program, sp.csr_array(self.program.A)
-        lower, upper = program.lower, program.upper
-        enforced = np.minimum(-lower, upper) < NEAR_RANGE
+        program = self.program
+        rows = sp.csr_array(program.A)
+        enforced = np.minimum(-program.lower, program.upper) < NEAR_RANGE
         while True:
             A = sp.csc_array(rows[enforced])
-            part = replace(program, A=A, lower=lower[enforced], upper=upper[enforced])
             if not effort.spend(ENTRY_COST * float(program.P.nnz + A.nnz)):
                 return None
-            x = solve_qp(part)
-            if x is None:
+            lower = program.lower[enforced]
+            upper = program.upper[enforced]
+            solution = solve_qp(replace(program, A=A, lower=lower, upper=upper))
+            if solution is None:
                 return None
-            values = rows @ x
-            excess = np.maximum(lower - values, values - upper)
+            values = rows @ solution
+            excess = np.maximum(program.lower - values, values - program.upper)
             if not np.any(excess[~enforced] > 0.0):
                 break
             enforced |= excess > -ADDED_RANGE
+        changes = np.asarray(self.tangent @ solution[: self.tangent.shape[1]])
         table = self.path.table.copy()
-        change = np.asarray(self.tangent @ x[: self.tangent.shape[1]])
-        table[1:-1] += self.stride * change.reshape(len(table) - 2, -1)
+        table[1:-1] += self.stride * changes.reshape(len(table) - 2, -1)
         return self.path.with_table(table)
+
+
+@dataclass(frozen=True, eq=False)
+class RowBlock:
+    """Rows of the program with bounds of their values; they are 0 on the current path."""
+
+    by_changes: sp.csr_array[np.float64]
+    """(rows, changes)"""
+
+    lower: Array
+    """(rows,)"""
+
+    upper: Array
+    """(rows,)"""
+
+    by_times: TimeEntries | None = None
+    """Entries of the steps' times; None if the rows do not depend on them."""
+
+
+class Objective(NamedTuple):
+    """A quadratic function of the table's inner rows."""
+
+    hessian: sp.csr_array[np.float64]
+    """(inner knots · size, inner knots · size), of which the symmetric part counts."""
+
+    gradient: Array
+    """(inner knots · size,)"""
 
 
 def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> MorphProgram:
     """Return the program around a path, with near pairs and normals of that path."""
-    team, inner = path.team, path.table[1:-1].ravel()
+    inner_size = path.table[1:-1].size
     derivatives, turns = _derivatives(path, search.tension is not None)
-    tangent = derivatives[: inner.size]
-    lower, upper = (each - inner for each in variable_bounds(path, search, step.stride))
-    bounded = np.flatnonzero((np.diff(tangent.indptr) > 0) & ((lower > -np.inf) | (upper < np.inf)))
-    smallest = float(np.min(exterior_angles(team.layout, path.edges[[0, -1]])))
-    min_sine = math.sin(min(MIN_ANGLE, 0.5 * smallest))
-    distances, needed = _near_rows(path, search, step)
-    blocks = [tangent[bounded], derivatives[inner.size :], distances @ tangent]
-    lower = np.concatenate([lower[bounded], min_sine - turns, needed])
-    upper = np.append(upper[bounded], np.full(len(turns) + len(needed), np.inf))
-    hessian, gradient = _energy(path, search, step.fastest)
-    if step.fastest and search.cost is not None:
-        terms = search.cost.terms(path)
-        hessian, gradient = hessian + terms.hessian, gradient + terms.gradient
-    costs = [np.asarray(tangent.T @ gradient)]
-    extra: list[tuple[Indices, Indices, Array]] = []  # entries of other variables than changes
-    limits, changes = search.requirements.limits, tangent.shape[1]
-    smallest_changes = np.full(changes, -np.inf)
+    tangent = derivatives[:inner_size]
+    blocks = [
+        _bound_rows(path, search, step, tangent),
+        _turn_rows(path, derivatives[inner_size:], turns),
+        _distance_rows(path, search, step, tangent),
+    ]
+    objective = _energy(path, search, step.fastest)
+    times = np.zeros(0)
     if step.fastest:
+        if search.cost is not None:
+            terms = search.cost.terms(path)
+            hessian = objective.hessian + terms.hessian
+            objective = Objective(hessian, objective.gradient + terms.gradient)
+        limits = search.requirements.limits
         times = step_times(path, limits)
-        for timed in (speed_rows(path, limits, times), acceleration_rows(path, limits, times)):
-            blocks.append(timed.by_table(path) @ tangent)
-            row, by_step, entry = timed.by_times(path.steps)
-            extra.append((len(lower) + row, by_step, entry))
-            lower = np.append(lower, np.full(len(timed.spare), -np.inf))
-            upper = np.append(upper, timed.spare)
-        smallest_changes = np.append(smallest_changes, -MAX_TIME_SAVED / step.stride * times)
-        costs.append(np.ones(path.steps))
-    # Violated rows have slacks, so that the program is always feasible.
-    violated = np.flatnonzero((lower > 0.0) | (upper < 0.0))
-    others = path.steps if step.fastest else 0
-    slacks = np.where(lower[violated] > 0.0, SLACK_SCALE, -SLACK_SCALE)
-    extra.append((violated, others + np.arange(len(violated)), slacks))
-    costs.append(np.full(len(violated), PENALTY_WEIGHT * SLACK_SCALE))
-    q = step.stride * np.concatenate(costs)
-    x_min = np.append(smallest_changes, np.zeros(len(violated)))
-    rows, by, entries = (np.concatenate(part) for part in zip(*extra, strict=True))
-    own = sp.coo_array(sp.vstack(blocks))
-    rows, by = np.append(own.row, rows), np.append(own.col, changes + by)
-    A = sp.csc_array((np.append(own.data, entries), (rows, by)), (len(lower), len(q)))
-    half = 0.5 * step.stride**2 * (tangent.T @ (hessian @ tangent))
-    whole = sp.coo_array(half + half.T)  # whose pattern is symmetric too
-    P = sp.csc_array((whole.data, (whole.row, whole.col)), (len(q), len(q)))
-    program = QuadraticProgram(P, q, A, lower / step.stride, upper / step.stride, x_min)
+        blocks += [
+            _timed_block(timed, path, tangent)
+            for timed in (
+                speed_rows(path, limits, times),
+                acceleration_rows(path, limits, times),
+            )
+        ]
+    program = _assembled(blocks, objective, tangent, times, step.stride)
     return MorphProgram(path, step.stride, tangent, program)
 
 
-PLAN_VIEW = [0, 1, 3, 4, 6, 7]  # Rows of the plan view in the coordinates of three points
+def _bound_rows(
+    path: KnotPath, search: SearchLimits, step: SolverStep, tangent: sp.csr_array[np.float64]
+) -> RowBlock:
+    """Return the rows of bounded columns of the table's inner rows that can change."""
+    current = path.table[1:-1].ravel()
+    smallest, largest = variable_bounds(path, search, step.stride)
+    lower = smallest - current
+    upper = largest - current
+    can_change = np.diff(tangent.indptr) > 0
+    is_bounded = (lower > -np.inf) | (upper < np.inf)
+    bounded = np.flatnonzero(can_change & is_bounded)
+    return RowBlock(tangent[bounded], lower[bounded], upper[bounded])
+
+
+def _turn_rows(path: KnotPath, by_changes: sp.csr_array[np.float64], turns: Array) -> RowBlock:
+    """Return the rows of ``turns``, the sines of exterior angles at inner knots."""
+    smallest = float(np.min(exterior_angles(path.team.layout, path.edges[[0, -1]])))
+    min_sine = math.sin(min(MIN_ANGLE, 0.5 * smallest))
+    return RowBlock(by_changes, min_sine - turns, np.full(len(turns), np.inf))
+
+
+def _distance_rows(
+    path: KnotPath, search: SearchLimits, step: SolverStep, tangent: sp.csr_array[np.float64]
+) -> RowBlock:
+    """Return the rows of the distances of near pairs."""
+    distances, needed = _near_rows(path, search, step)
+    return RowBlock(distances @ tangent, needed, np.full(len(needed), np.inf))
+
+
+def _timed_block(timed: TimedRows, path: KnotPath, tangent: sp.csr_array[np.float64]) -> RowBlock:
+    """Return the rows of limits that depend on the steps' times too."""
+    no_lower = np.full(len(timed.spare), -np.inf)
+    by_changes = timed.by_table(path) @ tangent
+    return RowBlock(by_changes, no_lower, timed.spare, timed.by_times(path.steps))
+
+
+def _assembled(
+    blocks: Sequence[RowBlock],
+    objective: Objective,
+    tangent: sp.csr_array[np.float64],
+    times: Array,
+    stride: float,
+) -> QuadraticProgram:
+    """Return the program of changes, then of the ``times`` (J,) [s], then of slacks.
+
+    Violated rows have slacks, so that the program is always feasible. Without times the duration is
+    not minimized.
+    """
+    lower = np.concatenate([block.lower for block in blocks])
+    upper = np.concatenate([block.upper for block in blocks])
+    changes = tangent.shape[1]
+    violated = np.flatnonzero((lower > 0.0) | (upper < 0.0))
+    variables = changes + len(times) + len(violated)
+
+    by_changes = sp.coo_array(sp.vstack([block.by_changes for block in blocks]))
+    rows = [by_changes.row]
+    columns = [by_changes.col]
+    entries = [by_changes.data]
+    first_rows = np.cumsum([0, *(len(block.lower) for block in blocks)])
+    for block, first_row in zip(blocks, first_rows.tolist(), strict=False):
+        if block.by_times is not None:
+            rows.append(first_row + block.by_times.row)
+            columns.append(changes + block.by_times.step)
+            entries.append(block.by_times.entry)
+    rows.append(violated)
+    columns.append(changes + len(times) + np.arange(len(violated)))
+    entries.append(np.where(lower[violated] > 0.0, SLACK_SCALE, -SLACK_SCALE))
+    places = (np.concatenate(rows), np.concatenate(columns))
+    A = sp.csc_array((np.concatenate(entries), places), (len(lower), variables))
+
+    by_free = tangent.T @ objective.gradient
+    penalties = np.full(len(violated), PENALTY_WEIGHT * SLACK_SCALE)
+    costs = np.concatenate([np.asarray(by_free), np.ones(len(times)), penalties])
+    half = 0.5 * stride**2 * (tangent.T @ (objective.hessian @ tangent))
+    whole = sp.coo_array(half + half.T)  # whose pattern is symmetric too
+    P = sp.csc_array((whole.data, (whole.row, whole.col)), (variables, variables))
+    smallest = np.concatenate(
+        [
+            np.full(changes, -np.inf),
+            -MAX_TIME_SAVED / stride * times,
+            np.zeros(len(violated)),
+        ]
+    )
+    return QuadraticProgram(P, stride * costs, A, lower / stride, upper / stride, smallest)
+
+
+PLAN_VIEW = [0, 1, 3, 4, 6, 7]
+"""Rows of the plan view in the coordinates of three points."""
 
 
 @lru_cache
@@ -224,13 +327,14 @@ def _clasp_derivatives(*, weighted: bool, loaded: bool, rolled: bool, equal: boo
 
     clasp = clasp_function(weighted=weighted, loaded=loaded, rolled=rolled, equal=equal)
     symbols = {name: ca.SX.sym(name, size) for name, size in CLASP_INPUTS.items()}
-    plan_view = symbols["points"] = ca.SX.sym("points", len(PLAN_VIEW))
+    plan_view = ca.SX.sym("points", len(PLAN_VIEW))
+    symbols["points"] = plan_view
     points = ca.SX(CLASP_INPUTS["points"], 1)
     points[PLAN_VIEW] = plan_view
     outputs = clasp(**{**symbols, "points": points})
-    rows = ca.vertcat(outputs["r"][:2], outputs["q"][:2], outputs["e"], outputs["turn"])
-    by = ca.vertcat(plan_view, symbols["q_legs"], symbols["tensions"])
-    slopes = ca.densify(ca.jacobian(rows, by))
+    values = ca.vertcat(outputs["r"][:2], outputs["q"][:2], outputs["e"], outputs["turn"])
+    variables = ca.vertcat(plan_view, symbols["q_legs"], symbols["tensions"])
+    slopes = ca.densify(ca.jacobian(values, variables))
     return ca.Function(
         "derivatives",
         [*symbols.values()],
@@ -246,13 +350,14 @@ def _derivatives(path: KnotPath, free_tensions: bool) -> tuple[sp.csr_array[np.f
 
     Turns (inner knots · n,), sines of exterior angles, are returned as well.
     """
-    columns, team, layout, n = path.columns, path.team, path.team.layout, path.team.robots
-    knots, size = path.table[1:-1], columns.size
-    count, behind, ahead = n * len(knots), layout.behind, layout.ahead
-    around = np.column_stack([layout.starts[behind], layout.clasps, layout.ends[ahead]])
-    cables = np.column_stack([behind, ahead])
-    points = columns.vertices[around].reshape(n, -1)  # columns of the table, by clasp
-    q_legs, tensions = columns.q_legs[cables], columns.tensions[cables]
+    columns = path.columns
+    team = path.team
+    behind = team.layout.behind
+    n = team.robots
+    knots = path.table[1:-1]
+    size = columns.size
+    count = n * len(knots)
+    arguments = ClaspColumns.of(path)
 
     def of_all(values: Array) -> Array:
         """Return values (knots, n, rows) or (n, rows) as columns (rows, knots · n)."""
@@ -260,15 +365,16 @@ def _derivatives(path: KnotPath, free_tensions: bool) -> tuple[sp.csr_array[np.f
         return np.broadcast_to(values, (len(knots), n, rows)).reshape(count, rows).T
 
     roll = np.zeros((n, 1)) if path.roll is None else path.roll[1:-1, :, None]
-    derivatives = _clasp_derivatives(
+    clasp_derivatives = _clasp_derivatives(
         weighted=team.cable_density > 0.0,
         loaded=bool(np.any(team.load)),
         rolled=path.roll is not None,
         equal=bool(np.ptp(team.tension) == 0.0),
-    ).map(count)(
-        points=of_all(knots[:, points]),
-        q_legs=of_all(knots[:, q_legs]),
-        tensions=of_all(knots[:, tensions]),
+    )
+    derivatives = clasp_derivatives.map(count)(
+        points=of_all(knots[:, arguments.points]),
+        q_legs=of_all(knots[:, arguments.q_legs]),
+        tensions=of_all(knots[:, arguments.tensions]),
         roll=of_all(roll),
         cable_length=of_all(team.cable_length[behind, None]),
         load=of_all(GRAVITY * team.load[:, None]),
@@ -276,74 +382,142 @@ def _derivatives(path: KnotPath, free_tensions: bool) -> tuple[sp.csr_array[np.f
     )
     turns = np.asarray(derivatives["turn"]).ravel()
     slopes = np.asarray(derivatives["slopes"]).reshape(6, count, -1).transpose(1, 0, 2)
-    # Rows of drones and r-legs in the table, and of turns after it.
-    start = size * np.arange(len(knots))[:, None, None]
-    drones = columns.drones.reshape(2 * n, 2)
-    own = np.column_stack([drones[2 * behind + 1], drones[2 * ahead], columns.r_legs[behind]])
-    own = np.column_stack([(start + own).reshape(count, 5), size * len(knots) + np.arange(count)])
+
+    # Rows of drones and r-legs in the table, and of turns after it
+    first_columns = size * np.arange(len(knots))[:, None, None]
+    in_table = (first_columns + arguments.results).reshape(count, 5)
+    in_turns = size * len(knots) + np.arange(count)
+    rows_of_results = np.column_stack([in_table, in_turns])
+
     changing = [columns.vertices.ravel(), columns.q_legs]
-    changing += [columns.tensions] if free_tensions else []
-    free = (start[..., 0] + np.concatenate(changing)).ravel()
-    variable = np.full(knots.size, -1)
-    variable[free] = np.arange(len(free))
-    arguments = np.concatenate([points, q_legs, tensions], axis=1)
-    by = variable[(start + arguments).reshape(count, -1)]
-    row, by = np.broadcast_arrays(own[:, :, None], by[:, None, :])
-    used = by >= 0
-    rows, by = np.append(row[used], free), np.append(by[used], np.arange(len(free)))
-    entries = np.append(slopes[used], np.ones(len(free)))
-    shape = knots.size + count, len(free)
-    return sp.csr_array((entries, (rows, by)), shape), turns
+    if free_tensions:
+        changing.append(columns.tensions)
+    free = (first_columns[..., 0] + np.concatenate(changing)).ravel()
+    variable_of = np.full(knots.size, -1)
+    variable_of[free] = np.arange(len(free))
+    variables = variable_of[(first_columns + arguments.all).reshape(count, -1)]
+
+    rows, changes = np.broadcast_arrays(rows_of_results[:, :, None], variables[:, None, :])
+    is_free = changes >= 0
+    all_rows = np.append(rows[is_free], free)
+    all_changes = np.append(changes[is_free], np.arange(len(free)))
+    entries = np.append(slopes[is_free], np.ones(len(free)))
+    shape = (knots.size + count, len(free))
+    return sp.csr_array((entries, (all_rows, all_changes)), shape), turns
 
 
-def _energy(
-    path: KnotPath, search: SearchLimits, fastest: bool
-) -> tuple[sp.csr_array[np.float64], Array]:
-    """Return the Hessian and gradient of the energy by the table's inner rows."""
-    columns, table, steps, n = path.columns, path.table, path.steps, path.team.robots
+class ClaspColumns(NamedTuple):
+    """Columns of the table that the model of a clasp takes and returns, by clasps."""
+
+    points: Indices
+    """(n, 6): the previous vertex, the clasp's and the next one in plan view."""
+
+    q_legs: Indices
+    """(n, 2), of the cables behind and ahead."""
+
+    tensions: Indices
+    """(n, 2), of the cables behind and ahead."""
+
+    results: Indices
+    """(n, 5): drones r_{k-1} and q_k in plan view, and e_{k-1}."""
+
+    @classmethod
+    def of(cls, path: KnotPath) -> ClaspColumns:
+        """Return the columns for a path."""
+        columns = path.columns
+        layout = path.team.layout
+        behind = layout.behind
+        ahead = layout.ahead
+        vertices = np.column_stack([layout.starts[behind], layout.clasps, layout.ends[ahead]])
+        cables = np.column_stack([behind, ahead])
+        drones = columns.drones.reshape(2 * path.team.robots, 2)
+        return cls(
+            points=columns.vertices[vertices].reshape(path.team.robots, -1),
+            q_legs=columns.q_legs[cables],
+            tensions=columns.tensions[cables],
+            results=np.column_stack(
+                [drones[2 * behind + 1], drones[2 * ahead], columns.r_legs[behind]]
+            ),
+        )
+
+    @property
+    def all(self) -> Indices:
+        """(n, 10): columns of all arguments."""
+        return np.concatenate([self.points, self.q_legs, self.tensions], axis=1)
+
+
+def _energy(path: KnotPath, search: SearchLimits, fastest: bool) -> Objective:
+    """Return the energy of the path by the table's inner rows."""
+    columns = path.columns
+    table = path.table
+    steps = path.steps
+    robots = path.team.robots
     limits = search.requirements.limits
-    change = np.diff(np.eye(steps + 1), axis=0)
-    bend = np.diff(change, axis=0)
-    squares, bends = steps * (change.T @ change), steps**3 * (bend.T @ bend)
-    own, bend_weight = 1.0, BEND_WEIGHT
+    difference = np.diff(np.eye(steps + 1), axis=0)
+    second_difference = np.diff(difference, axis=0)
+    squares = steps * (difference.T @ difference)
+    bends = steps**3 * (second_difference.T @ second_difference)
+    energy_weight = 1.0
+    bend_weight = BEND_WEIGHT
     if fastest:
         time = float(np.sum(np.max(segment_times(path, limits), axis=1)))
-        own, bend_weight = TIME_ENERGY_WEIGHT, TIME_BEND_WEIGHT / time
-    scale = np.zeros(columns.size)  # units of time and, for tensions, fractions of the team's
-    scale[columns.vertices], scale[columns.drones] = 1.0 / limits.vertex_speed, 1.0 / limits.speed
-    of_nodes = 2.0 / n * (own * squares + bend_weight * bends)
+        energy_weight = TIME_ENERGY_WEIGHT
+        bend_weight = TIME_BEND_WEIGHT / time
+    scale = np.zeros(columns.size)  # units of time
+    scale[columns.vertices] = 1.0 / limits.vertex_speed
+    scale[columns.drones] = 1.0 / limits.speed
+    of_nodes = 2.0 / robots * (energy_weight * squares + bend_weight * bends)
     hessian = _blockwise(of_nodes[1:-1, 1:-1], scale**2)
     gradient = of_nodes[1:-1] @ table * scale**2
     if search.tension is not None:
-        scale = np.zeros(columns.size)
+        scale = np.zeros(columns.size)  # fractions of the team's tensions
         scale[columns.tensions] = 1.0 / path.team.tension
-        even = TENSION_CHANGE_WEIGHT * (squares + BEND_WEIGHT * bends)
-        of_tensions = 2.0 / n * TENSION_WEIGHT * (np.eye(steps + 1) / steps + even)
+        evenness = TENSION_CHANGE_WEIGHT * (squares + BEND_WEIGHT * bends)
+        sizes = np.eye(steps + 1) / steps
+        of_tensions = 2.0 / robots * TENSION_WEIGHT * (sizes + evenness)
         hessian = hessian + _blockwise(of_tensions[1:-1, 1:-1], scale**2)
         gradient += of_tensions[1:-1] @ table * scale**2
-    return hessian, gradient.ravel()
+    return Objective(hessian, gradient.ravel())
 
 
 def _blockwise(matrix: Array, weights: Array) -> sp.csr_array[np.float64]:
     """Return the Kronecker product of a matrix (K, J) with the diagonal one of weights (size,)."""
-    (row, by), (used,) = np.nonzero(matrix), np.nonzero(weights)
-    size, entries = len(weights), np.multiply.outer(matrix[row, by], weights[used])
-    places = ((size * index[:, None] + used).ravel() for index in (row, by))
-    shape = size * matrix.shape[0], size * matrix.shape[1]
-    return sp.csr_array((entries.ravel(), tuple(places)), shape)
+    row, column = np.nonzero(matrix)
+    (used,) = np.nonzero(weights)
+    size = len(weights)
+    entries = np.multiply.outer(matrix[row, column], weights[used])
+    rows = (size * row[:, None] + used).ravel()
+    columns = (size * column[:, None] + used).ravel()
+    shape = (size * matrix.shape[0], size * matrix.shape[1])
+    return sp.csr_array((entries.ravel(), (rows, columns)), shape)
 
 
 class NearPairs(NamedTuple):
     """Pairs of close bodies, each in one of K frames."""
 
-    frame: Indices  # (m,), index of the frame
-    first: Indices  # (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same
-    second: Indices  # (m, 2), nodes (of 3n) at the ends of each body; a drone's are the same
-    kind: Indices  # (m,), as in ``hitch.pairs``
-    # (m, 3), derivative of the distance by the first body's position: the unit normal along the
-    # shortest offset from the second body, with heights scaled
+    frame: Indices
+    """(m,): index of the frame."""
+
+    first: Indices
+    """(m, 2): nodes (of 3n) at the ends of the first body; a drone's are the same."""
+
+    second: Indices
+    """(m, 2): those of the second body."""
+
+    kind: Indices
+    """(m,), as in ``hitch.pairs``."""
+
     gradient: Array
-    enforced: Array  # (m,) [m], enforced distance
+    """(m, 3): derivative of the distance by the first body's position.
+
+    It is the unit normal along the shortest offset from the second body, with heights scaled."""
+
+    enforced: Array
+    """(m,) [m]: enforced distance."""
+
+
+MIN_OFFSET = 1e-6
+"""[m] Smallest offset of two bodies whose direction is their normal."""
 
 
 def _near_pairs(
@@ -351,19 +525,26 @@ def _near_pairs(
 ) -> NearPairs:
     """Return the pairs of nodes (K, 3n, 3) [m] with distances up to margins and reach (K,) [m]."""
     bodies = TautBodies.of(layout_of(nodes.shape[1] // 3, CLOSED))
-    limits, scales = limits_of(requirements.separation), scales_of(requirements)
+    limits = limits_of(requirements.separation)
+    scales = scales_of(requirements)
     corners = nodes[:, bodies.nodes, :2]  # distances in plan view are lower bounds
     cutoff = float(np.max(limits * np.max(margins)) + np.max(reach))
     frame, i, j, kind = bodies.near(corners.min(axis=2), corners.max(axis=2), limits, cutoff)
     scale = scales[kind][:, None]
-    first, second = (nodes[frame[:, None], bodies.nodes[body]] * scale for body in (i, j))
+    first = nodes[frame[:, None], bodies.nodes[i]] * scale
+    second = nodes[frame[:, None], bodies.nodes[j]] * scale
     offset = shortest_offset(differences(first, second))
-    normal = unit(offset, unit((first - second).mean(axis=1)), 1e-6)
+    normal = unit(offset, unit((first - second).mean(axis=1)), MIN_OFFSET)
     enforced = limits[kind] * margins[frame]
-    ends = bodies.nodes[i], bodies.nodes[j]
-    pairs = NearPairs(frame, *ends, kind, normal * scales[kind], enforced)
     near = length(offset) < enforced + reach[frame]
-    return NearPairs._make(each[near] for each in pairs)
+    return NearPairs(
+        frame=frame[near],
+        first=bodies.nodes[i][near],
+        second=bodies.nodes[j][near],
+        kind=kind[near],
+        gradient=(normal * scales[kind])[near],
+        enforced=enforced[near],
+    )
 
 
 def _near_rows(
@@ -375,26 +556,34 @@ def _near_rows(
     all their ends are. Heights are constant within a step. Between the knots the path is the chord
     of two knots and a constant deviation.
     """
-    parts, columns = step.parts, path.columns
+    columns = path.columns
+    parts = step.parts
     indices = np.arange(1, parts * path.steps) / parts  # of frames, in steps between knots
     if parts == 1:
-        table, heights = path.table[1:-1], path.node_heights[1:-1]
+        table = path.table[1:-1]
+        heights = path.node_heights[1:-1]
     else:
         frames = path.at(indices / path.steps)
-        table, heights = frames.table, frames.node_heights
+        table = frames.table
+        heights = frames.node_heights
     nodes = np.concatenate([table[:, columns.nodes], heights[..., None]], axis=-1)
     margins = search.margins(path.steps, indices)
     reach = np.where(indices % 1.0 == 0.0, 1.0, BETWEEN_KNOTS_SHARE) * step.reach
     pairs = _near_pairs(nodes, search.requirements, margins, reach)
+
     pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)
-    frame, gradient = pairs.frame[pair], pairs.gradient[pair]
-    moved = np.concatenate([columns.nodes[first], columns.nodes[second]], axis=1)
+    frame = pairs.frame[pair]
+    gradient = pairs.gradient[pair]
+    places = np.concatenate([columns.nodes[first], columns.nodes[second]], axis=1)
     slopes = np.concatenate([gradient[:, :2], -gradient[:, :2]], axis=1)
-    entries = (slopes.ravel(), (columns.size * frame[:, None] + moved).ravel())
-    rows = sp.csr_array((*entries, 4 * np.arange(len(pair) + 1)), (len(pair), table.size))
+    in_table = columns.size * frame[:, None] + places
+    row_starts = slopes.shape[1] * np.arange(len(pair) + 1)
+    shape = (len(pair), table.size)
+    rows = sp.csr_array((slopes.ravel(), in_table.ravel(), row_starts), shape)
     rise = heights[frame, first] - heights[frame, second]
     needed = pairs.enforced[pair] - gradient[:, 2] * rise - rows @ table.ravel()
     if parts > 1:
-        share = np.maximum(1.0 - np.abs(indices[:, None] - np.arange(1.0, path.steps)), 0.0)
-        rows = sp.csr_array(rows @ _blockwise(share, np.ones(columns.size)))
+        inner_knots = np.arange(1.0, path.steps)
+        shares = np.maximum(1.0 - np.abs(indices[:, None] - inner_knots), 0.0)
+        rows = sp.csr_array(rows @ _blockwise(shares, np.ones(columns.size)))
     return rows, needed

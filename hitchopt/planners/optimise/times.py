@@ -29,30 +29,57 @@ MIN_SHARE = 0.5
 """Fraction of a limit of speed or acceleration below which a node has no row."""
 
 
+class TimeEntries(NamedTuple):
+    """Entries of a sparse matrix: derivatives of rows by the times of steps."""
+
+    row: Indices
+    """(entries,)"""
+
+    step: Indices
+    """(entries,)"""
+
+    entry: Array
+    """(entries,)"""
+
+
 class TimedRows(NamedTuple):
     """Linear rows of m nodes, by their places at k knots and by the times of l steps."""
 
-    node: Indices  # (m,), of 3n
-    knots: Indices  # (m, k), of which ends and those beyond have no variables
-    by_place: Array  # (m, k, 2), derivatives by the node's places there
-    steps: Indices  # (m, l), of which those before the first or after the last one do not exist
-    by_time: Array  # (m, l), derivatives by the times of these steps
-    spare: Array  # (m,), largest change of the value
+    node: Indices
+    """(m,), of 3n."""
+
+    knots: Indices
+    """(m, k), of which ends and those beyond have no variables."""
+
+    by_place: Array
+    """(m, k, 2): derivatives by the node's places there."""
+
+    steps: Indices
+    """(m, l), of which those before the first or after the last one do not exist."""
+
+    by_time: Array
+    """(m, l): derivatives by the times of these steps."""
+
+    spare: Array
+    """(m,): largest change of the value."""
 
     def by_table(self, path: KnotPath) -> sp.csr_array[np.float64]:
         """Return the derivatives by the table's inner rows."""
-        columns, inner = path.columns, path.steps - 1
-        by = columns.size * (self.knots - 1)[..., None] + columns.nodes[self.node][:, None]
-        used = (self.knots >= 1) & (self.knots <= inner)
-        row = np.broadcast_to(np.arange(len(self.node))[:, None, None], by.shape)
-        entries = self.by_place[used].ravel(), (row[used].ravel(), by[used].ravel())
-        return sp.csr_array(entries, (len(self.node), columns.size * inner))
+        columns = path.columns
+        inner_knots = path.steps - 1
+        first_columns = columns.size * (self.knots - 1)[..., None]
+        places = first_columns + columns.nodes[self.node][:, None]
+        row = np.broadcast_to(np.arange(len(self.node))[:, None, None], places.shape)
+        is_inner = (self.knots >= 1) & (self.knots <= inner_knots)
+        entries = self.by_place[is_inner].ravel()
+        indices = (row[is_inner].ravel(), places[is_inner].ravel())
+        return sp.csr_array((entries, indices), (len(self.node), columns.size * inner_knots))
 
-    def by_times(self, steps: int) -> tuple[Indices, Indices, Array]:
-        """Return rows, steps and entries of the derivatives by the times of all steps."""
-        used = (self.steps >= 0) & (self.steps < steps)
+    def by_times(self, steps: int) -> TimeEntries:
+        """Return the derivatives by the times of all steps, whose number is ``steps``."""
+        exists = (self.steps >= 0) & (self.steps < steps)
         row = np.broadcast_to(np.arange(len(self.node))[:, None], self.steps.shape)
-        return row[used], self.steps[used], self.by_time[used]
+        return TimeEntries(row[exists], self.steps[exists], self.by_time[exists])
 
 
 def node_speeds(path: KnotPath, limits: Limits) -> Array:
@@ -81,25 +108,35 @@ def step_times(path: KnotPath, limits: Limits) -> Array:
 
 def speed_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows:
     """Return the rows of segments' times at the limits of speed: at most those of their steps."""
-    own = segment_times(path, limits)
-    step, node = np.nonzero(own > MIN_SHARE * times[:, None])
+    of_segments = segment_times(path, limits)
+    step, node = np.nonzero(of_segments > MIN_SHARE * times[:, None])
     moves = np.diff(path.table[:, path.columns.nodes], axis=0)[step, node]
     slope = unit(moves) / node_speeds(path, limits)[node, None]
     return TimedRows(
-        node,
-        np.stack([step, step + 1], axis=1),
-        np.stack([-slope, slope], axis=1),
-        step[:, None],
-        np.full((len(step), 1), -1.0),
-        (times[:, None] - own)[step, node],
+        node=node,
+        knots=np.stack([step, step + 1], axis=1),
+        by_place=np.stack([-slope, slope], axis=1),
+        steps=step[:, None],
+        by_time=np.full((len(step), 1), -1.0),
+        spare=(times[:, None] - of_segments)[step, node],
     )
 
 
-def accelerations(places: Array, times: Array) -> tuple[Array, Array, Array]:
-    """Return accelerations (J + 1, k, 2) [m/s²] at knots, from rest to rest.
+class KnotAccelerations(NamedTuple):
+    """Accelerations of k nodes at J + 1 knots, from rest to rest, and what determines them."""
 
-    Also return the mean velocities before and after (2, J + 1, k, 2) [m/s], and the times of the
-    steps before and after (2, J + 1) [s], zero beyond the ends.
+    values: Array
+    """(J + 1, k, 2) [m/s²]"""
+
+    velocities: Array
+    """(2, J + 1, k, 2) [m/s]: mean velocities in the steps before and after; zero at rest."""
+
+    times: Array
+    """(2, J + 1) [s]: times of the steps before and after, zero beyond the ends."""
+
+
+def accelerations(places: Array, times: Array) -> KnotAccelerations:
+    """Return the accelerations of nodes at the knots.
 
     Parameters
     ----------
@@ -108,10 +145,11 @@ def accelerations(places: Array, times: Array) -> tuple[Array, Array, Array]:
     """
     velocities = np.diff(places, axis=0) / times[:, None, None]
     at_rest = np.zeros_like(velocities[:1])
-    around = np.stack([np.append(0.0, times), np.append(times, 0.0)])
-    both = np.stack([np.concatenate([at_rest, velocities]), np.concatenate([velocities, at_rest])])
-    changes = 2.0 * (both[1] - both[0]) / np.sum(around, axis=0)[:, None, None]
-    return changes, both, around
+    before = np.concatenate([at_rest, velocities])
+    after = np.concatenate([velocities, at_rest])
+    times_around = np.stack([np.append(0.0, times), np.append(times, 0.0)])
+    values = 2.0 * (after - before) / np.sum(times_around, axis=0)[:, None, None]
+    return KnotAccelerations(values, np.stack([before, after]), times_around)
 
 
 def acceleration_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows:
@@ -121,28 +159,38 @@ def acceleration_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows
     that of the limits, or its current one if it is larger.
     """
     drones = path.team.robots + np.arange(path.team.drones)
-    places = path.table[:, path.columns.nodes[drones]]
-    values, velocities, around = accelerations(places, times)
-    at_knots = np.searchsorted(path_grid(GRID), np.linspace(0.0, 1.0, path.steps + 1))
-    loads = demands_along(path.path, limits).loads[np.minimum(at_knots, GRID)]
-    spare = np.minimum(spare_accelerations(path.team, limits, loads), limits.acceleration)
-    sizes = length(values)
+    at_knots = accelerations(path.table[:, path.columns.nodes[drones]], times)
+    sizes = length(at_knots.values)
+    spare = _spare_at_knots(path, limits)
     knot, drone = np.nonzero(sizes > MIN_SHARE * spare)
-    size, direction = sizes[knot, drone], unit(values[knot, drone])
-    before, after = around[:, knot]
-    shares = 2.0 / (before + after)
-    of_before, of_after = (
-        np.divide(shares, each, out=np.zeros_like(each), where=each > 0.0)
-        for each in (before, after)
-    )
-    weights = np.stack([of_before, -of_before - of_after, of_after], axis=1)
-    slow, fast = np.sum(velocities[:, knot, drone] * direction, axis=-1)
-    mean = 0.5 * size * shares
+    size = sizes[knot, drone]
+    direction = unit(at_knots.values[knot, drone])
+    before, after = at_knots.times[:, knot]
+    per_velocity = 2.0 / (before + after)
+    per_move_before = _divided(per_velocity, before)
+    per_move_after = _divided(per_velocity, after)
+    weights = np.stack([per_move_before, -per_move_before - per_move_after, per_move_after], axis=1)
+    speed_before, speed_after = np.sum(at_knots.velocities[:, knot, drone] * direction, axis=-1)
+    per_time = 0.5 * size * per_velocity
+    by_time_before = per_move_before * speed_before - per_time
+    by_time_after = -per_move_after * speed_after - per_time
     return TimedRows(
-        drones[drone],
-        knot[:, None] + np.array([-1, 0, 1]),
-        weights[..., None] * direction[:, None],
-        knot[:, None] + np.array([-1, 0]),
-        np.stack([of_before * slow - mean, -of_after * fast - mean], axis=1),
-        np.maximum(spare[knot, drone], size) - size,
+        node=drones[drone],
+        knots=knot[:, None] + np.array([-1, 0, 1]),
+        by_place=weights[..., None] * direction[:, None],
+        steps=knot[:, None] + np.array([-1, 0]),
+        by_time=np.stack([by_time_before, by_time_after], axis=1),
+        spare=np.maximum(spare[knot, drone], size) - size,
     )
+
+
+def _spare_at_knots(path: KnotPath, limits: Limits) -> Array:
+    """Return the accelerations (J + 1, 2n) [m/s²] that drones can reach in all directions."""
+    index = np.searchsorted(path_grid(GRID), np.linspace(0.0, 1.0, path.steps + 1))
+    loads = demands_along(path.path, limits).loads[np.minimum(index, GRID)]
+    return np.minimum(spare_accelerations(path.team, limits, loads), limits.acceleration)
+
+
+def _divided(values: Array, times: Array) -> Array:
+    """Return values over times, zero where there is no time."""
+    return np.divide(values, times, out=np.zeros_like(times), where=times > 0.0)
