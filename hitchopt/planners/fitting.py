@@ -41,9 +41,14 @@ ROTATIONS = 16
 ASPECT_RATIOS = np.geomspace(0.25, 4.0, 41)
 """Aspect ratios of enclosing polygons over the section's own."""
 
-MIN_TURN = 0.6  # Smallest exterior angle, over the mean
-MIN_EDGE = 0.5  # Smallest edge, over the mean
-ROUNDING = 1e-9  # Tolerance within which lengths or margins are equal
+MIN_TURN = 0.6
+"""Smallest exterior angle, over the mean."""
+
+MIN_EDGE = 0.5
+"""Smallest edge, over the mean."""
+
+ROUNDING = 1e-9
+"""Tolerance within which lengths or margins are equal."""
 
 CENTIMETRE = 0.01
 """[m] Step of cable lengths."""

@@ -29,20 +29,36 @@ from hitchopt.motion.motion import CableState
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
-STEP = 0.1  # [s]
-MAX_ORDERS = 60  # maximum number of orders of priority
-CHUNK = 200_000  # pairs of bodies per chunk
-FAR = 1e6  # [m] of bodies that do not count
-REACH = 0.25  # [m] Distance beyond a limit up to which it is computed
+STEP = 0.1
+"""[s] Spacing of samples."""
+
+MAX_ORDERS = 60
+"""Maximum number of orders of priority."""
+
+CHUNK = 200_000
+"""Number of pairs of bodies per chunk."""
+
+FAR = 1e6
+"""[m] Distance of bodies that do not count."""
+
+REACH = 0.25
+"""[m] Distance beyond a limit up to which it is computed."""
 
 
 class SampledBodies(NamedTuple):
     """Segments, or upright hulls of corners in plan view, with extents at sampled times."""
 
-    corners: Array  # (samples, bodies, k, 3) [m]; segments end at the first and the last one
-    heights: Array  # (samples, bodies, 2) [m], lowest and highest
-    radii: Array  # (bodies,) [m], about the corners
-    upright: NDArray[np.bool_]  # (samples,), distances in plan view, or of heights if larger
+    corners: Array
+    """(samples, bodies, k, 3) [m]: segments end at the first and the last one."""
+
+    heights: Array
+    """(samples, bodies, 2) [m]: lowest and highest ones."""
+
+    radii: Array
+    """(bodies,) [m]: radii about the corners."""
+
+    upright: NDArray[np.bool_]
+    """(samples,): distances are those in plan view, or of heights if larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,30 +289,49 @@ class Placed:
 class Blocked:
     """The conflict of two teams without a feasible start."""
 
-    names: tuple[str, str]  # of both teams
-    check: str  # of the violated distance
-    value: float  # of the violated distance
-    limit: float  # of the violated distance
-    time: float  # approximate time of the violation since the item's start [s]
-    place: tuple[float, ...]  # (3,) [m], between both teams
-    at: str  # ``goals`` or ``starts`` if the teams are too close while they rest there, else empty
+    names: tuple[str, str]
+    """Names of both teams."""
+
+    check: str
+    """Name of the check of the violated distance."""
+
+    value: float
+    """The violated distance."""
+
+    limit: float
+    """Its limit."""
+
+    time: float
+    """[s] Approximate time of the violation since the item's start."""
+
+    place: tuple[float, ...]
+    """(3,) [m]: a point between both teams."""
+
+    at: str
+    """``goals`` or ``starts`` if the teams are too close while they rest there, else empty."""
 
 
 @dataclass(eq=False)
 class Schedule:
     """Search for the starts of teams in one item of a mission."""
 
-    # of the teams, in the order of the file; teams at rest have one sample
     tracks: Sequence[SampledPath]
-    separation: Separation  # limits of distances
-    # another path of a team by index and layer from 1 on, or None
+    """Paths of the teams, in the order of the file; teams at rest have one sample."""
+
+    separation: Separation
+    """Limits of distances."""
+
     alternative: Callable[[int, int], SampledPath | None] = lambda *_: None
-    numbers_of_layers: Sequence[int] = (1, 3)  # of every team, tried in turn
-    tables: dict[tuple[SampledPath, SampledPath], Array] = field(
-        default_factory=dict
-    )  # cache of slacks
-    # cache of other paths
+    """Returns another path of a team by index and layer from 1 on, or None."""
+
+    numbers_of_layers: Sequence[int] = (1, 3)
+    """Numbers of layers of every team, tried in turn."""
+
+    tables: dict[tuple[SampledPath, SampledPath], Array] = field(default_factory=dict)
+    """Cache of slacks."""
+
     alternatives: dict[tuple[int, int], SampledPath | None] = field(default_factory=dict)
+    """Cache of other paths."""
 
     def solve(self, fixed: Sequence[Placed], pad: float) -> list[Placed] | Blocked:
         """Return the starts, in the order of the file, or the first conflict.

@@ -27,8 +27,11 @@ from hitchopt.values import Array
 class CircleSize(NamedTuple):
     """Edge lengths of a polygon on a circle."""
 
-    slack: float  # of every cable for its legs, over the shortest one of two legs
-    max_edge: float  # longest edge over the shortest one
+    slack: float
+    """Slack of every cable for its legs, over the shortest one of two legs."""
+
+    max_edge: float
+    """Longest edge over the shortest one."""
 
 
 SIZES = tuple(
@@ -91,7 +94,8 @@ class CircularHitches:
     """The hitches on circles near a goal."""
 
     goal: Hitch
-    requirements: Requirements  # limits and distances
+    requirements: Requirements
+    """Limits and distances."""
 
     @property
     def shapes(self) -> Iterator[Hitch]:

@@ -40,7 +40,8 @@ from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
-UNIT_BREAKS = np.array([0.0, 1.0])  # Breakpoints of s for a path of one piece
+UNIT_BREAKS = np.array([0.0, 1.0])
+"""Breakpoints of s for a path of one piece."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,8 @@ class Action:
         return Path(self.start.team, track, law, roll=roll)
 
 
-START_TOLERANCE = 1e-6  # [m] Largest distance of a point at t = 0 from the vertex
+START_TOLERANCE = 1e-6
+"""[m] Largest distance of a point at t = 0 from the vertex."""
 
 
 def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
@@ -214,22 +216,37 @@ def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
 class FlownAction:
     """The motion of an action, with names of further drones that move."""
 
-    motion: Motion | None  # without phases; None if nothing moves
-    path: Path | None = None  # path that was timed; None if nothing moves, or s is time
-    # drones that the law moves only because of unequal tensions or weight
+    motion: Motion | None
+    """The motion, without phases; None if nothing moves."""
+
+    path: Path | None = None
+    """The path that was timed; None if nothing moves, or s is time."""
+
     turning: tuple[str, ...] = ()
-    sliding: tuple[str, ...] = ()  # drones that move only because the law was infeasible
-    worst: float | None = None  # s of the law's largest violation, or None
+    """Names of drones that the law moves only because of unequal tensions or weight."""
+
+    sliding: tuple[str, ...] = ()
+    """Names of drones that move only because the law was infeasible."""
+
+    worst: float | None = None
+    """The law's largest violation is at this s; None without one."""
 
 
 @dataclass(frozen=True, eq=False)
 class ActionMorph:
     """A planner of actions, in which cables slide if a limit binds on the path."""
 
-    action: Action  # the action
-    end: Hitch  # the hitch after it; its legs may differ from those of the law
-    requirements: Requirements  # limits and distances
-    duration: float | None = None  # prescribed duration [s]; None for the fastest one
+    action: Action
+    """The action."""
+
+    end: Hitch
+    """The hitch after it; its legs may differ from those of the law."""
+
+    requirements: Requirements
+    """Limits and distances."""
+
+    duration: float | None = None
+    """Prescribed duration [s]; None for the fastest one."""
 
     @cached_property
     def own_path(self) -> Path:

@@ -16,7 +16,8 @@ from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
-PATH_SAMPLES = 65  # Number of sampled points of the path; the certificate bounds all of it
+PATH_SAMPLES = 65
+"""Number of sampled points of the path; the certificate bounds all of it."""
 
 REFINEMENTS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.002), (33, 1.01))
 """Numbers of knots at which leg lengths are optimized, and margins of distances and legs there."""
@@ -31,7 +32,8 @@ MARGIN_RAMP = 3.0
 ROUGHNESS_WEIGHT = 1.0
 """[m²] Weight of second differences of fractions between knots relative to deviations of legs."""
 
-SLIDING_TOLERANCE = 1e-6  # [m] Change of legs below which a cable keeps its law
+SLIDING_TOLERANCE = 1e-6
+"""[m] Change of legs below which a cable keeps its law."""
 
 
 def with_legs_clear(

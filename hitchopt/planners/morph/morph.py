@@ -23,7 +23,8 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 
-POSITION_TOLERANCE = 1e-9  # [m] Distance below which positions are equal
+POSITION_TOLERANCE = 1e-9
+"""[m] Distance below which positions are equal."""
 
 
 def moves(start: Hitch, end: Hitch) -> bool:
@@ -56,7 +57,8 @@ MIN_EDGE = 1e-3
 MIN_LEG = 1e-3
 """[m] Shortest leg on a path, below which its direction is inaccurate."""
 
-SHAPE_SAMPLES = 401  # Number of points of the path at which shapes are checked before timing
+SHAPE_SAMPLES = 401
+"""Number of points of the path at which shapes are checked before timing."""
 
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
@@ -117,8 +119,11 @@ class BlendedMorph:
     minimize the third derivative. Their parameter is nearly the distance of the farthest drone.
     """
 
-    hitches: Sequence[Hitch]  # (J,), three or more, each different from the next
-    requirements: Requirements  # limits of motion
+    hitches: Sequence[Hitch]
+    """(J,): three or more, each different from the next."""
+
+    requirements: Requirements
+    """Limits of motion."""
 
     @property
     def knots(self) -> Array:

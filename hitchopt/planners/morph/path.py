@@ -56,8 +56,11 @@ class LegLaw:
     ``e``.
     """
 
-    length: PiecewisePolynomial  # of shape (n,) over s [m]
-    share: PiecewisePolynomial  # of shape (n,) over s
+    length: PiecewisePolynomial
+    """(n,) [m]: the constant terms, over s."""
+
+    share: PiecewisePolynomial
+    """(n,): the factors of the slack, over s."""
 
     @classmethod
     def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
@@ -81,10 +84,14 @@ FIT_TOLERANCE = 1e-4
 FIT_SHARES = 0.382, 0.618
 """Where a fit is tested between two samples: whole turns between them are noticed, too."""
 
-MIN_KNOTS = 3  # Smallest number of knots of a natural quintic spline
+MIN_KNOTS = 3
+"""Smallest number of knots of a natural quintic spline."""
 
-PLOTTED_SHAPES = 7  # Number of outlines in a picture of a path
-PLOTTED_SAMPLES = 201  # Number of samples of the drones in a picture of a path
+PLOTTED_SHAPES = 7
+"""Number of outlines in a picture of a path."""
+
+PLOTTED_SAMPLES = 201
+"""Number of samples of the drones in a picture of a path."""
 
 Samples = Points | Callable[[float], Points]
 """Values over s: a function of s from 0 to 1, or knots (J, …) at evenly spaced s."""
@@ -263,8 +270,11 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
 class _Samples:
     """Values over evenly spaced s."""
 
-    values: Array  # (J, *shape)
-    smooth: bool  # whether they are samples of a function, not knots
+    values: Array
+    """(J, *shape)"""
+
+    smooth: bool
+    """Whether they are samples of a function, not knots."""
 
     @property
     def spline(self) -> PiecewisePolynomial:
@@ -343,11 +353,16 @@ def _checked_s(s: ArrayLike) -> Array:
 class Shapes:
     """Shapes at J points of a path."""
 
-    polygons: Array  # (J, points, 2) [m], in plan view
-    # (J, n, 2) [m], ``d`` and ``e`` as cable lengths, negative if a cable is too short, zero at a
-    # chain's ends
+    polygons: Array
+    """(J, points, 2) [m]: vertices in plan view."""
+
     legs: Array
-    roll: Array | None = None  # (J, clasps) [rad], or None
+    """(J, n, 2) [m]: ``d`` and ``e`` as cable lengths.
+
+    They are negative if a cable is too short, and zero at a chain's ends."""
+
+    roll: Array | None = None
+    """(J, clasps) [rad], or None."""
 
     def __getitem__(self, mask: NDArray[np.bool_]) -> Shapes:
         roll = None if self.roll is None else self.roll[mask]

@@ -36,11 +36,20 @@ trajectory need not end at knots."""
 class Columns:
     """The columns of a table (knots, size): flat outputs, and drones and r-legs that follow."""
 
-    vertices: Indices  # (n, 2)
-    q_legs: Indices  # (n,)
-    r_legs: Indices  # (n,)
-    drones: Indices  # (2n, 2)
-    tensions: Indices  # (n,)
+    vertices: Indices
+    """(n, 2): x and y of vertices."""
+
+    q_legs: Indices
+    """(n,): lengths of q-legs."""
+
+    r_legs: Indices
+    """(n,): lengths of r-legs."""
+
+    drones: Indices
+    """(2n, 2): x and y of drones."""
+
+    tensions: Indices
+    """(n,): tensions of cables."""
 
     @property
     def size(self) -> int:
@@ -66,13 +75,26 @@ def columns_of(robots: int) -> Columns:
 class KnotPath:
     """A hitch at J + 1 knots, evenly spaced in the path's parameter."""
 
-    name: str  # of the initial guess
-    team: Team  # of the hitch
-    altitude: float  # of the hitch's plane [m]
-    polygons: Array  # (J + 1, n, 2) [m]
-    q_legs: Array  # (J + 1, n) [m]
-    tensions: Array  # (J + 1, n) [N]
-    roll: Array | None = None  # (J + 1, clasps) [rad], or None
+    name: str
+    """Name of the initial guess."""
+
+    team: Team
+    """The team of the hitch."""
+
+    altitude: float
+    """[m] Altitude of the hitch's plane."""
+
+    polygons: Array
+    """(J + 1, n, 2) [m]: vertices in plan view."""
+
+    q_legs: Array
+    """(J + 1, n) [m]: lengths of q-legs."""
+
+    tensions: Array
+    """(J + 1, n) [N]: tensions of cables."""
+
+    roll: Array | None = None
+    """(J + 1, clasps) [rad]: roll of legs, or None."""
 
     @classmethod
     def through(cls, name: str, start: Hitch, end: Hitch, polygons: Array) -> KnotPath:
@@ -125,19 +147,21 @@ class KnotPath:
     def at(self, s: Array) -> KnotPath:
         """Return the path with the hitches at s (K,) as knots."""
         flat = self.path.flat(s, 1)
-        shapes, tensions = shapes_of(self.team, flat), flat.tensions[..., 0]
-        q_legs = shapes.legs[..., 0]
+        shapes = shapes_of(self.team, flat)
         return replace(
-            self, polygons=shapes.polygons, q_legs=q_legs, tensions=tensions, roll=shapes.roll
+            self,
+            polygons=shapes.polygons,
+            q_legs=shapes.legs[..., 0],
+            tensions=flat.tensions[..., 0],
+            roll=shapes.roll,
         )
 
     def with_perturbed_legs(self, share: float) -> KnotPath:
         """Return the path with q-legs changed at random, by up to a fraction of the shorter leg."""
-        random = np.random.default_rng(0).uniform(-share, share, self.q_legs.shape)
-        random[[0, -1]] = 0.0
-        return replace(
-            self, q_legs=self.q_legs + random * np.minimum(self.q_legs, self.slack - self.q_legs)
-        )
+        shares = np.random.default_rng(0).uniform(-share, share, self.q_legs.shape)
+        shares[[0, -1]] = 0.0
+        shorter = np.minimum(self.q_legs, self.slack - self.q_legs)
+        return replace(self, q_legs=self.q_legs + shares * shorter)
 
     @property
     def columns(self) -> Columns:
@@ -147,16 +171,16 @@ class KnotPath:
     @cached_property
     def drones(self) -> Array:
         """(J + 1, n, 2, 3) [m]: positions of both drones of every cable, heights over the plane."""
-        corners, edges, r_legs = self.polygons, self.edges, self.slack - self.q_legs
+        r_legs = self.slack - self.q_legs
         loads = clasp_loads(self.team, self.q_legs, self.slack, self.roll)
-        q, r = leg_directions(unit(edges), self.tensions, loads=loads)
+        q_directions, r_directions = leg_directions(unit(self.edges), self.tensions, loads=loads)
         sag = sag_factors(self.team, self.tensions)
         drones = np.zeros((*self.q_legs.shape, 2, 3))
-        dimensions = q.shape[-1]  # 2 if all legs are level
-        drones[:, :, 0, :dimensions] = leg_vectors(self.q_legs, q, sag)
-        drones[:, :, 1, :dimensions] = leg_vectors(r_legs, r, sag)
-        drones[:, :, 0, :2] += corners
-        drones[:, :, 1, :2] += np.roll(corners, -1, axis=1)
+        dimensions = q_directions.shape[-1]  # 2 if all legs are level
+        drones[:, :, 0, :dimensions] = leg_vectors(self.q_legs, q_directions, sag)
+        drones[:, :, 1, :dimensions] = leg_vectors(r_legs, r_directions, sag)
+        drones[:, :, 0, :2] += self.polygons
+        drones[:, :, 1, :2] += np.roll(self.polygons, -1, axis=1)
         return drones
 
     @property
@@ -168,17 +192,22 @@ class KnotPath:
     @cached_property
     def table(self) -> Array:
         """(knots, size): all columns, read-only."""
-        r_legs, drones = self.slack - self.q_legs, self.drones[..., :2]
-        parts = [self.polygons, self.q_legs, r_legs, drones, self.tensions]
-        table = np.concatenate([part.reshape(len(r_legs), -1) for part in parts], axis=1)
+        knots = len(self.polygons)
+        r_legs = self.slack - self.q_legs
+        parts = [self.polygons, self.q_legs, r_legs, self.drones[..., :2], self.tensions]
+        table = np.concatenate([part.reshape(knots, -1) for part in parts], axis=1)
         table.setflags(write=False)
         return table
 
     def with_table(self, table: Array) -> KnotPath:
         """Return the path with the vertices, q-legs and tensions of a table (knots, size)."""
         columns = self.columns
-        polygons, q_legs = table[:, columns.vertices], table[:, columns.q_legs]
-        return replace(self, polygons=polygons, q_legs=q_legs, tensions=table[:, columns.tensions])
+        return replace(
+            self,
+            polygons=table[:, columns.vertices],
+            q_legs=table[:, columns.q_legs],
+            tensions=table[:, columns.tensions],
+        )
 
 
 def _knot_spline(values: Array) -> PiecewisePolynomial:
@@ -199,6 +228,9 @@ TENSION_MARGIN = 0.02
 STATIC_SHARE = 0.97
 """Largest fraction of thrust and tilt at rest, with a reserve for motion."""
 
+MIN_MARGIN_RESERVE = 1e-9
+"""Smallest reserve of a margin over 1 by which others are divided."""
+
 MARGIN_RAMP = 2.0
 """Number of knots over which the margin changes from that of an end, since a jump would bend the
 path."""
@@ -211,10 +243,14 @@ Judge = Callable[[Path], Motion | None]
 class SolverStep:
     """Parameters of a step of the optimizer."""
 
-    stride: float  # [m], trust radius of coordinates of vertices and drones
-    # number of parts of every step between knots, at whose ends distances are enforced
+    stride: float
+    """[m] Trust radius of coordinates of vertices and drones."""
+
     parts: int = 1
-    fastest: bool = False  # whether to minimize time instead of energy
+    """Number of parts of every step between knots, at whose ends distances are enforced."""
+
+    fastest: bool = False
+    """Whether to minimize time instead of energy."""
 
     @property
     def reach(self) -> float:
@@ -229,8 +265,11 @@ class Effort:
     It is the sum of the costs of programs; its unit takes about 0.1 ms.
     """
 
-    limit: float = math.inf  # within which programs start
-    spent: float = 0.0  # so far
+    limit: float = math.inf
+    """Effort within which programs start."""
+
+    spent: float = 0.0
+    """Effort so far."""
 
     def spend(self, cost: float) -> bool:
         """Add the cost of a program, and return whether it is within the limit."""
@@ -241,7 +280,9 @@ class Effort:
 class CostTerms(NamedTuple):
     """Second-order expansion of a cost by the inner rows of a path's table."""
 
-    hessian: sp.csr_array[np.float64]  # positive semidefinite
+    hessian: sp.csr_array[np.float64]
+    """Positive semidefinite matrix."""
+
     gradient: Array
 
 
@@ -259,15 +300,29 @@ class PathCost(Protocol):
 class SearchLimits:
     """Constraints of all paths of one search."""
 
-    requirements: Requirements  # of the problem
-    judge: Judge  # accepts or rejects paths
-    tension: tuple[float, float] | None  # smallest and largest [N] of variable tensions, or None
-    end_margins: tuple[float, float]  # margins of distances of the first and last hitch
-    margin: float = 1.02  # enforced margin of distances at the knots
-    effort: Effort = field(default_factory=Effort)  # of all programs of the search
-    # refined paths that break a limit, for the diagnosis
+    requirements: Requirements
+    """Requirements of the problem."""
+
+    judge: Judge
+    """Accepts or rejects paths."""
+
+    tension: tuple[float, float] | None
+    """[N] Smallest and largest one of variable tensions, or None."""
+
+    end_margins: tuple[float, float]
+    """Margins of distances of the first and the last hitch."""
+
+    margin: float = 1.02
+    """Enforced margin of distances at the knots."""
+
+    effort: Effort = field(default_factory=Effort)
+    """Effort of all programs of the search."""
+
     rejected: list[KnotPath] = field(default_factory=list)
-    cost: PathCost | None = None  # custom, to be minimized with the duration
+    """Refined paths that break a limit, for the diagnosis."""
+
+    cost: PathCost | None = None
+    """Custom cost, to be minimized with the duration."""
 
     def cost_of(self, path: Path) -> float:
         """Return the cost of a path [s]; 0 without one."""
@@ -275,40 +330,60 @@ class SearchLimits:
 
     def margins(self, steps: int, indices: Array) -> Array:
         """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""
-        first, last = (min(m, self.margin) for m in self.end_margins)
-        out, back = (np.minimum(a / MARGIN_RAMP, 1.0) for a in (indices, steps - indices))
-        return np.minimum(first + out * (self.margin - first), last + back * (self.margin - last))
+        first = min(self.end_margins[0], self.margin)
+        last = min(self.end_margins[1], self.margin)
+        rise = np.minimum(indices / MARGIN_RAMP, 1.0)
+        fall = np.minimum((steps - indices) / MARGIN_RAMP, 1.0)
+        from_first = first + rise * (self.margin - first)
+        toward_last = last + fall * (self.margin - last)
+        return np.minimum(from_first, toward_last)
 
 
 def variable_bounds(path: KnotPath, search: SearchLimits, stride: float) -> tuple[Array, Array]:
     """Return bounds of the inner knots' variables by legs, walls, stride [m] and tensions."""
-    columns, table, team = path.columns, path.table[1:-1], path.team
-    margins = search.margins(path.steps, np.arange(1.0, path.steps))
-    arena, limits = search.requirements.arena, search.requirements.limits
+    columns = path.columns
+    table = path.table[1:-1]
+    arena = search.requirements.arena
     lower = np.full(table.shape, -np.inf)
     upper = np.full(table.shape, np.inf)
     if arena is not None:
         lower[:, columns.drones] = arena.lower[:2] + KNOT_MARGIN
         upper[:, columns.drones] = arena.upper[:2] - KNOT_MARGIN
-    if search.tension is None:
-        lower[:, columns.tensions] = upper[:, columns.tensions] = team.tension
-    else:
-        smallest, largest = search.tension
-        margin = TENSION_MARGIN * (largest - smallest)
-        # Both drones of a robot can hover against a horizontal pull.
-        lift = team.mass * GRAVITY + team.cable_weight
-        spare = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
-        static = np.minimum(spare, lift * math.tan(STATIC_SHARE * limits.tilt))
-        static = static.reshape(-1, 2).min(axis=1)
-        lower[:, columns.tensions] = smallest + margin
-        static = np.minimum(largest - margin, static)
-        upper[:, columns.tensions] = np.maximum(smallest + margin, static)
-    share = (margins - 1.0) / max(search.margin - 1.0, 1e-9)
-    leg_margin = KNOT_MARGIN if search.cost is None else COST_LEG_MARGIN
-    legs = limits.leg + leg_margin * np.clip(share, 0.0, 1.0)
-    lower[:, columns.q_legs] = lower[:, columns.r_legs] = legs[:, None]
+    lowest_tension, highest_tension = _tension_bounds(path.team, search)
+    lower[:, columns.tensions] = lowest_tension
+    upper[:, columns.tensions] = highest_tension
+    shortest = _shortest_legs(path.steps, search)[:, None]
+    lower[:, columns.q_legs] = shortest
+    lower[:, columns.r_legs] = shortest
     nodes = columns.nodes
     lower[:, nodes] = np.maximum(lower[:, nodes], table[:, nodes] - stride)
     upper[:, nodes] = np.minimum(upper[:, nodes], table[:, nodes] + stride)
-    # For a guess outside the arena the bounds are exchanged, and pull it toward the walls.
+    # For a guess outside the arena the bounds are exchanged, and pull it toward the walls
     return np.minimum(lower, upper).ravel(), np.maximum(lower, upper).ravel()
+
+
+def _tension_bounds(team: Team, search: SearchLimits) -> tuple[Array, Array]:
+    """Return the smallest and the largest tensions (n,) [N] of cables at knots.
+
+    Both drones of a robot can hover against the horizontal pull of the largest ones.
+    """
+    if search.tension is None:
+        return team.tension, team.tension
+    smallest, largest = search.tension
+    margin = TENSION_MARGIN * (largest - smallest)
+    lowest = smallest + margin
+    lift = team.mass * GRAVITY + team.cable_weight
+    spare_thrust = np.sqrt(np.maximum((STATIC_SHARE * team.max_thrust) ** 2 - lift**2, 0.0))
+    largest_tilt = STATIC_SHARE * search.requirements.limits.tilt
+    pull_of_drones = np.minimum(spare_thrust, lift * math.tan(largest_tilt))
+    pull = pull_of_drones.reshape(-1, 2).min(axis=1)
+    highest = np.maximum(lowest, np.minimum(largest - margin, pull))
+    return np.full(team.robots, lowest), highest
+
+
+def _shortest_legs(steps: int, search: SearchLimits) -> Array:
+    """Return the shortest legs (steps - 1,) [m] at inner knots, with the margins of distances."""
+    margins = search.margins(steps, np.arange(1.0, steps))
+    share = (margins - 1.0) / max(search.margin - 1.0, MIN_MARGIN_RESERVE)
+    leg_margin = KNOT_MARGIN if search.cost is None else COST_LEG_MARGIN
+    return np.asarray(search.requirements.limits.leg + leg_margin * np.clip(share, 0.0, 1.0))

@@ -48,8 +48,11 @@ from hitchopt.values import Array
 class Refinement(NamedTuple):
     """A round of refinement."""
 
-    knots: int  # factor of the number of steps between knots
-    margin: float  # of distances
+    knots: int
+    """Factor of the number of steps between knots."""
+
+    margin: float
+    """Margin of distances."""
 
 
 REFINEMENTS = (Refinement(1, 1.03), Refinement(2, 1.05))
@@ -164,7 +167,8 @@ class Candidate:
 
     name: str
     motion: Motion
-    cost: float = 0.0  # integral of a custom cost on its path [s]
+    cost: float = 0.0
+    """[s] Integral of a custom cost on its path."""
 
     @property
     def objective(self) -> float:
@@ -188,15 +192,26 @@ class OptimisedMorph:
     can be faster.
     """
 
-    start: Hitch  # hitch at one altitude that satisfies all limits
-    end: Hitch  # hitch at the same altitude that satisfies all limits
-    requirements: Requirements  # limits, separation and arena
-    judge: Judge  # accepts or rejects paths; rejected ones are refined
-    # smallest and largest [N] of variable tensions, or None
+    start: Hitch
+    """Hitch at one altitude that satisfies all limits."""
+
+    end: Hitch
+    """Hitch at the same altitude that satisfies all limits."""
+
+    requirements: Requirements
+    """Limits, separation and arena."""
+
+    judge: Judge
+    """Accepts or rejects paths; rejected ones are refined."""
+
     tension: tuple[float, float] | None = None
-    straight: Path | None = None  # path with straight vertices; None if it is infeasible
-    # with a cost all guesses are optimized, whatever their durations
+    """[N] Smallest and largest one of variable tensions, or None."""
+
+    straight: Path | None = None
+    """Path with straight vertices; None if it is infeasible."""
+
     cost: ShapeCost | None = None
+    """Custom cost; with one all guesses are optimized, whatever their durations."""
 
     @property
     def min_duration(self) -> float:

@@ -23,12 +23,14 @@ from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, S
 from hitchopt.planners.timing.ramps import fastest_ramps
 from hitchopt.values import Array
 
-RAMP_PIECES = 3  # Number of pieces of a ramp, which resolve the fastest flight to within 2 %
+RAMP_PIECES = 3
+"""Number of pieces of a ramp, which resolve the fastest flight to within 2 %."""
 
 MAX_CRUISE_PIECES = 20
 """Maximum number of pieces between the ramps; if there are fewer, each is as long as a ramp."""
 
-MIN_RAMP_SHARE = 1e-5  # Shortest ramp over the duration; splines do not resolve shorter ones
+MIN_RAMP_SHARE = 1e-5
+"""Shortest ramp over the duration; splines do not resolve shorter ones."""
 
 
 def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
@@ -86,8 +88,11 @@ def _progress(s: Array, ramp: float) -> Array:
 CORNER_DISTANCE = 1.25
 """Distance of a route's corners to prisms, in radii; 1 if there is no such route."""
 
-TOWER_HEIGHT = 1e6  # [m] Altitude above, and depth below, all flights
-RADIUS_TOLERANCE = 1e-6  # Tolerance of distances to prisms, relative to the radius
+TOWER_HEIGHT = 1e6
+"""[m] Altitude above, and depth below, all flights."""
+
+RADIUS_TOLERANCE = 1e-6
+"""Tolerance of distances to prisms, relative to the radius."""
 
 
 def points_along(route: Array, shares: Array) -> Array:
@@ -203,11 +208,21 @@ def _widened(outline: Array, distance: float) -> Array:
     return widened
 
 
-SAMPLES = 3  # Number of samples of every piece at which guesses are pushed
-TARGET_SEPARATION = 1.15  # Target of pushes; above 1, since drones move between samples
-MAX_PUSH_ITERATIONS = 120  # Maximum number of iterations of pushing
-MOMENTUM = 0.8  # Fraction of an iteration's pushes that is added to the next
-SMOOTHING_TIME = 0.08  # Time constant of the smoothing filter, over the duration
+SAMPLES = 3
+"""Number of samples of every piece at which guesses are pushed."""
+
+TARGET_SEPARATION = 1.15
+"""Target of pushes; above 1, since drones move between samples."""
+
+MAX_PUSH_ITERATIONS = 120
+"""Maximum number of iterations of pushing."""
+
+MOMENTUM = 0.8
+"""Fraction of an iteration's pushes that is added to the next."""
+
+SMOOTHING_TIME = 0.08
+"""Time constant of the smoothing filter, over the duration."""
+
 SIDE_FADE_SHARE = (
     0.5  # Fraction of the iterations over which the common side fades out of the pushes
 )
@@ -304,7 +319,8 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
 SCHEDULE_PIECES = 4.0
 """Number of pieces of a grid for a schedule, over that of a grid for flights as long."""
 
-SCHEDULE_SMOOTHING_TIME = 0.005  # Time constant of the filter of a schedule, over its duration
+SCHEDULE_SMOOTHING_TIME = 0.005
+"""Time constant of the filter of a schedule, over its duration."""
 
 
 def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
@@ -321,12 +337,14 @@ def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
     return replace(setting, nominal=nominal)
 
 
-MIN_CROWD = 32  # Number of drones that meet at once from which on there is a roundabout
+MIN_CROWD = 32
+"""Number of drones that meet at once from which on there is a roundabout."""
 
 LAYERS = 2
 """Number of altitudes of a roundabout, which drones take in turn; it divides the rings' radius."""
 
-RING_FACTOR = 1.06  # Radius of a ring over that at which its drones have the TARGET_SEPARATION
+RING_FACTOR = 1.06
+"""Radius of a ring over that at which its drones have the TARGET_SEPARATION."""
 
 DETOUR_FACTOR = 1.3
 """Distance from the centre at which drones leave their straight routes, over the radius of a ring

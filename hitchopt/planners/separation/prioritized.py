@@ -30,20 +30,36 @@ Node = tuple[int, int, int]
 SPACING = 0.25
 """Distance between neighbouring points of a lattice, in separations."""
 
-MAX_POINTS = 40_000  # Maximum number of points; lattices of larger spaces are coarser
-MAX_SPACING = 1.0  # Spacing, in separations, above which a lattice resolves no two drones
-COARSER = 1.1  # Ratio of spacings of a coarser and a finer lattice
-MAX_MOVE = 0.6  # Largest distance by which a point is moved away from prisms, over the spacing
-MOVES = 4  # Number of times that points are moved away from each prism
-PRISM_TOLERANCE = 1e-3  # Tolerance of the distance to prisms, over the radius of drones
-MARGIN = 3.0  # Lattice around starts and goals without an arena, in separations
+MAX_POINTS = 40_000
+"""Maximum number of points; lattices of larger spaces are coarser."""
+
+MAX_SPACING = 1.0
+"""Spacing, in separations, above which a lattice resolves no two drones."""
+
+COARSER = 1.1
+"""Ratio of spacings of a coarser and a finer lattice."""
+
+MAX_MOVE = 0.6
+"""Largest distance by which a point is moved away from prisms, over the spacing."""
+
+MOVES = 4
+"""Number of times that points are moved away from each prism."""
+
+PRISM_TOLERANCE = 1e-3
+"""Tolerance of the distance to prisms, over the radius of drones."""
+
+MARGIN = 3.0
+"""Lattice around starts and goals without an arena, in separations."""
 
 CLEARANCES = (1.1, 1.0, 0.9)
 """Separations of drones at the times of a lattice, in the order in which they are tried. Between
 these times drones may come closer; the programs that follow correct it."""
 
-MAX_STEPS_RATIO = 5  # Maximum number of steps over that of the longest path alone
-MAX_ORDERS = 8  # Maximum number of orders of priority for each clearance
+MAX_STEPS_RATIO = 5
+"""Maximum number of steps over that of the longest path alone."""
+
+MAX_ORDERS = 8
+"""Maximum number of orders of priority for each clearance."""
 
 STEPS = np.array(sorted(product((-1, 0, 1), repeat=3), key=lambda step: sum(map(abs, step))))
 """(27, 3) Steps from a point to itself, which is waiting, and to its neighbours."""

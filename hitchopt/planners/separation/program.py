@@ -27,7 +27,8 @@ from hitchopt.planners.separation.task import END_COUNT, Setting, inside
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
-PLANE_MARGIN = 0.01  # Margin of every plane, in separations; OSQP's residuals are some thousandths
+PLANE_MARGIN = 0.01
+"""Margin of every plane, in separations; OSQP's residuals are some thousandths."""
 
 DEVIATION_WEIGHT = 1.0
 """Weight of the squared distance to the nominal curves, for lengths relative to the longest route.
@@ -36,7 +37,8 @@ DEVIATION_WEIGHT = 1.0
 ROUGHNESS_WEIGHT = 3e-7
 """Weight of the squared third derivative, for such lengths and a duration of one."""
 
-PLANE_PENALTY = 10.0  # Penalty weight of a squared slack of a plane or tether
+PLANE_PENALTY = 10.0
+"""Penalty weight of a squared slack of a plane or tether."""
 
 LIMIT_PENALTY = 100.0
 """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
@@ -246,7 +248,8 @@ INITIAL_STEP = 0.1
 MAX_ITERATIONS = 1500
 """Maximum iterations of OSQP. The last iterate is used; later programs correct its residuals."""
 
-MIN_TIME_LIMIT = 1e-3  # [s] Smallest time limit for OSQP, in which zero means no limit
+MIN_TIME_LIMIT = 1e-3
+"""[s] Smallest time limit for OSQP, in which zero means no limit."""
 
 
 class ProgramError(Exception):
@@ -303,7 +306,8 @@ def _settings() -> dict[str, float | bool]:
     return {**tolerance, "max_iter": CHUNK, "polishing": False, "verbose": False, **limit}
 
 
-LEVEL_TOLERANCE = 1e-6  # Largest vertical component of horizontal normals
+LEVEL_TOLERANCE = 1e-6
+"""Largest vertical component of horizontal normals."""
 
 NORMAL_SLOPE = 1e-2
 """Upward slope of horizontal normals per separation."""
@@ -311,7 +315,8 @@ NORMAL_SLOPE = 1e-2
 SLOPE_SEPARATION = 2.0
 """Separation from which on that slope is zero."""
 
-CURVE_SAMPLES = 17  # Number of samples of a piece that locate its nearest point
+CURVE_SAMPLES = 17
+"""Number of samples of a piece that locate its nearest point."""
 
 PARALLEL_TOLERANCE = 1e-10
 """Squared sine of the angle below which two edges of a triangle count as parallel; the nearest
@@ -321,9 +326,14 @@ point is then on an edge."""
 class Planes(NamedTuple):
     """Separating planes of pieces of curves; lengths are in separations."""
 
-    sides: Indices  # (m, 3): a piece, its drone, and the drone on the other side; -1 for a prism
-    normals: Array  # (m, 3) [1/m], toward the first drone, the derivatives of gaps by its position
-    gaps: Array  # (m, degree + 1), of the coefficients; at least 1 if they keep their distance
+    sides: Indices
+    """(m, 3): a piece, its drone, and the drone on the other side; -1 for a prism."""
+
+    normals: Array
+    """(m, 3) [1/m]: toward the first drone, the derivatives of gaps by its position."""
+
+    gaps: Array
+    """(m, degree + 1): gaps of the coefficients; at least 1 if they keep their distance."""
 
 
 def planes_between(

@@ -33,9 +33,11 @@ from hitchopt.planners.timing.timed_motion import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
-SIDE = 0.5  # Strength of the pushes with which all drones give way to one side, in separations
+SIDE = 0.5
+"""Strength of the pushes with which all drones give way to one side, in separations."""
 
-MAX_PROGRAMS = 16  # Maximum number of programs from one guess
+MAX_PROGRAMS = 16
+"""Maximum number of programs from one guess."""
 
 SPEEDUP = 0.85
 """Target duration of the next program over the current one, while the curves are clear."""
@@ -49,7 +51,8 @@ GOOD_RATIO = 1.05
 FAIR_RATIO = 1.15
 """Duration over that of single flights at which the search ends after MAX_IDLE_ROUNDS_FAIR."""
 
-MIN_GAIN = 0.02  # Smallest relative improvement
+MIN_GAIN = 0.02
+"""Smallest relative improvement."""
 
 DAMPING = 1e-4
 """Weight of squared changes in a program, as in Levenberg and Marquardt's method."""
@@ -66,7 +69,8 @@ MAX_IDLE_ROUNDS = 3
 MAX_IDLE_ROUNDS_UNCLEAR = 6
 """Maximum number of consecutive rounds without improvement of other curves."""
 
-UNCLEAR_MERIT = 1e9  # Merit of curves that violate a limit at any speed, per missing separation
+UNCLEAR_MERIT = 1e9
+"""Merit of curves that violate a limit at any speed, per missing separation."""
 
 PLANE_RANGE = 1.0
 """Separation [1] in excess of the limit up to which pairs of pieces have a plane."""
@@ -78,7 +82,8 @@ LARGE_CROWD = 256
 """Number of drones from which on a program moves only those that are too close, and the search ends
 with the first clear curves: programs that couple all drones would need too much time."""
 
-CLOSE_RANGE = 0.1  # Separation [1] in excess of the limit below which such drones are too close
+CLOSE_RANGE = 0.1
+"""Separation [1] in excess of the limit below which such drones are too close."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +229,8 @@ def _too_short(task: SeparationTask, duration: float, reason: str) -> Violation:
 STRETCH = 1.0 / LIMIT_SHARE
 """Stretch of the shortest duration, a reserve for rounding and refitting in exports."""
 
-MIN_DURATION = 0.01  # [s] Smallest duration, as of flights in which no drone moves
+MIN_DURATION = 0.01
+"""[s] Smallest duration, as of flights in which no drone moves."""
 
 REMEDY = "give more time or room, or move the drones concerned apart"
 

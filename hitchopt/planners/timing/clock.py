@@ -30,9 +30,14 @@ from hitchopt.trajectory.splines import bspline, extraction, interpolated, knots
 from hitchopt.values import Array, Indices
 
 DemandsAt = Callable[[Array], Demands]  # Function from path parameters s to the path's demands
-SAMPLES = 5  # Number of samples per piece at which limits are evaluated
-INITIAL_ROWS = 2  # Number of drones per sample and limit that have rows in the first round
-MAX_ROW_ROUNDS = 6  # Maximum number of rounds of adding violated rows
+SAMPLES = 5
+"""Number of samples per piece at which limits are evaluated."""
+
+INITIAL_ROWS = 2
+"""Number of drones per sample and limit that have rows in the first round."""
+
+MAX_ROW_ROUNDS = 6
+"""Maximum number of rounds of adding violated rows."""
 
 LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 """Relative tolerance of the limits, within the reserve of LIMIT_SHARE."""
@@ -57,9 +62,14 @@ def _inside(knots: Array, nodes: Array) -> Array:
 class Clock:
     """The path parameter s as a function of time t, through τ."""
 
-    knots: Array  # (K + 1,) [s], of τ, which bound the trajectory's pieces
-    progress: PiecewisePolynomial  # s(τ), a quintic spline at rest at both ends
-    squared_rate: PiecewisePolynomial  # x(τ), a cubic spline
+    knots: Array
+    """(K + 1,) [s]: values of τ that bound the trajectory's pieces."""
+
+    progress: PiecewisePolynomial
+    """s(τ), a quintic spline at rest at both ends."""
+
+    squared_rate: PiecewisePolynomial
+    """x(τ), a cubic spline."""
 
     @property
     def breaks(self) -> Array:
@@ -131,11 +141,20 @@ def _feasible_rate(path: ClockedPath) -> float:
 class ClockedPath:
     """A path by a first clock τ, at M samples."""
 
-    demands: Demands  # of the path, by its own parameter
-    first: Array  # (M, 2n, 3), the drones' first derivative by τ
-    second: Array  # (M, 2n, 3), the second
-    third: Array  # (M, 2n, 3), the third
-    rate_bound: Array  # (M,), upper bound of x by the speed limits
+    demands: Demands
+    """Demands of the path, by its own parameter."""
+
+    first: Array
+    """(M, 2n, 3): the drones' first derivative by τ."""
+
+    second: Array
+    """(M, 2n, 3): the second one."""
+
+    third: Array
+    """(M, 2n, 3): the third one."""
+
+    rate_bound: Array
+    """(M,): upper bound of x by the speed limits."""
 
     def ratios(self, p: Array) -> Array:
         """Return (4, M, 2n): acceleration, jerk, thrust and tilt over their limits.
@@ -171,11 +190,20 @@ class RateRows:
     Rows are convex except those of tilt, with C, and of jerk, with e.
     """
 
-    forms: Array  # (3, 3, R, M), Q - C
-    C: Array  # (3, 3, R, M)
-    b: Array  # (3, R, M)
-    c: Array  # (R, M)
-    e: Array  # (R, M)
+    forms: Array
+    """(3, 3, R, M): Q - C, the quadratic parts."""
+
+    C: Array
+    """(3, 3, R, M): their concave parts."""
+
+    b: Array
+    """(3, R, M): the linear parts."""
+
+    c: Array
+    """(R, M): the constant parts."""
+
+    e: Array
+    """(R, M): the factors of 1 / x."""
 
     @classmethod
     def of(cls, path: ClockedPath, drones: Indices) -> RateRows:
@@ -266,14 +294,20 @@ def _double(A: Array, load: Array) -> Array:
 
 DEGREE = 3
 
-MAX_NEWTON_STEPS = 60  # Maximum number of Newton steps; 15 are typical
-GAP_TOLERANCE = 1e-5  # Duality gap at which the search ends, over the duration
+MAX_NEWTON_STEPS = 60
+"""Maximum number of Newton steps; 15 are typical."""
+
+GAP_TOLERANCE = 1e-5
+"""Duality gap at which the search ends, over the duration."""
 
 MIN_COEFFICIENT = 1e-4
 """Lower bound of coefficients, which keeps the rate positive between the samples."""
 
-BOUNDARY_SHARE = 0.99  # Largest step over the distance to the nearest bound
-MIN_SLACK_SHARE = 1e-3  # Smallest slack after a step, over that before
+BOUNDARY_SHARE = 0.99
+"""Largest step over the distance to the nearest bound."""
+
+MIN_SLACK_SHARE = 1e-3
+"""Smallest slack after a step, over that before."""
 
 BACKTRACK_FACTOR = 0.7
 """Factor that shortens steps that violate a row."""
@@ -281,18 +315,28 @@ BACKTRACK_FACTOR = 0.7
 MIN_STEP_SHARE = 1e-8
 """Fraction of a step at which the search ends."""
 
-CENTRING = 0.1  # Target of the duality gap in a step, over the current gap
+CENTRING = 0.1
+"""Target of the duality gap in a step, over the current gap."""
 
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
     """A cubic spline and its first two derivatives at M samples; each has four coefficients."""
 
-    knots: Array  # (count + DEGREE + 1,), of the spline
-    columns: Indices  # (4, M), coefficients at each sample
-    local: Array  # (3, 4, M), value and derivatives of their B-splines
-    pairs: Array  # (9, 10, M), products of these, of the lower triangle of pairs of coefficients
-    band: Indices  # (10, M), index of such pairs in a lower band (4, count)
+    knots: Array
+    """(count + DEGREE + 1,): knots of the spline."""
+
+    columns: Indices
+    """(4, M): coefficients at each sample."""
+
+    local: Array
+    """(3, 4, M): value and derivatives of their B-splines."""
+
+    pairs: Array
+    """(9, 10, M): products of these, of the lower triangle of pairs of coefficients."""
+
+    band: Indices
+    """(10, M): index of such pairs in a lower band (4, count)."""
 
     @classmethod
     def of(cls, places: Array, at: Array) -> SplineBasis:
@@ -337,9 +381,14 @@ class SplineBasis:
 class RateProgram:
     """The program ``min Σ w / √x`` over coefficients of a cubic spline x, all rows below zero."""
 
-    basis: SplineBasis  # of the spline at the samples
-    rows: RateRows  # at the samples
-    weights: Array  # (M,) [s], of the duration's quadrature
+    basis: SplineBasis
+    """The spline at the samples."""
+
+    rows: RateRows
+    """The rows at the samples."""
+
+    weights: Array
+    """(M,) [s]: weights of the duration's quadrature."""
 
     def duration(self, p: Array) -> float:
         """Return Σ w / √x [s] for x and its derivatives p (3, M) at the samples."""

@@ -24,24 +24,37 @@ from hitchopt.hitch.requirements import Limits
 from hitchopt.planners.morph.path import FlatPath
 from hitchopt.values import Array, Indices
 
-LIMIT_SHARE = 0.999  # Fraction of the limits at samples, with a reserve for the times between
+LIMIT_SHARE = 0.999
+"""Fraction of the limits at samples, with a reserve for the times between."""
 
 FINAL_SHARE = 1.0 - 0.5 * (1.0 - LIMIT_SHARE)
 """Share of the limits for the polynomials' enclosures; the rest is for the certificate's bounds."""
 
-CHUNK = 64_000  # Number of rays of drones per chunk, whose temporary arrays fit into a core's cache
+CHUNK = 64_000
+"""Number of rays of drones per chunk, whose temporary arrays fit into a core's cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class Demands:
     """Jets along a path and the loads at rest, at J points."""
 
-    drones: Array  # (J, 2n, 3, 4) [m], positions and derivatives by the path's parameter
-    vertex_speed: Array  # (J,) [m], largest first derivative of a vertex
-    loads: Array  # (J, 2n, 3) [N], thrusts at rest, which balance weight and cable force
-    team: Team  # with masses and largest thrusts
-    limits: Limits  # of motion
-    share: float = LIMIT_SHARE  # enforced fraction of the limits
+    drones: Array
+    """(J, 2n, 3, 4) [m]: positions and derivatives by the path's parameter."""
+
+    vertex_speed: Array
+    """(J,) [m]: largest first derivative of a vertex."""
+
+    loads: Array
+    """(J, 2n, 3) [N]: thrusts at rest, which balance weight and cable force."""
+
+    team: Team
+    """The team, with masses and largest thrusts."""
+
+    limits: Limits
+    """Limits of motion."""
+
+    share: float = LIMIT_SHARE
+    """Enforced fraction of the limits."""
 
     @classmethod
     def along(cls, path: FlatPath, limits: Limits, s: Array) -> Demands:
@@ -236,8 +249,11 @@ def path_grid(steps: int) -> Array:
 class SpeedProfile:
     """The fastest motion along a path without a jerk limit."""
 
-    s: Array  # (J,), the grid from 0 to 1
-    speed: Array  # (J,) [1/s], ṡ on the grid; s̈ is constant between
+    s: Array
+    """(J,): the grid from 0 to 1."""
+
+    speed: Array
+    """(J,) [1/s]: ṡ on the grid; s̈ is constant between."""
 
     @cached_property
     def times(self) -> Array:

@@ -16,7 +16,8 @@ from hitchopt.trajectory.clock_phases import advance
 from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array
 
-PHASE_TOLERANCE = 1e-9  # [s] Shorter phases of a profile are dropped
+PHASE_TOLERANCE = 1e-9
+"""[s] Shorter phases of a profile are dropped."""
 
 MIN_PHASE = 5e-4
 """[s] Shortest phase whose derivatives are accurate."""

@@ -55,9 +55,14 @@ def check_duration(duration: float, fastest: float, when: str = "") -> None:
         )
 
 
-GRID = 160  # Number of steps of toppra's grid along the path
-MAX_CABLE_ERROR = 1e-6  # Largest relative error of a cable's length, a hundredth of LENGTH_LIMIT
-MAX_PIECES = 400  # Number of pieces at which refinement for MAX_CABLE_ERROR ends
+GRID = 160
+"""Number of steps of toppra's grid along the path."""
+
+MAX_CABLE_ERROR = 1e-6
+"""Largest relative error of a cable's length, a hundredth of LENGTH_LIMIT."""
+
+MAX_PIECES = 400
+"""Number of pieces at which refinement for MAX_CABLE_ERROR ends."""
 
 MIN_RAMP_SHARE = 1e-5
 """Shortest ramp of the acceleration over the duration; polynomials do not resolve shorter ones."""
@@ -146,7 +151,8 @@ def _by_piece(values: Array) -> Array:
     return values.transpose(0, -1, *range(1, values.ndim - 1))
 
 
-MAX_PIECE_SHARE = 1.0 / 12.0  # Longest piece over the duration
+MAX_PIECE_SHARE = 1.0 / 12.0
+"""Longest piece over the duration."""
 
 PIECES_PER_RAMP = 6.0
 """Number of pieces in a change of the acceleration from one limit to the other."""
@@ -154,10 +160,17 @@ PIECES_PER_RAMP = 6.0
 MIN_PIECE = 5e-3
 """[s] Shortest piece; shorter ones lose more digits of third derivatives than they gain speed."""
 
-MAX_INITIAL_PIECES = 200  # Approximate largest number of pieces of the first mesh
-GRADING = 0.4  # Largest slope of the length of pieces over time
-TIME_TOLERANCE = 1e-9  # Distance over the duration below which times are equal up to rounding
-ACTIVE_SHARE = 0.1  # Change of acceleration, over the largest one, above which pieces are short
+MAX_INITIAL_PIECES = 200
+"""Approximate largest number of pieces of the first mesh."""
+
+GRADING = 0.4
+"""Largest slope of the length of pieces over time."""
+
+TIME_TOLERANCE = 1e-9
+"""Distance over the duration below which times are equal up to rounding."""
+
+ACTIVE_SHARE = 0.1
+"""Change of acceleration, over the largest one, above which pieces are short."""
 
 
 def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
@@ -202,9 +215,14 @@ SPAN_COEFFICIENTS = 8
 FORCE_STRETCH_SHARE = 0.9
 """Estimated stretch for forces, over that for rates, below which it is not computed."""
 
-CHUNK = 60_000  # Number of coefficients of drones per chunk
-MAX_STRETCH = 1e6  # Largest stretch of the search
-STRETCH_TOLERANCE = 1e-4  # Relative tolerance of a stretch
+CHUNK = 60_000
+"""Number of coefficients of drones per chunk."""
+
+MAX_STRETCH = 1e6
+"""Largest stretch of the search."""
+
+STRETCH_TOLERANCE = 1e-4
+"""Relative tolerance of a stretch."""
 
 
 def needed_stretch(motion: Motion) -> float:
