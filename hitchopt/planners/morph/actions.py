@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,9 +100,11 @@ def move_vertex(start: Hitch, polygon: Outline, vertex: int) -> Action:
     ``q_{k+1}, r_{k-2}`` turn with its edges; with unequal tensions, drones at ``p_{k-1}, p_{k+1}``
     may move too.
     """
-    length, share = start.q_legs.copy(), np.zeros(start.team.robots)
+    length = start.q_legs.copy()
+    share = np.zeros(start.team.robots)
     if start.team.layout.closed or vertex < start.team.robots:
-        length[vertex], share[vertex] = -start.r_legs[vertex], 1.0
+        length[vertex] = -start.r_legs[vertex]
+        share[vertex] = 1.0
     return Action(start, polygon, length, share)
 
 
@@ -112,12 +115,15 @@ def move_edge(start: Hitch, polygon: Outline, edge: int) -> Action:
     lines of edges k-1 and k+1, only ``q_k, r_k, r_{k-1}, q_{k+1}`` move; otherwise those edges turn
     and ``r_{k-2}, q_{k+2}`` with them.
     """
-    n = start.team.robots
-    length, share = start.q_legs.copy(), np.zeros(n)
-    length[edge], share[edge] = 0.0, start.fractions[edge]
-    after = edge + 1
-    if start.team.layout.closed or after < n:
-        length[after % n], share[after % n] = -start.r_legs[after % n], 1.0
+    robots = start.team.robots
+    length = start.q_legs.copy()
+    share = np.zeros(robots)
+    length[edge] = 0.0
+    share[edge] = start.fractions[edge]
+    if start.team.layout.closed or edge + 1 < robots:
+        following = (edge + 1) % robots
+        length[following] = -start.r_legs[following]
+        share[following] = 1.0
     return Action(start, polygon, length, share)
 
 
@@ -144,28 +150,38 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
     ------
     InfeasibleError: a point at t = 0 that differs from the vertex.
     """
-    origin, action = start.vertices[vertex, :2], move_vertex(start, polygon, vertex)
+    action = move_vertex(start, polygon, vertex)
+    origin = start.vertices[vertex, :2]
     first = points[0, -2:]
     distance = float(np.linalg.norm(first - origin))
     if points.shape[1] == 2:
         ahead = points[1:] if distance <= START_TOLERANCE else points
-        path = _smooth_track(np.vstack([origin, ahead])) if len(ahead) else None
-        return replace(action, track=path and _of_all_vertices(start, vertex, path))
+        if not len(ahead):
+            return action
+        path = _smooth_track(np.vstack([origin, ahead]))
+        return replace(action, track=_of_all_vertices(start, vertex, path))
+    later = points
     if points[0, 0] == 0.0:
         if distance > START_TOLERANCE:
-            where, place = (f"p{vertex}",), origin.round(9).tolist()
-            remedy = f"the path begins at t = 0 at {first.tolist()}, the vertex is at {place}: "
-            exchanged = float(np.linalg.norm(first[::-1] - origin)) <= START_TOLERANCE
-            remedy += f"begin there, or later{EXCHANGED if exchanged else ''}"
-            violation = Violation(
-                "continuity", distance, START_TOLERANCE, "max", "m", where, "at t = 0", remedy
-            )
-            raise InfeasibleError([violation])
-        points = points[1:]
-    times = np.append(0.0, points[:, 0])
-    track, seconds = vertex_track(times, np.vstack([origin, points[:, 1:]])), float(times[-1])
+            raise InfeasibleError([_other_start(vertex, origin, first)])
+        later = points[1:]
+    times = np.append(0.0, later[:, 0])
+    seconds = float(times[-1])
+    track = vertex_track(times, np.vstack([origin, later[:, 1:]]))
     path = track.replaced(track.coefficients, times / seconds)
     return replace(action, track=_of_all_vertices(start, vertex, path), seconds=seconds)
+
+
+def _other_start(vertex: int, origin: Array, first: Array) -> Violation:
+    """Return the violation of a first point (2,) [m], at t = 0, off the origin (2,) [m]."""
+    distance = float(np.linalg.norm(first - origin))
+    is_exchanged = float(np.linalg.norm(first[::-1] - origin)) <= START_TOLERANCE
+    remedy = (
+        f"the path begins at t = 0 at {first.tolist()}, the vertex is at "
+        f"{origin.round(9).tolist()}: begin there, or later{EXCHANGED if is_exchanged else ''}"
+    )
+    where = (f"p{vertex}",)
+    return Violation("continuity", distance, START_TOLERANCE, "max", "m", where, "at t = 0", remedy)
 
 
 def _of_all_vertices(start: Hitch, vertex: int, track: PiecewisePolynomial) -> PiecewisePolynomial:
@@ -186,7 +202,8 @@ def _smooth_track(points: Array) -> PiecewisePolynomial:
 def _through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:
     """Return the coefficients (J - 1, d, 6) of a quintic spline through points (J, d) at s (J,)."""
     coefficients = interpolated(s - s[0], points, zero_orders=zero_orders).coefficients.copy()
-    coefficients[..., 0], coefficients[..., -1] = points[:-1], points[1:]
+    coefficients[..., 0] = points[:-1]
+    coefficients[..., -1] = points[1:]
     return coefficients
 
 
@@ -249,30 +266,31 @@ class ActionMorph:
     """Prescribed duration [s]; None for the fastest one."""
 
     @cached_property
-    def own_path(self) -> Path:
-        """The path by the action's own law."""
+    def path_by_law(self) -> Path:
+        """The path by the law of the action."""
         return self.action.path(self.end)
 
     @cached_property
     def problem(self) -> Path:
         """The path to be timed; raises InfeasibleError as ``straight_path``."""
-        own = self.own_path
+        by_law = self.path_by_law
         try:
-            check_shapes(own)
+            check_shapes(by_law)
         except InfeasibleError as error:  # other legs may be feasible if there is slack
-            slack = np.sum(shapes_along(own, np.linspace(0.0, 1.0, PATH_SAMPLES)).legs, axis=-1)
+            shapes = shapes_along(by_law, np.linspace(0.0, 1.0, PATH_SAMPLES))
+            slack = np.sum(shapes.legs, axis=-1)
             if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * MIN_LEG:
                 raise
         timed = self.action.seconds is not None
-        path = with_legs_clear(own, self.requirements, few=True, at_rest=timed)
+        path = with_legs_clear(by_law, self.requirements, few=True, at_rest=timed)
         check_shapes(path)
         check_loads(path, self.requirements.limits)
         return path
 
     def solve(self) -> FlownAction:
         """Return the flight; errors are those of ``problem`` and ``motion_along``."""
-        action, seconds = self.action, self.action.seconds
-        team = action.start.team
+        action = self.action
+        seconds = action.seconds
         distance = np.max(np.abs(self.end.drones - action.start.drones))
         if action.track is None and distance < POSITION_TOLERANCE:
             return FlownAction(None)
@@ -281,24 +299,46 @@ class ActionMorph:
             motion = motion_along(path, self.requirements, self.duration)
         else:
             motion = fly_timed(path, self.requirements, seconds)
-        # The action's own drones are those that the law moves with equal tensions and no weight.
+        moved = self._moved_drones(motion)
+        names = np.array(action.start.team.drone_names)
+        by_law = self.path_by_law
+        return FlownAction(
+            motion,
+            path=path if seconds is None else None,
+            turning=tuple(names[moved.further & moved.by_law].tolist()),
+            sliding=tuple(names[moved.further & ~moved.by_law].tolist()),
+            worst=None if path is by_law else worst_point(by_law, self.requirements),
+        )
+
+    def _moved_drones(self, motion: Motion) -> MovedDrones:
+        """Return which drones the law moves, and which further ones the motion moves.
+
+        Those of the action itself are those that the law moves with equal tensions and no weight.
+        """
+        action = self.action
+        team = action.start.team
+        s = np.linspace(0.0, 1.0, PATH_SAMPLES)
         law = action.path()
-        ideal = self.own_path if action.polygon is action.start.polygon else law
-        equal = with_fields(
+        ideal = self.path_by_law if action.polygon is action.start.polygon else law
+        ideal_team = with_fields(
             team, tension=np.ones(team.robots), load=0.0 * team.load, cable_density=0.0
         )
-        s = np.linspace(0.0, 1.0, PATH_SAMPLES)
-        by_law = _moving(law, s)
-        by_action = _moving(replace(ideal, team=equal, roll=None), s)
-        hulls = motion.drones.coefficients
-        travel = np.max(np.linalg.norm(hulls - hulls[0, ..., :1], axis=-2), axis=(0, -1))
+        by_action = _moving(replace(ideal, team=ideal_team, roll=None), s)
+        coefficients = motion.drones.coefficients
+        distances = np.linalg.norm(coefficients - coefficients[0, ..., :1], axis=-2)
+        travel = np.max(distances, axis=(0, -1))
         further = (travel > POSITION_TOLERANCE) & ~by_action
-        names = np.array(team.drone_names)
-        turning = tuple(names[further & by_law].tolist())
-        sliding = tuple(names[further & ~by_law].tolist())
-        worst = None if path is self.own_path else worst_point(self.own_path, self.requirements)
-        timed_path = path if seconds is None else None
-        return FlownAction(motion, timed_path, turning, sliding, worst)
+        return MovedDrones(by_law=_moving(law, s), further=further)
+
+
+class MovedDrones(NamedTuple):
+    """Which drones move during an action."""
+
+    by_law: NDArray[np.bool_]
+    """(2n,): those that its law moves."""
+
+    further: NDArray[np.bool_]
+    """(2n,): those that the motion moves in addition to those of the paper's action."""
 
 
 def _moving(path: Path, s: Array) -> NDArray[np.bool_]:
@@ -317,13 +357,19 @@ def fly_timed(path: Path, requirements: Requirements, seconds: float) -> Motion:
     """
     count = 1
     while True:
-        parts = []
+        drone_parts = list[PiecewisePolynomial]()
+        vertex_parts = list[PiecewisePolynomial]()
+        leg_parts = list[PiecewisePolynomial]()
         for i in range(path.vertices.pieces):
             track = path.vertices.slice_pieces(slice(i, i + 1))
             breaks = np.linspace(track.breaks[0], track.breaks[1], count + 1)
-            curves = path_jets(replace(path, vertices=track), breaks)[:3]
-            parts.append([PiecewisePolynomial.through_jets(breaks, each) for each in curves])
-        drones, vertices, legs = (joined(list(kind)) for kind in zip(*parts, strict=True))
+            drone_jets, vertex_jets, leg_jets, _ = path_jets(replace(path, vertices=track), breaks)
+            drone_parts.append(PiecewisePolynomial.through_jets(breaks, drone_jets))
+            vertex_parts.append(PiecewisePolynomial.through_jets(breaks, vertex_jets))
+            leg_parts.append(PiecewisePolynomial.through_jets(breaks, leg_jets))
+        drones = joined(drone_parts)
+        vertices = joined(vertex_parts)
+        legs = joined(leg_parts)
         tensions = PiecewisePolynomial.constant(drones.breaks, path.team.tension)
         motion = Motion(path.team, requirements, drones, vertices, legs, tensions, phases=())
         if drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:

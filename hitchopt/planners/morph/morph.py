@@ -11,7 +11,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry.vectors import length, turn
-from hitchopt.hitch import Hitch
+from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
@@ -63,44 +63,64 @@ SHAPE_SAMPLES = 401
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
     """Return the right turns (…, clasps) [rad] of edges (…, n, 2) at each clasp."""
-    ahead, behind = edges[..., layout.ahead, :], edges[..., layout.behind, :]
-    return turn(ahead, behind)
+    return turn(edges[..., layout.ahead, :], edges[..., layout.behind, :])
 
 
 def check_shapes(path: FlatPath) -> None:
     """Raise InfeasibleError if a polygon on the path is not convex, or an edge or leg vanishes."""
     s = np.linspace(0.0, 1.0, SHAPE_SAMPLES)
-    shapes, layout = shapes_along(path, s), path.team.layout
+    layout = path.team.layout
+    shapes = shapes_along(path, s)
     edges = layout.edges(shapes.polygons)
     lengths = length(edges)
     shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
     angles = np.where(shorter < MIN_EDGE, 0.0, exterior_angles(layout, edges))
     if np.min(angles) < MIN_ANGLE:
-        k = int(np.argmin(np.min(angles, axis=0)))
-        first = int(np.argmax(angles[:, k] < MIN_ANGLE))
-        smallest, limit = (math.degrees(float(x)) for x in (np.min(angles), MIN_ANGLE))
-        where, when = (f"p{layout.clasps[k]}",), f"from {s[first]:.0%} of the path on"
-        remedy = "move the vertex outward at an end, or turn the polygon by less"
-        raise InfeasibleError(
-            [Violation("convexity", smallest, limit, "min", "deg", where, when, remedy)]
-        )
+        raise InfeasibleError([_flat_corner(layout, s, angles)])
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < MIN_LEG:
-        j, cable, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
-        remaining = legs[j, cable][layout.has_leg[cable]].sum()
-        where = (path.team.drone_names[2 * cable + end],)
-        shortest, when = float(legs[j, cable, end]), f"at {s[j]:.0%} of the path"
-        remedy = f"{path.team.cable_names[cable]} leaves {remaining:.6g} m there"
-        raise InfeasibleError(
-            [Violation("legs", shortest, MIN_LEG, "min", "m", where, when, remedy)]
-        )
+        raise InfeasibleError([_short_leg(path.team, s, legs)])
+
+
+def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
+    """Return the violation of the smallest exterior angle (J, clasps) [rad] at s (J,)."""
+    clasp = int(np.argmin(np.min(angles, axis=0)))
+    first = int(np.argmax(angles[:, clasp] < MIN_ANGLE))
+    return Violation(
+        "convexity",
+        math.degrees(float(np.min(angles))),
+        math.degrees(MIN_ANGLE),
+        "min",
+        "deg",
+        (f"p{layout.clasps[clasp]}",),
+        f"from {s[first]:.0%} of the path on",
+        "move the vertex outward at an end, or turn the polygon by less",
+    )
+
+
+def _short_leg(team: Team, s: Array, legs: Array) -> Violation:
+    """Return the violation of the shortest leg (J, n, 2) [m] at s (J,), infinite without one."""
+    sample, cable, end = np.unravel_index(int(np.argmin(legs)), legs.shape)
+    remaining = legs[sample, cable][team.layout.has_leg[cable]].sum()
+    return Violation(
+        "legs",
+        float(legs[sample, cable, end]),
+        MIN_LEG,
+        "min",
+        "m",
+        (team.drone_names[2 * cable + end],),
+        f"at {s[sample]:.0%} of the path",
+        f"{team.cable_names[cable]} leaves {remaining:.6g} m there",
+    )
 
 
 def check_loads(path: FlatPath, limits: Limits) -> None:
     """Raise InfeasibleError if hovering violates a limit at a point at which the path is timed."""
     when = [f"at rest, {s:.0%} of the path on" for s in path_grid(GRID)]
-    thrust, tilt = "give the drone more thrust", "allow more tilt, or use heavier drones"
-    remedies = f"{thrust}, or lower team.tension", f"{tilt}, or lower team.tension"
+    remedies = (
+        "give the drone more thrust, or lower team.tension",
+        "allow more tilt, or use heavier drones, or lower team.tension",
+    )
     check_hover(path.team, limits, demands_along(path, limits, GRID).loads, when, remedies)
 
 
@@ -159,11 +179,11 @@ class BlendedMorph:
         slowest = int(np.argmin(speed))
         ratio = float(np.min(speed) / np.mean(speed))
         if ratio < MIN_SPEED_RATIO:
-            unit, when = "of the mean speed", f"at {grid[slowest]:.0%} of the path"
+            unit = "of the mean speed"
+            when = f"at {grid[slowest]:.0%} of the path"
             remedy = "the path turns back on itself there: go by another one"
-            raise InfeasibleError(
-                [Violation("blend", ratio, MIN_SPEED_RATIO, "min", unit, (), when, remedy)]
-            )
+            violation = Violation("blend", ratio, MIN_SPEED_RATIO, "min", unit, (), when, remedy)
+            raise InfeasibleError([violation])
         check_loads(path, self.requirements.limits)
         return path
 

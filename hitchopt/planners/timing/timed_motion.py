@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -87,18 +88,18 @@ def motion_along(
     InfeasibleError: ``duration`` is shorter than the limits permit.
     TimingError: no timing was found.
     """
-    limits = reduced = requirements.limits
+    limits = requirements.limits
     demands = demands_along(path, limits, GRID)
     if limits.body_rate is not None:  # the body rate is about jerk over thrust per mass
         smallest = float(np.min(length(demands.loads) / path.team.mass))
-        reduced = with_fields(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
-        demands = replace(demands, limits=reduced)
+        limits = with_fields(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
+        demands = replace(demands, limits=limits)
     profile = fastest_profile(path_grid(GRID), demands)
     ramp = max(acceleration_ramp(profile, demands), MIN_RAMP_SHARE * profile.duration)
     refinement = 1
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, refinement))
-        clock = jerk_limited(clock, lambda s: Demands.along(path, reduced, s))
+        clock = jerk_limited(clock, lambda s: Demands.along(path, limits, s))
         motion = _motion(path, requirements, clock)
         if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
             break
@@ -112,26 +113,29 @@ def motion_along(
 
 def _motion(path: FlatPath, requirements: Requirements, clock: Clock) -> Motion:
     """Return the motion with the path's value and three derivatives at every breakpoint."""
-    breaks, progress = clock.breaks, clock.jets()
+    breaks = clock.breaks
+    progress = clock.jets()
     s = np.clip(progress[:, 0], 0.0, 1.0)
-    s[0], s[-1] = 0.0, 1.0
+    s[0] = 0.0
+    s[-1] = 1.0
     parts = path_jets(path, s)
     rows = np.concatenate([part.reshape(len(s), -1, 4) for part in parts], axis=1)
     curves = PiecewisePolynomial.through_jets(breaks, chained(rows, progress[:, None]))
     drones, vertices, legs, tensions = curves.split([part.shape[1:-1] for part in parts])
-    values = parts[-1]
-    if not values[..., 1:].any() and (values == values[0]).all():
-        tensions = PiecewisePolynomial.constant(breaks, values[0, :, 0])
+    tension_jets = parts[-1]
+    if not tension_jets[..., 1:].any() and (tension_jets == tension_jets[0]).all():
+        tensions = PiecewisePolynomial.constant(breaks, tension_jets[0, :, 0])
     return Motion(path.team, requirements, drones, vertices, legs, tensions, phases=())
 
 
 def cable_error(motion: Motion) -> float:
     """Return the largest relative error of a cable's length at samples."""
     team = motion.team
-    drones, p, tensions = map(_sampled, (motion.drones, motion.vertices, motion.tensions))
-    sag, legs = sag_factors(team, tensions), drones - p[:, team.layout.anchors]
+    vertices = _sampled(motion.vertices)
+    legs = _sampled(motion.drones) - vertices[:, team.layout.anchors]
+    sag = sag_factors(team, _sampled(motion.tensions))
     cables: Array = cable_of(legs[:, 0::2], sag) + cable_of(legs[:, 1::2], sag)
-    cables += cable_of(team.layout.edges(p), sag)
+    cables += cable_of(team.layout.edges(vertices), sag)
     return float(np.abs(cables / team.cable_length - 1.0).max())
 
 
@@ -141,8 +145,9 @@ CABLE_SAMPLES = np.array([0.0, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0])
 
 def _sampled(part: PiecewisePolynomial) -> Array:
     """Return the values (pieces · samples, *shape) at CABLE_SAMPLES."""
-    c = part.coefficients
-    values = bernstein.transform(c, bernstein.basis(CABLE_SAMPLES, c.shape[-1] - 1))
+    coefficients = part.coefficients
+    basis = bernstein.basis(CABLE_SAMPLES, coefficients.shape[-1] - 1)
+    values = bernstein.transform(coefficients, basis)
     return _by_piece(values).reshape(-1, *part.shape)
 
 
@@ -162,6 +167,12 @@ MIN_PIECE = 5e-3
 
 MAX_INITIAL_PIECES = 200
 """Approximate largest number of pieces of the first mesh."""
+
+MIN_INITIAL_PIECES = 4
+"""Smallest number of pieces of the first mesh."""
+
+MESH_SAMPLES = 801
+"""Number of evenly spaced times at which the width of pieces is computed."""
 
 GRADING = 0.4
 """Largest slope of the length of pieces over time."""
@@ -183,27 +194,39 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     refinement: factor of the number of pieces.
     """
     duration = profile.duration + ramp
-    # Times at which changes of the smoothed acceleration may start or end, and a uniform grid.
-    t = np.concatenate([profile.times, profile.times + 0.5 * ramp, profile.times + ramp])
-    t = np.unique(np.clip(np.append(t, np.linspace(0.0, duration, 801)), 0.0, duration))
-    t = t[np.append(True, np.diff(t) > TIME_TOLERANCE * duration)]
-    # The acceleration jumps at t and is evaluated between.
+    t = _change_times(profile, ramp, duration)
+    # The acceleration jumps at t and is evaluated between
     middle = 0.5 * (t[1:] + t[:-1])
     change = np.abs(profile.acceleration(middle) - profile.acceleration(middle - ramp))
     active = np.append(change > ACTIVE_SHARE * np.max(change), False)
     active[1:] |= active[:-1]
-    longest, fine = MAX_PIECE_SHARE * duration, max(ramp / PIECES_PER_RAMP, MIN_PIECE)
+    longest = MAX_PIECE_SHARE * duration
+    fine = max(ramp / PIECES_PER_RAMP, MIN_PIECE)
     widths = np.where(active, np.minimum(fine, longest), longest)
-    # Limit the slope of widths to the left and to the right.
+    # Limit the slope of widths to the left and to the right
     left = np.minimum.accumulate(widths - GRADING * t) + GRADING * t
     right = np.minimum.accumulate((widths + GRADING * t)[::-1])[::-1] - GRADING * t
     widths = np.maximum(np.minimum(left, right), MIN_PIECE)
-    density = 0.5 * (1.0 / widths[1:] + 1.0 / widths[:-1]) * np.diff(t)
-    pieces = np.append(0.0, np.cumsum(density))
-    count = refinement * max(int(np.ceil(min(pieces[-1], MAX_INITIAL_PIECES))), 4)
-    knots: Array = np.interp(np.linspace(0.0, pieces[-1], count + 1), pieces, t)
-    knots[0], knots[-1] = 0.0, duration
+    pieces_per_step = 0.5 * (1.0 / widths[1:] + 1.0 / widths[:-1]) * np.diff(t)
+    pieces = np.append(0.0, np.cumsum(pieces_per_step))
+    initial = max(int(np.ceil(min(pieces[-1], MAX_INITIAL_PIECES))), MIN_INITIAL_PIECES)
+    evenly = np.linspace(0.0, pieces[-1], refinement * initial + 1)
+    knots: Array = np.interp(evenly, pieces, t)
+    knots[0] = 0.0
+    knots[-1] = duration
     return knots
+
+
+def _change_times(profile: SpeedProfile, ramp: float, duration: float) -> Array:
+    """Return times [s] at which changes of the smoothed acceleration may start or end, and a grid.
+
+    They increase from 0 to the duration [s].
+    """
+    changes = [profile.times, profile.times + 0.5 * ramp, profile.times + ramp]
+    grid = np.linspace(0.0, duration, MESH_SAMPLES)
+    t = np.unique(np.clip(np.concatenate([*changes, grid]), 0.0, duration))
+    is_later = np.append(True, np.diff(t) > TIME_TOLERANCE * duration)
+    return np.asarray(t[is_later])
 
 
 SPANS = 8
@@ -218,6 +241,12 @@ FORCE_STRETCH_SHARE = 0.9
 CHUNK = 60_000
 """Number of coefficients of drones per chunk."""
 
+MIN_STRETCH = 1e-12
+"""Smallest stretch, of motions at rest."""
+
+MIN_SPARE = 1e-9
+"""[m/s²] Smallest spare acceleration by which a stretch is divided."""
+
 MAX_STRETCH = 1e6
 """Largest stretch of the search."""
 
@@ -231,28 +260,55 @@ def needed_stretch(motion: Motion) -> float:
     Rates are enclosed, not sampled: a vector polynomial is in the convex hull of its coefficients,
     which are close to it on a short span of time.
     """
-    team, limits = motion.team, motion.requirements.limits
-    drones, points, pulls = motion.drones, motion.pull_points, motion.pulls
-    factor, vertex_speed = 1e-12, np.zeros(0)
-    rates = (limits.speed, limits.acceleration, limits.jerk)
-    bounds = [(motion.inner_ends.reshaped(-1, 3), 1, limits.vertex_speed)]
-    bounds += [(drones, order, limit) for order, limit in enumerate(rates, 1)]
-    for chunk in _chunks(team, np.arange(drones.pieces)):
-        for part, order, limit in bounds:
-            rate = float(np.max(length(_on_spans(part, chunk, order)), initial=0.0))
-            factor = max(factor, (rate / (FINAL_SHARE * limit)) ** (1.0 / order))
+    team = motion.team
+    limits = motion.requirements.limits
+    drones = motion.drones
+    factor = _rate_stretch(motion)
     critical = np.flatnonzero(_force_stretches(motion) > FORCE_STRETCH_SHARE * factor)
+    no_vertices = np.zeros(0)
     for chunk in _chunks(team, critical):
         jets = np.stack([_on_spans(drones, chunk, order) for order in range(4)], axis=-1)
         forces = np.zeros(jets.shape[:-1])
         if team.has_cables:
-            ends, values = (_on_spans(part, chunk) for part in (points, pulls))
-            forces = cable_forces(team, jets[..., 0], ends, values, np.ones(team.robots))
+            points = _on_spans(motion.pull_points, chunk)
+            pulls = _on_spans(motion.pulls, chunk)
+            forces = cable_forces(team, jets[..., 0], points, pulls, np.ones(team.robots))
         loads = loads_at_rest(team, forces)
-        demands = Demands(jets, vertex_speed, loads, team, limits, FINAL_SHARE)
+        demands = Demands(jets, no_vertices, loads, team, limits, FINAL_SHARE)
         factor = max(factor, float(np.max(demands.stretches())))
     taut = PiecewisePolynomial.constant(drones.breaks, np.ones(team.robots))
-    return turning_stretch(team, limits.body_rate, (drones, points, pulls, taut), factor)
+    curves = (drones, motion.pull_points, motion.pulls, taut)
+    return turning_stretch(team, limits.body_rate, curves, factor)
+
+
+class RateBound(NamedTuple):
+    """A limit of a time derivative of points."""
+
+    points: PiecewisePolynomial
+    """(k, 3) [m]"""
+
+    order: int
+    """Order of the derivative."""
+
+    limit: float
+    """Limit of its norm."""
+
+
+def _rate_stretch(motion: Motion) -> float:
+    """Return the stretch in time with which speeds, accelerations and jerks keep their limits."""
+    limits = motion.requirements.limits
+    bounds = (
+        RateBound(motion.inner_ends.reshaped(-1, 3), 1, limits.vertex_speed),
+        RateBound(motion.drones, 1, limits.speed),
+        RateBound(motion.drones, 2, limits.acceleration),
+        RateBound(motion.drones, 3, limits.jerk),
+    )
+    factor = MIN_STRETCH
+    for chunk in _chunks(motion.team, np.arange(motion.drones.pieces)):
+        for points, order, limit in bounds:
+            rate = float(np.max(length(_on_spans(points, chunk, order)), initial=0.0))
+            factor = max(factor, (rate / (FINAL_SHARE * limit)) ** (1.0 / order))
+    return factor
 
 
 def _force_stretches(motion: Motion) -> Array:
@@ -260,17 +316,30 @@ def _force_stretches(motion: Motion) -> Array:
 
     Accelerations have the worst direction, and forces at rest are those at the breakpoints.
     """
-    team, limits, drones = motion.team, motion.requirements.limits, motion.drones
+    team = motion.team
+    drones = motion.drones
     forces = np.zeros((drones.pieces + 1, team.drones, 3))
     if team.has_cables:
-        curves = (part.coefficients for part in (drones, motion.pull_points, motion.pulls))
-        places, points, pulls = (np.concatenate([c[..., 0], c[-1:, ..., -1]]) for c in curves)
-        forces = cable_forces(team, places, points, pulls, np.ones((len(forces), team.robots)))
-    spare = np.maximum(spare_accelerations(team, limits, loads_at_rest(team, forces)), 1e-9)
-    c = bernstein.differentiate(bernstein.differentiate(drones.coefficients))
-    rates = column_lengths(c).max(axis=-1) / drones.durations[:, None] ** 2
-    stretches: Array = np.sqrt((rates / np.minimum(spare[1:], spare[:-1])).max(axis=1))
-    return stretches
+        forces = cable_forces(
+            team,
+            _at_breaks(drones),
+            _at_breaks(motion.pull_points),
+            _at_breaks(motion.pulls),
+            np.ones((len(forces), team.robots)),
+        )
+    limits = motion.requirements.limits
+    spare = spare_accelerations(team, limits, loads_at_rest(team, forces))
+    spare = np.maximum(spare, MIN_SPARE)
+    second = bernstein.differentiate(bernstein.differentiate(drones.coefficients))
+    accelerations = column_lengths(second).max(axis=-1) / drones.durations[:, None] ** 2
+    ratios = accelerations / np.minimum(spare[1:], spare[:-1])
+    return np.asarray(np.sqrt(ratios.max(axis=1)))
+
+
+def _at_breaks(part: PiecewisePolynomial) -> Array:
+    """Return the values (pieces + 1, *shape) at the breakpoints."""
+    coefficients = part.coefficients
+    return np.concatenate([coefficients[..., 0], coefficients[-1:, ..., -1]])
 
 
 def turning_stretch(
@@ -290,7 +359,8 @@ def turning_stretch(
     """
     if limit is None:
         return smallest
-    factor, pieces = smallest, np.arange(curves[0].pieces)
+    factor = smallest
+    pieces = np.arange(curves[0].pieces)
     while math.isfinite(factor):
         rate = max(_turning_rate(team, curves, chunk, factor) for chunk in _chunks(team, pieces))
         if rate <= LIMIT_SHARE * limit:
@@ -304,19 +374,22 @@ def _turning_rate(
     team: Team, curves: Sequence[PiecewisePolynomial], pieces: Indices, stretch: float
 ) -> float:
     """Return the largest turning rate [rad/s] of thrusts on pieces of a stretched flight."""
-    values, rates = ([_on_spans(part, pieces, order) for part in curves] for order in (0, 1))
-    second, third = (_on_spans(curves[0], pieces, order) for order in (2, 3))
-    forces = force_rates = np.zeros_like(second)
+    acceleration = _on_spans(curves[0], pieces, 2)
+    jerk = _on_spans(curves[0], pieces, 3)
+    forces = np.zeros_like(acceleration)
+    force_rates = np.zeros_like(acceleration)
     if team.has_cables:
+        values = tuple(_on_spans(curve, pieces) for curve in curves)
+        rates = tuple(_on_spans(curve, pieces, 1) for curve in curves)
         forces = cable_forces(team, *values)
-        force_rates = cable_force_rates(team, tuple(values), tuple(rates))
+        force_rates = cable_force_rates(team, values, rates)
     mass = team.mass[:, None]
-    thrust = mass * second / stretch**2 + loads_at_rest(team, forces)
-    rate = mass * third / stretch**3 - force_rates / stretch
+    thrust = mass * acceleration / stretch**2 + loads_at_rest(team, forces)
+    thrust_rate = mass * jerk / stretch**3 - force_rates / stretch
     squared = dot(thrust, thrust)
     if not np.all(squared > 0.0):
         return math.inf
-    return float(np.max(length(np.cross(thrust, rate)) / squared))
+    return float(np.max(length(np.cross(thrust, thrust_rate)) / squared))
 
 
 def _chunks(team: Team, pieces: Indices) -> Iterator[Indices]:
@@ -330,10 +403,11 @@ def _on_spans(part: PiecewisePolynomial, pieces: Indices, order: int = 0) -> Arr
 
     They are coefficients on the spans of pieces; values and higher degrees are sampled instead.
     """
-    c = part.coefficients[pieces]
-    coefficients = _by_piece(bernstein.transform(c, _span_rows(bernstein.degree(c), order)))
-    h = part.durations[pieces].reshape(-1, *(1,) * (coefficients.ndim - 1))
-    values: Array = (coefficients / h**order).reshape(-1, *part.shape)
+    of_pieces = part.coefficients[pieces]
+    to_spans = _span_rows(bernstein.degree(of_pieces), order)
+    of_spans = _by_piece(bernstein.transform(of_pieces, to_spans))
+    durations = part.durations[pieces].reshape(-1, *(1,) * (of_spans.ndim - 1))
+    values: Array = (of_spans / durations**order).reshape(-1, *part.shape)
     return values
 
 
