@@ -207,8 +207,9 @@ def _margins(
     """Yield lengths [m] of the longest cable with the margins of all legs (``_margin``)."""
     leg = requirements.limits.leg
     ratios = team.cable_length / np.max(team.cable_length)
-    vertices = np.stack([each.vertices for each in polygons])
-    needed = np.max(np.stack([each.edge_lengths for each in polygons]) / ratios)
+    vertices = np.stack([polygon.vertices for polygon in polygons])
+    edge_lengths = np.stack([polygon.edge_lengths for polygon in polygons])
+    needed = np.max(edge_lengths / ratios)
     first = math.ceil((float(needed) + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
     lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
     for cable in lengths[:: stride if balanced else STRIDE].tolist():
@@ -224,22 +225,38 @@ def _margin(
     Legs are balanced, or else those of the best slack split. The margin is negative where cables
     are too short, or clasps have no balance.
     """
-    slack, leg = cable_slack_of(team, team.layout.edges(vertices)), requirements.limits.leg
-    legs = team.layout.q_legs_of(0.5 * slack, slack)
-    both = team.layout.legs_of(legs, slack)[..., team.layout.has_leg]
-    if np.min(both) < leg:  # heavy cables sag
+    layout = team.layout
+    slack = cable_slack_of(team, layout.edges(vertices))
+    q_legs = layout.q_legs_of(0.5 * slack, slack)
+    legs = layout.legs_of(q_legs, slack)[..., layout.has_leg]
+    if np.min(legs) < requirements.limits.leg:  # heavy cables sag
         return -1.0
-    task = LegTask(team, requirements, vertices, legs, leg, SPREAD_MARGIN)
+    task = LegTask(
+        team,
+        requirements,
+        polygons=vertices,
+        reference=q_legs,
+        shortest_leg=requirements.limits.leg,
+        margin=SPREAD_MARGIN,
+    )
     try:
-        if balanced:
-            margin = task.reference_margin()
-        else:  # one by one, as a path of polygons is split from its reference only
-            parts = (slice(j, j + 1) for j in range(len(legs)))
-            each = (replace(task, polygons=vertices[j], reference=legs[j]) for j in parts)
-            margin = min(one.split().margin for one in each)
+        margin = task.reference_margin() if balanced else _smallest_split_margin(task)
     except InfeasibleError:
         return -1.0
     return min(margin, SPREAD_MARGIN)
+
+
+def _smallest_split_margin(task: LegTask) -> float:
+    """Return the smallest margin of the best splits of single polygons.
+
+    They are split one by one, as a path of polygons is split from its reference only.
+    """
+    margins = list[float]()
+    for j in range(len(task.polygons)):
+        polygon = task.polygons[j : j + 1]
+        single = replace(task, polygons=polygon, reference=task.reference[j : j + 1])
+        margins.append(single.split().margin)
+    return min(margins)
 
 
 def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
@@ -250,9 +267,10 @@ def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
     """
     grip = best_grip(task)
     # ``enclose`` adds a margin for errors of the object's pose around the closed grip
-    sections, gap = (task.section,), clearance + EDGE_MARGIN
+    gap = clearance + EDGE_MARGIN
     centre = task.section.centroid
-    around = HoldPolygons.about(grip.vertices, centre, sections, gap, GRIP_STRETCHES).around
+    polygons = HoldPolygons.about(grip.vertices, centre, (task.section,), gap, GRIP_STRETCHES)
+    around = polygons.around
     try:
         needed = shortest_cable([ConvexPolygon(around)], task.requirements)
         if needed > task.cable_length:

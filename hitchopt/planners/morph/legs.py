@@ -53,9 +53,12 @@ def with_legs_clear(
     if legs_clear(path, requirements):
         return path
     for candidate in _nearby_laws(path, requirements, at_rest):
-        for law in (_few_sliding(path, candidate), candidate) if few else (candidate,):
-            if legs_clear(law, requirements):
-                return law
+        if few:
+            fewer = _few_sliding(path, candidate)
+            if legs_clear(fewer, requirements):
+                return fewer
+        if legs_clear(candidate, requirements):
+            return candidate
     return path
 
 
@@ -63,7 +66,8 @@ def _nearby_laws(path: Path, requirements: Requirements, at_rest: bool) -> Itera
     """Yield the path with other leg laws, one per refinement, until leg lengths are infeasible."""
     for count, margin in REFINEMENTS:
         s = np.linspace(0.0, 1.0, count)
-        ramp = np.minimum(np.arange(count), np.arange(count)[::-1]) / MARGIN_RAMP
+        knots_to_end = np.minimum(np.arange(count), np.arange(count)[::-1])
+        ramp = knots_to_end / MARGIN_RAMP
         margins = SAMPLE_MARGIN + (margin - SAMPLE_MARGIN) * np.minimum(ramp, 1.0)
         task = leg_task_along(path, requirements, s, margins)
         split = replace(task, shortest_leg=margin * requirements.limits.leg).split()
@@ -99,21 +103,32 @@ def leg_task_of(
     """Return the leg task of shapes of a path, of which the first and the last are fixed."""
     fixed = np.zeros(len(shapes.legs), dtype=np.bool_)
     fixed[[0, -1]] = True
-    arguments = shapes.legs[..., 0], requirements.limits.leg, margin, ROUGHNESS_WEIGHT, fixed
-    return LegTask(path.team, requirements, shapes.polygons, *arguments, roll=shapes.roll)
+    return LegTask(
+        path.team,
+        requirements,
+        polygons=shapes.polygons,
+        reference=shapes.legs[..., 0],
+        shortest_leg=requirements.limits.leg,
+        margin=margin,
+        roughness=ROUGHNESS_WEIGHT,
+        fixed=fixed,
+        roll=shapes.roll,
+    )
 
 
 def _few_sliding(path: Path, candidate: Path) -> Path:
-    """Return the candidate with the path's own law for all cables that hardly slide."""
+    """Return the candidate with the law of the path for all cables that hardly slide."""
     s = np.linspace(0.0, 1.0, PATH_SAMPLES)
     changes = np.abs(shapes_along(candidate, s).legs - shapes_along(path, s).legs)
     slides = np.max(changes, axis=(0, 2)) > SLIDING_TOLERANCE
     breaks = candidate.legs.share.breaks
 
     def merged(new: PiecewisePolynomial, old: PiecewisePolynomial) -> PiecewisePolynomial:
+        """Return the new curves (n,) of cables that slide, and the old ones of others."""
         order = max(new.degree, old.degree)
-        one, other = (on_breaks(p, breaks).elevated(order).coefficients for p in (new, old))
-        return PiecewisePolynomial(breaks, np.where(slides[:, None], one, other))
+        sliding = on_breaks(new, breaks).elevated(order).coefficients
+        constant = on_breaks(old, breaks).elevated(order).coefficients
+        return PiecewisePolynomial(breaks, np.where(slides[:, None], sliding, constant))
 
     lengths = merged(candidate.legs.length, path.legs.length)
     return replace(path, legs=LegLaw(lengths, merged(candidate.legs.share, path.legs.share)))
@@ -132,6 +147,7 @@ def worst_point(path: Path, requirements: Requirements) -> float:
 
 
 DEGREE = 3
+"""Degree of slides in s."""
 
 SHARES = (1.0, 0.75, 0.5)
 """Candidate shares of the slide that minimizes the drones' motion at the ends, since it costs speed
@@ -164,20 +180,22 @@ def _slopes(path: Path, limits: Limits) -> Array:
 
     The derivative of a drone by s is linear in that of its leg, along the leg.
     """
-    ends, n = np.array([0.0, 1.0]), path.team.robots
-    original = demands_along(path, limits).drones[[0, -1], ..., 1].reshape(2, n, 2, -1)
-    slid = drones_along(_with_slide(path, np.ones((2, n))), ends)
-    along = slid.positions[..., 1].reshape(2, n, 2, -1) - original
-    size = np.sum(along**2, axis=(2, 3))
-    slopes: Array = -np.sum(original * along, axis=(2, 3)) / np.where(size > 0.0, size, np.inf)
-    return slopes
+    robots = path.team.robots
+    original = demands_along(path, limits).drones[[0, -1], ..., 1].reshape(2, robots, 2, -1)
+    sliding = _with_slide(path, np.ones((2, robots)))
+    slid = drones_along(sliding, np.array([0.0, 1.0])).positions[..., 1]
+    along = slid.reshape(2, robots, 2, -1) - original
+    squares = np.sum(along**2, axis=(2, 3))
+    products = np.sum(original * along, axis=(2, 3))
+    return np.asarray(-products / np.where(squares > 0.0, squares, np.inf))
 
 
 def _with_slide(path: Path, slopes: Array) -> Path:
     """Return the path with a slide of its legs, with slopes (2, n) [m] at the ends."""
     law = path.legs.length.coefficients[0]
     slide = np.zeros((path.team.robots, DEGREE + 1))
-    slide[:, 1], slide[:, -2] = slopes[0] / DEGREE, -slopes[1] / DEGREE
+    slide[:, 1] = slopes[0] / DEGREE
+    slide[:, -2] = -slopes[1] / DEGREE
     order = max(DEGREE, bernstein.degree(law))
     length = bernstein.elevate(law, order) + bernstein.elevate(slide, order)
     legs = LegLaw(PiecewisePolynomial(np.array([0.0, 1.0]), length[None]), path.legs.share)

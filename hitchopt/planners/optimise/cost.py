@@ -59,11 +59,12 @@ class ShapeCost:
         """The function of the named outputs, in order, and s."""
         import casadi as ca
 
-        team, n = self.team, self.team.robots
-        hitch = model(team, roll=True, tensions=True)
+        robots = self.team.robots
+        hitch = model(self.team, roll=True, tensions=True)
         sizes = {name: hitch.size1_out(name) for name in OUTPUTS}
-        sizes |= {"vertices": 3 * n, "q_legs": n, "tensions": n}
-        outputs, s = {name: ca.SX.sym(name, size) for name, size in sizes.items()}, ca.SX.sym("s")
+        sizes |= {"vertices": 3 * robots, "q_legs": robots, "tensions": robots}
+        outputs = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+        s = ca.SX.sym("s")
         symbols = ca.vertcat(*outputs.values())
         try:
             value = ca.SX(self.function(outputs, s))
@@ -103,8 +104,10 @@ class ShapeCost:
         import casadi as ca
 
         n = self.team.robots
-        shape, height = ca.SX.sym("shape", 4 * n), ca.SX.sym("height", n)
-        roll, s = ca.SX.sym("roll", n), ca.SX.sym("s")
+        shape = ca.SX.sym("shape", 4 * n)
+        height = ca.SX.sym("height", n)
+        roll = ca.SX.sym("roll", n)
+        s = ca.SX.sym("s")
         plan_view, q_legs, tensions = ca.vertsplit(shape, [0, 2 * n, 3 * n, 4 * n])
         vertices = ca.vec(ca.vertcat(ca.reshape(plan_view, 2, n), height.T))
         inputs = {"vertices": vertices, "q_legs": q_legs, "tensions": tensions}
@@ -127,10 +130,10 @@ class ShapeCost:
         function = self._of_level if roll is None else self._of_rolled
         angles = np.zeros((len(s), self.team.robots)) if roll is None else roll
         results = function.map(len(s))(shape=shapes.T, height=heights.T, roll=angles.T, s=s[None])
-        values, gradients, hessians = (
-            np.asarray(results[name]) for name in ("value", "gradient", "hessian")
-        )
-        if not all(np.all(np.isfinite(each)) for each in (values, gradients, hessians)):
+        values = np.asarray(results["value"])
+        gradients = np.asarray(results["gradient"])
+        hessians = np.asarray(results["hessian"])
+        if not all(np.all(np.isfinite(part)) for part in (values, gradients, hessians)):
             raise self._refusal("its value or derivative is not finite on the route")
         size = shapes.shape[1]
         return [values[0], gradients.T, hessians.T.reshape(len(s), size, size)]
@@ -148,19 +151,22 @@ class ShapeCost:
 
     def terms(self, path: KnotPath) -> CostTerms:
         """Return the expansion of the integral around a path, convex by clipped eigenvalues."""
-        columns, inner, steps = path.columns, path.table[1:-1], path.steps
-        by = np.concatenate([columns.vertices.ravel(), columns.q_legs, columns.tensions])
+        columns = path.columns
+        inner = path.table[1:-1]
+        steps = path.steps
+        of_shape = np.concatenate([columns.vertices.ravel(), columns.q_legs, columns.tensions])
         roll = None if path.roll is None else path.roll[1:-1]
         heights = np.full((len(inner), self.team.robots), path.altitude)
         s = np.arange(1, steps) / steps
-        _, gradients, hessians = self.expand(inner[:, by], heights, roll, s)
-        values, vectors = np.linalg.eigh(hessians)
-        convex = (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+        _, gradients, hessians = self.expand(inner[:, of_shape], heights, roll, s)
+        eigenvalues, vectors = np.linalg.eigh(hessians)
+        convex = (vectors * np.maximum(eigenvalues, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
         gradient = np.zeros(inner.shape)
-        gradient[:, by] = gradients / steps
-        places = columns.size * np.arange(len(inner))[:, None] + by
+        gradient[:, of_shape] = gradients / steps
+        places = columns.size * np.arange(len(inner))[:, None] + of_shape
         row = np.broadcast_to(places[..., None], convex.shape)
         column = np.broadcast_to(places[:, None], convex.shape)
-        entries = (convex / steps).ravel(), (row.ravel(), column.ravel())
-        hessian = sp.csr_array(sp.coo_array(entries, (inner.size, inner.size)))
+        entries = (convex / steps).ravel()
+        indices = (row.ravel(), column.ravel())
+        hessian = sp.csr_array(sp.coo_array((entries, indices), (inner.size, inner.size)))
         return CostTerms(hessian, gradient.ravel())

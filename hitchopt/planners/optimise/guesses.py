@@ -228,26 +228,36 @@ def distance_margins(paths: Sequence[KnotPath], requirements: Requirements) -> A
 
     They are zero if clasps have no balance with the roll of a path.
     """
-    team, knots = paths[0].team, len(paths[0].polygons)
+    team = paths[0].team
+    knots = len(paths[0].polygons)
     no_roll = np.zeros((knots, len(team.layout.clasps)))
     rolls = [no_roll if path.roll is None else path.roll for path in paths]
-    polygons = np.concatenate([path.polygons for path in paths])
-    q_legs = np.concatenate([path.q_legs for path in paths])
-    without_arena = replace(requirements, arena=None)
-    shapes = polygons, q_legs, 0.0, MAX_MARGIN
     try:
-        task = LegTask(team, without_arena, *shapes, roll=np.concatenate(rolls))
+        task = LegTask(
+            team,
+            replace(requirements, arena=None),
+            polygons=np.concatenate([path.polygons for path in paths]),
+            reference=np.concatenate([path.q_legs for path in paths]),
+            shortest_leg=0.0,
+            margin=MAX_MARGIN,
+            roll=np.concatenate(rolls),
+        )
         margins = task.reference_margins()
     except InfeasibleError:
-        margins = np.zeros(len(polygons))
+        margins = np.zeros(len(paths) * knots)
     return margins.reshape(len(paths), knots)
 
 
 def is_hitch(path: KnotPath) -> bool:
     """Return whether a guess is convex, with edges and slack, at all knots."""
-    values = exterior_angles(path.team.layout, path.edges), length(path.edges)
-    degenerate = (np.min(each) <= MIN_SHAPE_SHARE * np.min(each[[0, -1]]) for each in values)
-    return bool(np.min(path.slack) > 0.0) and not any(degenerate)
+    angles = exterior_angles(path.team.layout, path.edges)
+    has_slack = bool(np.min(path.slack) > 0.0)
+    return has_slack and not (_degenerates(angles) or _degenerates(length(path.edges)))
+
+
+def _degenerates(values: Array) -> bool:
+    """Return whether values (J + 1, …) are much smaller at a knot than at both ends."""
+    return bool(np.min(values) <= MIN_SHAPE_SHARE * np.min(values[[0, -1]]))
 
 
 def _directions(outline: Outline) -> Array:

@@ -42,6 +42,15 @@ MAX_ROW_ROUNDS = 6
 LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 """Relative tolerance of the limits, within the reserve of LIMIT_SHARE."""
 
+MIN_PROGRESS_RATE = 1e-12
+"""[1/s] Smallest rate of the first clock by which bounds of speed are divided."""
+
+MAX_RATE_STEPS = 200
+"""Maximum number of constant rates that are tried."""
+
+RATE_FACTOR = 0.8
+"""Factor of a constant rate over the last one that was tried."""
+
 INTERIOR_SHARE = 0.97
 """Squared rate of the initial guess over a feasible one, so that it is strictly feasible."""
 
@@ -106,11 +115,12 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     """
     tau = _inside(clock.knots, NODES)
     weights = (0.5 * (clock.knots[1:] - clock.knots[:-1])[:, None] * WEIGHTS).ravel()
-    progress, basis = clock.progress.jet(tau, 4), SplineBasis.of(clock.knots, tau)
+    progress = clock.progress.jet(tau, 4)
+    basis = SplineBasis.of(clock.knots, tau)
     demands = demands_at(progress[:, 0].clip(0.0, 1.0))
-    rates = chained_rates(demands.drones, progress[:, None, None, :])
-    bound = demands.speed_bound / np.maximum(progress[:, 1], 1e-12) ** 2
-    path = ClockedPath(demands, *rates, bound)
+    first, second, third = chained_rates(demands.drones, progress[:, None, None, :])
+    bound = demands.speed_bound / np.maximum(progress[:, 1], MIN_PROGRESS_RATE) ** 2
+    path = ClockedPath(demands, first, second, third, bound)
     guess = np.full(basis.count, _feasible_rate(path))
     ratios = -path.ratios(basis.at(np.ones(basis.count)))
     count = min(INITIAL_ROWS, ratios.shape[-1])
@@ -128,12 +138,13 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
 
 def _feasible_rate(path: ClockedPath) -> float:
     """Return a constant, strictly feasible x; smaller values are feasible as well."""
-    rate, p = min(1.0, float(np.min(path.rate_bound))), np.zeros((3, len(path.rate_bound)))
-    for _ in range(200):
-        p[0] = rate
-        if np.all(path.ratios(p) <= LIMIT_SHARE):
+    rate = min(1.0, float(np.min(path.rate_bound)))
+    constant = np.zeros((3, len(path.rate_bound)))
+    for _ in range(MAX_RATE_STEPS):
+        constant[0] = rate
+        if np.all(path.ratios(constant) <= LIMIT_SHARE):
             return INTERIOR_SHARE * rate
-        rate *= 0.8
+        rate *= RATE_FACTOR
     raise TimingError("no constant speed along the path keeps the limits")
 
 
@@ -163,17 +174,20 @@ class ClockedPath:
         ----------
         p: (3, M): x, x', x''.
         """
-        limits, m = self.demands.limits, self.demands.team.mass[:, None]
+        limits = self.demands.limits
+        team = self.demands.team
         x, x1, x2 = p[..., None, None]
-        a = x * self.second + 0.5 * x1 * self.first
-        j = np.sqrt(x) * (x * self.third + 1.5 * x1 * self.second + 0.5 * x2 * self.first)
-        f = m * a + self.demands.loads
+        acceleration = x * self.second + 0.5 * x1 * self.first
+        jerk_over_root = x * self.third + 1.5 * x1 * self.second + 0.5 * x2 * self.first
+        jerk = np.sqrt(x) * jerk_over_root
+        thrust = team.mass[:, None] * acceleration + self.demands.loads
+        tilt = np.arctan2(np.hypot(thrust[..., 0], thrust[..., 1]), thrust[..., 2])
         return np.stack(
             [
-                length(a) / limits.acceleration,
-                length(j) / limits.jerk,
-                length(f) / self.demands.team.max_thrust,
-                np.arctan2(np.hypot(f[..., 0], f[..., 1]), f[..., 2]) / limits.tilt,
+                length(acceleration) / limits.acceleration,
+                length(jerk) / limits.jerk,
+                length(thrust) / team.max_thrust,
+                tilt / limits.tilt,
             ]
         )
 
@@ -213,7 +227,9 @@ class RateRows:
         ----------
         drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt.
         """
-        demands, limits, team = path.demands, path.demands.limits, path.demands.team
+        demands = path.demands
+        limits = demands.limits
+        team = demands.team
         share = LIMIT_SHARE**2
         samples = np.arange(len(path.rate_bound))[:, None]
         # Derivatives of drones by the path parameter (4, M, R', 3)
@@ -226,7 +242,8 @@ class RateRows:
         acceleration = accelerations[0] / limits.acceleration
         jerk = jerks[1] / limits.jerk
         # Forces by p and at rest: of thrust over its limit, of tilt over the force at rest
-        loads, mass = demands.loads[samples, drones], team.mass[drones]
+        loads = demands.loads[samples, drones]
+        mass = team.mass[drones]
         thrust_scale = team.max_thrust[drones[2]][..., None]
         thrust = (mass[2, ..., None] / thrust_scale)[..., None] * accelerations[2]
         thrust_at_rest = loads[2] / thrust_scale
@@ -235,8 +252,10 @@ class RateRows:
         pull_at_rest = loads[3] / tilt_scale
         # Tilt: level forces are at most ``slope`` times the upward one
         slope = np.tan(LIMIT_SHARE * limits.tilt)
-        level, level_at_rest = pull[..., :2, :], pull_at_rest[..., :2]
-        upward, upward_at_rest = slope * pull[..., 2:, :], slope * pull_at_rest[..., 2:]
+        level = pull[..., :2, :]
+        level_at_rest = pull_at_rest[..., :2]
+        upward = slope * pull[..., 2:, :]
+        upward_at_rest = slope * pull_at_rest[..., 2:]
         tilt_at_rest = dot(level_at_rest, level_at_rest) - dot(upward_at_rest, upward_at_rest)
         tilt_slope = _double(level, level_at_rest) - _double(upward, upward_at_rest)
         speed = np.zeros((len(samples), 1, 3))
@@ -293,6 +312,7 @@ def _double(A: Array, load: Array) -> Array:
 
 
 DEGREE = 3
+"""Degree of the spline x."""
 
 MAX_NEWTON_STEPS = 60
 """Maximum number of Newton steps; 15 are typical."""
@@ -418,8 +438,10 @@ def fastest_rate(program: RateProgram, guess: Array) -> Array:
     point = program.at(guess)
     if point is None:
         return guess
-    coefficients, basis = guess, program.basis
-    shape, size = program.rows.c.shape, program.rows.c.size
+    coefficients = guess
+    basis = program.basis
+    shape = program.rows.c.shape
+    size = program.rows.c.size
     p, gradients, slack = point
     dual = CENTRING * program.duration(p) / len(slack) / slack
     for _ in range(MAX_NEWTON_STEPS):
@@ -458,7 +480,9 @@ def _newton(
 
     An indefinite matrix is replaced by one of the rows' convex parts; the factor may be None.
     """
-    rows, shape, size = program.rows, program.rows.c.shape, program.rows.c.size
+    rows = program.rows
+    shape = rows.c.shape
+    size = rows.c.size
     row_dual = dual[:size].reshape(shape)
     stiffness = (dual[:size] / slack[:size]).reshape(shape)
     gradient = np.add.reduce(row_dual * gradients, axis=1)
