@@ -32,6 +32,9 @@ from hitchopt.values import Array, Indices
 STEP = 0.1
 """[s] Spacing of samples."""
 
+TIME_ROUNDING = 1e-9
+"""[s] Distance of the last sample before the end from the end, at least."""
+
 MAX_ORDERS = 60
 """Maximum number of orders of priority."""
 
@@ -66,13 +69,16 @@ class SampledPath:
     """A team's path, sampled every STEP [s] from start to end, and the objects that it moves."""
 
     flown: TeamMotion
+    """The team's motion."""
+
     owned: frozenset[str] = frozenset()
+    """Names of the objects that the team moves."""
 
     @cached_property
     def times(self) -> Array:
         """(samples,) [s], including the end."""
         first, last = self.flown.motion.drones.breaks[[0, -1]]
-        return np.append(np.arange(first, last - 1e-9, STEP), last)
+        return np.append(np.arange(first, last - TIME_ROUNDING, STEP), last)
 
     def __len__(self) -> int:
         return len(self.times)
@@ -90,37 +96,43 @@ class SampledPath:
     @cached_property
     def drones(self) -> SampledBodies:
         """All drones."""
-        motion, upright = self.flown.motion, np.zeros(len(self), np.bool_)
-        points = PiecewisePolynomial(motion.drones.breaks, drones_of(motion).corners).at(self.times)
+        motion = self.flown.motion
+        corners = drones_of(motion).corners
+        points = PiecewisePolynomial(motion.drones.breaks, corners).at(self.times)
         ends = np.repeat(points, 2, axis=2)
-        return SampledBodies(ends, ends[..., 2], np.zeros(points.shape[1]), upright)
+        no_radii = np.zeros(points.shape[1])
+        return SampledBodies(ends, ends[..., 2], no_radii, np.zeros(len(self), np.bool_))
 
     @cached_property
     def cables(self) -> SampledBodies:
         """Parts of taut cables, and the upright regions that contain other cables."""
-        motion, n, m = self.flown.motion, self.flown.motion.team.robots, len(self)
-        if n == 0:
-            empty = np.zeros((m, 0, 2, 3))
-            return SampledBodies(empty, empty[..., 2], np.zeros(0), np.zeros(m, np.bool_))
+        motion = self.flown.motion
+        robots = motion.team.robots
+        if robots == 0:
+            empty = np.zeros((len(self), 0, 2, 3))
+            never = np.zeros(len(self), np.bool_)
+            return SampledBodies(empty, empty[..., 2], np.zeros(0), never)
         breaks = motion.drones.breaks
         ends = PiecewisePolynomial(breaks, taut_parts(motion).corners).at(self.times)
-        formed = motion.formed[self._pieces]
-        cable = np.arange(ends.shape[1]) % n  # regions fill the array repeatedly
-        sheets = PiecewisePolynomial(breaks, cable_sheets(motion).corners).at(self.times)[:, cable]
-        outlines, is_taut = sheets[:, :, :-2], formed[:, None, None]
+        sheets = PiecewisePolynomial(breaks, cable_sheets(motion).corners).at(self.times)
+        cable = np.arange(ends.shape[1]) % robots  # regions fill the array repeatedly
+        regions = sheets[:, cable]
+        outlines = regions[:, :, :-2]
         parts = np.repeat(ends, [outlines.shape[2] - 1, 1], axis=2)
-        heights = np.where(
-            is_taut,
-            np.sort(ends[..., 2], axis=-1),
-            np.stack([np.min(sheets[..., 2], axis=-1), np.max(sheets[..., 2], axis=-1)], axis=-1),
-        )
+        lowest = np.min(regions[..., 2], axis=-1)
+        highest = np.max(regions[..., 2], axis=-1)
+        formed = motion.formed[self._pieces]
+        is_taut = formed[:, None, None]
+        heights_of_parts = np.sort(ends[..., 2], axis=-1)
+        heights = np.where(is_taut, heights_of_parts, np.stack([lowest, highest], axis=-1))
         corners = np.where(is_taut[..., None], parts, outlines)
         return SampledBodies(corners, heights, np.zeros(len(cable)), ~formed)
 
     @cached_property
     def taut(self) -> SampledBodies:
         """Parts of taut cables, and regions of those that are laid; far away at other times."""
-        cables, motion = self.cables, self.flown.motion
+        cables = self.cables
+        motion = self.flown.motion
         laid = motion.in_states(frozenset({CableState.LAYING}))[self._pieces]
         offset = np.where(cables.upright & ~laid, FAR, 0.0)[:, None, None]
         corners = cables.corners + offset[..., None]
@@ -150,11 +162,13 @@ class SampledPath:
     @cached_property
     def box(self) -> tuple[Array, Array]:
         """Corners (samples, 3) [m] of boxes around all bodies."""
-        lower, upper = np.full((len(self), 3), np.inf), np.full((len(self), 3), -np.inf)
+        lower = np.full((len(self), 3), np.inf)
+        upper = np.full((len(self), 3), -np.inf)
         for bodies in (self.drones, self.cables, self.objects):
             if not bodies.corners.shape[1]:
                 continue
-            level, radii = bodies.corners[..., :2], bodies.radii[:, None]
+            level = bodies.corners[..., :2]
+            radii = bodies.radii[:, None]
             level_low = np.min(np.min(level, axis=2) - radii, axis=1)
             level_high = np.max(np.max(level, axis=2) + radii, axis=1)
             low = np.column_stack([level_low, np.min(bodies.heights, (1, 2))])
@@ -164,19 +178,37 @@ class SampledPath:
         return lower, upper
 
 
-def _pairs(
-    a: SampledPath, b: SampledPath, separation: Separation
-) -> Iterator[tuple[str, bool, SampledBodies, SampledBodies, float]]:
-    """Yield the checks of two tracks, with the bodies of both and the limit [m or ratio].
+class BodyPairs(NamedTuple):
+    """All pairs of bodies of two tracks that keep one distance."""
 
-    The second value is whether the bodies of b come first.
-    """
+    check: str
+    """Name of the check."""
+
+    limit: float
+    """Limit of the distance [m or ratio]."""
+
+    first: SampledBodies
+    """The bodies that the rule names first."""
+
+    second: SampledBodies
+    """The other bodies."""
+
+    swapped: bool
+    """Whether the first ones are bodies of the second track."""
+
+
+def _pairs(a: SampledPath, b: SampledPath, separation: Separation) -> Iterator[BodyPairs]:
+    """Yield the pairs of bodies of two tracks."""
     for rule in DISTANCES.values():
-        for one, other in rule.kinds:
-            for swapped in (False, True)[: 1 + (one != other)]:
-                first, second = (b, a) if swapped else (a, b)
-                bodies = getattr(first, one), getattr(second, other)
-                yield rule.check, swapped, *bodies, rule.limit(separation)
+        limit = rule.limit(separation)
+        for kind, other_kind in rule.kinds:
+            yield BodyPairs(
+                rule.check, limit, getattr(a, kind), getattr(b, other_kind), swapped=False
+            )
+            if kind != other_kind:
+                yield BodyPairs(
+                    rule.check, limit, getattr(b, kind), getattr(a, other_kind), swapped=True
+                )
 
 
 def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:
@@ -186,31 +218,47 @@ def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:
     gaps = np.maximum(a.box[0][:, None] - b.box[1], b.box[0] - a.box[1][:, None])
     i, j = np.nonzero(np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) < reach**2)
     table = np.full((len(a), len(b)), np.inf)
-    for _, _, unit, slack in _slacks_by_check(a, b, separation, i, j):
-        table[i, j] = np.minimum(table[i, j], unit * slack)
+    for slacks_of_check in _slacks_by_check(a, b, separation, i, j):
+        table[i, j] = np.minimum(table[i, j], slacks_of_check.unit * slacks_of_check.values)
     return table
+
+
+class CheckSlacks(NamedTuple):
+    """Slacks of a check at m pairs of samples."""
+
+    check: str
+    """Name of the check."""
+
+    limit: float
+    """Its limit [m or ratio]."""
+
+    unit: float
+    """[m] Unit of the slacks."""
+
+    values: Array
+    """(m,), infinite beyond REACH."""
 
 
 def _slacks_by_check(
     a: SampledPath, b: SampledPath, separation: Separation, i: Indices, j: Indices
-) -> Iterator[tuple[str, float, float, Array]]:
-    """Yield check, limit, unit of the slack [m] and slack (m,) at samples i and j (m,).
-
-    Slacks are infinite beyond REACH.
-    """
+) -> Iterator[CheckSlacks]:
+    """Yield the slacks of all checks at samples i of a and j of b (m,)."""
     half_axes = 0.5 / separation.scale
     axes_of = {"separation": 2.0 * half_axes, "downwash": half_axes}
-    for check, swapped, first, second, limit in _pairs(a, b, separation):
-        m, n = (j, i) if swapped else (i, j)
-        axes = axes_of.get(check, np.ones(3))
-        slack_of = _downwash_slack if check == "downwash" else _slack
-        unit, slack = float(np.min(axes)), np.full(len(i), np.inf)
-        size = max(1, CHUNK // max(1, first.corners.shape[1] * second.corners.shape[1]))
-        for k in range(0, len(i), size):
+    for pairs in _pairs(a, b, separation):
+        of_first, of_second = (j, i) if pairs.swapped else (i, j)
+        axes = axes_of.get(pairs.check, np.ones(3))
+        slack_of = _downwash_slack if pairs.check == "downwash" else _slack
+        slack = np.full(len(i), np.inf)
+        bodies = pairs.first.corners.shape[1] * pairs.second.corners.shape[1]
+        size = max(1, CHUNK // max(1, bodies))
+        for start in range(0, len(i), size):
             check_time()
-            rows = slice(k, k + size)
-            slack[rows] = slack_of(first, second, m[rows], n[rows], limit, axes)
-        yield check, limit, unit, slack
+            rows = slice(start, start + size)
+            slack[rows] = slack_of(
+                pairs.first, pairs.second, of_first[rows], of_second[rows], pairs.limit, axes
+            )
+        yield CheckSlacks(pairs.check, pairs.limit, float(np.min(axes)), slack)
 
 
 def _slack(
@@ -223,21 +271,20 @@ def _slack(
     smallest = np.full(len(i), np.inf)
     required = limit + first.radii[:, None] + second.radii
     reach = required[..., None] * axes + REACH
-    boxes = [
-        np.stack([np.min(c, axis=2), np.max(c, axis=2)], axis=-1)  # (m, bodies, 3, 2)
-        for c in (first.corners[i], second.corners[j])
-    ]
+    first_boxes = _boxes(first.corners[i])
+    second_boxes = _boxes(second.corners[j])
     vertical = _gaps(first.heights[i], second.heights[j])
     near = vertical < reach[..., 2]
     for axis in range(2):
-        near &= _gaps(boxes[0][:, :, axis], boxes[1][:, :, axis]) < reach[..., axis]
+        near &= _gaps(first_boxes[:, :, axis], second_boxes[:, :, axis]) < reach[..., axis]
     pair, one, other = np.nonzero(near)
+    first_corners = first.corners[i[pair], one]
+    second_corners = second.corners[j[pair], other]
+    first_ends = first_corners[:, [0, -1]] / axes
+    second_ends = second_corners[:, [0, -1]] / axes
+    slack = length(shortest_offset(differences(first_ends, second_ends)))
     upright = (first.upright[i] | second.upright[j])[pair]
-    corners = first.corners[i[pair], one], second.corners[j[pair], other]
-    ends = [each[:, [0, -1]] / axes for each in corners]
-    slack = length(shortest_offset(differences(*ends)))
-    flat = [each[upright, :, :2] for each in corners]
-    slack[upright] = hull_distance(*flat)
+    slack[upright] = hull_distance(first_corners[upright, :, :2], second_corners[upright, :, :2])
     slack -= required[one, other]
     slack = np.where(upright, np.maximum(slack, vertical[near] - limit), slack)
     slack[slack * np.min(axes) > REACH] = np.inf
@@ -252,17 +299,19 @@ def _downwash_slack(
 
     Bodies above a drone do not count; those below reach up to their highest points everywhere.
     """
-    smallest, (across, _, upward) = np.full(len(i), np.inf), axes
-    points, hulls = drones.corners[i][:, :, :1], others.corners[j]
-    low, top = np.moveaxis(others.heights[j], -1, 0)
-    rise = points[..., 2] - top[:, None]
-    near = (rise < limit * upward + REACH) & (points[..., 2] > low[:, None])
-    lower, upper = (bound(hulls, axis=2)[..., :2] for bound in (np.min, np.max))
+    across, _, upward = axes
+    smallest = np.full(len(i), np.inf)
+    points = drones.corners[i][:, :, :1]
+    hulls = others.corners[j]
+    lowest, highest = np.moveaxis(others.heights[j], -1, 0)
+    rise = points[..., 2] - highest[:, None]
+    near = (rise < limit * upward + REACH) & (points[..., 2] > lowest[:, None])
+    boxes = _boxes(hulls)
     reach = limit * across + REACH + others.radii
     for axis in range(2):
         place = points[..., axis]
-        gap = np.maximum(lower[:, None, :, axis] - place, place - upper[:, None, :, axis])
-        near &= gap < reach
+        low, high = np.moveaxis(boxes[:, None, :, axis], -1, 0)
+        near &= np.maximum(low - place, place - high) < reach
     pair, one, other = np.nonzero(near)
     level = hull_distance(points[pair, one, :, :2], hulls[pair, other, :, :2])
     level = np.maximum(level - others.radii[other], 0.0)
@@ -271,10 +320,16 @@ def _downwash_slack(
     return smallest
 
 
-def _gaps(a: Array, b: Array) -> Array:
+def _boxes(corners: Array) -> Array:
+    """Return the intervals (m, bodies, 3, 2) [m] of corners (m, bodies, k, 3) [m] on every axis."""
+    return np.stack([np.min(corners, axis=2), np.max(corners, axis=2)], axis=-1)
+
+
+def _gaps(first: Array, second: Array) -> Array:
     """Return gaps (m, bodies, bodies) between intervals (m, bodies, 2), negative on overlap."""
-    a, b = a[:, :, None], b[:, None]
-    return np.maximum(a[..., 0] - b[..., 1], b[..., 0] - a[..., 1])
+    one = first[:, :, None]
+    other = second[:, None]
+    return np.maximum(one[..., 0] - other[..., 1], other[..., 0] - one[..., 1])
 
 
 @dataclass(eq=False)
@@ -282,7 +337,10 @@ class Placed:
     """A track and its start, as a sample of the common clock."""
 
     track: SampledPath
+    """The track."""
+
     start: int
+    """Sample of the common clock at which it starts."""
 
 
 @dataclass(frozen=True)
@@ -347,10 +405,11 @@ class Schedule:
         conflicts = list[Blocked]()
         names = [track.flown.name for track in self.tracks]
         for layers in self.numbers_of_layers:
-            orders, evaluated = permutations(range(len(names))), set[tuple[int, ...]]()
+            orders = permutations(range(len(names)))
+            evaluated = set[tuple[int, ...]]()
             promoted: tuple[int, ...] | None = None
             for _ in range(MAX_ORDERS):
-                order = promoted or next((each for each in orders if each not in evaluated), None)
+                order = promoted or next((new for new in orders if new not in evaluated), None)
                 if order is None:
                     break
                 evaluated.add(order)
@@ -383,16 +442,20 @@ class Schedule:
                 blocked = blocked or start
             if k not in placed and blocked is not None:
                 return blocked
-        first = min([0, *(each.start for each in placed.values())])
-        return {k: Placed(each.track, each.start - first) for k, each in placed.items()}
+        first = min([0, *(one.start for one in placed.values())])
+        return {k: Placed(one.track, one.start - first) for k, one in placed.items()}
 
     def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[SampledPath, bool]]:
         """Yield the paths of a team, and whether it starts before the teams placed already."""
-        for before in (False, True)[: 1 + earlier]:
-            for track in filter(None, (self._path(k, layer) for layer in range(layers))):
-                yield track, before
+        orders = (False, True) if earlier else (False,)
+        for starts_before in orders:
+            for layer in range(layers):
+                track = self._path(k, layer)
+                if track is not None:
+                    yield track, starts_before
 
     def _path(self, k: int, layer: int) -> SampledPath | None:
+        """Return a team's path in a layer, or None."""
         if layer == 0:
             return self.tracks[k]
         if (k, layer) not in self.alternatives:
@@ -406,34 +469,35 @@ class Schedule:
 
         With ``earlier`` it is the latest feasible start below 0, for which all others wait.
         """
-        last = max([0, *(each.start + len(each.track) for each in placed)])
+        last = max([0, *(other.start + len(other.track) for other in placed)])
         if len(track) == 1:  # at rest: all starts are alike
             starts = np.zeros(1, np.intp)
         elif earlier:
             starts = -np.arange(1, len(track) + 1)
         else:
             starts = np.arange(last + 1)
-        first = min([0, int(np.min(starts)), *(each.start for each in placed)])
+        first = min([0, int(np.min(starts)), *(other.start for other in placed)])
         clock = np.arange(first, last + len(track) + 1)
-        own = track.samples(clock - starts[:, None])  # (starts, clock)
+        samples = track.samples(clock - starts[:, None])  # (starts, clock)
         feasible = np.ones(len(starts), np.bool_)
-        for each in placed:
-            slack = self._table(track, each.track)
+        for other in placed:
+            slack = self._table(track, other.track)
             at_rests = slack[np.ix_([0, -1], [0, -1])]
-            # Rests that are closer than the pad cannot be moved apart, and need no pad.
+            # Rests that are closer than the pad cannot be moved apart, and need no pad
             needed = np.clip(np.min(at_rests), 0.0, pad)
-            other = each.track.samples(clock - each.start)
-            too_close = slack[own, other] < needed
+            samples_of_other = other.track.samples(clock - other.start)
+            too_close = slack[samples, samples_of_other] < needed
             remaining = feasible & ~np.any(too_close, axis=1)
             if not np.any(remaining):
                 last_feasible = int(np.flatnonzero(feasible)[-1])
                 sample = int(clock[np.argmax(too_close[last_feasible])])
                 start = int(starts[last_feasible])
-                return self._blocked(track, each, sample, start, float(needed))
+                return self._blocked(track, other, sample, start, float(needed))
             feasible = remaining
         return int(starts[np.argmax(feasible)])
 
     def _table(self, a: SampledPath, b: SampledPath) -> Array:
+        """Return the slacks (samples of a, samples of b) [m] of two tracks."""
         if (a, b) not in self.tables:
             if (b, a) in self.tables:
                 return self.tables[b, a].T
@@ -447,21 +511,26 @@ class Schedule:
 
         The limit includes the ``needed`` slack [m], such as errors of position.
         """
-        a, b = track, other.track
+        a = track
+        b = other.track
         i = int(np.clip(sample - start, 0, len(a) - 1))
         j = int(np.clip(sample - other.start, 0, len(b) - 1))
-        table, at = self._table(a, b), ""
-        for name, k in (("goals", -1), ("starts", 0)):
-            if table[k, k] <= table[i, j]:
-                i, j, at = k % len(a), k % len(b), name
-        rows = [
-            (float(slack[0]) * unit, check, float(slack[0]) + limit, limit + needed / unit)
-            for check, limit, unit, slack in _slacks_by_check(
-                a, b, self.separation, np.array([i]), np.array([j])
-            )
-        ]
-        _, check, value, limit = min(rows)
-        centres = [np.mean(each.drones.corners[k], axis=(0, 1)) for each, k in ((a, i), (b, j))]
-        place = tuple(np.round(0.5 * (centres[0] + centres[1]), 3).tolist())
-        names = a.flown.name, b.flown.name
-        return Blocked(names, check, value, limit, STEP * sample, place, at)
+        table = self._table(a, b)
+        at = ""
+        if table[-1, -1] <= table[i, j]:
+            i, j, at = len(a) - 1, len(b) - 1, "goals"
+        if table[0, 0] <= table[i, j]:
+            i, j, at = 0, 0, "starts"
+        by_check = _slacks_by_check(a, b, self.separation, np.array([i]), np.array([j]))
+        tightest = min(by_check, key=lambda one: (one.unit * one.values[0], one.check))
+        centre_of_a = np.mean(a.drones.corners[i], axis=(0, 1))
+        centre_of_b = np.mean(b.drones.corners[j], axis=(0, 1))
+        return Blocked(
+            names=(a.flown.name, b.flown.name),
+            check=tightest.check,
+            value=float(tightest.values[0]) + tightest.limit,
+            limit=tightest.limit + needed / tightest.unit,
+            time=STEP * sample,
+            place=tuple(np.round(0.5 * (centre_of_a + centre_of_b), 3).tolist()),
+            at=at,
+        )
