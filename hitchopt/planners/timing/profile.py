@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,15 +72,23 @@ class Demands:
 
     def at(self, points: slice) -> Demands:
         """Return the demands at some of the points."""
-        parts = self.drones[points], self.vertex_speed[points], self.loads[points]
-        return Demands(*parts, self.team, self.limits, self.share)
+        return Demands(
+            self.drones[points],
+            self.vertex_speed[points],
+            self.loads[points],
+            self.team,
+            self.limits,
+            self.share,
+        )
 
     @property
     def speed_bound(self) -> Array:
         """(J,): largest ṡ² within the speed limits of drones and vertices."""
-        fastest = np.max(length(self.drones[..., 1]), axis=1)
-        own = np.maximum(fastest / self.limits.speed, self.vertex_speed / self.limits.vertex_speed)
-        bound: Array = (self.share / np.maximum(own, 1e-12)) ** 2
+        fastest_drone = np.max(length(self.drones[..., 1]), axis=1)
+        drone_ratio = fastest_drone / self.limits.speed
+        vertex_ratio = self.vertex_speed / self.limits.vertex_speed
+        largest_ratio = np.maximum(drone_ratio, vertex_ratio)
+        bound: Array = (self.share / np.maximum(largest_ratio, MIN_RATE)) ** 2
         return bound
 
     def ray_factors(self, u: Array, x: Array) -> Array:
@@ -87,8 +96,10 @@ class Demands:
 
         They are 0 if rest violates a limit.
         """
-        linear, quadratic = np.stack([u, x], axis=1), np.stack([u * u, 2.0 * u * x, x * x], axis=1)
-        factors, size = np.empty(u.shape), max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
+        linear = np.stack([u, x], axis=1)
+        quadratic = np.stack([u * u, 2.0 * u * x, x * x], axis=1)
+        factors = np.empty(u.shape)
+        size = max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
         for first in range(0, len(u), size):
             at = slice(first, first + size)
             forms, slopes, infeasible_at_rest = self._slowness(at)
@@ -97,7 +108,7 @@ class Demands:
                 for form, slope in zip(forms[1:], slopes, strict=True):
                     root = np.sqrt(form @ quadratic[at]) + slope @ linear[at]
                     slowest = np.fmax(slowest, np.fmax.reduce(root, axis=1))
-            factors[at] = 1.0 / np.maximum(slowest, 1e-150)
+            factors[at] = 1.0 / np.maximum(slowest, MIN_SLOWNESS)
             factors[at][np.any(infeasible_at_rest, axis=1)] = 0.0
         return factors
 
@@ -114,11 +125,14 @@ class Demands:
         slopes: (2, J, 2n, 2), coefficients of (u, x) for -b / c of thrust and tilt.
         infeasible_at_rest: (J, 2n), whether rest violates a limit.
         """
-        first, second, loads = self.drones[at, ..., 1], self.drones[at, ..., 2], self.loads[at]
+        first = self.drones[at, ..., 1]
+        second = self.drones[at, ..., 2]
+        loads = self.loads[at]
         squares = np.stack([dot(first, first), dot(first, second), dot(second, second)], axis=-1)
         along_load = np.stack([dot(first, loads), dot(second, loads)], axis=-1)
         upward = np.stack([first[..., 2], second[..., 2]], axis=-1)
-        upward_load, upward_squares = loads[..., 2, None], _products(upward)
+        upward_load = loads[..., 2, None]
+        upward_squares = _products(upward)
         square_at_rest = dot(loads, loads)
         # Weight of the squared upward force against the square of the whole one: of the cone of
         # tilt, and none for thrust
@@ -143,9 +157,12 @@ class Demands:
         velocities decrease with κ, accelerations with κ² and jerks with κ³.
         """
         forms, slopes, infeasible_at_rest = self._slowness(slice(None))
-        squares, slope = forms[..., 2], slopes[..., 1]  # along the ray of ṡ²
-        forces = np.where(squares[1:] >= 0.0, slope + np.sqrt(np.maximum(squares[1:], 0.0)), 0.0)
-        speeds, jerks = length(self.drones[..., 1]), length(self.drones[..., 3])
+        squares = forms[..., 2]  # along the ray of ṡ²
+        slope = slopes[..., 1]
+        radicands = squares[1:]
+        forces = np.where(radicands >= 0.0, slope + np.sqrt(np.maximum(radicands, 0.0)), 0.0)
+        speeds = length(self.drones[..., 1])
+        jerks = length(self.drones[..., 3])
         stretches = np.maximum.reduce(
             [
                 speeds / self.limits.speed / self.share,
@@ -180,23 +197,55 @@ def check_hover(
     when: J descriptions of positions on the flight.
     remedies: for thrust and tilt.
     """
-    kinds = ("thrust", "N", team.max_thrust), ("tilt", "deg", np.degrees([limits.tilt]))
-    both = rest_ratios(team, limits, loads)
-    for (name, unit, each), ratios, remedy in zip(kinds, both, remedies, strict=True):
-        j, i = divmod(int(np.argmax(ratios)), team.drones)
-        if ratios[j, i] >= LIMIT_SHARE:
-            limit, where = float(np.broadcast_to(each, team.drones)[i]), (team.drone_names[i],)
-            value, limit = float(ratios[j, i]) * limit, LIMIT_SHARE * limit
-            words = f"{when[j]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
-            violation = Violation(name, value, limit, "max", unit, where, words, remedy)
+    thrust_ratios, tilt_ratios = rest_ratios(team, limits, loads)
+    tilts = np.full(team.drones, np.degrees(limits.tilt))
+    kinds = (
+        HoverLimit("thrust", "N", team.max_thrust, thrust_ratios, remedies[0]),
+        HoverLimit("tilt", "deg", tilts, tilt_ratios, remedies[1]),
+    )
+    for kind in kinds:
+        sample, drone = divmod(int(np.argmax(kind.ratios)), team.drones)
+        ratio = float(kind.ratios[sample, drone])
+        if ratio >= LIMIT_SHARE:
+            limit = float(kind.limits[drone])
+            reserved = f"{when[sample]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
+            violation = Violation(
+                kind.check,
+                ratio * limit,
+                LIMIT_SHARE * limit,
+                "max",
+                kind.unit,
+                (team.drone_names[drone],),
+                reserved,
+                kind.remedy,
+            )
             raise InfeasibleError([violation])
+
+
+class HoverLimit(NamedTuple):
+    """A limit of drones at rest."""
+
+    check: str
+    """Name of the check."""
+
+    unit: str
+    """Unit of the limits."""
+
+    limits: Array
+    """(2n,), of every drone [unit]."""
+
+    ratios: Array
+    """(J, 2n), of thrusts or tilts at rest over the limits."""
+
+    remedy: str
+    """Suggested change."""
 
 
 def spare_accelerations(team: Team, limits: Limits, loads: Array) -> Array:
     """Return the accelerations (J, 2n) [m/s²] in any direction within thrust and tilt limits."""
-    thrust, tilt = LIMIT_SHARE - rest_ratios(team, limits, loads)
-    lateral = length(loads) * np.sin(limits.tilt * tilt)
-    spare: Array = np.minimum(team.max_thrust * thrust, lateral) / team.mass
+    spare_thrust, spare_tilt = LIMIT_SHARE - rest_ratios(team, limits, loads)
+    lateral = length(loads) * np.sin(limits.tilt * spare_tilt)
+    spare: Array = np.minimum(team.max_thrust * spare_thrust, lateral) / team.mass
     return spare
 
 
@@ -213,15 +262,18 @@ def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
         for its drones' positions.
     """
     if team.cable_density > 0.0:  # the pull of a cable that is too short is unbounded
-        spans = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
-        cable, worst = int(np.argmax(np.max(spans, axis=0))), float(np.max(spans))
+        span_ratios = length(drones[:, 1::2] - drones[:, 0::2]) / team.cable_length
+        worst = float(np.max(span_ratios))
         if worst >= 1.0:
-            where, when = (team.cable_names[cable],), "between its drones' places"
+            cable = int(np.argmax(np.max(span_ratios, axis=0)))
+            where = (team.cable_names[cable],)
+            when = "between its drones' places"
             remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
             raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
     loads = loads_at_rest(team, hanging_forces(team, drones))
     remedy = "use lighter cables, or stronger drones that may tilt more"
-    check_hover(team, limits, loads, ["hovering with a hanging cable"] * len(drones), (remedy,) * 2)
+    hovering = ["hovering with a hanging cable"] * len(drones)
+    check_hover(team, limits, loads, hovering, (remedy, remedy))
     spare = spare_accelerations(team, limits, loads)
     usable: Array = np.minimum(np.min(spare, axis=0), LIMIT_SHARE * limits.acceleration)
     return usable
@@ -231,6 +283,18 @@ def _products(pair: Array) -> Array:
     """Return the products (…, 3) of pairs (…, 2): first², first · second, second²."""
     return pair[..., [0, 0, 1]] * pair[..., [0, 1, 1]]
 
+
+MIN_RATE = 1e-12
+"""Smallest rate by which limits of speed and acceleration are divided."""
+
+MIN_SLOWNESS = 1e-150
+"""Smallest inverse factor of a ray, which keeps factors finite."""
+
+MIN_PATH_LENGTH = 1e-2
+"""Smallest length of a path in toppra's units."""
+
+MAX_PATH_LENGTH = 1e9
+"""Largest length of a path in toppra's units."""
 
 RAYS = 64
 """Number of directions in the half plane of (s̈, ṡ² ≥ 0); chords cut off 0.03 % of a circle."""
@@ -283,22 +347,45 @@ class SpeedProfile:
 
     def mean(self, t: Array, width: float) -> Array:
         """Return the mean of s over the ``width`` [s] before t (…); s is 0 before and 1 after."""
-        x = np.stack([t, t - width])
-        inner = x.clip(0.0, self.duration)
-        # The integrals of s up to the grid points, and from these to x.
-        steps, rates = self.times[1:] - self.times[:-1], self._rates
-        parts = self.s[:-1], self.speed[:-1] / 2.0, rates / 6.0
-        whole = steps * (parts[0] + steps * (parts[1] + steps * parts[2]))
+        bounds = np.stack([t, t - width])
+        inner = bounds.clip(0.0, self.duration)
+        # The integrals of s up to the grid points, and from these to the bounds
+        steps = self.times[1:] - self.times[:-1]
+        start = self.s[:-1]
+        half_speed = self.speed[:-1] / 2.0
+        sixth_of_rate = self._rates / 6.0
+        of_steps = steps * (start + steps * (half_speed + steps * sixth_of_rate))
         k = self._steps(inner)
-        dt, (s, half, sixth) = inner - self.times[k], (part[k] for part in parts)
-        before = (whole.cumsum() - whole)[k]
-        upper, lower = before + dt * (s + dt * (half + dt * sixth)) + (x - inner).clip(0.0)
+        dt = inner - self.times[k]
+        up_to_grid = (of_steps.cumsum() - of_steps)[k]
+        from_grid = dt * (start[k] + dt * (half_speed[k] + dt * sixth_of_rate[k]))
+        after_end = (bounds - inner).clip(0.0)
+        upper, lower = up_to_grid + from_grid + after_end
         mean: Array = (upper - lower) / width
         return mean
 
 
+class FeasiblePolygons(NamedTuple):
+    """Inner approximations of the feasible (s̈, ṡ²) at J points of a path."""
+
+    corners: Array
+    """(2, J, RAYS + 1): from the largest s̈ at ṡ = 0 to the smallest."""
+
+    acceleration: Array
+    """(J,) [1/s²]: magnitude of s̈."""
+
+    squared_speed: Array
+    """(J,) [1/s²]: magnitude of ṡ²."""
+
+    def at(self, points: slice) -> FeasiblePolygons:
+        """Return the polygons at some of the points."""
+        return FeasiblePolygons(
+            self.corners[:, points], self.acceleration[points], self.squared_speed[points]
+        )
+
+
 def fastest_profile(
-    s: Array, demands: Demands, polygons: tuple[Array, Array, Array] | None = None
+    s: Array, demands: Demands, polygons: FeasiblePolygons | None = None
 ) -> SpeedProfile:
     """Return the time-optimal profile from rest to rest on the grid s (J,), from 0 to 1.
 
@@ -310,18 +397,21 @@ def fastest_profile(
     """
     from hitchopt.planners.timing.reachability import fastest_speeds
 
-    corners, acceleration, squared_speed = polygons or feasible_polygons(demands)
+    if polygons is None:
+        polygons = feasible_polygons(demands)
+    corners, acceleration, squared_speed = polygons
     # toppra's tolerances are absolute. A length of the path and a unit of time scale both s̈ and ṡ²
     # to order 1, whether limited by acceleration or by speed.
-    length = float(np.clip(np.median(acceleration / squared_speed), 1e-2, 1e9))
-    unit = float(np.median(squared_speed)) * length
-    if not math.isfinite(length * unit):
+    ratio = float(np.median(acceleration / squared_speed))
+    path_length = float(np.clip(ratio, MIN_PATH_LENGTH, MAX_PATH_LENGTH))
+    unit = float(np.median(squared_speed)) * path_length
+    if not math.isfinite(path_length * unit):
         raise TimingError("clasps have no balance on this path")
-    scaled = np.stack([corners[0] / unit, corners[1] * length / unit])
-    speeds = fastest_speeds(s * length, scaled)
+    scaled = np.stack([corners[0] / unit, corners[1] * path_length / unit])
+    speeds = fastest_speeds(s * path_length, scaled)
     if speeds is None:
         raise TimingError("toppra found no speed profile from rest to rest on this path")
-    return SpeedProfile(s, speeds * np.sqrt(unit / length))
+    return SpeedProfile(s, speeds * np.sqrt(unit / path_length))
 
 
 def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
@@ -342,26 +432,24 @@ def acceleration_ramp(profile: SpeedProfile, demands: Demands) -> float:
     )
 
 
-def feasible_polygons(demands: Demands) -> tuple[Array, Array, Array]:
+def feasible_polygons(demands: Demands) -> FeasiblePolygons:
     """Return an inner approximation of the feasible (s̈, ṡ²).
 
     The feasible set of all drones is convex. Its polygon has corners on rays from rest; their
     number does not depend on n.
-
-    Returns
-    -------
-    corners: (2, J, RAYS + 1), from the largest s̈ at ṡ = 0 to the smallest.
-    acceleration, squared_speed: (J,) [1/s²], magnitudes of s̈ and of ṡ².
     """
     squared_speed = demands.speed_bound
-    rates = np.maximum(length(demands.drones[..., 1]), 1e-12)
+    rates = np.maximum(length(demands.drones[..., 1]), MIN_RATE)
     acceleration = np.min(demands.limits.acceleration / rates, axis=1)
     angles = np.pi * np.arange(RAYS + 1) / RAYS
-    u, x = acceleration[:, None] * np.cos(angles), squared_speed[:, None] * np.sin(angles)
+    u = acceleration[:, None] * np.cos(angles)
+    x = squared_speed[:, None] * np.sin(angles)
     x[:, [0, -1]] = 0.0
-    factors, positive = demands.ray_factors(u, x), np.where(x > 0.0, x, 1.0)
-    factors = np.minimum(factors, np.where(x > 0.0, squared_speed[:, None] / positive, np.inf))
-    return np.stack([factors * u, factors * x]), acceleration, squared_speed
+    moves = x > 0.0
+    of_speed = np.where(moves, squared_speed[:, None] / np.where(moves, x, 1.0), np.inf)
+    factors = np.minimum(demands.ray_factors(u, x), of_speed)
+    corners = np.stack([factors * u, factors * x])
+    return FeasiblePolygons(corners, acceleration, squared_speed)
 
 
 GRID = 80
@@ -395,16 +483,16 @@ def flight_estimates(paths: Sequence[FlatPath], limits: Limits) -> list[float]:
 
 def _estimates(demands: Demands) -> list[float]:
     """Return the estimates of paths whose demands on the grid follow each other."""
-    s, estimates = path_grid(GRID), list[float]()
-    corners, *sizes = feasible_polygons(demands)
+    s = path_grid(GRID)
+    polygons = feasible_polygons(demands)
+    estimates = list[float]()
     for first in range(0, len(demands.loads), len(s)):
         points = slice(first, first + len(s))
-        own = demands.at(points)
+        of_path = demands.at(points)
         try:
-            polygons = corners[:, points], sizes[0][points], sizes[1][points]
-            profile = fastest_profile(s, own, polygons)
+            profile = fastest_profile(s, of_path, polygons.at(points))
         except TimingError:
             estimates.append(math.inf)
             continue
-        estimates.append(profile.duration + RAMP_SHARE * acceleration_ramp(profile, own))
+        estimates.append(profile.duration + RAMP_SHARE * acceleration_ramp(profile, of_path))
     return estimates
