@@ -42,6 +42,9 @@ MIN_LEAN = math.radians(0.5)
 PIECES_PER_INTERVAL = 2
 """Number of pieces of the drones' polynomials per interval of the splines."""
 
+COUNT_ROUNDING = 1e-9
+"""Rounding of a number of pieces that is a whole one."""
+
 
 @dataclass(frozen=True, eq=False)
 class FrictionFeedforward:
@@ -116,7 +119,8 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
     rest: the hitch at rest, for the duration of the swings.
     share: of the swings, in (0, 1].
     """
-    start, count = float(rest.drones.breaks[0]), 2 * SWINGS
+    start = float(rest.drones.breaks[0])
+    count = 2 * SWINGS
     times = start + rest.duration * np.linspace(0.0, 1.0, count + 1)
     clasps = _ForceTriangles.of(rest, times[:1])
     decay = np.repeat(np.linspace(FIRST_SHARE, LAST_SHARE, SWINGS), 2)[1:]
@@ -124,7 +128,8 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
     friction = decay[:, None, None] * min(rest.team.cable_friction, MAX_FRICTION)
     slips = friction * clasps.wrap_angles
     for _ in range(WRAP_ITERATIONS):  # open legs wrap more, closed ones less
-        slips = friction * (np.nan_to_num(clasps.leg_angles) + np.nan_to_num(clasps.angles(slips)))
+        angles = np.nan_to_num(clasps.angles(slips))
+        slips = friction * (np.nan_to_num(clasps.leg_angles) + angles)
     shares = share * np.min(clasps.feasible_share(slips), axis=0)
     extremes = np.zeros((count + 1, *slips.shape[1:]))
     extremes[1:-1] = shares[:, None] * slips
@@ -140,8 +145,8 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
         return None
     layout = motion.team.layout
     longest = motion.duration / (PIECES_PER_INTERVAL * slip.pieces)
-    counts = np.maximum(1, np.ceil(np.diff(motion.drones.breaks) / longest - 1e-9).astype(np.intp))
-    breaks = divided(motion.drones.breaks, counts)
+    parts = np.ceil(np.diff(motion.drones.breaks) / longest - COUNT_ROUNDING).astype(np.intp)
+    breaks = divided(motion.drones.breaks, np.maximum(1, parts))
     vertices = on_breaks(motion.vertices, breaks)
     legs = on_breaks(motion.legs, breaks)
     tensions = on_breaks(motion.tensions, breaks)
@@ -157,15 +162,19 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
     pulls[:, layout.ahead, 0] = product(ratios[:, :, 1], tension_jets[:, layout.ahead])
     chords = drone_jets - vertex_jets[:, layout.anchors]
     cables = cables_of_legs(motion.team, chords, leg_jets, tension_jets)
-    curves = vertex_jets, leg_jets, tension_jets, pulls, drone_jets, cables
-    balanced = slipping_drones(motion.team, *curves)
+    balanced = slipping_drones(
+        motion.team, vertex_jets, leg_jets, tension_jets, pulls, drone_jets, cables
+    )
     if not np.all(np.isfinite(balanced)):
         return None
-    r_drones, q_drones = 2 * layout.behind + 1, 2 * layout.ahead
+    r_drones = 2 * layout.behind + 1
+    q_drones = 2 * layout.ahead
     original = np.stack([drone_jets[:, r_drones], drone_jets[:, q_drones]], axis=2)[..., 0]
     clasps = vertex_jets[:, layout.clasps][..., 0][:, :, None]
-    before, after = original - clasps, balanced[..., 0] - clasps
-    leans = np.arctan2(length(np.cross(before, after)), dot(before, after))
+    legs_before = original - clasps
+    legs_after = balanced[..., 0] - clasps
+    sines = length(np.cross(legs_before, legs_after))
+    leans = np.arctan2(sines, dot(legs_before, legs_after))
     drone_jets[:, r_drones] = balanced[:, :, 0]
     drone_jets[:, q_drones] = balanced[:, :, 1]
     with_feedforward = motion.replaced(
@@ -254,7 +263,8 @@ def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     share: of the friction that legs can hold, in (0, 1].
     """
     layout = motion.team.layout
-    start, duration = float(motion.drones.breaks[0]), motion.duration
+    start = float(motion.drones.breaks[0])
+    duration = motion.duration
     count = min(max(MIN_INTERVALS, round(duration / KNOT_SPACING)), MAX_INTERVALS)
     inner = np.linspace(0.0, duration, count + 1)
     knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, duration)])
@@ -263,12 +273,13 @@ def expected_slip(motion: Motion, share: float) -> PiecewisePolynomial | None:
     fastest = float(np.max(np.abs(rates)))
     if fastest <= MIN_LEG_RATE:
         return None
-    both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW_SHARE * fastest
+    rates_of_both = np.sum(np.abs(rates), axis=-1, keepdims=True) + SLOW_SHARE * fastest
     clasps = _ForceTriangles.of(motion, t)
     friction = min(motion.team.cable_friction, MAX_FRICTION)
-    slip = friction * clasps.wrap_angles * rates / both
+    slip = friction * clasps.wrap_angles * rates / rates_of_both
     slip *= share * clasps.feasible_share(slip)[..., None]
-    slip[:ZERO_COEFFICIENTS] = slip[-ZERO_COEFFICIENTS:] = 0.0
+    slip[:ZERO_COEFFICIENTS] = 0.0
+    slip[-ZERO_COEFFICIENTS:] = 0.0
     return bspline(start + knots, slip, DEGREE)
 
 
@@ -295,12 +306,12 @@ class _ForceTriangles:
 
     @classmethod
     def of(cls, motion: Motion, t: Array) -> _ForceTriangles:
+        """Return the force triangles of a motion at times t (J,) [s]."""
         layout = motion.team.layout
         team = motion.team
         edges = layout.edges(motion.vertices.at(t))
         directions = edges / length(edges)[..., None]
         edge_tensions = motion.tensions.at(t)
-        behind, ahead = edge_tensions[:, layout.behind], edge_tensions[:, layout.ahead]
         legs = motion.legs.at(t)
         half_weight = 0.5 * GRAVITY * team.cable_density
         level = edges[..., 0] ** 2 + edges[..., 1] ** 2
@@ -311,9 +322,14 @@ class _ForceTriangles:
             carried = rest[:, 0, layout.ahead] + rest[:, 1, layout.behind]
             total[..., 2] += half_weight * carried
             total[..., 2] += GRAVITY * team.load
-        tensions = np.stack([behind, ahead], axis=-1)
-        separation = motion.requirements.separation
-        return cls(length(total), tensions, _at_clasps(layout, legs), separation)
+        behind = edge_tensions[:, layout.behind]
+        ahead = edge_tensions[:, layout.ahead]
+        return cls(
+            pull=length(total),
+            tensions=np.stack([behind, ahead], axis=-1),
+            legs=_at_clasps(layout, legs),
+            separation=motion.requirements.separation,
+        )
 
     @cached_property
     def leg_angles(self) -> Array:
@@ -334,23 +350,27 @@ class _ForceTriangles:
         Leans are at most MAX_LEAN, and drones keep their distances to each other and to both legs.
         """
         before = self._distances(self.leg_angles)
-        lower, upper = np.zeros(slip.shape[:-1]), np.ones(slip.shape[:-1])
+        lower = np.zeros(slip.shape[:-1])
+        upper = np.ones(slip.shape[:-1])
         trial = upper
         for _ in range(BISECTIONS):
             angles = self.angles(trial[..., None] * slip)
-            leans = np.abs(angles - self.leg_angles) <= MAX_LEAN
+            is_small = np.abs(angles - self.leg_angles) <= MAX_LEAN
             distances = self._distances(angles)
-            clear = (distances >= DISTANCE_FACTOR) | (distances >= before)
-            feasible = np.all(leans, axis=-1) & np.all(clear, axis=-1)
-            lower, upper = np.where(feasible, trial, lower), np.where(feasible, upper, trial)
+            is_clear = (distances >= DISTANCE_FACTOR) | (distances >= before)
+            feasible = np.all(is_small, axis=-1) & np.all(is_clear, axis=-1)
+            lower = np.where(feasible, trial, lower)
+            upper = np.where(feasible, upper, trial)
             trial = 0.5 * (lower + upper)
         return lower
 
     def angles(self, slip: Array) -> Array:
         """Return angles (J, clasps, 2) [rad] between the legs and V; nan without a triangle."""
         pulls = self.tensions * np.exp(slip)
-        others, pull = pulls[..., ::-1], self.pull[..., None]
-        squares, products = pull**2 + pulls**2 - others**2, 2.0 * pull * pulls
+        others = pulls[..., ::-1]
+        pull = self.pull[..., None]
+        squares = pull**2 + pulls**2 - others**2
+        products = 2.0 * pull * pulls
         infinite = np.full_like(squares, np.inf)
         cosines = np.divide(squares, products, out=infinite, where=products > 0.0)
         return np.arccos(np.where(np.abs(cosines) < 1.0, cosines, np.nan))
@@ -358,8 +378,10 @@ class _ForceTriangles:
     def _distances(self, angles: Array) -> Array:
         """Return distances over their limits (J, clasps, 3), of the drones and to both legs."""
         between = np.sum(angles, axis=-1, keepdims=True)
-        e, d = self.legs[..., :1], self.legs[..., 1:]
-        drones = np.sqrt(np.maximum(e**2 + d**2 - 2.0 * e * d * np.cos(between), 0.0))
+        e = self.legs[..., :1]
+        d = self.legs[..., 1:]
+        squares = e**2 + d**2 - 2.0 * e * d * np.cos(between)
+        drones = np.sqrt(np.maximum(squares, 0.0))
         to_legs = np.where(between < 0.5 * np.pi, self.legs * np.sin(between), self.legs)
         limits = self.separation
         cable = max(limits.cable, MIN_DISTANCE)
