@@ -384,6 +384,7 @@ SUGGESTIONS = {
     "legs": "use longer cables",
     "equilibrium": "raise the tension",
     "support": "use a wider rim, or lower the centre of mass",
+    "object_clearance": "use another number of robots, or a rounder rim",
 }
 """Changes that increase the capacity, by binding limit."""
 

@@ -17,7 +17,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.holding import Grip, grip_capacity, rest_capacity
+from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
@@ -30,7 +30,8 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
-from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
+from hitchopt.planners.carrying.capacity import best_rim_hold, robots_that_rest
+from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
     LIFT_SPEED,
@@ -181,6 +182,8 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
     mass = planner.body.mass
     capacity = hold_capacity(planner, task.requirements)
     hardware = "use more robots, as hitchopt fit counts them"
+    if any(RIM_EDGE in violation.where for violation in error.violations):
+        hardware = _other_robots(planner, task.requirements)
     if hold.by is not HoldBy.REST:
         hardware = "use rougher cables"
         if capacity.rim_mass >= mass:
@@ -205,6 +208,23 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
             alternatives += f", or {violation.remedy}"
         violations.append(replace(violation, remedy=remedy + alternatives))
     return InfeasibleError(violations)
+
+
+def _other_robots(planner: MovePlanner, requirements: Requirements) -> str:
+    """Return what to use where legs cut a rim: another number of robots, if one holds it."""
+    team = planner.hold.team
+    number = robots_that_rest(
+        team.robots,
+        planner.body,
+        float(np.min(team.cable_length)),
+        float(np.min(planner.state.tension)),
+        team.quadrotor[0],
+        requirements,
+        planner.gap,
+    )
+    if number is None:
+        return "use a rounder rim"
+    return f"use {number} robots, whose legs stay below the rim"
 
 
 class HoldCapacity(NamedTuple):
@@ -232,26 +252,21 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapac
     rim_mass = 0.0
     texts = list[str]()
     with contextlib.suppress(InfeasibleError):
-        rim_outline = hold.polygon
-        rim_height = hold.height
+        polygons = planner.state.polygons
         if isinstance(hold, GripHold):
             grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
             max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
             texts.append(f"a grip holds {max_mass:.2g} kg")
-            with_rim = with_fields(body, rim=Rim(body.section, body.lower))
+            body = with_fields(body, rim=Rim(body.section, body.lower))
             robots = max(team.robots, 3)
-            rests = rest_polygons(planner.state.object, with_rim, robots, planner.gap)
-            rim_outline = rests[0].clasps
-            rim_height = body.lower
-        polygon = ConvexPolygon(rim_outline)
-        mass_height = float(body.centre_of_mass[2]) - rim_height
-        rim_capacity = rest_capacity(
-            polygon, cable_length, tension, kind, requirements, mass_height
-        )
-        rim_mass = rim_capacity.mass
-        texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
-        if hold.by is HoldBy.REST:
+            polygons = rest_polygons(planner.state.object, body, robots, planner.gap)[0]
+        best = best_rim_hold(body, polygons, cable_length, tension, kind, requirements)
+        rim_mass = best.capacity.mass
+        # Rolled legs may hold an object that unrolled ones do not
+        if rim_mass > 0.0 and isinstance(hold, RestHold):
             max_mass = rim_mass
+        if rim_mass > 0.0 or isinstance(hold, GripHold):
+            texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
     text = f" ({', '.join(texts)})" if texts else ""
     return HoldCapacity(text, max_mass, rim_mass)
 

@@ -21,16 +21,18 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.holding import Capacity, Grip, grip_capacity, rest_capacity
+from hitchopt.hitch.holding import Capacity, Grip, grip_capacity
 from hitchopt.hitch.quadrotor import Quadrotor, kinds_of
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.planners.carrying.capacity import RimHold, best_rim_hold
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
 from hitchopt.planners.carrying.polygons import (
     EDGE_MARGIN,
     GripTask,
+    HoldPolygons,
     best_grip,
     rest_polygons,
 )
@@ -296,23 +298,30 @@ def _holding(task: FitTask, robots: int) -> Holding:
             return grip_and_cable(request, task.clearance)
         return best_grip(request), cable
 
-    def resting() -> ConvexPolygon:
-        body = SolidObject(task.section, 0.0, task.height, rim=Rim(task.section, 0.0))
-        if task.stem is not None:
-            stem = Section(task.section.centroid + task.stem * CIRCLE)
-            body = SolidObject(stem, 0.0, task.height, rim=Rim(task.section, task.height))
-        return ConvexPolygon(rest_polygons("outline", body, robots, gap)[0].clasps)
-
-    gripping, rest = _attempt(grip), _attempt(resting)
-    gripped, rested = gripping, rest
+    gripping = _attempt(grip)
+    resting = _attempt(lambda: rest_polygons("outline", _with_rim(task), robots, gap)[0])
+    gripped = gripping
+    rested = rest = resting
     if not isinstance(gripping, InfeasibleError):
         gripping, cable = gripping
         gripped = grip_capacity(gripping, task.kind, task.friction, SAFETY)
-    if isinstance(rest, ConvexPolygon):
-        load = task.tension, task.kind, requirements, 0.5 * task.height
-        rested = _attempt(lambda: rest_capacity(rest, cable, *load))
+    if isinstance(resting, HoldPolygons):
+        load = cable, task.tension, task.kind, requirements
+        rested = _attempt(lambda: best_rim_hold(_with_rim(task), resting, *load))
+        rest = ConvexPolygon(resting.clasps)
+        if isinstance(rested, RimHold):
+            rest = ConvexPolygon(rested.clasps)
+            rested = rested.capacity
     capacities = (x if isinstance(x, Capacity) else _zero_capacity(x) for x in (gripped, rested))
     return Holding(task, robots, enclosing, cable, gripping, rest, *capacities)
+
+
+def _with_rim(task: FitTask) -> SolidObject:
+    """Return the object with its outline as a rim, above a stem or as a flat tray."""
+    if task.stem is None:
+        return SolidObject(task.section, 0.0, task.height, rim=Rim(task.section, 0.0))
+    stem = Section(task.section.centroid + task.stem * CIRCLE)
+    return SolidObject(stem, 0.0, task.height, rim=Rim(task.section, task.height))
 
 
 def _tied_at(task: FitTask) -> float:

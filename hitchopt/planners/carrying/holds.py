@@ -41,6 +41,9 @@ from hitchopt.planners.carrying.polygons import sides_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
+RIM_EDGE = "the rim"
+"""What legs cut, in messages."""
+
 
 def polygon_at(body: SolidObject, vertices: Array) -> ConvexPolygon:
     """Return a polygon (n, 2) [m] of an object's frame in the world frame."""
@@ -263,7 +266,7 @@ class RestHold(HoldingHitch):
             heights = self._leg_heights_at_rim(tension, load_share)
             worst = int(np.argmax(heights))
             if heights[worst] > RIM_CUT:
-                where = (f"cable {self.team.labels[worst // 2]}", "the rim")
+                where = (f"cable {self.team.labels[worst // 2]}", RIM_EDGE)
                 violation = Violation(
                     "object_clearance", 0.0, RIM_CUT, "min", "m", where, "", RIM_REMEDY
                 )
