@@ -60,7 +60,7 @@ PUBLIC_NAMES = {
 
 ROOM_NAMES = {
     "checks": ("CertificateError",),
-    "checks.distances": ("Closeness",),
+    "checks.separation": ("Closeness",),
     "errors": ("FileError", "TimeLimitError", "UnsupportedError", "Violation"),
     "hitch.catenary": ("hanging_cable",),
     "hitch.flight_controller": ("FlightController",),

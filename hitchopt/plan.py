@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
-from hitchopt.checks.distances import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.checks.registry import NAMES
+from hitchopt.checks.separation import CLOSENESS_SPANS, Closeness, closeness
 from hitchopt.errors import FileError, InputError, OneLine, Progress, contained, short
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_teams

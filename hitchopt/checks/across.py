@@ -19,7 +19,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,11 +32,17 @@ from hitchopt.checks.bodies import (
     taut_parts,
 )
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import Solid, from_above, pairs_with_shape
 from hitchopt.checks.distances import Moving, Shape, nearest_of, smallest
-from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_slab
+from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_object
 from hitchopt.checks.objects import placed_corners
-from hitchopt.checks.rule import CheckRule, WorstCase
+from hitchopt.checks.rule import CheckRule, WorstCase, largest_error
+from hitchopt.checks.solids import (
+    PlacedObject,
+    Solid,
+    from_above,
+    pairs_with_shape,
+    placed_objects,
+)
 from hitchopt.checks.spans import ROUNDING, cable_names, cached, flight_magnitude, magnitude
 from hitchopt.checks.tracking import (
     RULES,
@@ -49,7 +55,7 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
-from hitchopt.objects import Slab, SolidObject
+from hitchopt.objects import Slab
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
@@ -63,8 +69,13 @@ class Side:
     """A team on a run of pieces, and the regions of its cables while it has no hitch."""
 
     flown: TeamMotion
-    sheets: CableSheets | None  # None without cables
-    carried: frozenset[str]  # objects that it moves at any time
+    """The team's motion on these pieces."""
+
+    sheets: CableSheets | None
+    """Regions of its cables; None without cables."""
+
+    carried: frozenset[str]
+    """Names of the objects that it moves at any time."""
 
     @property
     def motion(self) -> Motion:
@@ -82,8 +93,13 @@ class Run:
     """Two teams on common pieces on which each has a hitch or none, and their distances."""
 
     first: Side
+    """One of the teams."""
+
     second: Side
+    """The other one."""
+
     separation: Separation
+    """Distances of the flight."""
 
     @property
     def both(self) -> tuple[tuple[Side, Side], ...]:
@@ -117,18 +133,19 @@ class Run:
 @cached
 def runs(flight: Flight) -> tuple[Run, ...]:
     """Return the runs of all pairs of teams, at least one of them the flight's own."""
-    separation, result = flight.requirements.separation, list[Run]()
-    for i, first in enumerate(flight.teams):
-        for second in flight.all_teams[i + 1 :]:
-            result += _runs(first, second, separation)
-    return tuple(result)
+    all_runs = list[Run]()
+    for index, first in enumerate(flight.teams):
+        for second in flight.all_teams[index + 1 :]:
+            all_runs += _runs(first, second, flight.requirements.separation)
+    return tuple(all_runs)
 
 
 def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iterator[Run]:
     """Yield the runs of two teams."""
     teams = first, second
     ends = np.array([flown.motion.drones.breaks[[0, -1]] for flown in teams])
-    begin, end = float(np.min(ends)), float(np.max(ends))
+    begin = float(np.min(ends))
+    end = float(np.max(ends))
     at_rest_besides = [padded(flown.motion, begin, end) for flown in teams]
     breaks = merged_breaks([motion.drones.breaks for motion in at_rest_besides])
     motions = [on_breaks_of(motion, breaks) for motion in at_rest_besides]
@@ -140,7 +157,8 @@ def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iter
 
     def side(index: int, start: int, stop: int) -> Side:
         """Return one of the teams on a run of pieces."""
-        motion, cables = motions[index], sheets[index]
+        motion = motions[index]
+        cables = sheets[index]
         pieces = slice(start, stop)
         phases = motion.overlapping(breaks[start], breaks[stop])
         flown = replace(teams[index], motion=motion.slice_pieces(pieces, phases))
@@ -152,12 +170,17 @@ def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iter
 
 def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
     """Return a team's cables, with names of taut parts if ``parts``; None for single drones."""
-    motion, sheets = side.motion, side.sheets
+    motion = side.motion
+    sheets = side.sheets
     if sheets is None:
         return None
-    if motion.formed[0]:
-        return (taut_parts if parts else taut_cables)(motion).labelled(side.flown.label)
-    return Bodies(sheets.corners, cable_names(motion), sheets.outline).labelled(side.flown.label)
+    if not motion.formed[0]:
+        cables = Bodies(sheets.corners, cable_names(motion), sheets.outline)
+    elif parts:
+        cables = taut_parts(motion)
+    else:
+        cables = taut_cables(motion)
+    return cables.labelled(side.flown.label)
 
 
 def drone_pairs(run: Run) -> Iterator[Moving]:
@@ -171,32 +194,47 @@ def drone_pairs(run: Run) -> Iterator[Moving]:
 def drones_and_cables(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones of one team and cables of the other."""
     for one, other in run.both:
-        if (cables := cables_of(other)) is not None:
+        cables = cables_of(other)
+        if cables is not None:
             yield run.moving(one.drones, cables)
 
 
 def cable_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of cables."""
-    first, second = cables_of(run.first, parts=True), cables_of(run.second, parts=True)
+    first = cables_of(run.first, parts=True)
+    second = cables_of(run.second, parts=True)
     if first is not None and second is not None:
         yield run.moving(first, second)
 
 
-def _objects(one: Side, other: Side) -> Iterator[tuple[str, SolidObject, Enclosed]]:
-    """Yield the objects of one team that are not obstacles of the other, and their poses."""
+def _objects(one: Side, other: Side) -> Iterator[PlacedObject]:
+    """Yield the objects of one team that are not obstacles of the other."""
     obstacles = other.motion.requirements.objects
-    for index, (name, body) in enumerate(one.motion.requirements.objects.items()):
-        pose = one.motion.poses.coefficients[:, index]
-        is_moving = np.max(np.abs(pose - body.pose[:, None])) > REST_DRIFT
+    for placed in placed_objects(one.motion):
+        name, body, pose = placed
+        is_moving = np.max(np.abs(pose.c - body.pose[:, None])) > REST_DRIFT
         if is_moving or name not in obstacles or not same_object(body, obstacles[name]):
-            yield name, body, Enclosed(pose)
+            yield placed
 
 
-def _slabs(one: Side, other: Side) -> Iterator[tuple[str, Slab, Enclosed]]:
-    """Yield the slabs of ``_objects``, with the names of these and their poses."""
+class PlacedSlab(NamedTuple):
+    """A slab of an object."""
+
+    name: str
+    """Name of the object."""
+
+    slab: Slab
+    """The slab, in the object's frame."""
+
+    pose: Enclosed
+    """(pieces,) x, y, z [m], cosine and sine of yaw of the object."""
+
+
+def _slabs(one: Side, other: Side) -> Iterator[PlacedSlab]:
+    """Yield the slabs of the objects of one team that are not obstacles of the other."""
     for name, body, pose in _objects(one, other):
         for slab in body.slabs:
-            yield name, slab, pose
+            yield PlacedSlab(name, slab, pose)
 
 
 def drones_and_objects(run: Run) -> Iterator[Moving]:
@@ -209,10 +247,11 @@ def drones_and_objects(run: Run) -> Iterator[Moving]:
 
 def taut_or_laid(side: Side) -> Bodies | None:
     """Return the cables of a team that are under tension: parts, or strips while they are laid."""
-    cables, laid = cables_of(side, parts=True), side.motion.in_states(LAID)
+    cables = cables_of(side, parts=True)
     if cables is None or not cables.outline:
         return cables
-    return replace(cables, outline=0, pieces=laid) if np.any(laid) else None
+    is_laid = side.motion.in_states(LAID)
+    return replace(cables, outline=0, pieces=is_laid) if np.any(is_laid) else None
 
 
 def drones_above_cables(
@@ -229,11 +268,16 @@ def drones_above_cables(
     """
     scale = half_axes(run.separation) if scale is None else scale
     for one, other in run.both:
-        if (cables := taut_or_laid(other)) is not None:
-            margin = run.margin * float(np.max(scale))
-            bodies = one.drones.scaled(scale), cables.scaled(scale)
+        cables = taut_or_laid(other)
+        if cables is not None:
             options: dict[str, Any] = {} if shape is None else {"shape": shape(None)}
-            yield run.moving(*bodies, margin=margin, formula=formula, **options)
+            yield run.moving(
+                one.drones.scaled(scale),
+                cables.scaled(scale),
+                margin=run.margin * float(np.max(scale)),
+                formula=formula,
+                **options,
+            )
 
 
 def drones_above_objects(run: Run, scale: Array | None = None, **options: Any) -> Iterator[Moving]:
@@ -243,25 +287,20 @@ def drones_above_objects(run: Run, scale: Array | None = None, **options: Any) -
     """
     scale = half_axes(run.separation) if scale is None else scale
     for one, other in run.both:
-        drones, breaks = one.drones, one.motion.drones.breaks
-        for name, body, pose in _objects(other, one):
-            if name not in other.carried and not moves(body, one.motion.team):
-                continue
-            placed: dict[str, Any] = {
-                "margin": run.margin,
-                "breaks": breaks,
-                "names": (drones.names, (name,)),
-            }
-            for slab in body.slabs:
-                yield pairs_with_slab(drones.corners, pose, slab, scale, **placed, **options)
+        for placed in _objects(other, one):
+            if placed.name in other.carried or moves(placed.body, one.motion.team):
+                yield from pairs_with_object(
+                    one.motion, one.drones, placed, scale, margin=run.margin, **options
+                )
 
 
 def cables_and_objects(run: Run) -> Iterator[Moving]:
     """Yield the pairs of cables of one team and objects of the other."""
     for one, other in run.both:
-        if (cables := cables_of(one)) is not None:
-            for name, slab, pose in _slabs(other, one):
-                yield _pairs_with_cables(run, one, cables, name, slab, pose)
+        cables = cables_of(one)
+        if cables is not None:
+            for placed in _slabs(other, one):
+                yield _cables_and_slab(run, one, cables, placed)
 
 
 def object_pairs(run: Run) -> Iterator[Moving]:
@@ -269,24 +308,26 @@ def object_pairs(run: Run) -> Iterator[Moving]:
     for name, slab, pose in _slabs(run.second, run.first):
         for other_name, other_slab, other_pose in _slabs(run.first, run.second):
             corners = placed_corners(other_pose, other_slab)
-            solid = Solid(slab, other_slab.section.rounding)
+            solid = Solid(slab, rounding=other_slab.section.rounding)
             yield run.around(corners, (other_name,), name, solid, pose)
 
 
-def _pairs_with_cables(
-    run: Run, side: Side, cables: Bodies, label: str, slab: Slab, pose: Enclosed
-) -> Moving:
-    """Return the pairs of cables and a slab that moves with a pose.
+def _cables_and_slab(run: Run, side: Side, cables: Bodies, placed: PlacedSlab) -> Moving:
+    """Return the pairs of cables of a team and a slab of the other one.
 
     The distance of cables that hang, lie or are laid is horizontal.
     """
     sheets = side.sheets
     if sheets is None or not cables.outline:
-        return run.around(cables.corners, cables.names, label, Solid(slab), pose)
-    if cables.outline == 2:
-        chords = cables.corners[:, :, :2]
-        return run.around(chords, cables.names, label, from_above(slab), pose)
-    return run.around(sheets.prisms, cables.names, label, Solid(slab, 0.0), pose)
+        corners = cables.corners
+        shape = Solid(placed.slab)
+    elif cables.outline == 2:
+        corners = cables.corners[:, :, :2]  # chords
+        shape = from_above(placed.slab)
+    else:
+        corners = sheets.prisms
+        shape = Solid(placed.slab, rounding=0.0)
+    return run.around(corners, cables.names, placed.name, shape, placed.pose)
 
 
 PAIRS: dict[tuple[str, str], Callable[[Run], Iterator[Moving]]] = {
@@ -323,12 +364,12 @@ def check_across(
     limit = between_teams.limit(requirements.separation)
     ratio = requirements.height_ratio if rule.unit == "m" else 1.0
     cases = (moving.flattened(ratio) for moving in pairs_between(flight, between_teams))
-    worst = nearest_of(cases, limit, flight_magnitude(flight))
-    return None if math.isinf(worst.worst) else worst.check(rule, limit)
+    closest = nearest_of(cases, limit, flight_magnitude(flight))
+    return None if math.isinf(closest.worst) else closest.check(rule, limit)
 
 
-BY_SLACK = {rule.name for rule in RULES}
-"""Names of checks whose slack bounds the radius."""
+BY_SLACK = frozenset(DISTANCES) & {rule.name for rule in RULES}
+"""Names of checks between teams whose slack bounds the radius."""
 
 
 def radius_across(
@@ -339,11 +380,13 @@ def radius_across(
     Heights are divided by the ``height_ratio`` of the requirements, also in ``checks``, which are
     those between teams.
     """
-    terms, ratio = [WorstCase(math.inf, 0.0)], max(1.0, gamma)
+    error = largest_error(gamma)
+    terms = [WorstCase(math.inf, 0.0)]
     for check in filter(None, checks):
-        if check.name in DISTANCES and check.name in BY_SLACK:
-            slack = max(check.worst - check.number, 0.0) / DISTANCES[check.name].approach(ratio)
-            terms.append(WorstCase(slack, check.time, check.where))
+        if check.name in BY_SLACK:
+            slack = max(check.worst - check.number, 0.0)
+            radius = slack / DISTANCES[check.name].approach(error)
+            terms.append(WorstCase(radius, check.time, check.where))
 
     def above(scale: Array, **options: Any) -> Iterator[Moving]:
         """Yield what is below drones of all pairs of teams."""
@@ -351,8 +394,7 @@ def radius_across(
             yield from drones_above_cables(run, scale, **options)
             yield from drones_above_objects(run, scale, **options)
 
-    factor = DISTANCES["downwash"].approach(ratio)
-    terms.append(downwash_radius(above, requirements, factor))
+    terms.append(downwash_radius(above, requirements, DISTANCES["downwash"].approach(error)))
     tightest = min(terms, key=lambda term: term.worst)
     ellipsoid = Ellipsoid(ellipsoid_axes(requirements))
     for run in runs(flight):

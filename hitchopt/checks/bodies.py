@@ -24,27 +24,38 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.spans import cable_names, cable_parts, cached, part_names
+from hitchopt.checks.spans import UPWARD, cable_names, cable_parts, cached, part_names
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, true_runs
 
 Flags = NDArray[np.bool_]
+
+PLAN_AXES = np.array([1.0, 1.0, 0.0])[:, None]
+"""Factors of coordinates, seen from above."""
 
 
 @dataclass(frozen=True, eq=False)
 class Bodies:
-    """Bodies of one kind: hulls of corners (pieces, bodies, k, 3, degree + 1) [m], and names."""
+    """Bodies of one kind, as hulls of their corners."""
 
     corners: Array
+    """(pieces, bodies, k, 3, degree + 1) [m]."""
+
     names: Sequence[str]
-    outline: int = 0  # of upright regions: number of corners that span them in plan view
-    pieces: Flags | None = None  # (pieces,), on which they count; None for all
-    # (bodies,), of parts of taut cables: numbers as in ``Layout.parts``; empty for other bodies
+    """(bodies,), names of the bodies, or of the cables to which they belong."""
+
+    outline: int = 0
+    """Number of corners that span upright regions in plan view; 0 for other bodies."""
+
+    pieces: Flags | None = None
+    """(pieces,), on which the bodies count; None for all."""
+
     part: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    """(bodies,), numbers of parts of taut cables as in ``Layout.parts``; empty for other bodies."""
 
     def labelled(self, label: Callable[[str], str]) -> Bodies:
         """Return the bodies with full names, such as ``a.q0``."""
@@ -53,6 +64,17 @@ class Bodies:
     def scaled(self, scale: Array) -> Bodies:
         """Return the bodies in coordinates scaled by (3,)."""
         return replace(self, corners=self.corners * scale[:, None])
+
+
+def plan_points(motion: Motion) -> Array:
+    """Return drones (pieces, 2n, 1, 3, degree + 1) [m], projected to height 0."""
+    level = motion.drones.coefficients * PLAN_AXES
+    return np.asarray(level[:, :, None])
+
+
+def cable_ends(drones: Array) -> Array:
+    """Return the ends (pieces, n, 2, 3, degree + 1) of cables between drones (pieces, 2n, …)."""
+    return drones.reshape(len(drones), -1, 2, *drones.shape[-2:])
 
 
 def drones_of(motion: Motion) -> Bodies:
@@ -70,7 +92,7 @@ def taut_cables(motion: Motion) -> Bodies:
     """Return the parts of taut cables with the names of cables."""
     corners, part = cable_parts(motion)
     names = cable_names(motion)
-    return Bodies(corners, [names[k // 3] for k in part.tolist()], part=part)
+    return Bodies(corners, [names[cable] for cable in (part // 3).tolist()], part=part)
 
 
 def clasped_cables(motion: Motion) -> Bodies:
@@ -83,20 +105,27 @@ def clasped_cables(motion: Motion) -> Bodies:
 class CableSheets:
     """Upright regions that contain cables without a hitch.
 
-    The first ``outline`` of the corners (pieces, n, outline + 2, 3, degree + 1) [m] span a region
-    in plan view, and its top; the last two are at its bottom.
+    The first ``outline`` of the corners span a region in plan view, and its top; the last two are
+    at its bottom.
     """
 
     corners: Array
+    """(pieces, n, outline + 2, 3, degree + 1) [m]."""
+
     outline: int
-    clasped: Flags  # (pieces,), whether cables are clasped or tightened
+    """Number of corners that span a region in plan view."""
+
+    clasped: Flags
+    """(pieces,), whether cables are clasped or tightened."""
 
     def on(self, pieces: slice) -> CableSheets:
         """Return the regions on a run of pieces, with two corners if none is clasped."""
-        corners, clasped = self.corners[pieces], self.clasped[pieces]
+        corners = self.corners[pieces]
+        clasped = self.clasped[pieces]
         if self.outline == 2 or np.any(clasped):
             return CableSheets(corners, self.outline, clasped)
-        return CableSheets(corners[:, :, [0, self.outline - 1, -2, -1]], 2, clasped)
+        both_drones = corners[:, :, [0, self.outline - 1, -2, -1]]
+        return CableSheets(both_drones, 2, clasped)
 
     @property
     def prisms(self) -> Array:
@@ -114,26 +143,33 @@ def cable_sheets(motion: Motion) -> CableSheets:
     Regions on other pieces have no meaning. While any cable is clasped or tightened, an outline has
     six corners: both drones, and two positions of both clasps.
     """
-    c, layout = motion.drones.coefficients, motion.team.layout
-    q, r = c[:, 0::2], c[:, 1::2]
+    bottoms = _bottoms(motion)
+    clasped = motion.in_states(CLASPED_STATES)
+    if not np.any(clasped):
+        chords = cable_ends(motion.drones.coefficients)
+        return CableSheets(np.concatenate([chords, bottoms], axis=2), 2, clasped)
+    drones, vertices = same_degree(motion.drones.coefficients, motion.vertices.coefficients)
+    turning = motion.in_states(frozenset({CableState.CLASPING}))[:, None, None, None]
+    clasps = np.where(turning, _middles(motion, drones), vertices)
+    taut = _taut_clasps(motion, clasps, clasped)
+    outlines = clasped_outlines(motion.team.layout, drones, clasps, taut)
+    on_chords = np.repeat(cable_ends(drones), 3, axis=2)
+    outlines[~clasped] = on_chords[~clasped]
+    bottoms = bernstein.elevate(bottoms, bernstein.degree(drones))
+    corners = np.concatenate([outlines, bottoms], axis=2)
+    return CableSheets(corners, outlines.shape[2], clasped)
+
+
+def _bottoms(motion: Motion) -> Array:
+    """Return two points (pieces, n, 2, 3, degree + 1) [m] at the bottom of every cable's region."""
+    q = motion.drones.coefficients[:, 0::2]
+    r = motion.drones.coefficients[:, 1::2]
     bottoms = np.repeat(0.5 * (q + r)[:, :, None], 2, axis=2)
     bottoms[:, :, :, 2] -= 0.5 * motion.team.cable_length[:, None, None]
     laid = motion.in_states(frozenset({CableState.LAYING}))
     if np.any(laid):
         bottoms[laid] = _below_chords(motion, laid)
-    clasped = motion.in_states(CLASPED_STATES)
-    if not np.any(clasped):
-        return CableSheets(np.concatenate([np.stack([q, r], axis=2), bottoms], axis=2), 2, clasped)
-    drones, vertices = same_degree(c, motion.vertices.coefficients)
-    turning = motion.in_states(frozenset({CableState.CLASPING}))[:, None, None, None]
-    clasps = np.where(turning, _middles(motion, drones), vertices)
-    taut = _taut_clasps(motion, clasps, clasped)
-    outlines = clasped_outlines(layout, drones, clasps, taut)
-    chords = [drones[:, 0::2]] * 3 + [drones[:, 1::2]] * 3
-    outlines[~clasped] = np.stack(chords, axis=2)[~clasped]
-    bottoms = bernstein.elevate(bottoms, bernstein.degree(drones))
-    corners = np.concatenate([outlines, bottoms], axis=2)
-    return CableSheets(corners, outlines.shape[2], clasped)
+    return bottoms
 
 
 def clasped_outlines(layout: Layout, drones: Array, clasps: Array, taut: Array) -> Array:
@@ -145,9 +181,15 @@ def clasped_outlines(layout: Layout, drones: Array, clasps: Array, taut: Array) 
     clasps: (m, points, 3, …) [m], positions of the clasps.
     taut: (m, points, 3, …) [m], clasps of the hitch before or after.
     """
-    starts, ends = layout.starts, layout.ends
-    first = [drones[:, 0::2], clasps[:, starts], taut[:, starts]]
-    return np.stack([*first, taut[:, ends], clasps[:, ends], drones[:, 1::2]], axis=2)
+    outline = [
+        drones[:, 0::2],
+        clasps[:, layout.starts],
+        taut[:, layout.starts],
+        taut[:, layout.ends],
+        clasps[:, layout.ends],
+        drones[:, 1::2],
+    ]
+    return np.stack(outline, axis=2)
 
 
 def _below_chords(motion: Motion, laid: Flags) -> Array:
@@ -155,20 +197,20 @@ def _below_chords(motion: Motion, laid: Flags) -> Array:
 
     They keep their shape on each piece, as the check ``interlacing`` verifies.
     """
-    ends = motion.drones.coefficients[laid]
-    ends = ends.reshape(len(ends), -1, 2, *ends.shape[2:])
+    ends = cable_ends(motion.drones.coefficients[laid])
     cables = Catenary.between(ends[:, :, 0, :, 0], ends[:, :, 1, :, 0], motion.team.cable_length)
     depths = cables.depth(0.0) + 0.25 * cables.sigma**2 * np.abs(cables.rise)
-    down = np.array([0.0, 0.0, 1.0])[:, None] * depths[..., None, None, None]
-    return np.asarray(ends - down)
+    lowered = UPWARD[:, None] * depths[..., None, None, None]
+    return np.asarray(ends - lowered)
 
 
 def _middles(motion: Motion, drones: Array) -> Array:
     """Return the middles (pieces, points, 3, degree + 1) [m] of pairs; ends of chains at drones."""
     layout = motion.team.layout
     middles = np.zeros((len(drones), layout.points, *drones.shape[2:]))
-    pairs = drones[:, 2 * layout.ahead], drones[:, 2 * layout.behind + 1]
-    middles[:, layout.clasps] = 0.5 * (pairs[0] + pairs[1])
+    q_ahead = drones[:, 2 * layout.ahead]
+    r_behind = drones[:, 2 * layout.behind + 1]
+    middles[:, layout.clasps] = 0.5 * (q_ahead + r_behind)
     ends = np.flatnonzero(~layout.has_leg.ravel())
     middles[:, layout.anchors[ends]] = drones[:, ends]
     return middles
@@ -179,9 +221,9 @@ def _taut_clasps(motion: Motion, clasps: Array, clasped: Flags) -> Array:
 
     Without such a hitch, they are the given ones.
     """
-    taut, vertices = clasps.copy(), motion.vertices.coefficients
-    edges = np.flatnonzero(np.diff(clasped, prepend=False, append=False))
-    for first, last in edges.reshape(-1, 2).tolist():
+    taut = clasps.copy()
+    vertices = motion.vertices.coefficients
+    for first, last in true_runs(clasped):
         if first > 0 and motion.formed[first - 1]:
             taut[first:last] = vertices[first - 1, ..., -1:]
         elif last < len(clasped) and motion.formed[last]:

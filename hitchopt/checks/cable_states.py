@@ -13,8 +13,9 @@ import numpy as np
 from hitchopt.checks.cables import LENGTH_LIMIT, TENSION_LIMIT
 from hitchopt.checks.chords import chord_crossings
 from hitchopt.checks.clasps import OPEN_ROLL, roll_changes
-from hitchopt.checks.clearance import above_ground
-from hitchopt.checks.distances import MAX_SIDEWAYS, Flags
+from hitchopt.checks.crossing import MAX_SIDEWAYS
+from hitchopt.checks.distances import Flags
+from hitchopt.checks.hanging import above_ground
 from hitchopt.checks.objects import carried_objects
 from hitchopt.checks.spans import clasped_pairs, edge_vectors, leg_vectors, pair_of, rate
 from hitchopt.hitch.forces import cable_of, sag_factors
@@ -195,9 +196,9 @@ def _taut_share(motion: Motion) -> float:
     of vertices hides cables at their full length.
     """
     team = motion.team
-    x = PROBES[:, None, None, None]
-    legs = bernstein.evaluate(leg_vectors(motion)[None], x)  # (probes, pieces, 2n, 3)
-    edges = bernstein.evaluate(edge_vectors(motion)[None], x)
+    places = PROBES[:, None, None, None]
+    legs = bernstein.evaluate(leg_vectors(motion)[None], places)  # (probes, pieces, 2n, 3)
+    edges = bernstein.evaluate(edge_vectors(motion)[None], places)
     sag = sag_factors(team, team.tension)
     q_legs = cable_of(legs[:, :, 0::2], sag)
     r_legs = cable_of(legs[:, :, 1::2], sag)

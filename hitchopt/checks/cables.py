@@ -111,8 +111,8 @@ class Cables(MotionSpans):
             whole = Enclosed(self.read(_parts(self.source, True)), 2.0 * self.noise)
             chords = whole * self.scale[:, None]
         sag_sum = (self.parts.norm * chords.xy.dot(chords.xy)).sum()
-        weight, tension = self.scalars(edge_sags(self.source))
-        ratio = (weight * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
+        half_density, tension = self.scalars(edge_sags(self.source))
+        ratio = (half_density * tension.inverse).reduced(RATIO_ORDER) * (2.0 / self.scale)
         return sag_sum * (ratio * ratio) * (1.0 / 24.0)
 
 
@@ -174,6 +174,7 @@ def _taut_error(spans: Cables) -> Bound:
 
 
 def _size(motion: Motion) -> float:
+    """Return the largest coordinate of a motion over its shortest cable."""
     return magnitude(motion) / float(np.min(motion.team.cable_length))
 
 
@@ -268,7 +269,7 @@ def _worst_tension(motion: Motion, _: float) -> WorstCase:
         ranges = _tension_ranges(motion)
         cases.append(_out_of_range(motion, Cables, motion.tensions.coefficients, ranges))
         cases.append(_end_deviation(motion))
-        if motion.has_friction:
+        if motion.leg_tensions_differ:
             of_legs = np.repeat(ranges, 2, axis=2)
             cases.append(_out_of_range(motion, FrictionLegs, motion.pulls.coefficients, of_legs))
     return max(cases, key=lambda case: case.worst)
@@ -310,8 +311,8 @@ def end_thrusts(motion: Motion) -> tuple[Array, Array]:
     errors = list[Array]()
     for spans in Drones.of(motion):
         count = len(spans)
-        x = np.repeat([0.0, 1.0], count)
-        thrust = spans.at(x, np.tile(np.arange(count), 2)).thrust
+        both_ends = np.repeat([0.0, 1.0], count)
+        thrust = spans.at(both_ends, np.tile(np.arange(count), 2)).thrust
         thrusts.append(thrust.c[..., 0].reshape(2, count, 3))
         errors.append(np.broadcast_to(thrust.r, 2 * count).reshape(2, count))
     shape = (2, motion.drones.pieces, motion.team.drones)
@@ -351,8 +352,7 @@ def _end_deviation(motion: Motion) -> WorstCase:
     range. So are bent cables, which are held by the tension at which they are tied.
     """
     ranged = np.concatenate([[-1], ranged_phases(motion), [-1]])  # with none before and after
-    holds = [phase.hold is not None for phase in motion.phases] or [False]
-    holding = np.pad(np.array(holds)[motion.phase_of_piece], 1, mode="edge")
+    holding = np.pad(motion.holding, 1, mode="edge")
     bent = motion.in_states(frozenset({CableState.BENT}))
     states_range = (ranged[1:-1] >= 0) & motion.taut & ~bent
     errors = np.abs(motion.tensions.coefficients[..., [0, -1]] - motion.team.tension[:, None])

@@ -108,7 +108,9 @@ class Check(OneLine):
         Files cannot store infinities and nan: they become the largest number and the worst one. An
         infinite worst value that holds is the extremum of an empty set; ``where`` is then empty.
         """
-        largest, limit = sys.float_info.max, None if limit is None else float(limit)
+        largest = sys.float_info.max
+        if limit is not None:
+            limit = float(limit)
         if worst == _empty_value(sense):
             return cls(name, True, float(worst), limit, sense, unit, float(time), (), gamma=gamma)
         outward = -largest if sense == "min" else largest
@@ -129,23 +131,41 @@ class Check(OneLine):
         A worst value within TOLERANCE of 0 is shown as 0, and one that violates its limit with the
         digits that distinguish it. Without a limit, its column shows the assumed gamma.
         """
-        worst, limit = "–", "–" if self.gamma is None else f"γ = {self.gamma:g}"
-        if self.is_evaluated:
-            rounding = abs(self.worst) <= TOLERANCE * max(1.0, abs(self.limit or 0.0))
-            other = math.nan if self.holds else self.number
-            worst = distinct(0.0 if rounding and self.holds else self.worst, other, DIGITS)[0]
-        if self.limit is not None:
-            limit = f"{'≥' if self.sense == 'min' else '≤'} {self.limit:.{DIGITS}g}"
-        more = len(self.where) - MAX_NAMES
-        timed = self.is_evaluated and math.isfinite(self.time)
+        further = len(self.where) - MAX_NAMES
+        is_timed = self.is_evaluated and math.isfinite(self.time)
+        names = ", ".join(self.where[:MAX_NAMES])
         return {
             "check": self.title,
-            "worst": worst,
-            "limit": limit,
+            "worst": self._worst_in_words,
+            "limit": self._limit_in_words,
             "unit": "" if self.unit == "1" else self.unit,
-            "where": ", ".join(self.where[:MAX_NAMES]) + (f" and {more} more" if more > 0 else ""),
-            "when": f"{self.time:.3f} s" if timed else "",
+            "where": f"{names} and {further} more" if further > 0 else names,
+            "when": f"{self.time:.3f} s" if is_timed else "",
         }
+
+    @property
+    def _worst_in_words(self) -> str:
+        """The worst value in tables."""
+        if not self.is_evaluated:
+            return "–"
+        is_rounding = abs(self.worst) <= TOLERANCE * max(1.0, abs(self.limit or 0.0))
+        shown = 0.0 if is_rounding and self.holds else self.worst
+        violated_limit = math.nan if self.holds else self.number
+        return distinct(shown, violated_limit, DIGITS)[0]
+
+    @property
+    def _limit_in_words(self) -> str:
+        """The limit in tables."""
+        if self.limit is not None:
+            sign = "≥" if self.sense == "min" else "≤"
+            return f"{sign} {self.limit:.{DIGITS}g}"
+        return "–" if self.gamma is None else f"γ = {self.gamma:g}"
+
+    @property
+    def in_words(self) -> str:
+        """The violated limit, its value, place and time in words."""
+        broken = broken_limit(self.name, self.worst, self.number, self.sense, self.unit, self.where)
+        return f"{broken}, t = {self.time:.4g} s"
 
     def violation(self, when: str, remedy: str) -> Violation:
         """Return a check that does not hold as a violation."""
@@ -230,20 +250,27 @@ class Certificate(OneLine):
         heading = {name: title for title, names in GROUPS.items() for name in names}
         groups: dict[str, tuple[Check, ...]] = {}
         for title in (*GROUPS, "other"):
-            checks = tuple(c for c in self._built_in if heading.get(c.name, "other") == title)
-            groups |= {title: checks} if checks else {}
+            checks = tuple(
+                check for check in self._built_in if heading.get(check.name, "other") == title
+            )
+            if checks:
+                groups[title] = checks
         custom = tuple(check for check in self.checks if check.custom)
-        return groups | ({CUSTOM: custom} if custom else {})
+        if custom:
+            groups[CUSTOM] = custom
+        return groups
 
     @property
     def _built_in(self) -> tuple[Check, ...]:
+        """The checks that are not custom rules."""
         return tuple(check for check in self.checks if not check.custom)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Notes below the table on custom rules."""
         notes = list[str]()
-        if custom := [check.name for check in self.limited if check.custom]:
+        custom = [check.name for check in self.limited if check.custom]
+        if custom:
             notes.append(f"custom rules, which hitchopt verify does not prove: {', '.join(custom)}")
         if self.not_recomputed:
             stated = ", ".join(map(str, self.not_recomputed))
@@ -262,7 +289,8 @@ class Certificate(OneLine):
 
         They are those of RATE_CHECKS with a worst value within 2 % of the limit.
         """
-        near = [c for c in self.limited if c.name in RATE_CHECKS and c.utilization >= -BINDING]
+        rates = [check for check in self.limited if check.name in RATE_CHECKS]
+        near = [check for check in rates if check.utilization >= -BINDING]
         return tuple(check.name for check in sorted(near, key=lambda check: -check.utilization))
 
     @property
@@ -278,34 +306,28 @@ class Certificate(OneLine):
     def __getitem__(self, name: str) -> Check:
         """Return the check of that name, or raise KeyError."""
         for checks in (self.limited, self.checks):
-            if named := [check for check in checks if check.name == name]:
-                return named[0]
+            for check in checks:
+                if check.name == name:
+                    return check
         names = [check.name for check in self.checks]
         raise KeyError(f"no check {name!r}; {closest_word(str(name), names)}")
 
     def raise_if_violated(self) -> None:
         """Raise CertificateError naming every check that does not hold."""
-        lines = [
-            f"{broken_limit(c.name, c.worst, c.number, c.sense, c.unit, c.where)}, "
-            f"t = {c.time:.4g} s"
-            for c in self.violated
-        ]
-        if lines:
-            raise CertificateError("\n".join(lines))
+        if self.violated:
+            raise CertificateError("\n".join(check.in_words for check in self.violated))
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content of ``certificate.json``."""
-        return {
+        content: dict[str, Any] = {
             "format": FORMAT,
             "certified": self.certified,
             "duration": self.duration,
             "checks": [_entry(check) for check in self.checks],
-            **(
-                {"not_recomputed": [*map(asdict, self.not_recomputed)]}
-                if self.not_recomputed
-                else {}
-            ),
         }
+        if self.not_recomputed:
+            content["not_recomputed"] = [*map(asdict, self.not_recomputed)]
+        return content
 
 
 def stated_rule(check: Check) -> StatedRule:
@@ -327,6 +349,11 @@ def _entry(check: Check) -> dict[str, Any]:
 
 def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Return an HTML table with its texts escaped."""
-    lines = ["".join(f"<th>{escape(head)}</th>" for head in heads)]
-    lines += ["".join(f"<td>{escape(text)}</td>" for text in row) for row in rows]
-    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+    lines = [_html_row("th", heads), *(_html_row("td", row) for row in rows)]
+    return f"<table>{''.join(lines)}</table>"
+
+
+def _html_row(tag: str, texts: Iterable[str]) -> str:
+    """Return a row of an HTML table, each text in an element of its own."""
+    cells = "".join(f"<{tag}>{escape(text)}</{tag}>" for text in texts)
+    return f"<tr>{cells}</tr>"

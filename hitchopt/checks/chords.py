@@ -19,8 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.checks.clearance import cables_and_drones, chains
-from hitchopt.checks.distances import Flags, Moving, PairSpans, cable_ends, near_pairs
+from hitchopt.checks.bodies import cable_ends
+from hitchopt.checks.distances import Flags, Moving, PairSpans, near_pairs
+from hitchopt.checks.hanging import cables_and_drones, chains
 from hitchopt.errors import check_time
 from hitchopt.geometry import shortest_offset
 from hitchopt.geometry.vectors import cross, left_of, unit

@@ -1,5 +1,8 @@
 """Checks of the clasps: ``equilibrium`` of the cables' forces, and ``convexity`` of the outline.
 
+Friction at clasps, which lets a leg pull differently from its edge, is bounded by ``leg_excess`` in
+``hitchopt.checks.cables``; its excess counts as a residual of ``equilibrium``.
+
 The q-leg and the edge of cable k meet the r-leg and the edge of cable k-1 at clasp k. Drones carry
 half of each leg of cable k, clasp k half of its q-leg and edge, clasp k+1 half of its edge and
 r-leg. As the parts add up to the cable's length (check ``cable_length``), ``d_k + l_k = L_k -
@@ -19,6 +22,7 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.cables import friction_excess, leg_excess
 from hitchopt.checks.certificate import with_tolerance
+from hitchopt.checks.drones import leg_sags
 from hitchopt.checks.objects import missing_force, select, unbalanced
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
@@ -374,7 +378,7 @@ def _opening(spans: Clasps) -> Bound:
     """
     along = spans.along.reduced(ROUGH_ORDER)
     contact = spans.contact.reduced(ROUGH_ORDER)
-    if spans.source.has_friction:
+    if spans.source.leg_tensions_differ:
         products = contact.dot(along.sum(-2) * 0.5)
     else:  # the contact force with legs, and with edges
         for_each_kind = Enclosed(contact.c[:, None], np.asarray(contact.r)[:, None])
@@ -412,7 +416,9 @@ def roll_changes(motion: Motion) -> tuple[Array, Array]:
     start = np.zeros(clasps)
     change = np.zeros(clasps)
     for spans in Clasps.of(motion):
-        roll_at_start, roll_in_middle, roll_at_end = (spans.at(x).rolls() for x in (0.0, 0.5, 1.0))
+        roll_at_start = spans.at(0.0).rolls()
+        roll_in_middle = spans.at(0.5).rolls()
+        roll_at_end = spans.at(1.0).rolls()
         terms = spans.roll_terms
         middle = np.radians(roll_in_middle)[:, None]
         sine = terms.sine_over_pull * terms.pull.norm
@@ -468,7 +474,7 @@ def _worst_residual(motion: Motion, limit: float) -> WorstCase:
     if math.isinf(largest.value):
         where += _open_clasp(motion, largest)
     cases = [WorstCase(largest.worst, largest.time, tuple(where)), unbalanced(motion)]
-    if motion.has_friction:
+    if motion.leg_tensions_differ:
         cases.append(friction_excess(motion))
     return max(cases, key=lambda case: case.worst)
 
@@ -477,8 +483,9 @@ def _open_clasp(motion: Motion, at: Extremum) -> tuple[str, ...]:
     """Return words on an open clasp with its roll, if its forces are balanced."""
     breaks = motion.drones.breaks
     piece = max(0, int(np.searchsorted(breaks, at.time)) - 1)
-    x = (at.time - breaks[piece]) / motion.drones.durations[piece]
-    point = Clasps(motion, breaks, np.array([piece]), np.array([at.item])).at(np.array([x]))
+    place = (at.time - breaks[piece]) / motion.drones.durations[piece]
+    spans = Clasps(motion, breaks, np.array([piece]), np.array([at.item]))
+    point = spans.at(np.array([place]))
     with np.errstate(all="ignore"):
         if not math.isfinite(_relative(point.residual, point).value[0]):
             return ()
@@ -506,18 +513,6 @@ class LegEnds(MotionSpans):
     names = staticmethod(attrgetter("team.drone_names"))
 
 
-@cached
-def _bent_sizes(motion: Motion) -> list[Array]:
-    """Return tensions [N] and half of the weights per length [N/m] of legs, without shared zeros.
-
-    They are (pieces, 2n, degree + 1), and rise together as cables are drawn.
-    """
-    half_density = 0.5 * GRAVITY * motion.team.cable_density
-    half_densities = half_density * np.repeat(tautness(motion), 2, axis=1)
-    tables = [leg_tensions(motion)[:, :, None], half_densities[:, :, None]]
-    return [table[:, :, 0] for table in without_shared_zeros(tables)]
-
-
 def _kink(spans: LegEnds) -> Bound:
     """Return the force that is missing where a leg meets its edge, over the tension.
 
@@ -535,7 +530,7 @@ def _kink(spans: LegEnds) -> Bound:
     leg = Enclosed(spans.read(legs), spans.noise)
     edge = Enclosed(along_edge, spans.noise)  # from the point
     other_leg = Enclosed(spans.read(legs, spans.item ^ 1), spans.noise).norm
-    tension, half_density = spans.scalars(_bent_sizes(motion))
+    half_density, tension = spans.scalars(leg_sags(motion))
     cable_length = Enclosed(motion.team.cable_length[cable][:, None, None])
     wrapped = cable_length - leg.norm - other_leg
     leg_pull = chord_pull(tension, half_density, leg.xy.dot(leg.xy), leg[2])

@@ -181,7 +181,7 @@ class Rule(ByValue, Generic[S]):
         try:
             quantity = self.formula(spans)
         except AttributeError as error:  # of a value that spans or enclosed numbers do not have
-            names = [name for name, each in vars(self.over).items() if isinstance(each, property)]
+            names = [name for name, value in vars(self.over).items() if isinstance(value, property)]
             remedy = f"values of {self.over.__name__} are {', '.join(names)}"
             raise InputError(f"{self.name}.formula", error, "a formula", remedy) from error
         scalar: Any = quantity.cosine if isinstance(quantity, Angle) else quantity
@@ -200,10 +200,10 @@ def checked_rules(rules: Iterable[Rule[Any]], taken: Sequence[str]) -> tuple[Rul
     """Return rules as a tuple; raise InputError unless their names are unique and not taken."""
     entries: tuple[Rule[Any], ...] = sequence("rules", rules)
     names = list(taken)
-    for i, rule in enumerate(entries):
-        check_instance(f"rules[{i}]", rule, Rule)
+    for index, rule in enumerate(entries):
+        check_instance(f"rules[{index}]", rule, Rule)
         if rule.name in names:
-            remedy = "rename the rule"
-            raise InputError(f"rules[{i}].name", rule.name, "no name of another check", remedy)
+            bound = "no name of another check"
+            raise InputError(f"rules[{index}].name", rule.name, bound, "rename the rule")
         names.append(rule.name)
     return entries

@@ -19,12 +19,13 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.bodies import drones_of
-from hitchopt.checks.clearance import Solid
+from hitchopt.checks.bodies import Bodies, drones_of
 from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, nearest
 from hitchopt.checks.objects import in_object_frame
 from hitchopt.checks.rule import CheckRule, Evaluator
+from hitchopt.checks.solids import PlacedObject, Solid, placed_objects
 from hitchopt.checks.spans import ROUNDING, magnitude
+from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Team
@@ -50,8 +51,9 @@ def below(spans: PairSpans, floor: float | None = None) -> Bound:
 
     Bodies are the second ones of pairs, or a slab with a ``floor``.
     """
-    distances, above = gap(spans), lead(spans, floor) >= 0.0
-    return Bound(np.where(above, np.inf, distances.value), distances.x)
+    distances = gap(spans)
+    is_above = lead(spans, floor) >= 0.0
+    return Bound(np.where(is_above, np.inf, distances.value), distances.x)
 
 
 def lead(spans: PairSpans, floor: float | None) -> Array:
@@ -77,7 +79,8 @@ def pairs_with_slab(
     Coordinates are multiplied by ``scale`` (3,), the first two alike. The formula takes the slab's
     ``floor``, and the shape is that of the slab.
     """
-    local, (across, _, upward) = in_object_frame(pose, Enclosed(points)), scale
+    local = in_object_frame(pose, Enclosed(points))
+    across, _, upward = scale
     section = slab.section
     outline = None if section.outline is None else across * section.outline
     radius = None if section.radius is None else across * section.radius
@@ -94,18 +97,35 @@ def pairs_with_slab(
     )
 
 
+def pairs_with_object(
+    motion: Motion, drones: Bodies, placed: PlacedObject, scale: Array, **options: Any
+) -> Iterator[Moving]:
+    """Yield the pairs of drones of a motion and the slabs of an object, in scaled coordinates.
+
+    ``options`` are those of ``pairs_with_slab``.
+    """
+    for slab in placed.body.slabs:
+        yield pairs_with_slab(
+            drones.corners,
+            placed.pose,
+            slab,
+            scale,
+            breaks=motion.drones.breaks,
+            names=(drones.names, (placed.name,)),
+            **options,
+        )
+
+
 def drones_above_objects(motion: Motion, scale: Array, **options: Any) -> Iterator[Moving]:
     """Yield pairs of single drones and objects that stand in their way, in scaled coordinates.
 
     ``options`` are those of ``pairs_with_slab``.
     """
-    poses, drones = motion.poses.coefficients, drones_of(motion)
-    options = options | {"margin": ROUNDING * magnitude(motion), "breaks": motion.drones.breaks}
-    for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        for slab in body.slabs if moves(body, motion.team) else ():
-            names = drones.names, (name,)
-            pose = Enclosed(poses[:, index])
-            yield pairs_with_slab(drones.corners, pose, slab, scale, names=names, **options)
+    drones = drones_of(motion)
+    margin = ROUNDING * magnitude(motion)
+    for placed in placed_objects(motion):
+        if moves(placed.body, motion.team):
+            yield from pairs_with_object(motion, drones, placed, scale, margin=margin, **options)
 
 
 def _scaled_cases(motion: Motion) -> Iterator[Moving]:
@@ -115,8 +135,12 @@ def _scaled_cases(motion: Motion) -> Iterator[Moving]:
 
 def _limit(motion: Motion) -> float | None:
     """Return the limit, if single drones have objects in their way that they would move."""
-    objects, team = motion.requirements.objects.values(), motion.team
-    return None if team.has_cables or not any(moves(each, team) for each in objects) else 1.0
+    if motion.team.has_cables:
+        return None
+    objects = motion.requirements.objects.values()
+    if not any(moves(body, motion.team) for body in objects):
+        return None
+    return DISTANCES["downwash"].limit(motion.requirements.separation)
 
 
 DOWNWASH = CheckRule(

@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import partial
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -46,11 +47,15 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed, Interval, vector
 from hitchopt.trajectory.search import Extremum, TimeSpans, worst
 from hitchopt.values import Array, lazy
 
-# Degree of the factors of a turning rate: they err by 1e-9 on the spans that matter
 ORDER = 6
-# [m] Smallest horizontal distance of a cable's drones: if one may be above the other, the rate of
-# their cable's pull is unbounded, and becomes almost infinite
+"""Degree of the factors of a turning rate: they err by 1e-9 on the spans that matter."""
+
 MIN_SPAN = 1e-9
+"""[m] Smallest horizontal distance of a cable's drones: if one may be above the other, the rate of
+their cable's pull is unbounded, and becomes almost infinite."""
+
+MIN_RELATIVE_SPAN = 1e-6
+"""Smallest horizontal distance of a cable's drones over its length, in quotients."""
 
 
 @cached
@@ -65,32 +70,43 @@ def tensions_of_legs(motion: Motion) -> Array:
     return reduce_constants(leg_tensions(motion))
 
 
-@cached
-def edge_sags(motion: Motion) -> list[Array]:
-    """Return half of the weight per length of cables [N/m] and their tension [N], (pieces, n, …).
+class SagTerms(NamedTuple):
+    """Quantities (pieces, parts, degree + 1) whose ratio determines how parts of cables sag.
 
     Common zeros, as where both rise from zero, are divided out: they cancel in the ratio.
     """
-    return _sags(motion, tautness(motion), motion.tensions.coefficients)
+
+    half_densities: Array
+    """[N/m], half of the weight per length."""
+
+    tensions: Array
+    """[N], the tensions."""
+
+    @classmethod
+    def of(cls, motion: Motion, taut: Array, tensions: Array) -> SagTerms:
+        """Return the terms of parts with a tautness and tensions (pieces, parts, degree + 1)."""
+        half_densities = 0.5 * GRAVITY * motion.team.cable_density * taut
+        terms = without_shared_zeros([half_densities[:, :, None], tensions[:, :, None]])
+        return cls(*(term[:, :, 0] for term in terms))
 
 
 @cached
-def leg_sags(motion: Motion) -> list[Array]:
-    """Return half of the weight per length of legs [N/m] and their tension [N], (pieces, 2n, …)."""
-    return _sags(motion, taut_shares(motion), leg_tensions(motion))
+def edge_sags(motion: Motion) -> SagTerms:
+    """Return the terms of edges (pieces, n, degree + 1)."""
+    return SagTerms.of(motion, tautness(motion), motion.tensions.coefficients)
 
 
-def _sags(motion: Motion, taut: Array, tensions: Array) -> list[Array]:
-    halves = 0.5 * GRAVITY * motion.team.cable_density * taut
-    pairs = without_shared_zeros([halves[:, :, None], tensions[:, :, None]])
-    return [each[:, :, 0] for each in pairs]
+@cached
+def leg_sags(motion: Motion) -> SagTerms:
+    """Return the terms of legs (pieces, 2n, degree + 1)."""
+    return SagTerms.of(motion, taut_shares(motion), leg_tensions(motion))
 
 
 @cached
 def partners(motion: Motion) -> Array:
     """Return offsets to the other drone of each drone's cable (pieces, 2n, 3, degree + 1) [m]."""
-    c = motion.drones.coefficients
-    return c[:, np.arange(c.shape[1]) ^ 1] - c
+    places = motion.drones.coefficients
+    return places[:, np.arange(motion.team.drones) ^ 1] - places
 
 
 class Drones(MotionSpans):
@@ -111,8 +127,9 @@ class Drones(MotionSpans):
 
     def scalar(self, table: Callable[[Motion], Array], order: int = 0) -> Enclosed:
         """Return a scalar of a table (pieces, 2n, degree + 1), or its time derivative."""
-        c = self.read(rate(self.source, table) if order else table(self.source))[:, None]
-        return Enclosed(c, ROUNDING * np.max(np.abs(c), axis=(1, 2)))
+        values = rate(self.source, table) if order else table(self.source)
+        coefficients = self.read(values)[:, None]
+        return Enclosed(coefficients, ROUNDING * np.max(np.abs(coefficients), axis=(1, 2)))
 
     @lazy
     def leg(self) -> Enclosed:
@@ -127,8 +144,8 @@ class Drones(MotionSpans):
     @lazy
     def sag(self) -> Enclosed:
         """[1/m] Half of the leg's weight per length over its tension."""
-        half, tension = self.scalars(leg_sags(self.source))
-        return (half * tension.inverse).reduced(ORDER)
+        half_density, tension = self.scalars(leg_sags(self.source))
+        return (half_density * tension.inverse).reduced(ORDER)
 
     @lazy
     def span_squared(self) -> Enclosed:
@@ -160,19 +177,19 @@ class Drones(MotionSpans):
         return self.has_weight and bool(np.any(taut_shares(self.source) != 1.0))
 
     @property
-    def half(self) -> float:
+    def half_density(self) -> float:
         """[N/m] Half of the weight per length of cables."""
         return 0.5 * GRAVITY * self.source.team.cable_density
 
     @lazy
     def taut_weight(self) -> Enclosed:
         """[N/m] Half of the weight per length of taut cables."""
-        return self.half * self.scalar(taut_shares)
+        return self.half_density * self.scalar(taut_shares)
 
     @lazy
     def slack_weight(self) -> Enclosed:
         """[N/m] Half of the weight per length of hanging cables."""
-        return self.half - self.taut_weight
+        return self.half_density - self.taut_weight
 
     @lazy
     def partner(self) -> Enclosed:
@@ -200,8 +217,9 @@ class Drones(MotionSpans):
     def pull_terms(self) -> tuple[Interval, Interval]:
         """1/σ and coth σ of the cable as if hanging; both decrease with σ."""
         sigma = steepness_of(self.partner, self.length)
-        low, high = pull_terms(sigma.high), pull_terms(sigma.low)
-        return Interval(low[0], high[0]), Interval(low[1], high[1])
+        least_inward, least_downward = pull_terms(sigma.high)
+        largest_inward, largest_downward = pull_terms(sigma.low)
+        return Interval(least_inward, largest_inward), Interval(least_downward, largest_downward)
 
     @lazy
     def thrust(self) -> Enclosed:
@@ -223,8 +241,8 @@ class Drones(MotionSpans):
         turning = swept - along * along.dot(swept).reduced(ORDER)  # d/dt (y/|y|)
         pull_rate = self.scalar(tensions_of_legs, 1)
         if self.has_weight:
-            growth = self.half * self.scalar(taut_shares, 1)
-            # Of h z + √(T² - h² s²): h half of the weight per length, s and z those of the leg.
+            growth = self.half_density * self.scalar(taut_shares, 1)
+            # Rate of h z + √(T² - h² s²), h half of the weight per length, s and z of the leg.
             sag_rate = growth * self.span_squared + self.taut_weight * self.leg.xy.dot(velocity.xy)
             pull_rate = (pull_rate - self.sag * sag_rate.reduced(ORDER)) * self.level_pull.inverse
             pull_rate = pull_rate.reduced(ORDER) + growth * self.leg[2]
@@ -245,20 +263,22 @@ class Drones(MotionSpans):
         """
         velocity = Enclosed(self.read(rate(self.source, partners)), ROUNDING)
         inward, downward = self.pull_terms
-        horizontal, rise = self.partner.xy, self.partner[2]
+        horizontal = self.partner.xy
+        rise = self.partner[2]
         widening = horizontal.dot(velocity.xy).range * _inverse_square(horizontal.norm_range)
         heights = rise.norm_range
-        lengths = (level_length(each, self.length) for each in (heights.high, heights.low))
-        lifting = (rise * velocity[2]).range * _inverse_square(Interval(*lengths))
+        least_level = level_length(heights.high, self.length)
+        largest_level = level_length(heights.low, self.length)
+        level = Interval(least_level, largest_level)
+        lifting = (rise * velocity[2]).range * _inverse_square(level)
         slope = Interval(downward.high - inward.high, downward.low - inward.low)  # rises with σ
         falling = (widening + lifting) * slope.inverse  # -σ̇
-        change = (
-            falling * Interval(inward.low**2, inward.high**2),
-            falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0),
-        )
+        inward_rate = falling * Interval(inward.low**2, inward.high**2)
+        downward_rate = falling * Interval(downward.low**2 - 1.0, downward.high**2 - 1.0)
+        weight = self.slack_weight
         force_rate = _hanging_force(self.partner, inward, downward, -growth)
-        force_rate = force_rate + _hanging_force(velocity, inward, downward, self.slack_weight)
-        force_rate = force_rate + _hanging_force(self.partner, *change, self.slack_weight)
+        force_rate = force_rate + _hanging_force(velocity, inward, downward, weight)
+        force_rate = force_rate + _hanging_force(self.partner, inward_rate, downward_rate, weight)
         return -force_rate - (growth * self.length[:, None]).along_z()
 
     @lazy
@@ -267,14 +287,21 @@ class Drones(MotionSpans):
         thrust_rate = self.motion_rate(3) * self.mass
         if self.source.team.has_cables:
             thrust_rate = thrust_rate + self.load_rate
-        f, thrust_rate = self.thrust.reduced(ORDER), thrust_rate.reduced(ORDER)
-        ratio = (f.cross(thrust_rate).reduced(ORDER) * f.norm.inverse).reduced(ORDER)
-        return ratio * f.norm.inverse
+        thrust = self.thrust.reduced(ORDER)
+        moment = thrust.cross(thrust_rate.reduced(ORDER)).reduced(ORDER)
+        ratio = (moment * thrust.norm.inverse).reduced(ORDER)
+        return ratio * thrust.norm.inverse
 
 
-def _hanging_force(offset: Enclosed, inward: Interval, downward: Interval, w: Enclosed) -> Enclosed:
-    """Return ``w (k x, k y, l z)`` of an offset (x, y, z)."""
-    return vector(offset.xy * inward.enclosed, offset[2] * downward.enclosed) * w
+def _hanging_force(
+    offset: Enclosed, inward: Interval, downward: Interval, half_density: Enclosed
+) -> Enclosed:
+    """Return the pull of hanging cables on one end, beyond half of their weights [N].
+
+    It is ``½ w (x / σ, y / σ, z coth σ)`` of an ``offset`` (x, y, z) [m] of the ends, where
+    ``inward`` and ``downward`` enclose 1/σ and coth σ.
+    """
+    return vector(offset.xy * inward.enclosed, offset[2] * downward.enclosed) * half_density
 
 
 class Hovering(Drones):
@@ -291,17 +318,19 @@ class Points(MotionSpans):
 
 def steepness_of(offset: Enclosed, length: Array) -> Interval:
     """Return the steepness of hanging cables of lengths (spans,) [m] with offsets of their ends."""
-    widths, heights = offset.xy.norm_range, offset[2].norm_range
-    tiny = 1e-6 * length
-    ratios = [
-        level_length(height, length) / np.maximum(width, tiny)
-        for height, width in ((heights.high, widths.high), (heights.low, widths.low))
-    ]
-    return Interval(*steepness(ratios))
+    across = offset.xy.norm_range
+    rise = offset[2].norm_range
+    narrowest = MIN_RELATIVE_SPAN * length
+    flattest = level_length(rise.high, length) / np.maximum(across.high, narrowest)
+    steepest = level_length(rise.low, length) / np.maximum(across.low, narrowest)
+    return Interval(*steepness([flattest, steepest]))
 
 
 def _inverse_square(size: Interval) -> Interval:
-    return Interval(*(np.maximum(end, MIN_SPAN) ** -2 for end in (size.high, size.low)))
+    """Return the inverse squares of distances [1/m²]."""
+    return Interval(
+        low=np.maximum(size.high, MIN_SPAN) ** -2, high=np.maximum(size.low, MIN_SPAN) ** -2
+    )
 
 
 def tilt(spans: Drones) -> Bound:
@@ -310,16 +339,19 @@ def tilt(spans: Drones) -> Bound:
     It is largest at the smallest vertical component, with the largest horizontal one, or with the
     smallest if the thrust points down.
     """
-    rise, xy = spans.thrust[2].lower.value, spans.thrust.xy
-    largest = xy.norm_upper
-    horizontal = np.where(rise >= 0.0, largest.value, xy.norm_lower.value)
+    rise = spans.thrust[2].lower.value
+    level = spans.thrust.xy
+    largest = level.norm_upper
+    horizontal = np.where(rise >= 0.0, largest.value, level.norm_lower.value)
     return Bound(np.degrees(np.arctan2(horizontal, rise)), largest.x)
 
 
 def turning_rate(spans: Drones) -> Bound:
     """Return the body rate about x and y [deg/s]; infinite where a thrust may vanish."""
-    rates, bounded = spans.turning.norm_upper, np.isfinite(spans.thrust.norm.inverse.r)
-    return Bound(np.where(bounded, np.degrees(rates.value) * (1.0 + ROUNDING), np.inf), rates.x)
+    rates = spans.turning.norm_upper
+    is_bounded = np.isfinite(spans.thrust.norm.inverse.r)
+    body_rates = np.degrees(rates.value) * (1.0 + ROUNDING)
+    return Bound(np.where(is_bounded, body_rates, np.inf), rates.x)
 
 
 def _norm(spans: MotionSpans, order: int) -> Bound:
@@ -330,12 +362,21 @@ def _norm(spans: MotionSpans, order: int) -> Bound:
 
 def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
     """Return the rule that compares the norm of a derivative with ``Limits.with_reserve.name``."""
-    limit_of = attrgetter(f"requirements.limits.with_reserve.{name}")
-    largest = WorstOverSpans(over, partial(_norm, order=order), "max", 0.0)
-    states = HITCHED_STATE if over is Points else frozenset(CableState)
-    evaluators = (Evaluator(largest, states, order == 1 and over is Drones),)
-    remedy = f"raise limits.{name}"
-    return CheckRule(name, unit, "max", limit_of, evaluators, remedy, ease="time", derivative=order)
+    evaluator = Evaluator(
+        WorstOverSpans(over, partial(_norm, order=order), "max", 0.0),
+        states=HITCHED_STATE if over is Points else frozenset(CableState),
+        exported=order == 1 and over is Drones,
+    )
+    return CheckRule(
+        name,
+        unit,
+        "max",
+        attrgetter(f"requirements.limits.with_reserve.{name}"),
+        (evaluator,),
+        f"raise limits.{name}",
+        ease="time",
+        derivative=order,
+    )
 
 
 SPEED = _rate_rule("speed", "m/s", 1)
@@ -381,15 +422,19 @@ TILT = CheckRule(
 )
 
 
+def _largest_body_rate(motion: Motion) -> float | None:
+    """Return the limit of body rates [deg/s]; None without one."""
+    body_rate = motion.requirements.limits.body_rate
+    return None if body_rate is None else math.degrees(body_rate)
+
+
 TURNING_RATE = WorstOverSpans(Drones, turning_rate, "max", 0.0)
 
 BODY_RATE = CheckRule(
     "body_rate",
     "deg/s",
     "max",
-    lambda motion: (
-        None if (limit := motion.requirements.limits.body_rate) is None else math.degrees(limit)
-    ),
+    _largest_body_rate,
     (Evaluator(TURNING_RATE, formulas=(Drones.turning, Drones.load_rate)),),
     "raise limits.body_rate_deg",
     ease="time",
@@ -411,9 +456,10 @@ def _length(spans: Legs) -> Bound:
 
     Heights are divided by ``Requirements.height_ratio``.
     """
-    legs, ratio = spans.read(leg_vectors(spans.source)), spans.source.requirements.height_ratio
-    if ratio != 1.0:
-        legs = legs * np.array([1.0, 1.0, 1.0 / ratio])[:, None]
+    legs = spans.read(leg_vectors(spans.source))
+    height_ratio = spans.source.requirements.height_ratio
+    if height_ratio != 1.0:
+        legs = legs * np.array([1.0, 1.0, 1.0 / height_ratio])[:, None]
     lengths = Enclosed(legs, spans.noise).norm_lower
     exists = spans.source.team.layout.has_leg.ravel()[spans.item]
     return Bound(np.where(exists, lengths.value, np.inf), lengths.x)
@@ -442,7 +488,8 @@ def largest_rate(
 
     The bound is as tight as the comparison with the limit requires.
     """
-    rates, margin = derivative(part, order), derivative_margin(part, order)
+    rates = derivative(part, order)
+    margin = derivative_margin(part, order)
 
     def formula(spans: TimeSpans) -> Bound:
         return size(Enclosed(spans.read(rates), margin[spans.piece, spans.item]))

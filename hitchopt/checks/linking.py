@@ -28,7 +28,8 @@ from hitchopt.checks.chords import (
     outer_chords,
 )
 from hitchopt.checks.clasps import MAX_PAST_ROLL, OPEN_ROLL, roll_changes, roll_past
-from hitchopt.checks.distances import CROSSING, Flags, Moving, nearest, upright_pieces
+from hitchopt.checks.crossing import CROSSING, upright_pieces
+from hitchopt.checks.distances import Flags, Moving, nearest
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, accumulated, worst_at_joint
 from hitchopt.checks.spans import (
     MotionSpans,

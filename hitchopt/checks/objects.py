@@ -13,8 +13,9 @@ the inward normal n is ``n·(c - p_k) - h n·a / (g + a_z)``, a the acceleration
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Self
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,11 +44,20 @@ from hitchopt.values import Array, Indices, known, lazy
 
 Mask = NDArray[np.bool_]
 
-GRIP_LIMIT = 1.5  # Slip load over load
-WRAP_GAP = 2e-5  # [m] Largest gap or overlap of an edge and the section it is wrapped around
-MIN_CHORD = 1e-9  # [m] Arcs with shorter chords are their chords
-# An edge leads to the object before it, and away from it behind it
+GRIP_LIMIT = 1.5
+"""Smallest slip load over load."""
+
+WRAP_GAP = 2e-5
+"""[m] Largest gap or overlap of an edge and the section it is wrapped around."""
+
+MIN_CHORD = 1e-9
+"""[m] Arcs with shorter chords are their chords."""
+
+PLACE_TOLERANCE = 1e-4
+"""[m] Largest drift of clasps below a rim, and mean drift of contacts."""
+
 SIGNS = np.array([[1.0], [-1.0]])
+"""Signs of the straight parts of an edge: it leads to the object before it, away from it behind."""
 
 
 def add_axis(value: Enclosed) -> Enclosed:
@@ -57,8 +67,8 @@ def add_axis(value: Enclosed) -> Enclosed:
 
 def select(value: Enclosed, items: int | list[int]) -> Enclosed:
     """Return items of the last leading axis."""
-    r = np.broadcast_to(value.r, value.c.shape[:-2])
-    return Enclosed(value.c[..., items, :, :], r[..., items])
+    radii = np.broadcast_to(value.r, value.c.shape[:-2])
+    return Enclosed(value.c[..., items, :, :], radii[..., items])
 
 
 def in_object_frame(pose: Enclosed, points: Enclosed) -> Enclosed:
@@ -74,11 +84,13 @@ def in_object_frame(pose: Enclosed, points: Enclosed) -> Enclosed:
 
 def placed_corners(pose: Enclosed, slab: Slab) -> Enclosed:
     """Return corners (…, 1, 2 m) [m] of the core of an object's slab, those of its floor first."""
-    core, pose = slab.section.core, add_axis(add_axis(pose))
+    core = slab.section.core
+    pose = add_axis(add_axis(pose))
+    outline = Enclosed.of(np.tile(core, (2, 1)))
     heights = np.repeat([slab.lower, slab.upper], len(core))[:, None]
-    heading = Enclosed(pose.c[..., 3:, :] * [[1.0], [-1.0]])  # of the world, in the object's frame
-    horizontal = rotate_back(Enclosed.of(np.tile(core, (2, 1))), heading)
-    return vector(horizontal, Enclosed.of(heights)) + Enclosed(pose.c[..., :3, :], pose.r)
+    world_heading = Enclosed(pose.c[..., 3:, :] * [[1.0], [-1.0]])  # in the object's frame
+    offsets = vector(rotate_back(outline, world_heading), Enclosed.of(heights))
+    return offsets + Enclosed(pose.c[..., :3, :], pose.r)
 
 
 def rotate_back(vectors: Enclosed, heading: Enclosed) -> Enclosed:
@@ -99,9 +111,10 @@ def heading_error(heading: Enclosed) -> Array:
 @cached
 def centres(motion: Motion) -> PiecewisePolynomial:
     """Return the paths of all objects' centres of mass (objects, 3) [m]."""
-    poses, bodies = motion.poses, motion.requirements.objects.values()
-    paths = [centre_path(poses.coefficients[:, i], body) for i, body in enumerate(bodies)]
-    return poses.replaced(np.stack(paths, axis=1))
+    poses = motion.poses.coefficients
+    bodies = motion.requirements.objects.values()
+    paths = [centre_path(poses[:, index], body) for index, body in enumerate(bodies)]
+    return motion.poses.replaced(np.stack(paths, axis=1))
 
 
 @cached
@@ -133,21 +146,27 @@ class Held(MotionSpans):
 
     def of_items(self, table: Array) -> Array:
         """Return the polynomials (spans, items, …, degree + 1) of all items of a table."""
-        every = np.arange(table.shape[1])
-        return self.read(table, np.broadcast_to(every, (len(self), len(every))))
+        items = np.arange(table.shape[1])
+        return self.read(table, np.broadcast_to(items, (len(self), len(items))))
 
     @lazy
     def start_pieces(self) -> Indices:
         """(spans,) First pieces of the current holds; the spans' own if not carried."""
         carried = carried_objects(self.source)
         pieces = np.arange(len(carried))[:, None]
-        starts = np.where(carried & np.roll(carried, 1, axis=0), 0, pieces)
-        return np.asarray(np.maximum.accumulate(starts)[self.piece, self.item])
+        continues = carried & np.roll(carried, 1, axis=0)
+        starts = np.maximum.accumulate(np.where(continues, 0, pieces))
+        return np.asarray(starts[self.piece, self.item])
 
     @lazy
     def pose(self) -> Enclosed:
         """x, y, z [m], cosine and sine of yaw."""
         return Enclosed(self.read(self.source.poses.coefficients), self.noise)
+
+    @lazy
+    def centre(self) -> Enclosed:
+        """Centre of mass [m]."""
+        return Enclosed(self.read(centres(self.source).coefficients), self.noise)
 
     @lazy
     def acceleration(self) -> Enclosed:
@@ -160,11 +179,27 @@ class Held(MotionSpans):
         return Enclosed(self.read(self.source.load_share.coefficients)[:, None])
 
 
-def gripped_objects(motion: Motion) -> list[tuple[int, str, Mask]]:
-    """Return index and name of every gripped object, and the mask of its pieces (pieces,)."""
-    names = enumerate(motion.requirements.objects)
-    held = [(index, name, held_pieces(motion, name, HoldBy.GRIP)) for index, name in names]
-    return [(index, name, pieces) for index, name, pieces in held if np.any(pieces)]
+class GrippedObject(NamedTuple):
+    """An object that edges are wrapped around."""
+
+    object_index: int
+    """Its index."""
+
+    name: str
+    """Its name."""
+
+    pieces: Mask
+    """(pieces,), on which it is gripped."""
+
+
+def gripped_objects(motion: Motion) -> list[GrippedObject]:
+    """Return all objects that are gripped on any piece."""
+    gripped = []
+    for index, name in enumerate(motion.requirements.objects):
+        pieces = held_pieces(motion, name, HoldBy.GRIP)
+        if np.any(pieces):
+            gripped.append(GrippedObject(index, name, pieces))
+    return gripped
 
 
 @cached
@@ -186,7 +221,8 @@ class Gripped(Held):
     def places(self) -> Array:
         """Contacts at the start of the hold, in the object's frame (spans, n, 2, 3) [m]."""
         poses = self.source.poses.coefficients[self.start_pieces, self.item, :, 0]
-        return in_frame(poses[:, None, None], bends(self.source)[self.start_pieces, :, 1:3, :, 0])
+        contacts = bends(self.source)[self.start_pieces, :, 1:3, :, 0]
+        return in_frame(poses[:, None, None], contacts)
 
     @lazy
     def chords(self) -> Enclosed:
@@ -210,12 +246,13 @@ class Gripped(Held):
 
         They act along the straight parts, with the sag of the whole length.
         """
-        team, pull = self.source.team, self.tension
+        team = self.source.team
+        pull = self.tension
         if team.cable_density > 0.0:
             taut = Enclosed(self.of_items(tautness(self.source))[:, :, None])
-            half = taut * (0.5 * GRAVITY * team.cable_density)
+            half_density = taut * (0.5 * GRAVITY * team.cable_density)
             edge = Enclosed(team.cable_length[:, None, None]) - self.legs.norm.sum()
-            pull = chord_pull(pull, half, edge * edge)
+            pull = chord_pull(pull, half_density, edge * edge)
         return self.chords.direction * add_axis(pull) * -SIGNS
 
     @lazy
@@ -224,21 +261,36 @@ class Gripped(Held):
 
         ``T_k`` is the smallest pull of cable k's legs, reduced by friction at its clasps.
         """
-        clasped = np.max(_angles(-self.legs, self.chords * SIGNS).high, axis=-1)
-        pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
-        pulls = np.min(pulls.reshape(len(self), -1, 2), axis=-1)
-        pulls = pulls * np.exp(-self.source.team.cable_friction * clasped)
+        turn_at_clasp = np.max(_angles(-self.legs, self.chords * SIGNS).high, axis=-1)
+        leg_pulls = np.min(self.of_items(self.source.pulls.coefficients), axis=-1)
+        smaller_pulls = np.min(leg_pulls.reshape(len(self), -1, 2), axis=-1)
+        tensions = smaller_pulls * np.exp(-self.source.team.cable_friction * turn_at_clasp)
         before = select(self.chords, 0).xy
         behind = select(self.chords, 1).xy
-        return np.asarray(self.body.friction * np.sum(pulls * _angles(before, behind).low, axis=-1))
+        wraps = _angles(before, behind).low
+        return np.asarray(self.body.friction * np.sum(tensions * wraps, axis=-1))
 
     @lazy
     def load(self) -> Array:
         """Upper bound (spans,) [N] of the carried ``m (g + a_z)`` plus the load of turning."""
         carried = ((self.acceleration[2] + GRAVITY) * self.share).upper.value
-        angular = self.derivative(self.source.poses, 2)
-        angular_size = Enclosed(angular.c[:, 3:], angular.r).norm_upper.value
-        return np.asarray(self.body.mass * (carried + angular_size * turning_reach(self.body)))
+        pose_rate = self.derivative(self.source.poses, 2)
+        angular_acceleration = Enclosed(pose_rate.c[:, 3:], pose_rate.r).norm_upper.value
+        turning = angular_acceleration * turning_reach(self.body)
+        return np.asarray(self.body.mass * (carried + turning))
+
+
+def _cases_of_gripped(
+    motion: Motion, formula: Callable[[Gripped], Bound], sense: str, limit: float = math.nan
+) -> Iterator[WorstCase]:
+    """Yield the worst value of a formula for every gripped object.
+
+    Bounds are as tight as the comparison with a ``limit`` requires.
+    """
+    for index, name, pieces in gripped_objects(motion):
+        spans = Gripped.of_object(motion, index, pieces)
+        extremum = worst(spans, formula, sense, target=with_tolerance(limit, sense))
+        yield WorstCase(extremum.worst, extremum.time, (name,))
 
 
 def _straight_parts(corners: Enclosed) -> Enclosed:
@@ -258,9 +310,10 @@ def _angles(a: Enclosed, b: Enclosed) -> Interval:
 def turning_reach(body: SolidObject) -> float:
     """Return the load of a turning object over its mass and angular acceleration [m]."""
     section = body.section
-    distances = np.linalg.norm(section.core - section.centroid, axis=-1)
-    arm = section.rounding or float(np.min(distances))
-    return (float(np.max(distances)) + section.rounding) ** 2 / arm
+    radii = np.linalg.norm(section.core - section.centroid, axis=-1)
+    arm = section.rounding or float(np.min(radii))
+    largest_radius = float(np.max(radii)) + section.rounding
+    return largest_radius**2 / arm
 
 
 def slip_ratio(spans: Gripped) -> Bound:
@@ -268,15 +321,17 @@ def slip_ratio(spans: Gripped) -> Bound:
 
     It is minus infinity where edges are not wrapped around the object.
     """
-    carried = np.any(spans.share.c > 0.0, axis=(1, 2))
-    ratio = _ratio(spans.slip_load, np.where(carried, spans.load * (1.0 + ROUNDING), 0.0))
+    is_carried = np.any(spans.share.c > 0.0, axis=(1, 2))
+    load = np.where(is_carried, spans.load * (1.0 + ROUNDING), 0.0)
+    ratio = _ratio(spans.slip_load, load)
     return Bound(np.where(_misplaced(spans), -math.inf, ratio.value), ratio.x)
 
 
-def _ratio(a: Array, b: Array) -> Bound:
+def _ratio(dividend: Array, divisor: Array) -> Bound:
     """Return a quotient (spans,); infinite where the divisor is not positive."""
-    ratio = np.divide(a, b, out=np.full_like(a, math.inf), where=b > 0.0)
-    return Bound(ratio, np.full(len(a), 0.5))
+    infinite = np.full_like(dividend, math.inf)
+    ratio = np.divide(dividend, divisor, out=infinite, where=divisor > 0.0)
+    return Bound(ratio, np.full(len(ratio), 0.5))
 
 
 def spare_friction(motion: Motion, index: int) -> Array:
@@ -290,15 +345,13 @@ def _slipping(motion: Motion, limit: float) -> WorstCase:
 
     It is minus infinity if an edge bends without a gripped object, or off the object's section.
     """
-    unsupported = np.any(~_straight(Enclosed(bends(motion))), axis=1)
-    cases = [WorstCase(math.inf, 0.0)]
-    for index, name, pieces in gripped_objects(motion):
-        unsupported &= ~pieces
-        parts = Gripped.of_object(motion, index, pieces)
-        smallest = worst(parts, slip_ratio, "min", target=with_tolerance(limit, "min"))
-        cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
-    if np.any(unsupported):
-        cases.append(WorstCase(-math.inf, float(motion.drones.breaks[int(np.argmax(unsupported))])))
+    cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, slip_ratio, "min", limit)]
+    is_bent_freely = np.any(~_straight(Enclosed(bends(motion))), axis=1)
+    for gripped in gripped_objects(motion):
+        is_bent_freely &= ~gripped.pieces
+    if np.any(is_bent_freely):
+        first = int(np.argmax(is_bent_freely))
+        cases.append(WorstCase(-math.inf, float(motion.drones.breaks[first])))
     return min(cases, key=lambda case: case.worst)
 
 
@@ -317,10 +370,12 @@ GRIP = CheckRule(
 
 def _straight(corners: Enclosed) -> Mask:
     """Return whether both contacts are one point on the straight edge (pieces, edges)."""
-    start, first, last, end = (select(corners, i) for i in range(4))
-    offset = (first - start).cross(end - last).norm_upper.value
+    start, first, last, end = (select(corners, corner) for corner in range(4))
+    area = (first - start).cross(end - last).norm_upper.value
+    length = (end - start).norm_upper.value
     is_point = (last - first).norm_upper.value <= WRAP_GAP
-    return np.asarray(is_point & (offset <= WRAP_GAP * ((end - start).norm_upper.value + WRAP_GAP)))
+    is_on_edge = area <= WRAP_GAP * (length + WRAP_GAP)
+    return np.asarray(is_point & is_on_edge)
 
 
 def _misplaced(spans: Gripped) -> Mask:
@@ -399,10 +454,7 @@ def _rotated(spans: Gripped, corners: Enclosed) -> Mask:
 
 def unbalanced(motion: Motion) -> WorstCase:
     """Return the largest ``missing_force`` of all gripped objects."""
-    cases = [WorstCase(0.0, 0.0)]
-    for index, name, pieces in gripped_objects(motion):
-        largest = worst(Gripped.of_object(motion, index, pieces), missing_force, "max")
-        cases.append(WorstCase(largest.worst, largest.time, (name,)))
+    cases = [WorstCase(0.0, 0.0), *_cases_of_gripped(motion, missing_force, "max")]
     return max(cases, key=lambda case: case.worst)
 
 
@@ -413,44 +465,46 @@ def missing_force(spans: Gripped) -> Bound:
     about its centre over its radius, both reduced by friction with its support.
     """
     body = spans.body
-    pulls = spans.pulls
-    force = pulls.sum().sum() - (spans.share.along_z() * GRAVITY + spans.acceleration) * body.mass
-    centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
-    arms = select(spans.corners, [1, 2]) - add_axis(add_axis(centre))
-    moment = arms.cross(pulls).sum().sum().norm_upper.value / body.section.circumradius
+    needed = (spans.share.along_z() * GRAVITY + spans.acceleration) * body.mass
+    force = spans.pulls.sum().sum() - needed
+    arms = select(spans.corners, [1, 2]) - add_axis(add_axis(spans.centre))
+    moment = arms.cross(spans.pulls).sum().sum().norm_upper.value
     friction = body.friction * body.mass * GRAVITY * (1.0 - spans.share.upper.value)
-    horizontal = np.maximum(force.xy.norm_upper.value, moment) - friction
-    missing = np.hypot(np.maximum(horizontal, 0.0), force[2].norm_upper.value)
+    push = np.maximum(force.xy.norm_upper.value, moment / body.section.circumradius)
+    horizontal = np.maximum(push - friction, 0.0)
+    missing = np.hypot(horizontal, force[2].norm_upper.value)
     return _ratio(missing, np.min(spans.tension.lower.value, axis=-1))
 
 
-MIN_HINGE = 0.03  # [m] Height of two clasps above the centre of mass, in addition to errors
+MIN_HINGE = 0.03
+"""[m] Height of two clasps above the centre of mass, in addition to errors."""
 
 
 def _hinge_limit(motion: Motion) -> float | None:
     """Return the smallest height of the clasps of two cables above a centre of mass [m]."""
-    is_hinge = motion.team.layout.closed and motion.team.robots == 2 and gripped_objects(motion)
+    if not _has_two_cables(motion) or not gripped_objects(motion):
+        return None
     tube = motion.requirements.limits.tube
-    return MIN_HINGE + tube.level * tube.ratio if is_hinge else None
+    return MIN_HINGE + tube.level * tube.ratio
+
+
+def _has_two_cables(motion: Motion) -> bool:
+    """Return whether a closed hitch has only two cables."""
+    return motion.team.layout.closed and motion.team.robots == 2
 
 
 def hinge_height(spans: Gripped) -> Bound:
     """Return the height of the lowest clasp above the centre of mass [m]; infinite at no load."""
     clasps = Enclosed(spans.of_items(spans.source.vertices.coefficients), spans.noise)
-    centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
-    heights = (clasps - add_axis(centre))[2].lower.value
-    carried = np.any(spans.share.c > 0.0, axis=(1, 2))
-    lowest = np.where(carried, np.min(heights, axis=-1), np.inf)
+    heights = (clasps - add_axis(spans.centre))[2].lower.value
+    is_carried = np.any(spans.share.c > 0.0, axis=(1, 2))
+    lowest = np.where(is_carried, np.min(heights, axis=-1), np.inf)
     return Bound(lowest, np.full(len(lowest), 0.5))
 
 
 def _lowest_hinge(motion: Motion, limit: float) -> WorstCase:
     """Return the smallest height of clasps above the centre of mass of an object they carry."""
-    cases = [WorstCase(math.inf, 0.0)]
-    for index, name, pieces in gripped_objects(motion):
-        parts = Gripped.of_object(motion, index, pieces)
-        smallest = worst(parts, hinge_height, "min", target=with_tolerance(limit, "min"))
-        cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
+    cases = [WorstCase(math.inf, 0.0), *_cases_of_gripped(motion, hinge_height, "min", limit)]
     return min(cases, key=lambda case: case.worst)
 
 
@@ -489,12 +543,13 @@ def wrapped_arcs(motion: Motion) -> Array:
 def _sides(section: Section, contacts: Array) -> Array:
     """Return the clockwise length (…) [m] of the outline between contacts (…, 2, 2) [m]."""
     core = section.core
-    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.roll(core, -1, axis=0) - core, axis=-1)))
+    side_lengths = np.linalg.norm(np.roll(core, -1, axis=0) - core, axis=-1)
+    along_outline = np.append(0.0, np.cumsum(side_lengths))
     distances = np.linalg.norm(contacts[..., None, :] - core, axis=-1)
     first, last = np.moveaxis(np.argmin(distances, axis=-1), -1, 0)
-    sides: Array = (lengths[last] - lengths[first]) % lengths[-1]
-    straight = np.linalg.norm(contacts[..., 1, :] - contacts[..., 0, :], axis=-1) < MIN_CHORD
-    return np.where(straight, 0.0, sides)
+    sides: Array = (along_outline[last] - along_outline[first]) % along_outline[-1]
+    chords = np.linalg.norm(contacts[..., 1, :] - contacts[..., 0, :], axis=-1)
+    return np.where(chords < MIN_CHORD, 0.0, sides)
 
 
 def arc_lengths(rows: Array) -> Enclosed:
@@ -503,21 +558,24 @@ def arc_lengths(rows: Array) -> Enclosed:
     On a circle of radius R, the arc over a chord s is ``2 R asin(s / 2R)``, enclosed about its
     tangent at the middle of the range of s. Between corners of a polygon, it is a sum of sides.
     """
-    width, sides = 2.0 * rows[..., 3, 0], rows[..., 4, 0]
-    size = np.where(width > 0.0, width, 1.0)
-    chord = Enclosed(rows[..., :3, :]).norm * (1.0 / size)[..., None]
-    low, high = (np.clip(end, 0.0, 1.0) for end in (chord.range.low, chord.range.high))
-    middle = 0.5 * (low + high)
+    diameter = 2.0 * rows[..., 3, 0]
+    sides = rows[..., 4, 0]
+    is_circle = diameter > 0.0
+    chord = Enclosed(rows[..., :3, :]).norm * (1.0 / np.where(is_circle, diameter, 1.0))[..., None]
+    lowest = np.clip(chord.range.low, 0.0, 1.0)
+    highest = np.clip(chord.range.high, 0.0, 1.0)
+    middle = 0.5 * (lowest + highest)
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (1.0 - middle**2) ** -0.5
-        error = 0.125 * (high - low) ** 2 * high * (1.0 - high**2) ** -1.5  # asin'' grows
-    valid = (width > 0.0) & np.isfinite(error)
-    slope, arc = (np.where(valid, x, 0.0)[..., None] for x in (slope, np.arcsin(middle)))
-    lengths = ((chord - middle[..., None]) * slope + arc) * width[..., None] + sides[..., None]
-    return lengths.widened(np.where(valid, width * error, np.where(width > 0.0, np.inf, 0.0)))
-
-
-PLACE_TOLERANCE = 1e-4  # [m] Largest drift of clasps below a rim, and mean drift of contacts
+        # The second derivative of asin, x (1 - x²)^(-3/2), grows with x.
+        error = 0.125 * (highest - lowest) ** 2 * highest * (1.0 - highest**2) ** -1.5
+    is_bounded = is_circle & np.isfinite(error)
+    tangent_slope = np.where(is_bounded, slope, 0.0)[..., None]
+    mid_arc = np.where(is_bounded, np.arcsin(middle), 0.0)[..., None]
+    arcs = ((chord - middle[..., None]) * tangent_slope + mid_arc) * diameter[..., None]
+    lengths = arcs + sides[..., None]
+    unbounded = np.where(is_circle, np.inf, 0.0)
+    return lengths.widened(np.where(is_bounded, diameter * error, unbounded))
 
 
 class Resting(Held):
@@ -526,8 +584,8 @@ class Resting(Held):
     @lazy
     def clasps(self) -> Enclosed:
         """Clasps (spans, n) [m] in the object's frame."""
-        c = self.of_items(self.source.vertices.coefficients)
-        return in_object_frame(self.pose, Enclosed(c, self.noise))
+        clasps = self.of_items(self.source.vertices.coefficients)
+        return in_object_frame(self.pose, Enclosed(clasps, self.noise))
 
     @lazy
     def places(self) -> Array:
@@ -539,19 +597,24 @@ class Resting(Held):
 
 def force_line(spans: Resting) -> Bound:
     """Return the distance of the force line from the edges of the clasps' polygon [m]."""
-    places, body = spans.places, spans.body
+    body = spans.body
     centre = body.centre_of_mass
+    places = spans.places
     edges = unit(np.roll(places, -1, axis=1) - places)
     inward = -left_of(edges)  # of clockwise edges
     gaps = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
     horizontal = add_axis(rotate_back(spans.acceleration.xy, heading))
-    shift = horizontal.dot(inward) * (centre[2] - known(body.rim).height)
+    height = centre[2] - known(body.rim).height
+    tilt = horizontal.dot(inward) * height
     weight = add_axis(spans.acceleration[2] + GRAVITY).range
-    margin = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
-    lowest = np.where(weight.low > 0.0, gaps - (shift.range * weight.inverse).high, -np.inf)
-    k = np.arange(len(spans)), np.argmin(lowest, axis=1)
-    return Bound(lowest[k] - margin - 2.0 * PLACE_TOLERANCE, shift.upper.x[k])
+    shift = (tilt.range * weight.inverse).high
+    distances = np.where(weight.low > 0.0, gaps - shift, -np.inf)
+    nearest_edge = np.argmin(distances, axis=1)
+    of_spans = np.arange(len(spans))
+    error = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
+    smallest = distances[of_spans, nearest_edge] - error - 2.0 * PLACE_TOLERANCE
+    return Bound(smallest, tilt.upper.x[of_spans, nearest_edge])
 
 
 def foot(spans: Gripped) -> Bound:
@@ -561,9 +624,9 @@ def foot(spans: Gripped) -> Bound:
     moment over the weight beside it.
     """
     body = spans.body
-    centre = Enclosed(spans.read(centres(spans.source).coefficients), spans.noise)
-    down = np.array([0.0, 0.0, body.centre_of_mass[2] - body.lower])
-    arms = select(spans.corners, [1, 2]) - add_axis(add_axis(centre - Enclosed.of(down)))
+    height = np.array([0.0, 0.0, body.centre_of_mass[2] - body.lower])
+    base = spans.centre - Enclosed.of(height)
+    arms = select(spans.corners, [1, 2]) - add_axis(add_axis(base))
     moment = arms.cross(spans.pulls).sum().sum().xy.norm_upper
     inside = -float(body.section.clearance(body.section.centroid)[0])
     return Bound(inside - moment.value / (body.mass * GRAVITY), moment.x)
@@ -576,73 +639,156 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
     heading is not a unit vector, if holding clasps do not surround it or have left their positions,
     or if it would slide. Two cables must not push over an object as they are tied around it.
     """
-    size, begins = magnitude(motion), motion.drones.breaks
-    each = [WorstCase(math.inf, 0.0, size=size)]
+    size = magnitude(motion)
+    cases = [WorstCase(math.inf, 0.0, size=size)]
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
-        share = motion.load_share.coefficients[:, index]
-        moves, carried = moving_objects(motion)[:, index], carried_objects(motion)[:, index]
-        fully = np.all(share == 1.0, axis=-1)
-        resting, gripped = (held_pieces(motion, name, by) for by in (HoldBy.REST, HoldBy.GRIP))
-        heading = Enclosed(motion.poses.coefficients[:, index, 3:])
-        invalid = (moves & ~fully) | (heading_error(heading) > CONTACT_GAP)
-        if not body.fixed:
-            invalid |= _floating(motion, index, name, ~fully & ~moves)
-        invalid |= np.any((share < 0.0) | (share > 1.0), axis=-1)
-        invalid |= carried & (~(resting | gripped) | ~motion.formed | body.fixed)
-        if body.rim is None or not motion.team.layout.closed:
-            invalid |= resting
-        for spans in Resting.of_object(motion, index, resting & ~invalid):
-            invalid[spans.piece] = _misplaced_clasps(spans, carried[spans.piece])
-        if motion.team.layout.closed and motion.team.robots == 2 and not body.fixed:
-            standing = Gripped.of_object(motion, index, gripped & ~carried & ~moves)
-            pressed = worst(standing, foot, "min")
-            each.append(WorstCase(pressed.worst, pressed.time, (name,), size))
-        parts = Resting.of_object(motion, index, resting & carried & fully & ~invalid)
-        smallest = worst(parts, force_line, "min")
-        each.append(WorstCase(smallest.worst, smallest.time, (name,), size))
+        support = _ObjectSupport.of(motion, index, name, body)
+        invalid = support.invalid_pieces()
+        if _has_two_cables(motion) and not body.fixed:
+            stands = support.gripped & ~support.carried & ~support.moves
+            pressed = worst(Gripped.of_object(motion, index, stands), foot, "min")
+            cases.append(WorstCase(pressed.worst, pressed.time, (name,), size))
+        rests = support.resting & support.carried & support.fully_carried & ~invalid
+        smallest = worst(Resting.of_object(motion, index, rests), force_line, "min")
+        cases.append(WorstCase(smallest.worst, smallest.time, (name,), size))
         if np.any(invalid):
-            each.append(WorstCase(-math.inf, float(begins[int(np.argmax(invalid))]), (name,)))
-    return min(each, key=lambda case: case.worst)
+            start = float(motion.drones.breaks[int(np.argmax(invalid))])
+            cases.append(WorstCase(-math.inf, start, (name,)))
+    return min(cases, key=lambda case: case.worst)
+
+
+@dataclass(frozen=True, eq=False)
+class _ObjectSupport:
+    """How an object is supported, on all pieces of a motion."""
+
+    motion: Motion
+    """The motion."""
+
+    index: int
+    """The object's index."""
+
+    name: str
+    """Its name."""
+
+    body: SolidObject
+    """The object."""
+
+    moves: Mask
+    """(pieces,), whether it moves."""
+
+    carried: Mask
+    """(pieces,), whether it moves or clasps carry some of its weight."""
+
+    fully_carried: Mask
+    """(pieces,), whether clasps carry all of its weight."""
+
+    resting: Mask
+    """(pieces,), whether phases state that it rests on clasps."""
+
+    gripped: Mask
+    """(pieces,), whether phases state that edges grip it."""
+
+    @classmethod
+    def of(cls, motion: Motion, index: int, name: str, body: SolidObject) -> _ObjectSupport:
+        """Return the support of an object."""
+        share = motion.load_share.coefficients[:, index]
+        return cls(
+            motion,
+            index,
+            name,
+            body,
+            moves=moving_objects(motion)[:, index],
+            carried=carried_objects(motion)[:, index],
+            fully_carried=np.all(share == 1.0, axis=-1),
+            resting=held_pieces(motion, name, HoldBy.REST),
+            gripped=held_pieces(motion, name, HoldBy.GRIP),
+        )
+
+    def invalid_pieces(self) -> Mask:
+        """Return on which pieces the object is not supported as stated (pieces,)."""
+        share = self.motion.load_share.coefficients[:, self.index]
+        heading = Enclosed(self.motion.poses.coefficients[:, self.index, 3:])
+        invalid = (self.moves & ~self.fully_carried) | (heading_error(heading) > CONTACT_GAP)
+        if not self.body.fixed:
+            stands = ~self.fully_carried & ~self.moves
+            invalid |= _floating(self.motion, self.index, self.name, stands)
+        invalid |= np.any((share < 0.0) | (share > 1.0), axis=-1)
+        is_held = self.resting | self.gripped
+        invalid |= self.carried & (~is_held | ~self.motion.formed | self.body.fixed)
+        if self.body.rim is None or not self.motion.team.layout.closed:
+            invalid |= self.resting
+        for spans in Resting.of_object(self.motion, self.index, self.resting & ~invalid):
+            invalid[spans.piece] = _misplaced_clasps(spans, self.carried[spans.piece])
+        return np.asarray(invalid)
 
 
 def _floating(motion: Motion, index: int, name: str, at_rest: Mask) -> Mask:
     """Return on which pieces ``at_rest`` an object has no support below (pieces,)."""
     objects = motion.requirements.objects
     poses = np.round(motion.poses.coefficients[..., 0] / REST_DRIFT) * REST_DRIFT
-    places, inverse = np.unique(poses, axis=0, return_inverse=True)
-    supported = np.zeros(len(places), dtype=np.bool_)
-    for i in np.unique(inverse.ravel()[at_rest]):
-        surface, _ = surface_below(objects, places[i], name, motion.requirements.floor)
-        gap = float(places[i, index, 2]) + objects[name].lower - surface
-        supported[i] = abs(gap) <= CONTACT_GAP
-    return at_rest & ~supported[inverse.ravel()]
+    distinct_poses, inverse = np.unique(poses, axis=0, return_inverse=True)
+    case_of_piece = inverse.ravel()
+    is_supported = np.zeros(len(distinct_poses), dtype=np.bool_)
+    for case in np.unique(case_of_piece[at_rest]):
+        places = distinct_poses[case]
+        surface, _ = surface_below(objects, places, name, motion.requirements.floor)
+        gap = float(places[index, 2]) + objects[name].lower - surface
+        is_supported[case] = abs(gap) <= CONTACT_GAP
+    return at_rest & ~is_supported[case_of_piece]
 
 
 def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
     """Return on which spans clasps are above a rim, or did not surround the body at the start.
 
-    If the object is ``carried`` (spans,), clasps must also keep their positions since the start of
-    the hold, ``rim_drop`` below the rim, and friction must prevent sliding.
+    If the object is ``carried`` (spans,), clasps must also keep their places below the rim, and
+    friction must prevent sliding.
     """
-    motion, body, rim, places = spans.source, spans.body, known(spans.body.rim), spans.places
-    next_places, to_centre = np.roll(places, -1, axis=1), body.section.centroid - places
-    edges = next_places - places
-    invalid = cross(to_centre, edges) <= 0.0
-    invalid |= Enclosed(spans.clasps.c)[2].upper.value > rim.height + PLACE_TOLERANCE
-    pulls = motion.tensions.coefficients[spans.piece, :, 0]
-    drop = rim_drop(motion.team, body, places, pulls)[:, None]
-    fully = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
+    body = spans.body
+    rim = known(body.rim)
+    places = spans.places
+    edges = np.roll(places, -1, axis=1) - places
+    is_outside = cross(body.section.centroid - places, edges) <= 0.0
+    is_above_rim = Enclosed(spans.clasps.c)[2].upper.value > rim.height + PLACE_TOLERANCE
+    loses_object = _left_places(spans) | _off_rim(body, places) | _slides(spans)
+    invalid = is_outside | is_above_rim | (loses_object & carried[:, None])
+    return np.asarray(np.any(invalid, axis=1))
+
+
+def _left_places(spans: Resting) -> Mask:
+    """Return which clasps (spans, n) may have left their places since the start of the hold.
+
+    Under the full weight, they are ``rim_drop`` below the rim, before that no lower.
+    """
+    motion = spans.source
+    body = spans.body
+    rim_height = known(body.rim).height
+    tensions = motion.tensions.coefficients[spans.piece, :, 0]
+    drop = rim_drop(motion.team, body, spans.places, tensions)[:, None]
+    is_fully_carried = np.all(spans.share.c == 1.0, axis=(1, 2))[:, None]
     heights = spans.clasps[2].range
-    deviation = (spans.clasps.xy - places).norm_upper.value
-    deviation = np.maximum(deviation, rim.height - heights.low - drop)
-    deviation = np.maximum(deviation, heights.high - rim.height + np.where(fully, drop, 0.0))
-    unsupported = deviation > PLACE_TOLERANCE
-    unsupported |= rim.section.clearance(places)[0] >= -PLACE_TOLERANCE
-    if body.stem is not None:
-        unsupported |= body.stem.segment_distance(places, next_places) <= PLACE_TOLERANCE
-    pushed = Enclosed(spans.of_items(motion.vertices.differentiated(2).coefficients))
-    unsupported |= pushed.xy.norm_upper.value > body.friction * (GRAVITY + pushed[2].lower.value)
-    return np.asarray(np.any(invalid | (unsupported & carried[:, None]), axis=1))
+    sideways = (spans.clasps.xy - spans.places).norm_upper.value
+    too_low = rim_height - heights.low - drop
+    too_high = heights.high - rim_height + np.where(is_fully_carried, drop, 0.0)
+    deviation = np.maximum(np.maximum(sideways, too_low), too_high)
+    return np.asarray(deviation > PLACE_TOLERANCE)
+
+
+def _off_rim(body: SolidObject, places: Array) -> Mask:
+    """Return which clasps at places (spans, n, 2) [m] are not below a rim, or cut its stem."""
+    rim = known(body.rim)
+    is_off_rim = rim.section.clearance(places)[0] >= -PLACE_TOLERANCE
+    if body.stem is None:
+        return np.asarray(is_off_rim)
+    gaps = body.stem.segment_distance(places, np.roll(places, -1, axis=1))
+    return np.asarray(is_off_rim | (gaps <= PLACE_TOLERANCE))
+
+
+def _slides(spans: Resting) -> Mask:
+    """Return which clasps (spans, n) accelerate more than friction with the rim can transfer."""
+    accelerations = spans.source.vertices.differentiated(2).coefficients
+    pushed = Enclosed(spans.of_items(accelerations))
+    largest = spans.body.friction * (GRAVITY + pushed[2].lower.value)
+    return np.asarray(pushed.xy.norm_upper.value > largest)
 
 
 SUPPORT = CheckRule(

@@ -8,7 +8,18 @@ from dataclasses import replace
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
-from hitchopt.checks import cables, clasps, clearance, distances, drones, objects, stops, tracking
+from hitchopt.checks import (
+    arena,
+    cables,
+    clasps,
+    clearance,
+    crossing,
+    drones,
+    objects,
+    separation,
+    stops,
+    tracking,
+)
 from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.certificate import Certificate, Check, worst_of
 from hitchopt.checks.custom import Rule, checked_rules
@@ -28,9 +39,9 @@ from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.values import check_instance, nonnegative, sequence
 
 RULES = (
-    distances.SEPARATION,
+    separation.SEPARATION,
     clearance.CABLE_CLEARANCE,
-    distances.CROSSING,
+    crossing.CROSSING,
     drones.SPEED,
     drones.ACCELERATION,
     drones.JERK,
@@ -43,7 +54,7 @@ RULES = (
     cables.SPAN,
     clasps.EQUILIBRIUM,
     clasps.CONVEXITY,
-    clearance.ARENA,
+    arena.ARENA,
     clearance.KEEP_OUT,
     DOWNWASH,
     cables.TENSION,
@@ -136,13 +147,15 @@ def certify(
         stated = flight.stated_rules
         flight = flight.flight
     check_instance("flight", flight, Flight, Motion)
-    flight, gamma = Flight.of(flight), nonnegative("gamma", gamma)
+    flight = Flight.of(flight)
+    gamma = nonnegative("gamma", gamma)
     requested: tuple[Report, ...] = sequence("reports", reports)
-    own_rules = checked_rules(rules, NAMES)
+    custom_rules = checked_rules(rules, NAMES)
     certificate = _certified(flight, progress, gamma, requested)
-    certificate = with_rules(certificate, flight, own_rules, progress)
-    recomputed = {rule.name for rule in own_rules}
-    if remaining := tuple(each for each in stated if each.name not in recomputed):
+    certificate = with_rules(certificate, flight, custom_rules, progress)
+    recomputed = {rule.name for rule in custom_rules}
+    remaining = tuple(rule for rule in stated if rule.name not in recomputed)
+    if remaining:
         certificate = replace(certificate, not_recomputed=remaining)
     if progress is not None:
         _ = certificate.checks
@@ -156,19 +169,19 @@ def _certified(
     requested: Sequence[Report],
 ) -> Certificate:
     """Return the certificate of a flight with the requested reports."""
-    limited = [x for x in TEAM_REPORTS if x.limit(flight.requirements) is not None]
-    unlimited = [each for each in REPORTS if each in requested and each not in limited]
+    limited = [report for report in TEAM_REPORTS if report.limit(flight.requirements) is not None]
+    unlimited = [report for report in REPORTS if report in requested and report not in limited]
     several = len(flight.all_teams) > 1
 
-    def announce(flown: TeamMotion, each: CheckRule | ReportRule) -> None:
+    def announce(flown: TeamMotion, evaluated: CheckRule | ReportRule) -> None:
         """Report that a check of a team is evaluated next."""
         if progress is None:
             return
         names = [rule.name for rule in RULES if rule.limit_of(flown.motion) is not None]
-        names += [x.name for x in TEAM_REPORTS if x in limited or x in unlimited]
-        if each.name in names:
+        names += [report.name for report in (*limited, *unlimited) if report in TEAM_REPORTS]
+        if evaluated.name in names:
             label = f"{flown.name}: " if flown.name else ""
-            progress(f"{label}{each.name}, {names.index(each.name)} of {len(names)}")
+            progress(f"{label}{evaluated.name}, {names.index(evaluated.name)} of {len(names)}")
 
     def results_of(flown: TeamMotion) -> TeamResults:
         """Return the results of all checks of one team."""
@@ -185,10 +198,10 @@ def _certified(
 
     def checked(rule: CheckRule) -> Check | None:
         """Return the check of a rule, in all teams and between them."""
-        checks = [
-            _label(worst_of(span.check for span in results[rule.name]), flown)
-            for flown, results in of_teams
-        ]
+        checks = list[Check | None]()
+        for flown, results in of_teams:
+            worst = worst_of(span.check for span in results[rule.name])
+            checks.append(_label(worst, flown))
         return worst_of([*checks, between.get(rule)])
 
     def reported(report: Report) -> Check | None:
@@ -228,7 +241,7 @@ def with_rules(
 
 def check_of(rule: CheckRule, flight: Flight, *, exported: bool = False) -> Check | None:
     """Return the check of one rule for all teams of a flight, and between them."""
-    checks = [_label(rule.check(x.motion, exported=exported), x) for x in flight.teams]
+    checks = [_label(rule.check(flown.motion, exported=exported), flown) for flown in flight.teams]
     several = len(flight.all_teams) > 1
     return worst_of([*checks, _between_teams(rule, flight) if several else None])
 
@@ -247,7 +260,7 @@ def below_ground(flight: Flight) -> Check | None:
         above = replace(motion.requirements, arena=ABOVE_GROUND)
         return motion.replaced(requirements=above)
 
-    check = check_of(clearance.ARENA, flight.each_team(over_ground))
+    check = check_of(arena.ARENA, flight.each_team(over_ground))
     return None if check is None or check.worst >= -CONTACT_GAP else check
 
 
@@ -324,9 +337,10 @@ def merged(motion: Motion, parts: Sequence[Certificate]) -> Certificate:
         return certify(motion)  # parts are certified against wider distances
     flight = Flight.of(motion)
     by_name = _by_name(motion, parts, [part.limited for part in parts])
-    joints, checks = len(parts) > 1, list[Check | None]()
+    has_joints = len(parts) > 1
+    checks = list[Check | None]()
     for rule in RULES:
-        evaluated = rule.whole and (joints or rule is DURATION)
+        evaluated = rule.whole and (has_joints or rule is DURATION)
         checks.append(rule.check(motion) if evaluated else worst_of(by_name[rule.name]))
 
     def reported() -> Iterator[Check | None]:

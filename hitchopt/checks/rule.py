@@ -42,9 +42,17 @@ class WorstCase:
         gamma: float | None = None,
     ) -> Check:
         """Return the check of a rule."""
-        limit = limit if self.limit is None else self.limit
-        values = (self.worst, limit, rule.sense, rule.unit, self.time, self.where, self.size, gamma)
-        return Check.of(rule.name, *values)
+        return Check.of(
+            rule.name,
+            self.worst,
+            limit if self.limit is None else self.limit,
+            rule.sense,
+            rule.unit,
+            self.time,
+            self.where,
+            self.size,
+            gamma,
+        )
 
 
 def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCase:
@@ -52,8 +60,9 @@ def worst_at_joint(values: Array, times: Array, names: Sequence[str]) -> WorstCa
     if values.size == 0:
         return WorstCase(0.0, float(times[0]))
     joint, item = np.unravel_index(int(np.argmax(values)), values.shape)
-    worst = float(values[joint, item])
-    return WorstCase(worst, float(times[joint]), (names[int(item)],) if worst > 0.0 else ())
+    largest = float(values[joint, item])
+    where = (names[int(item)],) if largest > 0.0 else ()
+    return WorstCase(largest, float(times[joint]), where)
 
 
 def accumulated(jumps: Array, rounding: float) -> Array:
@@ -114,16 +123,16 @@ class Evaluator:
 
 @dataclass(frozen=True)
 class Approach:
-    """By how much two bodies approach each other per radius of tracking errors, by γ.
+    """The approach of two bodies per radius of tracking errors, as functions of γ.
 
     Drones are within the radius of their plan, vertices within γ times the radius.
     """
 
     hitched: Callable[[float], float]
-    """With a hitch, whose taut cables have their vertices' errors."""
+    """The approach with a hitch, whose taut cables have their vertices' errors."""
 
     free: Callable[[float], float]
-    """Without a hitch, where cables have the errors of their drones."""
+    """The approach without a hitch, where cables have the errors of their drones."""
 
 
 def largest_error(gamma: float) -> float:
@@ -146,28 +155,48 @@ REPORT_IT = "this plan must not be flown; please report it"
 class CheckRule:
     """A check of the certificate, and its metadata."""
 
-    name: str  # as in ``Check``
-    unit: str  # as in ``Check``
-    sense: str  # as in ``Check``
-    # the limit, or a function of a motion that returns it; None if there is nothing to check
+    name: str
+    """The name, as in ``Check``."""
+
+    unit: str
+    """The unit, as in ``Check``."""
+
+    sense: str
+    """``min`` or ``max``, as in ``Check``."""
+
     limit: float | Callable[[Motion], float | None]
-    evaluators: tuple[Evaluator, ...]  # evaluators for cables in different states
-    remedy: str = REPORT_IT  # suggested change
-    free_remedy: str = ""  # suggested change without a hitch, if different
-    # kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of legs) or
-    # ``tension`` (lower, or less weight); empty for none
+    """The limit, or a function of a motion that returns it; None if there is nothing to check."""
+
+    evaluators: tuple[Evaluator, ...]
+    """Evaluators for cables in different states."""
+
+    remedy: str = REPORT_IT
+    """The suggested change."""
+
+    free_remedy: str = ""
+    """The suggested change without a hitch, if different."""
+
     ease: str = ""
-    # highest time derivative of positions that enters the quantity; 0 for none. The quantity is
-    # undefined where the next lower derivative jumps, and decreases in slow motion.
+    """The kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of
+    legs) or ``tension`` (lower, or less weight); empty for none."""
+
     derivative: int = 0
-    # whether a joined motion is checked as a whole, as its parts do not cover the joints
+    """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
+    is undefined where the next lower derivative jumps, and decreases in slow motion."""
+
     whole: bool = False
-    exported_limit: float | None = None  # limit for exported curves, if different
-    # approach of the bodies of a distance, for ``tracking_radius``; None if that bounds the radius
-    # for the pairs of bodies, or if tracking errors do not enter
+    """Whether a joined motion is checked as a whole, as its parts do not cover the joints."""
+
+    exported_limit: float | None = None
+    """The limit for exported curves, if different."""
+
     approach: Approach | None = None
-    # suggested change at a violated check of a hitch, if its geometry decides; empty for ``remedy``
+    """The approach of the bodies of a distance, for ``tracking_radius``; None if that bounds the
+    radius for the pairs of bodies, or if tracking errors do not enter."""
+
     remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
+    """A function that returns the suggested change at a violated check of a hitch, if its geometry
+    decides; empty for ``remedy``."""
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
@@ -186,10 +215,12 @@ class CheckRule:
 
     def span_results(self, motion: Motion, *, exported: bool = False) -> tuple[SpanResult, ...]:
         """Return the check of every time span in which the rule applies."""
-        limit, states = self.limit_of(motion), motion.cable_states
+        limit = self.limit_of(motion)
         if limit is None:
             return ()
-        limit = self.exported_limit if exported and self.exported_limit is not None else limit
+        if exported and self.exported_limit is not None:
+            limit = self.exported_limit
+        states = motion.cable_states
         results = list[SpanResult]()
         with np.errstate(all="ignore"):  # coefficients may have any value: nan fails a check
             for evaluator in self.evaluators:

@@ -32,8 +32,12 @@ ROUNDING = 2.0**-40
 Coefficients and breaks are exact: they define the plan. Values computed from them err by a few
 units in the last place; the margin has a reserve of a factor of a thousand, also for sampling."""
 
-DIFFERENCE_ROUNDING = 2.0**-50  # largest relative error of a difference of two numbers
-MAX_CACHED = 8 * BATCH  # maximum number of spans of drones with cached values
+DIFFERENCE_ROUNDING = 2.0**-50
+"""Largest relative error of a difference of two numbers."""
+
+MAX_CACHED = 8 * BATCH
+"""Maximum number of spans of drones with cached values."""
+
 UPWARD = np.array([0.0, 0.0, 1.0])
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -80,8 +84,10 @@ def runs_of(motion: Motion, states: Set[CableState]) -> tuple[Motion, ...]:
 @cached
 def magnitude(motion: Motion) -> float:
     """Return the largest coordinate of drones, and of vertices while the hitch exists [m]."""
-    parts = motion.drones.coefficients, motion.vertices.coefficients[motion.formed]
-    return max(float(np.max(np.abs(c), initial=0.0)) for c in parts)
+    vertices = motion.vertices.coefficients[motion.formed]
+    of_drones = float(np.max(np.abs(motion.drones.coefficients), initial=0.0))
+    of_vertices = float(np.max(np.abs(vertices), initial=0.0))
+    return max(of_drones, of_vertices)
 
 
 @cached
@@ -126,8 +132,7 @@ def derivative_margin(part: PiecewisePolynomial, order: int) -> Array:
 @cached
 def _jumps(part: PiecewisePolynomial) -> Array:
     """Return the largest differences (pieces, items) of adjacent coefficients."""
-    c = part.coefficients
-    return _largest(c[..., 1:] - c[..., :-1])
+    return _largest(np.diff(part.coefficients, axis=-1))
 
 
 def _largest(coefficients: Array) -> Array:
@@ -267,9 +272,13 @@ def pair_of(layout: Layout, first: Indices, second: Indices) -> Indices:
 
 def part_names(motion: Motion, parts: Indices) -> list[str]:
     """Return the names of cable parts: legs of their drones, edges of the polygon."""
-    edges, legs = range(motion.team.robots), motion.team.leg_names
-    names = [(legs[2 * k], f"edge {k}", legs[2 * k + 1]) for k in edges]
-    return [names[part // 3][part % 3] for part in parts.tolist()]
+    legs = motion.team.leg_names
+    names = list[str]()
+    for part in parts.tolist():
+        cable, kind = divmod(part, 3)
+        of_kind = (legs[2 * cable], f"edge {cable}", legs[2 * cable + 1])
+        names.append(of_kind[kind])
+    return names
 
 
 def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:
@@ -281,32 +290,36 @@ def without_shared_zeros(rows: Sequence[Array]) -> list[Array]:
     ends = np.concatenate([row[..., [0, -1]] for row in rows], axis=2)
     if not np.logical_or.reduce(np.logical_and.reduce(ends == 0.0, axis=2), axis=None):
         return rows
-    table, first, parts = joined_arrays(rows, axis=2), 0, list[Array]()
-    table = _divided(_divided(table)[..., ::-1])[..., ::-1]
-    for row in rows:
-        parts.append(reduce_constants(table[:, :, first : first + row.shape[2]]))
-        first += row.shape[2]
-    return parts
+    divided_at_start = _divided(joined_arrays(rows, axis=2))
+    divided = _divided(divided_at_start[..., ::-1])[..., ::-1]
+    ends_of_rows = np.cumsum([row.shape[2] for row in rows])[:-1]
+    return [reduce_constants(part) for part in np.split(divided, ends_of_rows, axis=2)]
 
 
 def _divided(table: Array) -> Array:
     """Return polynomials (pieces, items, rows, degree + 1) divided by their common power of x."""
     order = bernstein.degree(table)
     while True:
-        shared = np.all(table[..., 0] == 0.0, axis=2) & np.any(table != 0.0, axis=(2, 3))
-        if order == 0 or not np.any(shared):
+        begin_at_zero = np.all(table[..., 0] == 0.0, axis=2)
+        is_divisible = begin_at_zero & np.any(table != 0.0, axis=(2, 3))
+        if order == 0 or not np.any(is_divisible):
             return table
         steps = np.arange(1, order + 1)
         quotient = bernstein.elevate(table[..., 1:] * (order / steps), order)
-        table = np.where(shared[..., None, None], quotient, table)
+        table = np.where(is_divisible[..., None, None], quotient, table)
 
 
 class PhasePart(NamedTuple):
     """A phase, its pieces in the motion, and the motion on them."""
 
     phase: Phase
+    """The phase."""
+
     pieces: slice
+    """Its pieces."""
+
     motion: Motion
+    """The motion on these."""
 
 
 def phase_parts(motion: Motion) -> Iterator[PhasePart]:
@@ -314,11 +327,12 @@ def phase_parts(motion: Motion) -> Iterator[PhasePart]:
 
     Phases of blended steps end within pieces.
     """
-    index, breaks = motion.phase_of_piece, motion.drones.breaks
-    for i, phase in enumerate(motion.phases):
-        pieces = np.flatnonzero(index == i)
+    breaks = motion.drones.breaks
+    for index, phase in enumerate(motion.phases):
+        pieces = np.flatnonzero(motion.phase_of_piece == index)
         if len(pieces):
             run = slice(int(pieces[0]), int(pieces[-1]) + 1)
-            start, end = float(breaks[run.start]), float(breaks[run.stop])
+            start = float(breaks[run.start])
+            end = float(breaks[run.stop])
             whole = replace(phase, start=start, end=end)
             yield PhasePart(phase, run, motion.slice_pieces(run, (whole,)))

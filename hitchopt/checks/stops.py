@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,39 +52,78 @@ from hitchopt.values import Array, Indices, known, lazy, true_runs
 
 Flags = NDArray[np.bool_]
 
-HALVINGS = 7  # halvings of a cell to decide a bound; undecided cells count as violations
-BATCH = 20_000  # pairs of a cell and a drone that are evaluated at a time
-SLACK = 1e-9  # relative margin for the clock's rounding
-MIN_STOP = 0.1  # shortest candidate of a stop [s]
-MAX_STOP = 20.0  # longest candidate of a stop [s]
-STOP_COUNT = 19  # number of candidates, each a third longer than the last one
-SPACING = 0.1  # spacing of stops [s]
-MAX_STARTS = 20_000  # maximum number of pairs of a stop and a drone
-MIN_STOPS = 8  # minimum number of stops
+HALVINGS = 7
+"""Number of halvings of a cell to decide a bound; undecided cells count as violations."""
+
+BATCH = 20_000
+"""Number of pairs of a cell and a drone that are evaluated at a time."""
+
+SLACK = 1e-9
+"""Relative margin for the clock's rounding."""
+
+MIN_STOP = 0.1
+"""[s] Shortest candidate of a stop."""
+
+MAX_STOP = 20.0
+"""[s] Longest candidate of a stop."""
+
+STOP_COUNT = 19
+"""Number of candidates, each a third longer than the last one."""
+
+SPACING = 0.1
+"""[s] Spacing of stops."""
+
+MAX_STARTS = 20_000
+"""Maximum number of pairs of a stop and a drone."""
+
+MIN_STOPS = 8
+"""Minimum number of stops."""
 
 
 def stop_phases(start: Array, duration: Array, rate: float = 1.0) -> ClockPhases:
     """Return the phases from a rate, 1 or 0, at plan times (m,) to the other one."""
     start, duration = np.broadcast_arrays(np.asarray(start, float), np.asarray(duration, float))
-    jerk, zero = (4.0 - 8.0 * rate) / duration**2, np.zeros_like(start)
-    first = np.stack([start, zero + rate, zero, jerk], axis=-1)
-    second = advance(first, 0.5 * duration)
+    half = 0.5 * duration
+    jerk = (4.0 - 8.0 * rate) / duration**2
+    at_rate = np.full_like(start, rate)
+    first = np.stack([start, at_rate, np.zeros_like(start), jerk], axis=-1)
+    second = advance(first, half)
     second[..., 3] = -jerk
     jets = np.stack([first, second], axis=1).reshape(-1, 4)
-    return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(0.5 * duration, 2))
+    return ClockPhases(np.repeat(np.arange(len(start)), 2), jets, np.repeat(half, 2))
 
 
 def rates_of(cells: ClockPhases) -> Array:
     """Return bounds (3, cells, 1) of the rate s and its two time derivatives."""
-    (s, a, j), t = cells.jets.T[1:], cells.duration
-    each = [s, s + 0.5 * t * a, s + t * (a + 0.5 * t * j)], [a, a + t * j], [j]
-    return np.stack([np.max(np.abs(c), axis=0)[:, None] for c in each])
+    _, rate, slope, curvature = cells.jets.T
+    duration = cells.duration
+    # Bernstein coefficients of the quadratic rate, and of its derivatives
+    middle = rate + 0.5 * duration * slope
+    end = rate + duration * (slope + 0.5 * duration * curvature)
+    of_rate = [rate, middle, end]
+    of_slope = [slope, slope + duration * curvature]
+    bounds = [np.max(np.abs(rows), axis=0) for rows in (of_rate, of_slope, [curvature])]
+    return np.stack(bounds)[..., None]
+
+
+class ClockRates(NamedTuple):
+    """The time derivatives of plan time."""
+
+    rate: Enclosed
+    """The rate s."""
+
+    slope: Enclosed
+    """Its first time derivative [1/s]."""
+
+    curvature: Enclosed
+    """Its second time derivative [1/s²]."""
 
 
 class OnClock(MotionSpans):
     """Spans of plan time along cells of clocks, one each."""
 
     cells: ClockPhases
+    """The cells (spans,)."""
 
     @classmethod
     def of_cells(
@@ -92,13 +131,14 @@ class OnClock(MotionSpans):
     ) -> Self:
         """Return the spans of items (spans,) along cells within pieces (spans,)."""
         times = np.stack([cells.jets[:, 0], cells.ends[:, 0]])
-        x = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
-        extent = np.sort(np.clip(x, 0.0, 1.0), axis=0)
+        places = (times - breaks[piece]) / (breaks[piece + 1] - breaks[piece])
+        extent = np.sort(np.clip(places, 0.0, 1.0), axis=0)
         spans = cls(source, breaks, piece, item, extent, points=not np.any(cells.duration))
         spans.cells = cells
         return spans
 
     def _on_cells(self, cells: ClockPhases, index: Any = slice(None)) -> Self:
+        """Return the chosen spans along other cells."""
         return self.of_cells(self.source, self.breaks, cells, self.piece[index], self.item[index])
 
     def take(self, index: Flags | Indices | slice) -> Self:
@@ -107,7 +147,8 @@ class OnClock(MotionSpans):
 
     def halves(self) -> Self:
         """Return all first halves by time, then all second halves."""
-        half, twice = 0.5 * self.cells.duration, np.tile(np.arange(len(self)), 2)
+        half = 0.5 * self.cells.duration
+        twice = np.tile(np.arange(len(self)), 2)
         jets = np.concatenate([self.cells.jets, advance(self.cells.jets, half)])
         return self._on_cells(ClockPhases(self.cells.owner[twice], jets, half[twice]), twice)
 
@@ -118,12 +159,13 @@ class OnClock(MotionSpans):
         return self._on_cells(ClockPhases(cells.owner, jets, 0.0 * cells.duration), index)
 
     @lazy
-    def clock(self) -> tuple[Enclosed, Enclosed, Enclosed]:
+    def clock(self) -> ClockRates:
         """The rate s and its time derivatives, as lines over plan time.
 
         In h seconds, plan time deviates from its chord by ``h² |ṡ| / 8``, and s by ``h² |s̈| / 8``.
         """
-        start, end = self.cells.jets, self.cells.ends
+        start = self.cells.jets
+        end = self.cells.ends
         travel = np.abs(end[:, 0] - start[:, 0])
         error = self.cells.duration**2 / 8.0
         deviation = error * np.maximum(np.abs(start[:, 2]), np.abs(end[:, 2]))
@@ -139,45 +181,64 @@ class OnClock(MotionSpans):
             radius = curvature + fraction * np.abs(end[:, order] - start[:, order])
             return Enclosed(np.where(is_backward, ends[:, ::-1], ends)[:, None], radius)
 
-        return line(1, error * np.abs(start[:, 3])), line(2, 0.0), Enclosed(start[:, 3:, None])
+        return ClockRates(
+            rate=line(1, error * np.abs(start[:, 3])),
+            slope=line(2, 0.0),
+            curvature=Enclosed(start[:, 3:, None]),
+        )
 
-    def accelerated(self, v: Enclosed, a: Enclosed) -> Enclosed:
+    def accelerated(self, velocity: Enclosed, acceleration: Enclosed) -> Enclosed:
         """Return the acceleration from derivatives by plan time."""
-        s, slope, _ = self.clock
-        return s * s * a + slope * v
+        rate, slope, _ = self.clock
+        return rate * rate * acceleration + slope * velocity
 
 
 class DronesOnClock(OnClock, Drones):
     """Spans of drones on clocks: derivatives are by time, the rest is as in the checks."""
 
     @lazy
-    def _moved(self) -> tuple[Enclosed, Enclosed]:
-        s, slope, jerk = self.clock
-        v, a, j = (self.derivative(self.source.drones, order) for order in (1, 2, 3))
-        return self.accelerated(v, a), s * s * s * j + s * slope * 3.0 * a + jerk * v
+    def _accelerations_and_jerks(self) -> tuple[Enclosed, Enclosed]:
+        """Accelerations [m/s²] and jerks [m/s³]."""
+        rate, slope, curvature = self.clock
+        velocity, acceleration, jerk = (
+            self.derivative(self.source.drones, order) for order in (1, 2, 3)
+        )
+        jerk_on_clock = rate * rate * rate * jerk + rate * slope * 3.0 * acceleration
+        return self.accelerated(velocity, acceleration), jerk_on_clock + curvature * velocity
 
     def motion_rate(self, order: int) -> Enclosed:
         """Return the acceleration or the jerk."""
-        return self._moved[order - 2]
+        return self._accelerations_and_jerks[order - 2]
 
     @lazy
     def load_rate(self) -> Enclosed:
         """[N/s] The time derivative of the load."""
-        return super().load_rate * self.clock[0]
+        return super().load_rate * self.clock.rate
 
 
 @dataclass(frozen=True, eq=False)
 class ClockLimit:
     """Limits of items that bound a clock's rates."""
 
-    path: PiecewisePolynomial  # paths of the items, on pieces of the plan [m]
-    orders: int  # number of its derivatives that enter
-    over: type[OnClock]  # type of the spans on which utilization is bounded
-    source: Any  # of the spans
-    # whether norms of derivatives (orders, cells, items) prove that limits hold, for pieces
-    # (cells,) and the clock's rate and its derivatives there, (cells, 1) each
+    path: PiecewisePolynomial
+    """(items, 3) [m], paths of the items, on pieces of the plan."""
+
+    orders: int
+    """Number of derivatives of the paths that enter."""
+
+    over: type[OnClock]
+    """Type of the spans on which utilization is bounded."""
+
+    source: Any
+    """Source of these spans."""
+
     norms_suffice: Callable[..., Flags]
-    utilization: Callable[[Any], Array]  # largest fraction of a limit (spans,)
+    """Function that returns whether norms prove that limits hold (cells, items): norms of
+    derivatives (orders, cells, items), pieces (cells,), and bounds (cells, 1) of the clock's rate
+    and its two derivatives there."""
+
+    utilization: Callable[[Any], Array]
+    """Function of spans that returns their largest fraction of a limit (spans,)."""
 
     @lazy
     def sizes(self) -> Array:
@@ -191,33 +252,36 @@ class ClockLimit:
     def decide(self, phases: ClockPhases, feasible: Flags) -> None:
         """Set ``feasible`` (owners,) to False unless phases provably keep the limits."""
         breaks = self.path.breaks
-        cells, piece = phases.cut(breaks, 0.0)
-        flown = (piece >= 0) & (piece < len(breaks) - 1)
-        cells, piece = cells.select(flown), piece[flown]
-        count = max(1, BATCH // self.sizes.shape[2])
-        for first in range(0, len(piece), count):
+        all_cells, piece_of_all = phases.cut(breaks, 0.0)
+        flown = (piece_of_all >= 0) & (piece_of_all < len(breaks) - 1)
+        cells = all_cells.select(flown)
+        piece = piece_of_all[flown]
+        cells_per_batch = max(1, BATCH // self.sizes.shape[2])
+        for first in range(0, len(piece), cells_per_batch):
             check_time()
-            row = np.arange(first, min(first + count, len(piece)))
-            row = row[feasible[cells.owner[row]]]
-            rates = rates_of(cells.select(row))
-            sizes = self.sizes[:, piece[row]]
-            where, item = np.nonzero(~self.norms_suffice(sizes, piece[row], *rates))
-            row = row[where]
-            spans = self.over.of_cells(self.source, breaks, cells.select(row), piece[row], item)
+            batch = np.arange(first, min(first + cells_per_batch, len(piece)))
+            batch = batch[feasible[cells.owner[batch]]]
+            rates = rates_of(cells.select(batch))
+            sizes = self.sizes[:, piece[batch]]
+            suffices = self.norms_suffice(sizes, piece[batch], *rates)
+            undecided, item = np.nonzero(~suffices)
+            cell = batch[undecided]
+            spans = self.over.of_cells(self.source, breaks, cells.select(cell), piece[cell], item)
             self._refine(spans, feasible, HALVINGS)
 
     def _refine(self, spans: OnClock, feasible: Flags, halvings: int) -> None:
         """Set ``feasible`` to False where spans violate a limit, or stay undecided."""
         if len(spans):
-            middle = self.utilization(spans.at(0.5))
-            feasible[spans.cells.owner[~(middle <= 1.0)]] = False
+            keeps_limits = self.utilization(spans.at(0.5)) <= 1.0  # nan does not
+            feasible[spans.cells.owner[~keeps_limits]] = False
             spans = spans.take(feasible[spans.cells.owner])
         if len(spans):
-            open_ = spans.take(~(self.utilization(spans) * (1.0 + SLACK) <= 1.0))
+            is_proven = self.utilization(spans) * (1.0 + SLACK) <= 1.0
+            undecided = spans.take(~is_proven)
             if halvings:
-                self._refine(open_.halves(), feasible, halvings - 1)
+                self._refine(undecided.halves(), feasible, halvings - 1)
             else:
-                feasible[open_.cells.owner] = False
+                feasible[undecided.cells.owner] = False
 
 
 class ClockLimits:
@@ -226,8 +290,8 @@ class ClockLimits:
     def __init__(self, flight: Flight) -> None:
         motions = [flown.motion for flown in flight.teams]
         with value_cache():
-            paths = (path for motion in motions for path in carried_paths(motion))
-            self.carried = [_inertia(path, slack) for path, slack in paths]
+            carried = [path for motion in motions for path in carried_paths(motion)]
+            self.carried = [_limit_of_inertia(path) for path in carried]
             self._drones = [_limit_of_drones(motion) for motion in motions]
 
     def keep(self, phases: ClockPhases, owners: int) -> Flags:
@@ -247,18 +311,27 @@ class ClockLimits:
 
 def _limit_of_drones(motion: Motion) -> ClockLimit:
     """Return the limits of a motion's drones."""
-    limits, spare = motion.requirements.limits, _spare(motion)
+    limits = motion.requirements.limits
     body_rate = limits.body_rate
+    spare = _spare_acceleration(motion)
 
-    def norms_suffice(sizes: Array, piece: Indices, s: Array, slope: Array, jerk: Array) -> Flags:
-        v, a, j = sizes
-        feasible: Flags = s * s * a + slope * v <= np.minimum(spare[piece], limits.acceleration)
-        feasible &= s * s * s * j + 3.0 * s * slope * a + jerk * v <= limits.jerk
-        return feasible & (body_rate is None)  # norms do not bound turning rates tightly
+    def norms_suffice(
+        sizes: Array, piece: Indices, rate: Array, slope: Array, curvature: Array
+    ) -> Flags:
+        if body_rate is not None:  # norms do not bound turning rates tightly
+            return np.zeros(sizes.shape[1:], dtype=np.bool_)
+        velocity, acceleration, jerk = sizes
+        on_clock = rate * rate * acceleration + slope * velocity
+        jerk_on_clock = (
+            rate * rate * rate * jerk + 3.0 * rate * slope * acceleration + curvature * velocity
+        )
+        suffices = on_clock <= np.minimum(spare[piece], limits.acceleration)
+        return np.asarray(suffices & (jerk_on_clock <= limits.jerk))
 
     def utilization(spans: DronesOnClock) -> Array:
         """Return the largest fraction of a limit (spans,), by the formulas of the checks."""
-        acceleration, jerk = (spans.motion_rate(order).norm_upper.value for order in (2, 3))
+        acceleration = spans.motion_rate(2).norm_upper.value
+        jerk = spans.motion_rate(3).norm_upper.value
         shares = [acceleration / limits.acceleration, jerk / limits.jerk]
         if body_rate is not None:
             shares.append(turning_rate(spans).value / math.degrees(body_rate))
@@ -269,40 +342,60 @@ def _limit_of_drones(motion: Motion) -> ClockLimit:
     return ClockLimit(motion.drones, 3, DronesOnClock, motion, norms_suffice, utilization)
 
 
-def _spare(motion: Motion) -> Array:
+def _spare_acceleration(motion: Motion) -> Array:
     """Return the spare acceleration of hovering drones in any direction (pieces, drones) [m/s²]."""
-    spare, max_thrust = np.zeros((motion.drones.pieces, motion.team.drones)), motion.team.max_thrust
+    spare = np.zeros((motion.drones.pieces, motion.team.drones))
+    max_thrust = motion.team.max_thrust
     for spans in Hovering.of(motion):
-        margin = math.degrees(motion.requirements.limits.tilt) - tilt(spans).value
-        sines = np.sin(np.radians(np.clip(margin, -90.0, 90.0)))
-        horizontal = spans.thrust.norm_lower.value * sines
-        thrust_margin = max_thrust[spans.item] - spans.thrust.norm_upper.value
-        spare[spans.piece, spans.item] = np.minimum(thrust_margin, horizontal) / spans.mass[:, 0]
+        tilt_margin = math.degrees(motion.requirements.limits.tilt) - tilt(spans).value
+        sines = np.sin(np.radians(np.clip(tilt_margin, -90.0, 90.0)))
+        to_cone = spans.thrust.norm_lower.value * sines  # distance of the thrust from the cone
+        to_sphere = max_thrust[spans.item] - spans.thrust.norm_upper.value
+        spare[spans.piece, spans.item] = np.minimum(to_sphere, to_cone) / spans.mass[:, 0]
     return spare * (1.0 - SLACK)
 
 
-def _inertia(path: PiecewisePolynomial, slack: Array) -> ClockLimit:
-    """Return the limit of additional accelerations of paths (items, 3) to ``slack``."""
-    slack = np.maximum(np.nan_to_num(slack), 0.0)
+class CarriedPaths(NamedTuple):
+    """Paths of points of a carried object, and the accelerations that a clock may add to them."""
 
-    def norms_suffice(sizes: Array, piece: Indices, s: Array, slope: Array, _: Array) -> Flags:
-        return np.asarray(np.maximum(s * s, 1.0) * sizes[1] + slope * sizes[0] <= slack[piece])
+    paths: PiecewisePolynomial
+    """(items, 3) [m]."""
+
+    slack: Array
+    """(pieces, items) [m/s²], the largest additional accelerations."""
+
+
+def _limit_of_inertia(carried: CarriedPaths) -> ClockLimit:
+    """Return the limit of additional accelerations of a carried object."""
+    paths = carried.paths
+    slack = np.maximum(np.nan_to_num(carried.slack), 0.0)
+
+    def norms_suffice(sizes: Array, piece: Indices, rate: Array, slope: Array, _: Array) -> Flags:
+        velocity, acceleration = sizes
+        added = np.maximum(rate * rate, 1.0) * acceleration + slope * velocity
+        return np.asarray(added <= slack[piece])
 
     def utilization(spans: OnClock) -> Array:
-        v, a = (spans.derivative(path, order) for order in (1, 2))
-        added = (spans.accelerated(v, a) - a).norm_upper.value
+        velocity = spans.derivative(paths, 1)
+        acceleration = spans.derivative(paths, 2)
+        added = (spans.accelerated(velocity, acceleration) - acceleration).norm_upper.value
         return np.divide(added, slack[spans.piece, spans.item])
 
-    return ClockLimit(path, 2, OnClock, path, norms_suffice, utilization)
+    return ClockLimit(paths, 2, OnClock, paths, norms_suffice, utilization)
 
 
 @dataclass(frozen=True, eq=False)
 class StopTable:
     """Stops that keep all limits, by the plan time at which they begin."""
 
-    end: float  # plan time at which the plan ends at rest [s]; infinite if it does not
-    starts: Array  # (stops,) [s], increasing
-    durations: Array  # (stops,) [s]; infinite if no stop is feasible
+    end: float
+    """[s] Plan time at which the plan ends at rest; infinite if it does not."""
+
+    starts: Array
+    """(stops,) [s], increasing plan times at which stops begin."""
+
+    durations: Array
+    """(stops,) [s], durations of the stops; infinite if no stop is feasible."""
 
     @property
     def longest(self) -> tuple[Array, Array]:
@@ -312,7 +405,8 @@ class StopTable:
         """
         begins = np.concatenate([[min(0.0, self.starts[0])], self.starts])
         rest_times = np.append(self.starts + self.durations, self.end)
-        return np.minimum.accumulate(rest_times[::-1])[::-1] - begins, begins
+        soonest_rests = np.minimum.accumulate(rest_times[::-1])[::-1]
+        return soonest_rests - begins, begins
 
     def after(self, time: float) -> tuple[float, float]:
         """Return start and duration [s] of the earliest rest for a command at a time.
@@ -335,53 +429,63 @@ def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
     those of the flight, if known.
     """
     limits = limits or ClockLimits(flight)
-    begin, end = flight.breaks[[0, -1]].tolist()
-    max_starts = max(MAX_STARTS // flight.team.drones, MIN_STOPS)
-    count = max(2, int(min(np.ceil((end - begin) / SPACING), max_starts)) + 1)
-    starts = np.linspace(begin, end, count)[:-1]
-    rate = max(np.max(np.abs(flight.drones.ends(order)[1][-1])) for order in (1, 2))
-    rest = end if rate <= REST_RATE else np.inf
-    ladder = np.geomspace(MIN_STOP, MAX_STOP, STOP_COUNT)
+    starts = _stop_starts(flight)
+    final_rates = [np.abs(flight.drones.ends(order)[1][-1]) for order in (1, 2)]
+    rests_at_end = bool(np.max(final_rates) <= REST_RATE)
+    end = float(flight.breaks[-1]) if rests_at_end else math.inf
+    candidates = np.geomspace(MIN_STOP, MAX_STOP, STOP_COUNT)
     durations = np.full(len(starts), np.inf)
-    # Rungs of the ladder: the longest that is known to be infeasible, the shortest that is not
-    low, high = np.full(len(starts), -1), np.full(len(starts), len(ladder))
+    longest_infeasible = np.full(len(starts), -1)  # index of the candidate
+    shortest_feasible = np.full(len(starts), len(candidates))
     while True:
-        rest_times = np.append(starts + durations, rest)
-        soonest = np.minimum.accumulate(rest_times[::-1])[-2::-1]  # of all later ones
-        high = np.minimum(high, np.searchsorted(ladder, soonest - starts))
-        if not len(undecided := np.flatnonzero(high - low > 1)):
-            return StopTable(rest, starts, durations)
+        rest_times = np.append(starts + durations, end)
+        soonest_later_rest = np.minimum.accumulate(rest_times[::-1])[-2::-1]
+        too_long = np.searchsorted(candidates, soonest_later_rest - starts)
+        shortest_feasible = np.minimum(shortest_feasible, too_long)
+        undecided = np.flatnonzero(shortest_feasible - longest_infeasible > 1)
+        if not len(undecided):
+            return StopTable(end, starts, durations)
+        below = longest_infeasible[undecided]
         # With a carried object, longer stops may be infeasible: no bisection then.
-        rung = low[undecided] + 1 if limits.carried else (low[undecided] + high[undecided]) // 2
-        feasible = _feasible_stops(limits, starts[undecided], ladder[rung])
-        durations[undecided[feasible]] = ladder[rung[feasible]]
-        high[undecided[feasible]] = rung[feasible]
-        low[undecided[~feasible]] = rung[~feasible]
+        candidate = below + 1 if limits.carried else (below + shortest_feasible[undecided]) // 2
+        feasible = _feasible_stops(limits, starts[undecided], candidates[candidate])
+        durations[undecided[feasible]] = candidates[candidate[feasible]]
+        shortest_feasible[undecided[feasible]] = candidate[feasible]
+        longest_infeasible[undecided[~feasible]] = candidate[~feasible]
+
+
+def _stop_starts(flight: Flight) -> Array:
+    """Return the plan times (stops,) [s] at which stops are sought."""
+    begin, end = flight.breaks[[0, -1]].tolist()
+    max_stops = max(MAX_STARTS // flight.team.drones, MIN_STOPS)
+    stops = max(1, int(min(np.ceil((end - begin) / SPACING), max_stops)))
+    return np.linspace(begin, end, stops + 1)[:-1]
 
 
 def _feasible_stops(limits: ClockLimits, starts: Array, durations: Array) -> Flags:
     """Return which stops (m,) keep all limits, as do restarts with a carried object."""
     feasible = limits.keep(stop_phases(starts, durations), len(starts))
     rest_times = starts + 0.5 * durations
-    held = np.flatnonzero(feasible & limits.carries(rest_times))
-    feasible[held] = limits.keep(stop_phases(rest_times[held], durations[held], 0.0), len(held))
+    carried = np.flatnonzero(feasible & limits.carries(rest_times))
+    restarts = stop_phases(rest_times[carried], durations[carried], rate=0.0)
+    feasible[carried] = limits.keep(restarts, len(carried))
     return feasible
 
 
-def carried_paths(motion: Motion) -> Iterator[tuple[PiecewisePolynomial, Array]]:
-    """Yield paths (items, 3) [m] of carried objects, and their slack (pieces, items) [m/s²]."""
+def carried_paths(motion: Motion) -> Iterator[CarriedPaths]:
+    """Yield the paths of all carried objects, on the pieces on which they move with their hold."""
     breaks = motion.drones.breaks
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         for by, paths_of in ((HoldBy.REST, _resting), (HoldBy.GRIP, _gripped)):
-            mask = moving_objects(motion)[:, index] & held_pieces(motion, name, by)
-            for first, last in true_runs(mask):
+            is_carried = moving_objects(motion)[:, index] & held_pieces(motion, name, by)
+            for first, last in true_runs(is_carried):
                 if by is HoldBy.REST and body.rim is None:  # violates the check ``support``
                     continue
                 phases = motion.overlapping(breaks[first], breaks[last])
                 yield paths_of(motion.slice_pieces(slice(first, last), phases), index, body)
 
 
-def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
+def _resting(motion: Motion, index: int, body: SolidObject) -> CarriedPaths:
     """Return the paths of clasps below a rim and of the centre of mass, and their slack.
 
     Clasps carry shares of the mass, and loads that the higher centre of mass shifts between them.
@@ -396,19 +500,19 @@ def _resting(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     shifted = height * np.linalg.norm(supports.gains, axis=-1)
     shifted *= 1.0 + heading_error(Enclosed(pose[:, 3:]))[:, None]
     bearing = spare_forces(motion) / (body.mass * (supports.shares + shifted))
-    pushed = points.differentiated(2).coefficients
-    level = np.max(np.linalg.norm(pushed[:, :, :2], axis=2), axis=-1)
-    pressing = GRAVITY + np.min(pushed[:, :, 2], axis=-1)
+    accelerations = points.differentiated(2).coefficients
+    level = np.max(np.linalg.norm(accelerations[:, :, :2], axis=2), axis=-1)
+    pressing = GRAVITY + np.min(accelerations[:, :, 2], axis=-1)
     sliding = (body.friction * pressing - level)[:, :-1] / (1.0 + body.friction)
     inside = SUPPORT.evaluators[0].evaluate(motion, 0.0).worst
     lean = height * (1.0 + level[:, -1] / pressing[:, -1])
     tipping = inside * pressing[:, -1] / (lean + inside)
-    whole = np.minimum(tipping, np.min(bearing, axis=1))
-    slack = np.column_stack([np.minimum(bearing, sliding), whole])
-    return points, slack
+    slack_of_clasps = np.minimum(bearing, sliding)
+    slack_of_centre = np.minimum(tipping, np.min(bearing, axis=1))
+    return CarriedPaths(points, np.column_stack([slack_of_clasps, slack_of_centre]))
 
 
-def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePolynomial, Array]:
+def _gripped(motion: Motion, index: int, body: SolidObject) -> CarriedPaths:
     """Return the paths of centre and heading of a gripped object, and their slack.
 
     Edges push it as a whole. Friction carries it and turns it, one half for each.
@@ -416,9 +520,12 @@ def _gripped(motion: Motion, index: int, body: SolidObject) -> tuple[PiecewisePo
     pose = motion.poses.coefficients[:, index]
     heading = np.pad(pose[:, None, 3:], [(0, 0), (0, 0), (0, 1), (0, 0)])
     paths = joined_arrays([centre_path(pose, body)[:, None], heading], axis=1)
-    forces, friction = np.min(spare_forces(motion), axis=1), 0.5 * spare_friction(motion, index)
-    slack = [np.minimum(forces, friction), friction / turning_reach(body)]
-    return motion.drones.replaced(paths), np.column_stack(slack) / body.mass
+    clasp_forces = np.min(spare_forces(motion), axis=1)
+    friction = 0.5 * spare_friction(motion, index)
+    spare_force = np.minimum(clasp_forces, friction)
+    spare_turning = friction / turning_reach(body)
+    slack = np.column_stack([spare_force, spare_turning]) / body.mass
+    return CarriedPaths(motion.drones.replaced(paths), slack)
 
 
 def _longest_stop(flight: Flight) -> WorstCase:

@@ -30,18 +30,14 @@ from functools import partial
 
 import numpy as np
 
+from hitchopt.checks.arena import ARENA, drone_wall_gap
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import (
-    ARENA,
-    CABLE_CLEARANCE,
-    KEEP_OUT,
-    OBJECT_CLEARANCE,
-    cable_displacement,
-    drone_wall_gap,
-)
-from hitchopt.checks.distances import CROSSING, Moving, PairSpans, Shape, gap, smallest
+from hitchopt.checks.clearance import CABLE_CLEARANCE, KEEP_OUT, OBJECT_CLEARANCE
+from hitchopt.checks.crossing import CROSSING
+from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smallest
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import LEGS, Drones
+from hitchopt.checks.hanging import cable_displacement
 from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import shortest_offset, unit
@@ -73,7 +69,8 @@ PROJECTIONS = 24
 
 def flattened(requirements: Requirements) -> Requirements:
     """Return requirements whose heights the stated tracking errors divide."""
-    if (ratio := requirements.limits.tube.ratio) == requirements.height_ratio:
+    ratio = requirements.limits.tube.ratio
+    if ratio == requirements.height_ratio:
         return requirements
     return replace(requirements, height_ratio=ratio)
 
@@ -170,6 +167,7 @@ def _slack(check: Check) -> float:
 
 
 def _is_hanging(result: SpanResult) -> bool:
+    """Return whether cables hang in a time span, and are not replaced by their chords."""
     on_chords = ({CableState.GROUND}, {CableState.DRAWN})
     return result.states.isdisjoint(TAUT_STATES) and result.states not in on_chords
 
@@ -186,11 +184,12 @@ def _excess(spans: Drones) -> Bound:
         return Bound(excess, chord.x)
     across = spans.partner.xy.norm_upper.value
     height = spans.partner[2].norm_upper.value
-    # 2r is the positive root x of a x² + 2 b x = c, of chords longer by x and by x ratio upright
-    a = 1.0 + ratio**2
-    b = across + ratio * height
-    c = np.maximum(spans.length**2 - across**2 - height**2, 0.0)
-    by_axes = c / (b + np.sqrt(b * b + a * c))
+    # Chords longer by x across and by ``ratio x`` upright are as long as cables where
+    # a x² + 2 b x = c; its positive root is c / (b + √(b² + a c)).
+    squares = 1.0 + ratio**2
+    growth = across + ratio * height
+    missing = np.maximum(spans.length**2 - across**2 - height**2, 0.0)
+    by_axes = missing / (growth + np.sqrt(growth * growth + squares * missing))
     return Bound(np.maximum(by_axes, excess / ratio), chord.x)
 
 

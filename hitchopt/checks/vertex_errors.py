@@ -21,18 +21,30 @@ from hitchopt.values import Array
 if TYPE_CHECKING:
     from hitchopt.hitch.rest_errors import ErrorSizes
 
-AT_REST = 1e-6  # [m/s], [m/s²] Largest velocity and acceleration at rest
-TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
-BEFORE = 1e-9  # [s] Time before the end of a piece at which it is evaluated
-SAME_PLACE = 1e-6  # [m] Largest distance of drones at rests that are evaluated once
+AT_REST = 1e-6
+"""[m/s], [m/s²] Largest velocity and acceleration at rest."""
+
+TAUT_RATIO = 0.9
+"""Smallest tension of a taut cable, over the team's."""
+
+BEFORE = 1e-9
+"""[s] Time before the end of a piece at which it is evaluated."""
+
+SAME_PLACE = 1e-6
+"""[m] Largest distance of drones at rests that are evaluated once."""
 
 
 class RestErrors(NamedTuple):
     """Errors of vertices at a rest."""
 
-    time: float  # [s]
-    radii: Array  # (points,) [m], largest distances of vertices from their planned places
-    parts: Array  # (points, 3) [m], by cables, drones and friction, to first order
+    time: float
+    """[s] Time of the rest."""
+
+    radii: Array
+    """(points,) [m], largest distances of vertices from their planned places."""
+
+    parts: Array
+    """(points, 3) [m], contributions of cables, drones and friction, to first order."""
 
 
 def states_at_rests(motion: Motion) -> States | None:
@@ -43,22 +55,21 @@ def states_at_rests(motion: Motion) -> States | None:
     """
     if not motion.team.has_cables:
         return None
-    holds = np.array([phase.hold is not None for phase in motion.phases])[motion.phase_of_piece]
     loaded = np.any(motion.load_share.coefficients != 0.0, axis=(1, 2))
-    empty = motion.in_states(frozenset({CableState.HITCHED})) & ~holds & ~loaded
+    empty = motion.in_states(frozenset({CableState.HITCHED})) & ~motion.holding & ~loaded
     if not np.any(empty):
         return None
-    start, breaks = motion.drones.breaks[0], motion.drones.breaks
+    breaks = motion.drones.breaks
     ends = np.column_stack([breaks[:-1], breaks[1:] - BEFORE])[empty]
-    states = states_at(motion, ends.ravel() - start)
+    states = states_at(motion, ends.ravel() - breaks[0])
     rates = np.stack([states.velocities, states.accelerations])
     at_rest = np.max(np.abs(rates), axis=(0, 2, 3)) <= AT_REST
     at_rest &= np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
     rests = list[int]()
-    for k in np.flatnonzero(at_rest).tolist():
-        moved = np.abs(states.positions[rests] - states.positions[k])
-        if np.all(np.max(moved, axis=(1, 2)) > SAME_PLACE):
-            rests.append(k)
+    for sample in np.flatnonzero(at_rest).tolist():
+        offsets = np.abs(states.positions[rests] - states.positions[sample])
+        if np.all(np.max(offsets, axis=(1, 2)) > SAME_PLACE):
+            rests.append(sample)
     return states[rests] if rests else None
 
 
@@ -80,18 +91,21 @@ def errors_of_sizes(motion: Motion, sizes: ErrorSizes) -> list[RestErrors]:
     """Return the errors of vertices at every rest for errors of other sizes than the team's."""
     from hitchopt.hitch.rest_errors import planned_rest, vertex_errors
 
-    states, team = states_at_rests(motion), motion.team
+    states = states_at_rests(motion)
     if states is None:
         return []
-    samples = planned_rest(
-        team, states.positions, states.vertices, states.tensions, states.cable_forces
+    rests = planned_rest(
+        motion.team, states.positions, states.vertices, states.tensions, states.cable_forces
     )
-    errors = vertex_errors(team, samples, sizes)
+    errors = vertex_errors(motion.team, rests, sizes)
     times = (motion.drones.breaks[0] + states.t).tolist()
-    return [RestErrors(*each) for each in zip(times, errors.radii, errors.parts, strict=True)]
+    return [
+        RestErrors(time, radii, parts)
+        for time, radii, parts in zip(times, errors.radii, errors.parts, strict=True)
+    ]
 
 
-def _worst(motion: Motion) -> tuple[RestErrors, int] | None:
+def _worst_vertex(motion: Motion) -> tuple[RestErrors, int] | None:
     """Return the rest with the largest error, and its vertex; None without a rest."""
     rests = errors_at_rests(motion)
     if not rests:
@@ -102,7 +116,8 @@ def _worst(motion: Motion) -> tuple[RestErrors, int] | None:
 
 def _largest_error(motion: Motion, _results: SpanResults, _gamma: float) -> WorstCase | None:
     """Return the largest error [m]; None if the hitch never rests without a load."""
-    if (worst := _worst(motion)) is None:
+    worst = _worst_vertex(motion)
+    if worst is None:
         return None
     rest, vertex = worst
     return WorstCase(float(rest.radii[vertex]), rest.time, (motion.team.point_names[vertex],))
@@ -112,10 +127,12 @@ def error_in_words(motion: Motion) -> str:
     """Return the largest error at rest with its contributions in words; empty without a rest."""
     from hitchopt.hitch.rest_errors import KINDS
 
-    if (worst := _worst(motion)) is None:
+    worst = _worst_vertex(motion)
+    if worst is None:
         return ""
     rest, vertex = worst
-    name, radius = motion.team.point_names[vertex], 100.0 * float(rest.radii[vertex])
+    name = motion.team.point_names[vertex]
+    radius = 100.0 * float(rest.radii[vertex])  # [cm]
     if not np.isfinite(radius):
         return f"{name}: no rest is found with errors as large as team.errors"
     parts = zip(KINDS, (100.0 * rest.parts[vertex]).tolist(), strict=True)

@@ -59,32 +59,41 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
     import casadi as ca
 
     symbols = _symbols(CLASP_INPUTS)
-    behind, here, ahead = (Series(point) for point in ca.vertsplit(symbols["points"], 3))
-    before, after = (Series(tension) for tension in ca.vertsplit(symbols["tensions"]))
-    q_before, q_after = (Series(leg) for leg in ca.vertsplit(symbols["q_legs"]))
+    point_behind, point, point_ahead = map(Series, ca.vertsplit(symbols["points"], 3))
+    tension_behind, tension_ahead = map(Series, ca.vertsplit(symbols["tensions"]))
+    q_leg_behind, q_leg_ahead = map(Series, ca.vertsplit(symbols["q_legs"]))
     weight = symbols["weight"] if weighted else None
     load = ca.vertcat(0.0, 0.0, -symbols["load"]) if loaded else None
-    edges = Edge.of(here - behind, before, weight), Edge.of(ahead - here, after, weight)
-    directions, chords, e = clasp_legs(
-        edges,
-        (q_before, q_after),
+    edge_behind = Edge.of(point - point_behind, tension_behind, weight)
+    edge_ahead = Edge.of(point_ahead - point, tension_ahead, weight)
+    directions, chords, r_leg = clasp_legs(
+        (edge_behind, edge_ahead),
+        (q_leg_behind, q_leg_ahead),
         symbols["cable_length"],
         load,
         weight,
         Series(symbols["roll"]) if rolled else None,
         equal=equal,
     )
-    r, q = (here + chord * along for chord, along in zip(chords, directions, strict=True))
-    spans = (r - here, before), (behind - here, before), (q - here, after), (ahead - here, after)
-    pulls = [_pull_on_clasp(span, tension, weight).value for span, tension in spans]
-    u, v = (edge.along.value for edge in edges)
+    r, q = (point + chord * along for chord, along in zip(chords, directions, strict=True))
+    pulls = [
+        _pull_on_clasp(r - point, tension_behind, weight),
+        _pull_on_clasp(point_behind - point, tension_behind, weight),
+        _pull_on_clasp(q - point, tension_ahead, weight),
+        _pull_on_clasp(point_ahead - point, tension_ahead, weight),
+    ]
+    residual = ca.SX(3, 1) if load is None else load
+    for pull in pulls:
+        residual = residual + pull.value
+    arriving = edge_behind.along.value
+    leaving = edge_ahead.along.value
     outputs = {
         "r": r.value,
         "q": q.value,
-        "e": e.value,
-        "turn": u[1] * v[0] - u[0] * v[1],
-        "straight": u[0] * v[0] + u[1] * v[1],
-        "residual": sum(pulls, ca.SX(3, 1) if load is None else load),
+        "e": r_leg.value,
+        "turn": arriving[1] * leaving[0] - arriving[0] * leaving[1],
+        "straight": arriving[0] * leaving[0] + arriving[1] * leaving[1],
+        "residual": residual,
     }
     return ca.Function(
         "clasp", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs], {"cse": True}
@@ -97,13 +106,18 @@ def _pull_on_clasp(span: Series, tension: Series, weight: Any) -> Series:
     along = span / size
     if weight is None:
         return tension * along
-    half: Series = cable * (0.5 * weight)
+    half_weight: Series = cable * (0.5 * weight)
     rise = along.row(2)
-    pull: Series = chord_pull(tension, half, 1.0 - rise * rise, rise)
-    return pull * along - half.upward
+    pull: Series = chord_pull(tension, half_weight, 1.0 - rise * rise, rise)
+    return pull * along - half_weight.upward
 
 
-LEG_INPUTS = {"span": 3, "tension": 1, "weight": 1}  # Inputs of ``_leg_function``
+LEG_INPUTS = {
+    "span": 3,  # [m], from the vertex to the drone
+    "tension": 1,  # [N], at the vertex
+    "weight": 1,  # [N/m], of cables
+}
+"""Inputs of ``_leg_function`` and their numbers of rows."""
 
 
 @lru_cache
@@ -117,14 +131,16 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     import casadi as ca
 
     symbols = _symbols(LEG_INPUTS)
-    span, tension = Series(symbols["span"]), Series(symbols["tension"])
+    span = Series(symbols["span"])
+    tension = Series(symbols["tension"])
     weight = symbols["weight"] if weighted else None
     cable, size, _ = cable_of_span(span, tension, weight)
     force = -(tension / size) * span
     if weight is not None:
-        half, level = Series(0.5 * weight), span.row(0, 1)
-        pull = chord_pull(tension, half, level.dot(level), span.row(2))
-        force = -(pull / size) * span - (half * size).upward
+        half_density = Series(0.5 * weight)
+        level = span.row(0, 1)
+        pull = chord_pull(tension, half_density, level.dot(level), span.row(2))
+        force = -(pull / size) * span - (half_density * size).upward
     outputs = {"length": cable.value, "chord": size.value, "force": force.value}
     return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
 
@@ -195,25 +211,31 @@ def model(
     flag("roll", roll)
     flag("tensions", tensions)
     flag("cables", cables)
-    first, other = _pairs(team.drones, pairs)
+    first, second = _pairs(team.drones, pairs)
     sizes = {"vertices": 3 * team.layout.points, "q_legs": team.robots}
-    sizes |= {"roll": len(team.layout.clasps)} if roll else {}
-    sizes |= {"tensions": team.robots} if tensions else {}
-    state = _symbols(sizes)
+    if roll:
+        sizes["roll"] = len(team.layout.clasps)
+    if tensions:
+        sizes["tensions"] = team.robots
+    values = _symbols(sizes)
     rates = _symbols({f"{SINGULAR[name]}_velocities": size for name, size in sizes.items()})
-    seconds = _symbols({f"{SINGULAR[name]}_accelerations": size for name, size in sizes.items()})
+    curvatures = _symbols({f"{SINGULAR[name]}_accelerations": size for name, size in sizes.items()})
     constants = _symbols({"cable_lengths": team.robots} if cables else {})
-    x, dx, ddx = (ca.vertcat(*part.values()) for part in (state, rates, seconds))
+    state = ca.vertcat(*values.values())
+    state_rate = ca.vertcat(*rates.values())
+    state_curvature = ca.vertcat(*curvatures.values())
 
-    hitch = _Statics.of(team, state | constants)
+    hitch = _Statics.of(team, values | constants)
     positions = ca.vec(hitch.positions)
-    velocities = ca.jtimes(positions, x, dx)
-    accelerations = ca.jtimes(velocities, ca.vertcat(x, dx), ca.vertcat(dx, ddx))
+    velocities = ca.jtimes(positions, state, state_rate)
+    accelerations = ca.jtimes(
+        velocities, ca.vertcat(state, state_rate), ca.vertcat(state_rate, state_curvature)
+    )
     gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, team.drones)
     lifted = ca.reshape(accelerations, 3, team.drones) + gravity
     thrusts = ca.repmat(ca.DM(team.mass).T, 3, 1) * lifted - hitch.cable_forces
     scale = ca.DM((separation or Separation()).scale)
-    offsets = hitch.positions[:, first] - hitch.positions[:, other]
+    offsets = hitch.positions[:, first] - hitch.positions[:, second]
     outputs = {
         "positions": positions,
         "velocities": velocities,
@@ -226,7 +248,7 @@ def model(
         "exterior_angles": hitch.exterior_angles,
         "separations": _lengths(ca.repmat(scale, 1, len(first)) * offsets).T,
     }
-    inputs = state | rates | seconds | constants
+    inputs = values | rates | curvatures | constants
     return ca.Function(
         "hitch", [*inputs.values()], [*outputs.values()], [*inputs], [*outputs], {"cse": True}
     )
@@ -257,29 +279,42 @@ def _pairs(drones: int, pairs: ArrayLike | None) -> tuple[list[int], list[int]]:
 class _Statics:
     """A hitch without its motion, as casadi expressions."""
 
-    positions: ca.SX  # (3, 2n) [m], of drones
-    cable_forces: ca.SX  # (3, 2n) [N], on drones
-    legs: ca.SX  # (2n, 1) [m], distances of drones from their vertices; 0 at a chain's ends
-    cable_residuals: ca.SX  # (n, 1) [m]
-    clasp_residuals: ca.SX  # (3, clasps) [N]
-    exterior_angles: ca.SX  # (clasps, 1) [rad]
+    positions: ca.SX
+    """(3, 2n) [m], positions of drones."""
+
+    cable_forces: ca.SX
+    """(3, 2n) [N], forces of cables on drones."""
+
+    legs: ca.SX
+    """(2n, 1) [m], distances of drones from their vertices; 0 at a chain's ends."""
+
+    cable_residuals: ca.SX
+    """(n, 1) [m], lengths of legs and edge minus that of the cable."""
+
+    clasp_residuals: ca.SX
+    """(3, clasps) [N], sums of all forces on a clasp."""
+
+    exterior_angles: ca.SX
+    """(clasps, 1) [rad], positive where the polygon is convex."""
 
     @classmethod
     def of(cls, team: Team, state: Mapping[str, ca.SX]) -> Self:
         """Return the hitch of the values of the inputs of ``model``."""
         import casadi as ca
 
-        layout, n = team.layout, team.robots
+        layout = team.layout
+        n = team.robots
         points = ca.reshape(state["vertices"], 3, layout.points)
         q_legs = state["q_legs"].T
         tensions = state.get("tensions", ca.SX(team.tension)).T
         lengths = state.get("cable_lengths", ca.SX(team.cable_length)).T
-        weighted, loaded = team.cable_density > 0.0, bool(np.any(team.load))
+        weighted = team.cable_density > 0.0
         weight = GRAVITY * team.cable_density
-        behind, ahead = layout.behind.tolist(), layout.ahead.tolist()
+        behind = layout.behind.tolist()
+        ahead = layout.ahead.tolist()
         clasp = clasp_function(
             weighted=weighted,
-            loaded=loaded,
+            loaded=bool(np.any(team.load)),
             rolled="roll" in state,
             equal="tensions" not in state and bool(np.ptp(team.tension) == 0.0),
         )
@@ -313,12 +348,12 @@ class _Statics:
         legs = ca.reshape(has_leg * parts["length"], 2, n)
         cables = legs[0, :] + edges["length"] + legs[1, :]
         return cls(
-            positions,
-            parts["force"],
-            (has_leg * parts["chord"]).T,
-            (cables - lengths).T,
-            clasps["residual"],
-            ca.atan2(clasps["turn"], clasps["straight"]).T,
+            positions=positions,
+            cable_forces=parts["force"],
+            legs=(has_leg * parts["chord"]).T,
+            cable_residuals=(cables - lengths).T,
+            clasp_residuals=clasps["residual"],
+            exterior_angles=ca.atan2(clasps["turn"], clasps["straight"]).T,
         )
 
 

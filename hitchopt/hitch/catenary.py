@@ -26,7 +26,8 @@ from hitchopt.values import MAX_COORDINATE, Array, as_array, integer, positive
 NEWTON_ITERATIONS = 8
 """Number of Newton iterations; 6 reach the last digit for all ratios up to 1e9."""
 
-MIN_RELATIVE_SPAN = 1e-6  # Smallest horizontal distance of the ends, relative to L
+MIN_RELATIVE_SPAN = 1e-6
+"""Smallest horizontal distance of the ends, relative to L."""
 
 SERIES_LIMIT = 1e-3
 """σ below which power series replace closed forms, which lose digits by cancellation."""
@@ -93,17 +94,20 @@ def displacement_bound(
     across: smallest and largest s (…) [m].
     rise: largest |h| (…) [m].
     """
-    closer, L = across[0] - 2.0 * radius, np.asarray(length)
+    L = np.asarray(length)
+    closest, farthest = across
+    closer = closest - 2.0 * radius
     higher = rise + 2.0 * radius * height_ratio
     unbounded = (closer <= 0.0) | (higher >= L)
-    low, closer = np.where(unbounded, 1.0, across[0]), np.where(unbounded, 1.0, closer)
+    closest = np.where(unbounded, 1.0, closest)
+    closer = np.where(unbounded, 1.0, closer)
     higher = np.where(unbounded, 0.0, higher)
-    flattest = steepness(level_length(higher, L) / (across[1] + 2.0 * radius))
+    flattest = steepness(level_length(higher, L) / (farthest + 2.0 * radius))
     unbounded |= flattest < SERIES_LIMIT
-    ratio = np.log(low / closer)
-    ratio = ratio + np.log(level_length(np.minimum(rise, higher), L) / level_length(higher, L))
     flattest = np.maximum(flattest, SERIES_LIMIT)
-    sigma_change = ratio / (1.0 / np.tanh(flattest) - 1.0 / flattest)
+    by_distance = np.log(closest / closer)
+    by_height = np.log(level_length(np.minimum(rise, higher), L) / level_length(higher, L))
+    sigma_change = (by_distance + by_height) / (1.0 / np.tanh(flattest) - 1.0 / flattest)
     rate = (L * depth_rate(flattest) + 0.25 * higher) / height_ratio
     bound: Array = np.where(unbounded, np.inf, SHIFT_RATIO * radius + rate * sigma_change)
     return bound
@@ -126,13 +130,22 @@ def bounded_radius(
 
 @dataclass(frozen=True, eq=False)
 class Catenary:
-    """Hanging cables (…): s, h and L [m], the steepness σ and ``h / Λ``."""
+    """Cables (…) that hang between two ends."""
 
     across: Array
+    """(…) [m], s, horizontal distances of the ends."""
+
     rise: Array
+    """(…) [m], h, heights of the second ends over the first ones."""
+
     length: Array
+    """(…) [m], L, lengths of the cables."""
+
     sigma: Array
+    """(…), σ, the steepness."""
+
     tilt: Array
+    """(…), ``h / Λ``."""
 
     @classmethod
     def between(cls, first: Array, second: Array, length: ArrayLike) -> Catenary:
@@ -197,15 +210,17 @@ class Catenary:
 
 def depth_terms(sigma: ArrayLike, mu: ArrayLike) -> tuple[Array, Array]:
     """Return P and Q of the depth, for σ and μ that broadcast."""
-    sigma, mu = np.asarray(sigma, np.float64), np.asarray(mu, np.float64)
-    x = np.maximum(sigma, SERIES_LIMIT)
-    whole = np.sinh(x)
-    level = np.sinh(0.5 * (1.0 + mu) * x) * np.sinh(0.5 * (1.0 - mu) * x) / whole
-    skew = 0.5 * (mu - np.sinh(mu * x) / whole)
-    small = sigma < SERIES_LIMIT
-    rest = 1.0 - mu * mu
-    level = np.where(small, 0.25 * rest * sigma, level)
-    return level, np.where(small, mu * rest * sigma * sigma / 12.0, skew)
+    sigma = np.asarray(sigma, np.float64)
+    mu = np.asarray(mu, np.float64)
+    steep = np.maximum(sigma, SERIES_LIMIT)
+    sine = np.sinh(steep)
+    level = np.sinh(0.5 * (1.0 + mu) * steep) * np.sinh(0.5 * (1.0 - mu) * steep) / sine
+    skew = 0.5 * (mu - np.sinh(mu * steep) / sine)
+    is_flat = sigma < SERIES_LIMIT
+    parabola = 1.0 - mu * mu
+    flat_level = 0.25 * parabola * sigma
+    flat_skew = mu * parabola * sigma * sigma / 12.0
+    return np.where(is_flat, flat_level, level), np.where(is_flat, flat_skew, skew)
 
 
 def pull_terms(sigma: ArrayLike) -> tuple[Array, Array]:
@@ -213,8 +228,8 @@ def pull_terms(sigma: ArrayLike) -> tuple[Array, Array]:
 
     Both decrease with σ. The pull of a taut cable (σ = 0) would be infinite: σ is at least 1e-3.
     """
-    x = np.maximum(np.asarray(sigma, dtype=np.float64), SERIES_LIMIT)
-    return 1.0 / x, 1.0 / np.tanh(x)
+    steep = np.maximum(np.asarray(sigma, dtype=np.float64), SERIES_LIMIT)
+    return 1.0 / steep, 1.0 / np.tanh(steep)
 
 
 def level_length(rise: Array, length: Array) -> Array:
@@ -242,24 +257,27 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     """
     ends = []
     for name, point in (("first", first), ("second", second)):
-        end = as_array(point)
-        if end.shape[-1:] != (3,) or not np.all(np.abs(end) <= MAX_COORDINATE):  # nan too
+        position = as_array(point)
+        is_within = np.all(np.abs(position) <= MAX_COORDINATE)  # nan is not
+        if position.shape[-1:] != (3,) or not is_within:
             bound = f"points [x, y, z] within ±{MAX_COORDINATE:g} m"
             raise InputError(name, point, bound, "give three numbers in metres")
-        ends.append(end)
+        ends.append(position)
     try:
-        a, b = np.broadcast_arrays(*ends)
+        start, end = np.broadcast_arrays(*ends)
     except ValueError:
         bound = f"of the shape of first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
-    size, count = positive("length", length), integer("points", points, 2, 1_000_000)
-    distance = float(np.max(np.linalg.norm(b - a, axis=-1), initial=0.0))
-    if size < distance:
+    cable_length = positive("length", length)
+    count = integer("points", points, 2, 1_000_000)
+    distance = float(np.max(np.linalg.norm(end - start, axis=-1), initial=0.0))
+    if cable_length < distance:
         bound = f"at least the distance of its ends, {distance:.6g} m"
         raise InputError("length", length, bound, "lengthen the cable or move its ends")
-    cable = Catenary.between(a[..., None, :], b[..., None, :], size)
+    cable = Catenary.between(start[..., None, :], end[..., None, :], cable_length)
     mu = cable.parameter(np.linspace(0.0, 1.0, count))[..., None]
-    curve: Array = 0.5 * ((1.0 - mu) * a[..., None, :] + (1.0 + mu) * b[..., None, :])
+    curve: Array = 0.5 * ((1.0 - mu) * start[..., None, :] + (1.0 + mu) * end[..., None, :])
     curve[..., 2] -= cable.depth(mu[..., 0])
-    curve[..., 0, :], curve[..., -1, :] = a, b
+    curve[..., 0, :] = start
+    curve[..., -1, :] = end
     return curve

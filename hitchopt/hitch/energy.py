@@ -259,12 +259,13 @@ class HitchEnergy:
         sag = self.weight**2 / 24.0 / np.where(bounded_m.real > 0.0, bounded_m, 1.0) ** 2
         return sag, bounded_m
 
-    def tensions(self, x: Array) -> Array:
-        """Return T (S, n) [N] for which cables over nodes x (S, nodes, 3) [m] have their lengths.
+    def tensions(self, positions: Array) -> Array:
+        """Return T (S, n) [N] for which cables have their lengths.
 
+        Nodes are at positions (S, nodes, 3) [m].
         Arcs are convex in T: Newton's iteration from below does not overshoot.
         """
-        spans = self.spans(x[:, self.nodes])
+        spans = self.spans(positions[:, self.nodes])
         chord_sum = np.sum(spans.lengths, axis=-1)
         missing = chord_sum - self.lengths + self.compliance * self.reference
         bulges = spans.lengths * (spans.chords[..., 0] ** 2 + spans.chords[..., 1] ** 2)
@@ -279,27 +280,27 @@ class HitchEnergy:
                 break
         return np.asarray(T)
 
-    def values(self, x: Array) -> Array:
-        """Return energies (S,) [J] of nodes x (S, nodes, 3) [m]."""
-        cables = self.forces(x[:, self.nodes], self.tensions(x))
+    def values(self, positions: Array) -> Array:
+        """Return energies (S,) [J] of nodes at positions (S, nodes, 3) [m]."""
+        cables = self.forces(positions[:, self.nodes], self.tensions(positions))
         energies = np.sum(cables.energies, axis=-1)
-        energies += np.sum(self.springs(x).energies, axis=(1, 2))
-        return np.asarray(energies - np.einsum("sni,sni->s", self.loads, x))
+        energies += np.sum(self.springs(positions).energies, axis=(1, 2))
+        return np.asarray(energies - np.einsum("sni,sni->s", self.loads, positions))
 
-    def slopes(self, x: Array, friction: float | Array = 0.0) -> Array:
+    def slopes(self, positions: Array, friction: float | Array = 0.0) -> Array:
         """Return minus the force on every node (S, nodes, 3) [N], zero for rigid drones."""
-        cables = self.forces(x[:, self.nodes], self.tensions(x), friction)
+        cables = self.forces(positions[:, self.nodes], self.tensions(positions), friction)
         slopes = self.pulls(cables.on_ends)
-        slopes[:, : self.drones] += self.springs(x).slopes
+        slopes[:, : self.drones] += self.springs(positions).slopes
         return np.where(self.free, slopes, 0.0)
 
-    def springs(self, x: Array) -> SpringForces:
+    def springs(self, positions: Array) -> SpringForces:
         """Return energies of position loops and their derivatives.
 
         At rest, an integral has removed the error e or saturates at its largest force b, which has
         the energy b |e|, smoothed within INTEGRAL_ERROR.
         """
-        errors = (x - self.start)[:, : self.drones]
+        errors = (positions - self.start)[:, : self.drones]
         smoothed = np.hypot(errors, INTEGRAL_ERROR)
         of_stiffness = 0.5 * self.stiffness * errors * errors
         of_integral = self.integral * (smoothed - INTEGRAL_ERROR)
@@ -309,15 +310,15 @@ class HitchEnergy:
             curvatures=self.stiffness + self.integral * INTEGRAL_ERROR**2 / smoothed**3,
         )
 
-    def bends(self, x: Array) -> Array:
+    def bends(self, positions: Array) -> Array:
         """Return angles (S, n, 2) [rad] between each edge and its legs, zero without a leg."""
-        angles = bends_of(self.spans(x[:, self.nodes]).directions)
+        angles = bends_of(self.spans(positions[:, self.nodes]).directions)
         return np.where(self.exist[:, ::2], angles, 0.0)
 
-    def leg_pulls(self, x: Array) -> Array:
+    def leg_pulls(self, positions: Array) -> Array:
         """Return tensions of legs along them (S, n, 2, 3) [N], toward the end of the cable."""
-        spans = self.spans(x[:, self.nodes])
-        m = self.tensions(x)[..., None] + self.weight * spans.heights
+        spans = self.spans(positions[:, self.nodes])
+        m = self.tensions(positions)[..., None] + self.weight * spans.heights
         pulls = m[..., None] * spans.directions
         return np.asarray(pulls[..., ::2, :])
 
@@ -327,13 +328,14 @@ class HitchEnergy:
         np.add.at(pulls.swapaxes(0, 1), self.nodes, np.moveaxis(on_ends, 0, 2))
         return pulls
 
-    def linear(self, x: Array, friction: float | Array = 0.0) -> CableSlopes:
-        """Return derivatives of the cables' forces and tensions at nodes x (S, nodes, 3) [m].
+    def linear(self, positions: Array, friction: float | Array = 0.0) -> CableSlopes:
+        """Return derivatives of the cables' forces and tensions.
 
+        Nodes are at positions (S, nodes, 3) [m].
         They are complex-step derivatives by the 12 coordinates of a cable's nodes, then by T.
         """
-        ends = x[:, self.nodes]
-        T = self.tensions(x)
+        ends = positions[:, self.nodes]
+        T = self.tensions(positions)
         variables = CABLE_COORDINATES + 1
         steps = 1j * COMPLEX_STEP * np.eye(variables).reshape(variables, 1, 1, variables)
         end_steps = steps[..., :CABLE_COORDINATES].reshape(variables, 1, 1, 4, 3)
@@ -350,11 +352,11 @@ class HitchEnergy:
         return CableSlopes(forces, tensions, softness)
 
     def matrix(
-        self, x: Array, force_slopes: Array, damping: Array | float = MIN_DAMPING
+        self, positions: Array, force_slopes: Array, damping: Array | float = MIN_DAMPING
     ) -> csc_array:
         """Return the block-diagonal Hessian (S N, S N) [N/m] of all samples, N = 3 nodes.
 
-        Nodes are at x (S, nodes, 3) [m]; ``force_slopes`` are the ``forces`` of ``linear``;
+        Nodes are at positions (S, nodes, 3) [m]; ``force_slopes`` are the ``forces`` of ``linear``;
         ``damping`` (S,) [N/m] is added to the diagonal.
         """
         samples = len(force_slopes)
@@ -364,7 +366,7 @@ class HitchEnergy:
         cable_rows = coordinates + first_rows
         rows, columns = np.broadcast_arrays(cable_rows[..., :, None], cable_rows[..., None, :])
         diagonal = np.zeros((samples, size)) + np.reshape(damping, (-1, 1))
-        diagonal[:, : 3 * self.drones] += self.springs(x).curvatures.reshape(samples, -1)
+        diagonal[:, : 3 * self.drones] += self.springs(positions).curvatures.reshape(samples, -1)
         diagonal_rows = np.arange(samples * size)
         of_cables = force_slopes[..., :CABLE_COORDINATES].ravel()
         entries = np.concatenate([of_cables, diagonal.ravel()])
@@ -389,11 +391,11 @@ class HitchEnergy:
         return displacements.reshape(forces.shape)
 
     def steps(
-        self, x: Array, damping: Array | float, max_length: float, friction: float | Array
+        self, positions: Array, damping: Array | float, max_length: float, friction: float | Array
     ) -> tuple[Array, Array]:
         """Return Newton steps (S, nodes, 3) [m] of bounded length for each node, and the slopes."""
-        slopes = self.slopes(x, friction)
-        matrix = self.matrix(x, self.linear(x, friction).forces, damping)
+        slopes = self.slopes(positions, friction)
+        matrix = self.matrix(positions, self.linear(positions, friction).forces, damping)
         steps = self.solved(matrix, -slopes)
         longest = np.max(np.linalg.norm(steps, axis=-1), axis=1)
         shares = np.minimum(1.0, max_length / np.maximum(longest, 1e-300))
@@ -406,12 +408,12 @@ class HitchEnergy:
         are no merit function, as steps along stiff cables increase them. The caller recomputes the
         residuals.
         """
-        x = self.start
-        damping = np.full(len(x), MIN_DAMPING)
-        values = self.values(x)
+        positions = self.start
+        damping = np.full(len(positions), MIN_DAMPING)
+        values = self.values(positions)
         for _ in range(NEWTON_ITERATIONS):
-            steps, slopes = self.steps(x, damping, MAX_STEP, 0.0)
-            tolerance = FORCE_TOLERANCE + self.accuracy * np.max(np.abs(x), axis=(1, 2))
+            steps, slopes = self.steps(positions, damping, MAX_STEP, 0.0)
+            tolerance = FORCE_TOLERANCE + self.accuracy * np.max(np.abs(positions), axis=(1, 2))
             active = np.max(np.abs(slopes), axis=(1, 2)) > tolerance
             if not active.any():
                 break
@@ -420,18 +422,18 @@ class HitchEnergy:
             rounding = ROUNDING * (1.0 + np.abs(previous))
             shares = np.where(active & (decreases > 0.0), 1.0, 0.0)
             for _ in range(HALVINGS):
-                trial = x + shares[:, None, None] * steps
+                trial = positions + shares[:, None, None] * steps
                 values = self.values(trial)
                 too_high = values > previous - DESCENT * shares * decreases + rounding
                 if not too_high.any():
                     break
                 shares = np.where(too_high, 0.5 * shares, shares)
-            x = trial
+            positions = trial
             failed = (shares == 0.0) | too_high
             raised = np.clip(10.0 * damping, FIRST_DAMPING, MAX_DAMPING)
             lowered = np.maximum(0.1 * damping, MIN_DAMPING)
             damping = np.where(failed, raised, lowered)
-        return x
+        return positions
 
     def rest_with_friction(self, rest: Array, friction: float | Array) -> Array:
         """Return the nodes (S, nodes, 3) [m] at an end of the band; nan without convergence.
@@ -439,21 +441,23 @@ class HitchEnergy:
         ``rest`` are the nodes without friction. A positive coefficient lets legs pull more than
         edges, a negative one less; it is that of all legs, or of each (S, n, 2).
         """
-        x = rest
+        positions = rest
         failed = np.zeros((len(rest), 1, 1), dtype=np.bool_)
         tolerance = FRICTION_TOLERANCE + 10.0 * self.accuracy * float(np.max(np.abs(rest)))
         for share in FRICTION_LEVELS if np.any(friction) else ():
             for _ in range(FRICTION_ITERATIONS):
-                steps, slopes = self.steps(x, MIN_DAMPING, MAX_FRICTION_STEP, share * friction)
+                steps, slopes = self.steps(
+                    positions, MIN_DAMPING, MAX_FRICTION_STEP, share * friction
+                )
                 largest = np.max(np.abs(slopes), axis=(1, 2), keepdims=True)
                 moving = ~failed & ~(largest <= tolerance)
                 if not np.any(moving):
                     break
-                x = np.where(moving, x + steps, x)
+                positions = np.where(moving, positions + steps, positions)
             else:
                 failed = failed | moving
-                x = np.where(failed, rest, x)
-        return np.where(failed, np.nan, x)
+                positions = np.where(failed, rest, positions)
+        return np.where(failed, np.nan, positions)
 
 
 def energy_of(

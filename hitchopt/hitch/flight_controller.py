@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -32,13 +32,17 @@ from hitchopt.values.fields import (
     with_fields,
 )
 
-Pair = tuple[float, float]  # One horizontal value (x and y) and one vertical value (z)
+Pair = tuple[float, float]
+"""One horizontal value, for x and y, and one vertical value, for z."""
 
 DAMPING_RATIO = 5.0 / 6.0
 """kd / (2 √(kp m)) if no damping is specified: gains of 36/s² and 10/s times the mass."""
 
-INTEGRAL_TIME = 2.0  # [s] kp / ki if only the presence of an integral is specified
-MIN_TRACKING = 0.05  # [m] Tracking error of the stiffest loops, and lower bound for all others
+INTEGRAL_TIME = 2.0
+"""[s] kp / ki if only the presence of an integral is specified."""
+
+MIN_TRACKING = 0.05
+"""[m] Tracking error of the stiffest loops, and lower bound for all others."""
 
 PULL_TIME = 0.02
 """[s] Velocity that the exported filter estimates under a steady horizontal pull, per acceleration.
@@ -60,8 +64,8 @@ def _pair(quantity: Kind) -> Kind:
 
     def check(key: str, value: Any) -> Pair:
         if form_of(value) not in both.forms:
-            bound, remedy = "a number, or [level, upright]", "give one or two numbers"
-            raise InputError(key, value, bound, remedy)
+            bound = "a number, or [level, upright]"
+            raise InputError(key, value, bound, "give one or two numbers")
         gains = both.check(key, value)
         level, upright = gains if isinstance(gains, list) else (gains, gains)
         return level, upright
@@ -132,12 +136,10 @@ class Tube(Record):
         return bool(np.max(np.linalg.norm(scaled, axis=-1), initial=0.0) <= self.level)
 
     def __str__(self) -> str:
-        size = f"{self.level:.3g} m"
-        return (
-            size
-            if self.height == self.level
-            else f"{size} horizontally, {self.height:.3g} m vertically"
-        )
+        level = f"{self.level:.3g} m"
+        if self.height == self.level:
+            return level
+        return f"{level} horizontally, {self.height:.3g} m vertically"
 
 
 TRACKING = either(units.TRACKING_ERROR, mapping_of(Tube))
@@ -166,7 +168,8 @@ class Gains(Record):
         return cls() if gains is None else mapping_of(Gains).check("gains", gains)
 
 
-LATENCY = 0.015  # [s] Longest stated delay of motion capture and commands for the stiffest gains
+LATENCY = 0.015
+"""[s] Longest stated delay of motion capture and commands for the stiffest gains."""
 
 UNSTATED_LATENCY = 0.02
 """[s] Delay that has to be stated.
@@ -191,49 +194,93 @@ def latency_scale(latency: float | None) -> float:
     return min(1.0, (LATENCY + LOOP_LAG) / ((latency or 0.0) + LOOP_LAG))
 
 
-class _Stock(NamedTuple):
+UNBOUNDED: Pair = (math.inf, math.inf)
+
+
+@dataclass(frozen=True)
+class StockController:
     """A firmware's default parameters."""
 
-    kp: Pair  # [N/m], or [1/s²] if per mass
-    kd: Pair  # [N s/m] or [1/s]
-    ki: Pair  # [N/(m s)] or [1/s³]
-    ki_range: Pair  # [m s], largest integral of the position error
-    measured_error: float  # [m], tracking error in flight with this stiffness:
-    measured_stiffness: float  # [1/s²], horizontal kp over mass
+    kp: Pair
+    """Stiffness [1/s²], or [N/m] if not per mass."""
+
+    kd: Pair
+    """Damping [1/s], or [N s/m]."""
+
+    ki: Pair
+    """Gain of the integral [1/s³], or [N/(m s)]."""
+
+    measured_error: float
+    """[m] Tracking error in flight with the stiffness ``measured_stiffness``."""
+
+    measured_stiffness: float
+    """[1/s²] Horizontal kp over mass in that flight."""
+
+    ki_range: Pair = UNBOUNDED
+    """[m s] Largest integral of the position error."""
+
     per_mass: bool = True
-    # [1/s²], [1/s], largest horizontal kp and its kd over mass that fly, at delays up to LATENCY
-    stiffest: Pair = (math.inf, math.inf)
+    """Whether gains are per mass."""
+
+    stiffest: Pair = UNBOUNDED
+    """[1/s²], [1/s] Largest horizontal kp and its kd, over mass, that fly at delays up to
+    LATENCY."""
+
     feed_forward: bool = True
-    max_tilt: float = 0.5 * math.pi  # [rad]
-    filtered: bool = True  # whether the Crazyflie's filter estimates its state
+    """Whether streamed accelerations are added."""
+
+    max_tilt: float = 0.5 * math.pi
+    """[rad] Largest tilt that it commands."""
+
+    filtered: bool = True
+    """Whether the Crazyflie's filter estimates its state."""
 
 
-UNBOUNDED: Pair = (math.inf, math.inf)
-PID_LEVEL = 9.81 * math.radians(1.0)  # [m/s²] per degree of tilt: the loop commands 25° per m/s
+PID_LEVEL = 9.81 * math.radians(1.0)
+"""[m/s²] Acceleration per degree of tilt of the PID controller, which commands 25° per m/s."""
 
-STOCK: Mapping[str, _Stock] = {
-    "mellinger": _Stock(
-        (0.40, 1.25), (0.2, 0.4), (0.05, 0.05), (2.0, 0.4), 0.22, 0.40 / 0.132, False, (36.0, 10.0)
+STOCK: Mapping[str, StockController] = {
+    "mellinger": StockController(
+        kp=(0.40, 1.25),
+        kd=(0.2, 0.4),
+        ki=(0.05, 0.05),
+        ki_range=(2.0, 0.4),
+        measured_error=0.22,
+        measured_stiffness=0.40 / 0.132,
+        per_mass=False,
+        stiffest=(36.0, 10.0),
     ),
-    "lee": _Stock((7.0, 7.0), (4.0, 4.0), (0.0, 0.0), UNBOUNDED, 0.35, 7.0, stiffest=(14.0, 6.5)),
-    "pid": _Stock(
-        (51.0 * PID_LEVEL, 51.0 * PID_LEVEL),  # 2/s times 25° per m/s, and 1° per m
-        (25.0 * PID_LEVEL, 25.0 * PID_LEVEL),
-        (2.0 * PID_LEVEL, 51.0 / 4.0 * PID_LEVEL),  # integral times of 25 s and 4 s
-        UNBOUNDED,
-        0.52,
-        51.0 * PID_LEVEL,
+    "lee": StockController(
+        kp=(7.0, 7.0),
+        kd=(4.0, 4.0),
+        ki=(0.0, 0.0),
+        measured_error=0.35,
+        measured_stiffness=7.0,
+        stiffest=(14.0, 6.5),
+    ),
+    "pid": StockController(
+        kp=(51.0 * PID_LEVEL, 51.0 * PID_LEVEL),  # 2/s times 25° per m/s, and 1° per m
+        kd=(25.0 * PID_LEVEL, 25.0 * PID_LEVEL),
+        ki=(2.0 * PID_LEVEL, 51.0 / 4.0 * PID_LEVEL),  # integral times of 25 s and 4 s
+        measured_error=0.52,
+        measured_stiffness=51.0 * PID_LEVEL,
         feed_forward=False,
         max_tilt=math.radians(20.0),
     ),
-    "px4": _Stock(
-        (1.71, 4.0), (1.8, 4.0), (1.71 / 4.6, 2.0), UNBOUNDED, 0.22, 1.71,
-        max_tilt=math.radians(45.0), filtered=False,
+    "px4": StockController(
+        kp=(1.71, 4.0),
+        kd=(1.8, 4.0),
+        ki=(1.71 / 4.6, 2.0),
+        measured_error=0.22,
+        measured_stiffness=1.71,
+        max_tilt=math.radians(45.0),
+        filtered=False,
     ),
-}  # fmt: skip
+}
 """Default parameters by controller name."""
 
-CONTROLLERS = tuple(STOCK)  # Names of flight controllers
+CONTROLLERS = tuple(STOCK)
+"""Names of flight controllers."""
 
 PX4_RANGES: Mapping[str, Pair] = {
     "MPC_XY_P": (0.0, 2.0),
@@ -249,32 +296,36 @@ PX4_RANGES: Mapping[str, Pair] = {
 def px4_gains(kp: Pair, kd: Pair, ki: Pair, mass: float) -> dict[str, float]:
     """Return the gains of PX4 that are nearest to a position loop, within PX4_RANGES."""
     gains = dict[str, float]()
-    for axes, k, c, i in zip(("XY", "Z"), kp, kd, ki, strict=True):
-        gains[f"MPC_{axes}_P"] = k / c
-        gains[f"MPC_{axes}_VEL_P_ACC"] = c / mass
-        gains[f"MPC_{axes}_VEL_I_ACC"] = i * c / (k * mass)
-    ranges = PX4_RANGES
-    return {name: min(max(x, ranges[name][0]), ranges[name][1]) for name, x in gains.items()}
+    for axes, stiffness, damping, integral in zip(("XY", "Z"), kp, kd, ki, strict=True):
+        gains[f"MPC_{axes}_P"] = stiffness / damping
+        gains[f"MPC_{axes}_VEL_P_ACC"] = damping / mass
+        gains[f"MPC_{axes}_VEL_I_ACC"] = integral * damping / (stiffness * mass)
+    clipped = dict[str, float]()
+    for name, gain in gains.items():
+        smallest, largest = PX4_RANGES[name]
+        clipped[name] = min(max(gain, smallest), largest)
+    return clipped
 
 
 def _px4_loop(gains: Mapping[str, float], mass: float) -> Iterator[Pair]:
     """Yield kp, kd and ki of PX4's gains, whose velocity loop follows ``P e + ė``."""
-    axes = [
-        [mass * gains[f"MPC_{axes}_{name}"] for name in ("VEL_P_ACC", "VEL_I_ACC")]
-        for axes in ("XY", "Z")
-    ]
-    (level, level_integral), (upright, upright_integral) = axes
-    p, p_upright = gains["MPC_XY_P"], gains["MPC_Z_P"]
-    yield p * level, p_upright * upright
-    yield level, upright
-    yield p * level_integral, p_upright * upright_integral
+    level = gains["MPC_XY_P"]
+    upright = gains["MPC_Z_P"]
+    level_damping = mass * gains["MPC_XY_VEL_P_ACC"]
+    upright_damping = mass * gains["MPC_Z_VEL_P_ACC"]
+    level_integral = mass * gains["MPC_XY_VEL_I_ACC"]
+    upright_integral = mass * gains["MPC_Z_VEL_I_ACC"]
+    yield level * level_damping, upright * upright_damping
+    yield level_damping, upright_damping
+    yield level * level_integral, upright * upright_integral
 
 
 def stiffest_gains(
     mass: float, latency: float | None = None, name: str = "mellinger"
 ) -> dict[str, float]:
     """Return the stiffest stable gains of a controller for a mass [kg] and a delay [s]."""
-    scale, (kp, kd) = latency_scale(latency), STOCK[name].stiffest
+    scale = latency_scale(latency)
+    kp, kd = STOCK[name].stiffest
     gains = {"kp": scale**2 * kp * mass, "kd": scale * kd * mass, "ki": 0.0}
     return {key: float(f"{gain:.3g}") for key, gain in gains.items()}
 
@@ -321,7 +372,8 @@ class FlightController(OneLine):
         that are too stiff to fly at a delay ``latency`` [s]; None is below UNSTATED_LATENCY.
         """
         check_choice("controller", name, CONTROLLERS)
-        stock, stated = STOCK[name], Gains.of(gains)
+        stock = STOCK[name]
+        stated = Gains.of(gains)
         scale_of_stock = mass if stock.per_mass else 1.0
 
         def gain(key: str) -> Pair:
@@ -334,21 +386,23 @@ class FlightController(OneLine):
         if name == "px4":
             kp, kd, ki = _px4_loop(px4_gains(kp, kd, ki, mass), mass)
         scale = latency_scale(latency)
+        largest_kp, largest_kd = stock.stiffest
         if stated.kp or latency:
-            _check_stiffness(name, mass, latency, "kp", kp[0], scale**2 * stock.stiffest[0])
+            _check_stiffness(name, mass, latency, "kp", kp[0], scale**2 * largest_kp)
         if scale < 1.0:
-            _check_stiffness(name, mass, latency, "kd", kd[0], scale * stock.stiffest[1])
-        # An infinite range of the integral times a gain of zero is no force
-        level, upright = ((k * r if k else 0.0) for k, r in zip(ki, stock.ki_range, strict=True))
-        ratio = stock.measured_stiffness * mass / kp[0]
-        tracking = stock.measured_error * ratio**TRACKING_EXPONENT
+            _check_stiffness(name, mass, latency, "kd", kd[0], scale * largest_kd)
+        softness = stock.measured_stiffness * mass / kp[0]
+        tracking = stock.measured_error * softness**TRACKING_EXPONENT
         pull_gain = 1.0 + PULL_TIME * kd[0] / mass if stock.filtered else 1.0
         return cls(
             name,
             kp,
             kd,
             ki,
-            ki_limit=(level, upright),
+            ki_limit=(
+                _largest_integral_force(ki[0], stock.ki_range[0]),
+                _largest_integral_force(ki[1], stock.ki_range[1]),
+            ),
             feed_forward=stock.feed_forward,
             max_tilt=stock.max_tilt,
             tracking=max(tracking, MIN_TRACKING),
@@ -360,13 +414,25 @@ class FlightController(OneLine):
         cls, mass: float, stiffness: float | None, *, integral: bool, feed_forward: bool
     ) -> FlightController:
         """Return a loop with one stiffness [N/m] on all axes; None is rigid."""
-        k = math.inf if stiffness is None else stiffness
-        c, i, limit = 2.0 * DAMPING_RATIO * math.sqrt(k * mass), 0.0, 0.0
-        if integral:
-            i, limit = k / INTEGRAL_TIME, math.inf
+        kp = math.inf if stiffness is None else stiffness
+        kd = 2.0 * DAMPING_RATIO * math.sqrt(kp * mass)
+        ki = kp / INTEGRAL_TIME if integral else 0.0
+        ki_limit = math.inf if integral else 0.0
         return cls(
-            "", (k, k), (c, c), (i, i), (limit, limit), feed_forward, 0.5 * math.pi, tracking=None
-        )  # fmt: skip
+            name="",
+            kp=(kp, kp),
+            kd=(kd, kd),
+            ki=(ki, ki),
+            ki_limit=(ki_limit, ki_limit),
+            feed_forward=feed_forward,
+            max_tilt=0.5 * math.pi,
+            tracking=None,
+        )
+
+
+def _largest_integral_force(ki: float, ki_range: float) -> float:
+    """Return the largest force [N] of an integral, also with an unbounded range and a gain of 0."""
+    return ki * ki_range if ki else 0.0
 
 
 @dataclass(frozen=True)
@@ -410,26 +476,37 @@ class EstimatorParameters(OneLine):
         return {"kalman": kalman, "locSrv": errors}
 
 
-HELD = EstimatorParameters()  # Values that exports set for rigid bodies of several markers
-FIRMWARE = EstimatorParameters(0.5, 1.0, 1e-2, 4.5e-3)  # Defaults of the firmware for rigid bodies
+HELD = EstimatorParameters()
+"""Values that exports set for rigid bodies of several markers."""
 
-ONE_MARKER = EstimatorParameters(0.5, 1.0, 1e-2, None)
+FIRMWARE = EstimatorParameters(
+    level_noise=0.5, upright_noise=1.0, position_error=1e-2, attitude_error=4.5e-3
+)
+"""Defaults of the firmware for rigid bodies."""
+
+ONE_MARKER = EstimatorParameters(
+    level_noise=0.5, upright_noise=1.0, position_error=1e-2, attitude_error=None
+)
 """Defaults of the firmware for drones with one marker; hitches do not hold with them."""
 
+
+GAIN_ROUNDING = 0.01
+"""Relative rounding of stated gains."""
 
 GAIN_UNITS = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}
 """Units of gains, per mass and as such."""
 
 
 def _check_stiffness(
-    name: str, mass: float, latency: float | None, key: str, value: float, most: float
+    name: str, mass: float, latency: float | None, key: str, value: float, largest: float
 ) -> None:
-    """Raise InputError if a level gain is larger than ``most`` times the mass, but for rounding."""
-    if value <= 1.01 * most * mass:
+    """Raise InputError if a level gain exceeds ``largest`` times the mass by more than rounding."""
+    if value <= (1.0 + GAIN_ROUNDING) * largest * mass:
         return
     per_mass, unit = GAIN_UNITS[key]
     when = f" at a latency of {1e3 * latency:g} ms" if latency else ""
-    bound = f"at most {most:.4g}{per_mass} times the mass, {most * mass:.3g} {unit}, level{when}"
+    limit = f"{largest * mass:.3g} {unit}, level{when}"
+    bound = f"at most {largest:.4g}{per_mass} times the mass, {limit}"
     stiffest = f"{stiffest_gains(mass, latency, name)}".replace("'", "")
     remedy = f"stiffer loops of {name} oscillate; gains: {stiffest} fly"
     raise InputError(f"gains.{key}", value, bound, remedy)

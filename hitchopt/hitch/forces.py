@@ -156,10 +156,10 @@ class LegPair(NamedTuple):
     """A quantity of both legs that meet at a clasp."""
 
     behind: Series
-    """Of the leg of ``r_{k-1}``."""
+    """Its value for the leg of ``r_{k-1}``."""
 
     ahead: Series
-    """Of the leg of ``q_k``."""
+    """Its value for the leg of ``q_k``."""
 
 
 def closed_triangle(

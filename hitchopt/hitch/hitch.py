@@ -33,30 +33,33 @@ that of cable lengths in plans."""
 SAGGING_LEG_TOLERANCE = 1e-2
 """The same tolerance for a heavy cable, whose sag the user may have neglected."""
 
-ALTITUDE_TOLERANCE = 1e-9  # [m] Altitudes that differ by less are the same
-UNIT_ERROR_RATIO = 100.0  # Edge over cable beyond which one of the two is probably in another unit
+ALTITUDE_TOLERANCE = 1e-9
+"""[m] Altitudes that differ by less are the same."""
+
+UNIT_ERROR_RATIO = 100.0
+"""Edge over cable beyond which one of the two is probably in another unit."""
 
 
 def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
     """Return ``polygon`` as an outline with the team's topology and count, or raise InputError."""
     check_instance("team", team, Team)
-    closed, points = team.layout.closed, team.layout.points
+    closed = team.layout.closed
+    points = team.layout.points
     if closed and team.robots == 2:
         remedy = "tie two cables around an object, or use three"
         raise InputError("robots", 2, "at least 3 if cables hold a polygon", remedy)
     if not isinstance(polygon, Outline):
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
-    value, bound = polygon.vertices.tolist(), ""
     if polygon.closed != closed:
         kind = "ConvexPolygon" if closed else "ConvexArc"
         bound = f"a {kind}, the team being {team.topology}"
         remedy = "give its points as such, or change team.topology"
-    elif len(polygon) != points:
+        raise InputError("polygon", polygon.vertices.tolist(), bound, remedy)
+    if len(polygon) != points:
         count = "one per robot" if closed else "one more than robots"
-        value, bound = f"{len(polygon)} points", f"a list of {points} points, {count}"
+        bound = f"a list of {points} points, {count}"
         remedy = count_remedy(len(polygon), points, team.robots)
-    if bound:
-        raise InputError("polygon", value, bound, remedy)
+        raise InputError("polygon", f"{len(polygon)} points", bound, remedy)
     return polygon
 
 
@@ -74,22 +77,23 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
 
     The cable of a sagging edge is longer than the edge (``forces``).
     """
-    lengths, slack = polygon.edge_lengths, cable_slack_of(team, polygon.edge_vectors)
-    worst = int(slack.argmin())
-    if slack[worst] <= 0.0:
-        remedy = "shorten the edge or lengthen the cable"
-        if lengths[worst] < team.cable_length[worst]:
-            remedy = "it sags by its weight: raise team.tension or lower team.cable_density"
-        remedy = (
-            f"edge {worst} is {lengths[worst]:.6g} m long on a cable of "
-            f"{team.cable_length[worst]:.6g} m: {remedy}"
-        )
-        if lengths[worst] > UNIT_ERROR_RATIO * team.cable_length[worst]:
-            remedy += f"; if millimetres were meant, {1e-3 * lengths[worst]:.3g} m"
-        straight = team.cable_length[worst] - lengths[worst]
-        lacking = straight if straight < 0.0 else slack[worst]  # sags of longer edges mean nothing
-        raise _refusal(lacking, 0.0, "min", team.cable_names[worst], remedy)
-    return slack
+    slack = cable_slack_of(team, polygon.edge_vectors)
+    shortest = int(slack.argmin())
+    if slack[shortest] > 0.0:
+        return slack
+    edge_length = polygon.edge_lengths[shortest]
+    cable_length = team.cable_length[shortest]
+    remedy = "shorten the edge or lengthen the cable"
+    if edge_length < cable_length:
+        remedy = "it sags by its weight: raise team.tension or lower team.cable_density"
+    facts = f"edge {shortest} is {edge_length:.6g} m long on a cable of {cable_length:.6g} m"
+    remedy = f"{facts}: {remedy}"
+    if edge_length > UNIT_ERROR_RATIO * cable_length:
+        remedy += f"; if millimetres were meant, {1e-3 * edge_length:.3g} m"
+    straight_slack = cable_length - edge_length
+    # Sags of edges that are longer than their cables mean nothing.
+    lacking = straight_slack if straight_slack < 0.0 else slack[shortest]
+    raise _refusal(lacking, 0.0, "min", team.cable_names[shortest], remedy)
 
 
 def balanced_legs(team: Team, polygon: Outline) -> Array:
@@ -100,21 +104,26 @@ def balanced_legs(team: Team, polygon: Outline) -> Array:
 
 def checked_legs(team: Team, q_legs: Array, slack: Array) -> Array:
     """Return the q-legs, exact at a chain's ends, or raise InfeasibleError."""
-    d = team.layout.q_legs_of(q_legs, slack)
-    k = int((np.abs(q_legs - d) / team.cable_length).argmax())
+    layout = team.layout
+    names = team.drone_names
+    exact = layout.q_legs_of(q_legs, slack)
+    worst = int((np.abs(q_legs - exact) / team.cable_length).argmax())
     tolerance = LEG_TOLERANCE if team.cable_density == 0.0 else SAGGING_LEG_TOLERANCE
-    if abs(q_legs[k] - d[k]) > tolerance * team.cable_length[k]:
-        names, sense = team.drone_names, "max" if q_legs[k] > d[k] else "min"
-        drone = names[2 * k + int(team.layout.has_leg[k, 0])]
-        remedy = f"{drone} stands at the chain's end, without a leg: write d_{k} = {d[k]:.9g}"
-        raise _refusal(q_legs[k], d[k], sense, names[2 * k], remedy)
-    legs = np.where(team.layout.has_leg, np.stack([d, slack - d], axis=1), np.inf)
-    k, end = divmod(int(legs.argmin()), 2)
-    if legs[k, end] <= 0.0:
-        cable, room = team.cable_names[k], slack[k]
-        remedy = f"{cable} leaves {room:.6g} m for both legs: keep d_{k} within it"
-        raise _refusal(legs[k, end], 0.0, "min", team.drone_names[2 * k + end], remedy)
-    return d
+    if abs(q_legs[worst] - exact[worst]) > tolerance * team.cable_length[worst]:
+        sense = "max" if q_legs[worst] > exact[worst] else "min"
+        drone = names[2 * worst + int(layout.has_leg[worst, 0])]
+        place = f"{drone} stands at the chain's end, without a leg"
+        remedy = f"{place}: write d_{worst} = {exact[worst]:.9g}"
+        raise _refusal(q_legs[worst], exact[worst], sense, names[2 * worst], remedy)
+    both_legs = np.stack([exact, slack - exact], axis=1)
+    existing_legs = np.where(layout.has_leg, both_legs, np.inf)
+    cable, end = divmod(int(existing_legs.argmin()), 2)
+    shortest = existing_legs[cable, end]
+    if shortest <= 0.0:
+        left = f"{team.cable_names[cable]} leaves {slack[cable]:.6g} m for both legs"
+        remedy = f"{left}: keep d_{cable} within it"
+        raise _refusal(shortest, 0.0, "min", names[2 * cable + end], remedy)
+    return exact
 
 
 def checked_roll(team: Team, roll: ArrayLike) -> Array:
@@ -138,6 +147,7 @@ def _refusal(value: float, limit: float, sense: str, where: str, remedy: str) ->
 
 
 def _frozen(array: Array) -> Array:
+    """Return an array, made read-only."""
     array.setflags(write=False)
     return array
 
@@ -334,11 +344,12 @@ class Hitch(ByValue):
 
     @cached_property
     def _directions(self) -> tuple[Array, Array]:
-        team, u = self.team, self.polygon.edge_directions
+        """Directions (n, 3) of the legs of q_k and of r_k."""
+        team = self.team
         loads = clasp_loads(team, self.q_legs, self.slack, self.roll)
-        along = np.zeros((len(u), 3))
-        along[:, :2] = u
-        return leg_directions(along, team.tension, team.topology, loads)
+        edge_directions = np.zeros((team.robots, 3))
+        edge_directions[:, :2] = self.polygon.edge_directions
+        return leg_directions(edge_directions, team.tension, team.topology, loads)
 
     @cached_property
     def drones(self) -> Array:
@@ -349,6 +360,7 @@ class Hitch(ByValue):
     @property
     def cable_forces(self) -> Array:
         """(2n, 3) [N]: force of the taut cable on each drone."""
-        pulls, taut = np.repeat(self.team.tension, 2), np.ones(self.team.robots)
+        pulls = np.repeat(self.team.tension, 2)
+        taut = np.ones(self.team.robots)
         points = self.vertices[self.team.layout.pulled_to]
         return cable_forces(self.team, self.drones, points, pulls, taut)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,14 +32,17 @@ from hitchopt.values import Array, Indices
 class Bends:
     """The corners of a section's core about which edges bend."""
 
-    touching: NDArray[np.bool_]  # (…, n), whether an edge touches the section, and so bends
-    # (…, n, 2), the first and the last corner; twice the nearest one for a straight edge
+    touching: NDArray[np.bool_]
+    """(…, n), whether an edge touches the section, and so bends."""
+
     corners: Indices
+    """(…, n, 2), the first and the last corner; twice the nearest one for a straight edge."""
 
     def differ(self, other: Bends) -> NDArray[np.bool_]:
         """Return whether any edge bends about other corners (…)."""
-        moved = np.any(self.corners != other.corners, axis=-1) & self.touching
-        return np.asarray(np.any(moved | (self.touching != other.touching), axis=-1))
+        has_moved = np.any(self.corners != other.corners, axis=-1) & self.touching
+        has_changed = self.touching != other.touching
+        return np.asarray(np.any(has_moved | has_changed, axis=-1))
 
     def __getitem__(self, item: Any) -> Bends:
         return Bends(self.touching[item], self.corners[item])
@@ -49,16 +52,27 @@ class Bends:
 class Wraps:
     """Edges k from vertex k to vertex k+1, bent around a section if they touch it."""
 
-    leaving: Array  # (…, n, 2), unit vector ``a_k`` of the edge at ``p_k``
-    # (…, n, 2), unit vector ``b_k`` of the edge at ``p_{k+1}``; equal to ``a_k`` if the edge is
-    # straight
+    leaving: Array
+    """(…, n, 2), unit vector ``a_k`` of the edge at ``p_k``."""
+
     arriving: Array
-    lengths: Array  # (…, n) [m], of cable between the clasps
-    arcs: Array  # (…, n) [m], arc lengths on the section
-    angles: Array  # (…, n) [rad], wrap angles ``θ_k``; 0 for a straight edge
-    # (…, n, 2, 2) [m], ends of the arc; of a straight edge twice the point nearest to the section
+    """(…, n, 2), unit vector ``b_k`` of the edge at ``p_{k+1}``; ``a_k`` if it is straight."""
+
+    lengths: Array
+    """(…, n) [m], lengths of cable between the clasps."""
+
+    arcs: Array
+    """(…, n) [m], arc lengths on the section."""
+
+    angles: Array
+    """(…, n) [rad], wrap angles ``θ_k``; 0 for a straight edge."""
+
     contacts: Array
-    bends: Bends  # the corners about which edges bend
+    """(…, n, 2, 2) [m], ends of the arc; of a straight edge twice the point nearest to the
+    section."""
+
+    bends: Bends
+    """The corners about which edges bend."""
 
     @property
     def clasp_angles(self) -> Array:
@@ -75,43 +89,67 @@ def wraps_around(section: Section, vertices: Array, bends: Bends | None = None) 
     bends: (…, n), prescribed corners about which edges bend, so that curves continue smoothly
         beyond their changes; None for the corners that edges touch.
     """
-    onward = np.roll(vertices, -1, axis=-2)
-    prescribed = (None, None) if bends is None else np.moveaxis(bends.corners, -1, 0)
-    leaving, first, corner = _tangents(section, vertices, 1.0, prescribed[0])
-    backward, last, corner_after = _tangents(section, onward, -1.0, prescribed[1])
-    arriving = -backward
-    chord = onward - vertices
+    next_vertices = np.roll(vertices, -1, axis=-2)
+    first_corners, last_corners = None, None
+    if bends is not None:
+        first_corners, last_corners = np.moveaxis(bends.corners, -1, 0)
+    first = _tangents(section, vertices, 1.0, first_corners)
+    last = _tangents(section, next_vertices, -1.0, last_corners)
+    leaving = first.directions
+    arriving = -last.directions
+    chord = next_vertices - vertices
+    chord_length = length(chord)
     straight = unit(chord)
     right_turn = -turn(leaving, arriving)
     if bends is None:
+        is_bent = right_turn > 0.0
+        touched = np.stack([first.corners, last.corners], axis=-1)
         nearest = np.argmax(left_of(straight) @ section.core.T, axis=-1)[..., None]
-        corners = np.stack([corner, corner_after], axis=-1)
-        is_right = right_turn > 0.0
-        bends = Bends(is_right, np.where(is_right[..., None], corners, nearest))
+        bends = Bends(is_bent, np.where(is_bent[..., None], touched, nearest))
     touching = np.broadcast_to(bends.touching, right_turn.shape)
-    touches = touching[..., None]
-    # Distances of corners along the outline, of which an edge covers the sides between two of them
-    ring = np.append(0.0, np.cumsum(length(np.roll(section.core, -1, 0) - section.core)))
-    sides = (ring[corner_after] - ring[corner]) % ring[-1] if ring[-1] > 0.0 else 0.0
+    sides = _sides_between(section, first.corners, last.corners)
     arcs = np.where(touching, sides + section.rounding * right_turn, 0.0)
-    contacts = vertices + first[..., None] * leaving, onward - last[..., None] * arriving
-    ahead = dot(section.core[bends.corners[..., 0]] - vertices, straight)
-    closest = vertices + np.clip(ahead, 0.0, length(chord))[..., None] * straight
+    first_contact = vertices + first.lengths[..., None] * leaving
+    last_contact = next_vertices - last.lengths[..., None] * arriving
+    contacts = np.stack([first_contact, last_contact], axis=-2)
+    to_nearest = dot(section.core[bends.corners[..., 0]] - vertices, straight)
+    nearest_point = vertices + np.clip(to_nearest, 0.0, chord_length)[..., None] * straight
     return Wraps(
-        np.where(touches, leaving, straight),
-        np.where(touches, arriving, straight),
-        np.where(touching, first + last + arcs, length(chord)),
-        arcs,
-        np.where(touching, right_turn, 0.0),
-        np.where(touches[..., None], np.stack(contacts, axis=-2), closest[..., None, :]),
-        bends,
+        leaving=np.where(touching[..., None], leaving, straight),
+        arriving=np.where(touching[..., None], arriving, straight),
+        lengths=np.where(touching, first.lengths + last.lengths + arcs, chord_length),
+        arcs=arcs,
+        angles=np.where(touching, right_turn, 0.0),
+        contacts=np.where(touching[..., None, None], contacts, nearest_point[..., None, :]),
+        bends=bends,
     )
 
 
-def _tangents(
-    section: Section, points: Array, side: float, about: Indices | None
-) -> tuple[Array, Array, Indices]:
-    """Return tangents from points (…, 2): directions, lengths [m], and the corners they touch.
+def _sides_between(section: Section, first: Indices, last: Indices) -> Array | float:
+    """Return the clockwise length (…) [m] of a core's outline between corners (…)."""
+    side_lengths = length(np.roll(section.core, -1, 0) - section.core)
+    along_outline = np.append(0.0, np.cumsum(side_lengths))
+    perimeter = along_outline[-1]
+    if perimeter == 0.0:  # a circle
+        return 0.0
+    return np.asarray((along_outline[last] - along_outline[first]) % perimeter)
+
+
+class Tangents(NamedTuple):
+    """Tangents from points to a section."""
+
+    directions: Array
+    """(…, 2), unit vectors from the points."""
+
+    lengths: Array
+    """(…) [m], distances of the points from their contacts."""
+
+    corners: Indices
+    """(…), corners of the core that they touch."""
+
+
+def _tangents(section: Section, points: Array, side: float, about: Indices | None) -> Tangents:
+    """Return tangents from points (…, 2) [m].
 
     The section is on their right for side 1, on their left for -1. They touch the corners ``about``
     (…); if None, those for which the whole section is on that side.
@@ -128,10 +166,11 @@ def _tangents(
     angle = np.take_along_axis(angles, corner[..., None], axis=-1)[..., 0]
     distance = np.take_along_axis(distances, corner[..., None], axis=-1)[..., 0]
     lengths = np.sqrt(np.maximum(distance**2 - section.rounding**2, 0.0))
-    cosine, sine = np.cos(side * angle), np.sin(side * angle)
+    cosine = np.cos(side * angle)
+    sine = np.sin(side * angle)
     x, y = np.moveaxis(unit(to_middle), -1, 0)
     directions = np.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)
-    return directions, lengths, corner
+    return Tangents(directions, lengths, corner)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,8 +211,9 @@ class Grip(OneLine):
     @property
     def leg_directions(self) -> Array:
         """(…, n, 2, 2): unit vectors from ``p_k`` to ``q_k`` and from ``p_{k+1}`` to ``r_k``."""
-        arriving, leaving = np.roll(self.wraps.arriving, 1, axis=-2), self.wraps.leaving
-        return np.stack([arriving, -np.roll(leaving, -1, axis=-2)], axis=-2)
+        behind = np.roll(self.wraps.arriving, 1, axis=-2)  # b_{k-1}
+        ahead = np.roll(self.wraps.leaving, -1, axis=-2)  # a_{k+1}
+        return np.stack([behind, -ahead], axis=-2)
 
     @property
     def drones(self) -> Array:
@@ -187,8 +227,8 @@ class Grip(OneLine):
         It is ``μ Σ T_k θ_k`` with the lowest edge tensions that clasp friction permits.
         """
         angles = self.wraps.clasp_angles
-        largest = np.maximum(angles, np.roll(angles, -1, axis=-1))
-        tensions = self.tension * np.exp(-self.clasp_friction * largest)
+        larger_angles = np.maximum(angles, np.roll(angles, -1, axis=-1))
+        tensions = self.tension * np.exp(-self.clasp_friction * larger_angles)
         return np.asarray(friction * np.sum(tensions * self.wraps.angles, axis=-1))
 
     @property
@@ -208,8 +248,11 @@ class Grip(OneLine):
 
 # Balance of clasps.
 
-DAMPING = 1e-2  # Damping over stiffness, which keeps clasps from turning about nearly round objects
-DIFFERENCE_STEP = 1e-6  # [m] Step of the central differences of the edges' pulls
+DAMPING = 1e-2
+"""Damping over stiffness, which keeps clasps from turning about nearly round objects."""
+
+DIFFERENCE_STEP = 1e-6
+"""[m] Step of the central differences of the edges' pulls."""
 
 MAX_STEP = 0.5
 """Largest step of a clasp over the shorter of its straight parts, within which pulls are nearly
@@ -230,15 +273,29 @@ def _contacts_at_clasps(contacts: Array) -> Array:
     return np.stack([contacts[..., 0, :], np.roll(contacts[..., 1, :], 1, axis=-2)], axis=-2)
 
 
-def _parts(polygon: Array, z: Array, at: Array) -> Array:
-    """Return the straight parts (…, n, 2, 3) [m] from the contacts ``at`` to their clasps."""
-    level = polygon[..., None, :] - at
+def _parts(polygon: Array, z: Array, contacts: Array) -> Array:
+    """Return the straight parts (…, n, 2, 3) [m] from contacts (…, n, 2, 2) to their clasps."""
+    level = polygon[..., None, :] - contacts
     height = np.broadcast_to(z[..., None, None], (*level.shape[:-1], 1))
     return np.concatenate([level, height], axis=-1)
 
 
+class PlannedClasps(NamedTuple):
+    """Clasps from which only a share of the displacement to balanced ones applies."""
+
+    positions: Array
+    """(…, n, 2) [m], relative to the centre of mass."""
+
+    share: Array
+    """(…), the share of the displacement that applies."""
+
+
 def balanced(
-    clasps: Array, T: Array, arms: Array, load: Array, back: tuple[Array, Array] | None = None
+    clasps: Array,
+    tensions: Array,
+    arms: Array,
+    load: Array,
+    planned: PlannedClasps | None = None,
 ) -> Array:
     """Return the clasps (…, n, 3) [m] after one Newton step toward edges that bear a load.
 
@@ -248,64 +305,80 @@ def balanced(
     Parameters
     ----------
     clasps: (…, n, 3) [m], relative to the centre of mass and the plane of contact.
-    T: (…, n) [N], tensions of edges.
+    tensions: (…, n) [N], of edges.
     arms: (…, n, 2, 2) [m], contacts, relative to the centre of mass.
     load: (…, 3) [N], horizontal force on the object there, and weight.
-    back: (…, n, 2) [m], planned clasps, and the share (…) of the displacement from there that
-        applies; None for the full displacement.
+    planned: clasps to which the step returns in part; None for the full displacement.
     """
-    polygon, z = clasps[..., :2], clasps[..., 2]
+    polygon = clasps[..., :2]
+    z = clasps[..., 2]
     size = np.mean(length(arms), axis=(-2, -1))[..., None, None]
-    at, pull = _contacts_at_clasps(arms), np.stack([T, np.roll(T, 1, axis=-1)], axis=-1)
+    contacts = _contacts_at_clasps(arms)
+    pulls = np.stack([tensions, np.roll(tensions, 1, axis=-1)], axis=-1)
+    weight = load[..., 2]
     rotation = left_of(polygon) / size
-    moves = np.stack([0.0 * rotation + [1.0, 0.0], 0.0 * rotation + [0.0, 1.0], rotation])
+    along_x = 0.0 * rotation + [1.0, 0.0]
+    along_y = 0.0 * rotation + [0.0, 1.0]
+    moves = np.stack([along_x, along_y, rotation])
 
     def residual(polygon: Array) -> Array:
         """Return the unbalanced horizontal force, and moment over size (…, 3) [N]."""
-        parts = _parts(polygon, _raised(polygon, z, pull, at, load[..., 2]), at)
-        pulls = pull[..., None] * unit(parts)
-        pulls[..., 2] = cross(at, pulls) / size
-        return np.asarray(load * [1.0, 1.0, 0.0] - np.sum(pulls, axis=(-3, -2)))
+        heights = _raised(polygon, z, pulls, contacts, weight)
+        forces = pulls[..., None] * unit(_parts(polygon, heights, contacts))
+        forces[..., 2] = cross(contacts, forces) / size
+        return np.asarray(load * [1.0, 1.0, 0.0] - np.sum(forces, axis=(-3, -2)))
 
-    steps = DIFFERENCE_STEP, -DIFFERENCE_STEP
-    after, before = (residual(polygon + step * moves) for step in steps)
+    after = residual(polygon + DIFFERENCE_STEP * moves)
+    before = residual(polygon - DIFFERENCE_STEP * moves)
     stiffness = np.moveaxis(before - after, 0, -1) / (2.0 * DIFFERENCE_STEP)
-    norms = np.linalg.norm(stiffness, axis=(-2, -1))
-    damping = (DAMPING * norms)[..., None, None] ** 2 * np.eye(3)
-    transposed = np.swapaxes(stiffness, -2, -1)
-    right = transposed @ residual(polygon)[..., None]
-    amounts = np.linalg.solve(transposed @ stiffness + damping, right)[..., 0]
+    amounts = _damped_solution(stiffness, residual(polygon))
     moved = polygon + np.einsum("j...ni,...j->...ni", moves, amounts)
-    if back is not None:
-        planned, share = back
-        moved = planned + share[..., None, None] * (moved - planned)
-    raised = _raised(moved, z, pull, at, load[..., 2])
+    if planned is not None:
+        share = planned.share[..., None, None]
+        moved = planned.positions + share * (moved - planned.positions)
+    raised = _raised(moved, z, pulls, contacts, weight)
     step = np.concatenate([moved, raised[..., None]], axis=-1) - clasps
-    longest = MAX_STEP * np.min(length(_parts(polygon, z, at)), axis=-1)
-    factor = np.min(longest / np.maximum(length(step), longest), axis=-1)
+    max_step = MAX_STEP * np.min(length(_parts(polygon, z, contacts)), axis=-1)
+    factor = np.min(max_step / np.maximum(length(step), max_step), axis=-1)
     return np.asarray(clasps + factor[..., None, None] * step)
 
 
-def _raised(polygon: Array, z: Array, pull: Array, at: Array, weight: Array) -> Array:
+def _damped_solution(stiffness: Array, residual: Array) -> Array:
+    """Return the amounts (…, 3) of three moves that cancel a residual (…, 3) in least squares.
+
+    The damping is DAMPING times the norm of the stiffness (…, 3, 3).
+    """
+    norms = np.linalg.norm(stiffness, axis=(-2, -1))
+    damping = (DAMPING * norms)[..., None, None] ** 2 * np.eye(3)
+    transposed = np.swapaxes(stiffness, -2, -1)
+    right_side = transposed @ residual[..., None]
+    amounts: Array = np.linalg.solve(transposed @ stiffness + damping, right_side)[..., 0]
+    return amounts
+
+
+def _raised(polygon: Array, z: Array, pulls: Array, contacts: Array, weight: Array) -> Array:
     """Return the clasps' heights (…, n) [m] after a Newton step toward bearing a weight.
 
     The vertical forces are the most equal ones that bear it without a moment about horizontal axes.
+    Parts of the pulls (…, n, 2) [N] lead from contacts (…, n, 2, 2) [m] to their clasps; a clasp at
+    the height z lifts by z times the sum of the pulls over the lengths of its parts.
     """
-    parts = _parts(polygon, z, at)
-    rates = pull / length(parts)
-    lifts = np.concatenate([np.ones_like(at[..., :1]), at], axis=-1) * rates[..., None]
-    total = np.sum(rates, axis=-1)
-    means = np.sum(lifts, axis=-2) / total[..., None]  # (…, n, 3), of force and moments
-    residual = weight[..., None] * ([1.0, 0.0, 0.0] - np.mean(means, axis=-2))
-    squares = np.swapaxes(means, -1, -2) @ means
-    forces = weight[..., None] / z.shape[-1]
-    if z.shape[-1] == 2:  # no moment about the line through both clasps
-        lifts_needed = np.linalg.pinv(squares, hermitian=True) @ residual[..., None]
+    parts = _parts(polygon, z, contacts)
+    lift_rates = pulls / length(parts)  # [N/m]
+    with_force = np.concatenate([np.ones_like(contacts[..., :1]), contacts], axis=-1)
+    total_rate = np.sum(lift_rates, axis=-1)
+    # Force and moments per vertical force of a clasp (…, n, 3)
+    effects = np.sum(with_force * lift_rates[..., None], axis=-2) / total_rate[..., None]
+    missing = weight[..., None] * ([1.0, 0.0, 0.0] - np.mean(effects, axis=-2))
+    squares = np.swapaxes(effects, -1, -2) @ effects
+    clasps = z.shape[-1]
+    if clasps == 2:  # no moment about the line through both clasps
+        multipliers = np.linalg.pinv(squares, hermitian=True) @ missing[..., None]
     else:
-        lifts_needed = np.linalg.solve(squares, residual[..., None])
-    forces = forces + (means @ lifts_needed)[..., 0]
-    stiffness = np.sum(rates * (1.0 - unit(parts)[..., 2] ** 2), axis=-1)
-    return np.asarray(z + (forces - total * z) / stiffness)
+        multipliers = np.linalg.solve(squares, missing[..., None])
+    forces = weight[..., None] / clasps + (effects @ multipliers)[..., 0]
+    stiffness = np.sum(lift_rates * (1.0 - unit(parts)[..., 2] ** 2), axis=-1)
+    return np.asarray(z + (forces - total_rate * z) / stiffness)
 
 
 # Friction at clasps.
@@ -323,11 +396,12 @@ def _other_half(friction: Array, angle: Array) -> Array:
     While cables slide on each other, ``cos x = e^{-μ θ} cos(β/2)``: 2x is the angle on the side
     with the higher tension, β that on the other side, and cables turn by ``θ = β/2 + x``.
     """
-    half = other = 0.5 * angle
+    half = 0.5 * angle
+    other_half = half
     for _ in range(FIXED_POINT_STEPS):
-        ratio = np.exp(-friction * (half + other))
-        other = np.arccos(np.clip(ratio * np.cos(half), -1.0, 1.0))
-    return other
+        tension_ratio = np.exp(-friction * (half + other_half))
+        other_half = np.arccos(np.clip(tension_ratio * np.cos(half), -1.0, 1.0))
+    return other_half
 
 
 def edge_ratios(friction: Array, edges: Array) -> Array:
@@ -341,9 +415,11 @@ def edge_ratios(friction: Array, edges: Array) -> Array:
     edges: (…, n) [rad], angles between edges at clasps.
     """
     friction = friction[..., None]
-    one = np.abs(friction) * (0.5 * edges + _other_half(friction, edges)) + MIN_FRICTION_ANGLE
-    other = np.roll(one, -1, axis=-1)
-    smaller = one * other / (0.5 * (one**8 + other**8)) ** 0.125
+    turns = 0.5 * edges + _other_half(friction, edges)
+    exponents = np.abs(friction) * turns + MIN_FRICTION_ANGLE
+    of_next_clasp = np.roll(exponents, -1, axis=-1)
+    mean_power = 0.5 * (exponents**8 + of_next_clasp**8)
+    smaller = exponents * of_next_clasp / mean_power**0.125
     return np.asarray(np.exp(-np.sign(friction) * smaller))
 
 
@@ -360,18 +436,27 @@ def residual_grip(legs: Array, tension: Array, clasp_friction: float, friction: 
     clasp_friction: friction coefficient between cables.
     friction: friction coefficient of cables on the object.
     """
-    one, other = np.moveaxis(unit(legs), 1, 0)
-    between = np.arccos(np.clip(np.sum(one * other, axis=-1), -1.0, 1.0))
-    half = _other_half(np.asarray(clasp_friction), between)
-    ratio = float(np.max(np.exp(clasp_friction * (half + 0.5 * between))))
-    wrapped = max(2.0 * float(np.sum(half)) - (len(legs) - 2) * math.pi, 0.0)
-    return friction * float(np.max(tension)) * ratio * wrapped
+    first_leg, second_leg = np.moveaxis(unit(legs), 1, 0)
+    cosines = np.sum(first_leg * second_leg, axis=-1)
+    between_legs = np.arccos(np.clip(cosines, -1.0, 1.0))
+    half_between_edges = _other_half(np.asarray(clasp_friction), between_legs)
+    turns = half_between_edges + 0.5 * between_legs
+    largest_ratio = float(np.max(np.exp(clasp_friction * turns)))
+    angles_of_polygon = (len(legs) - 2) * math.pi
+    wrapped = max(2.0 * float(np.sum(half_between_edges)) - angles_of_polygon, 0.0)
+    return friction * float(np.max(tension)) * largest_ratio * wrapped
 
 
 # Capacities: the largest masses that hitches hold.
 
-MASS_RESOLUTION = 1e-7  # [kg] Resolution of masses
-LIMIT_TOLERANCE = 1e-9  # Relative tolerance of limits, as in the certificate
+MASS_RESOLUTION = 1e-7
+"""[kg] Resolution of masses."""
+
+LIMIT_TOLERANCE = 1e-9
+"""Relative tolerance of limits, as in the certificate."""
+
+MAX_LOAD_ACCELERATION = 1.0
+"""[m/s²] Largest acceleration of loads."""
 
 SUGGESTIONS = {
     "grip": "raise the tension, or use rougher cables",
@@ -407,9 +492,6 @@ class Capacity(OneLine):
         return SUGGESTIONS.get(self.binding, "use longer cables")
 
 
-MAX_LOAD_ACCELERATION = 1.0  # [m/s²] Largest acceleration of loads
-
-
 def rest_capacity(
     polygon: Outline,
     cable_length: float,
@@ -423,16 +505,24 @@ def rest_capacity(
     The centre of mass is ``height`` [m] above the centroid of the polygon. All cables have the same
     length [m] and tension [N].
     """
-    n, limits = len(polygon), requirements.limits
-    offsets, u = polygon.vertices - polygon.centroid, polygon.edge_directions
-    inradius = float(np.min(cross(u, offsets)))
-    support = inradius - height * MAX_LOAD_ACCELERATION / GRAVITY  # of the force line [m]
+    n = len(polygon)
+    limits = requirements.limits
+    offsets = polygon.vertices - polygon.centroid
+    inradius = float(np.min(cross(polygon.edge_directions, offsets)))
+    shift_of_force_line = height * MAX_LOAD_ACCELERATION / GRAVITY
+    support = inradius - shift_of_force_line
     unloaded = Team(n, cable_length, tension=tension, quadrotor=kind)
-    shape = polygon.vertices[None], balanced_legs(unloaded, polygon)[None]
-    spread = LegTask(unloaded, requirements, *shape, limits.leg, SPREAD_MARGIN)
+    spread = LegTask(
+        unloaded,
+        requirements,
+        polygon.vertices[None],
+        balanced_legs(unloaded, polygon)[None],
+        limits.leg,
+        SPREAD_MARGIN,
+    )
     legs = spread.split().q_legs
 
-    def worst(mass: float) -> tuple[float, str]:
+    def smallest_margin(mass: float) -> tuple[float, str]:
         """Return the smallest margin for a mass [kg], and the name of its limit."""
         team = Team(n, cable_length, tension=tension, quadrotor=kind, load=mass / n)
         try:
@@ -451,18 +541,20 @@ def rest_capacity(
         }
         return min((margin, name) for name, margin in margins.items())
 
-    margin, name = worst(0.0)
+    margin, binding = smallest_margin(0.0)
     if margin < -LIMIT_TOLERANCE:
-        return Capacity(0.0, name)
-    low, high = 0.0, 2.5 * n * tension / GRAVITY  # more than vertical legs could bear
-    while high - low > MASS_RESOLUTION:
-        middle = 0.5 * (low + high)
-        margin, reason = worst(middle)
+        return Capacity(0.0, binding)
+    feasible = 0.0
+    infeasible = 2.5 * n * tension / GRAVITY  # more than vertical legs could bear
+    while infeasible - feasible > MASS_RESOLUTION:
+        mass = 0.5 * (feasible + infeasible)
+        margin, limit = smallest_margin(mass)
         if margin >= -LIMIT_TOLERANCE:
-            low = middle
+            feasible = mass
         else:
-            high, name = middle, reason
-    return Capacity(low, name)
+            infeasible = mass
+            binding = limit
+    return Capacity(feasible, binding)
 
 
 def grip_capacity(grip: Grip, kind: Quadrotor, friction: float, factor: float) -> Capacity:
@@ -471,11 +563,13 @@ def grip_capacity(grip: Grip, kind: Quadrotor, friction: float, factor: float) -
     Every leg lifts the same share w of the weight at the same tension T, so that a drone's thrust
     is ``√(T² - w² + (m g + w)²)``. The slip load is at least ``factor`` times the load.
     """
-    weight, legs = GRAVITY * kind.mass, 2.0 * grip.vertices.shape[-2]
-    spare = kind.max_thrust**2 - grip.tension**2 - weight**2
+    weight = GRAVITY * kind.mass
+    legs = 2.0 * grip.vertices.shape[-2]
+    # w from T² + (m g)² + 2 m g w = (largest thrust)²
+    spare = max(kind.max_thrust**2 - grip.tension**2 - weight**2, 0.0)
     loads = {
         "grip": float(grip.slip_load(friction)) / factor,
-        "thrust": legs * max(spare, 0.0) / (2.0 * weight),
+        "thrust": legs * spare / (2.0 * weight),
     }
     binding = min(loads, key=lambda name: loads[name])
     return Capacity(loads[binding] / GRAVITY, binding)

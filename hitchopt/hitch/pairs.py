@@ -1,4 +1,8 @@
-"""Bodies of a taut hitch, and the pairs that need clearance: one table for the whole package.
+"""Minimum distances of bodies, and the pairs of a taut hitch that keep them.
+
+``DISTANCES`` has the limits of all distances and how tracking errors between teams shorten them;
+checks, planners and start times read it. How errors within a team shorten distances is the
+``approach`` of each check's rule. ``TautBodies`` has the pairs of one hitch.
 
 Nodes are those of ``Layout.routes``. Bodies are pairs of nodes: first all drones (both nodes the
 same), then the taut cable parts of ``Layout.parts``. Cables need not form a single ring.
@@ -93,7 +97,7 @@ DISTANCES = {
         ),
     )
 }
-"""All distances, by check. Checks and start times read limits and kinds of bodies here."""
+"""All distances, by check. Rules of checks within a team take their limits from here, too."""
 
 
 def limits_of(separation: Separation) -> Array:

@@ -64,8 +64,8 @@ class Rows:
 
     def add_bounds(self, columns: Indices, lower: Array | float, upper: Array | float) -> None:
         """Bound single variables."""
-        m = len(columns)
-        self.add(np.arange(m), columns, np.ones(m), np.broadcast_to(lower, m), upper)
+        count = len(columns)
+        self.add(np.arange(count), columns, np.ones(count), np.broadcast_to(lower, count), upper)
 
     def compressed(self) -> tuple[sp.csc_array[np.float64], Array, Array]:
         """Return A, lower and upper; A also stores entries of value zero."""
@@ -90,13 +90,27 @@ def solve_qp(program: QuadraticProgram) -> Array | None:
         sparsity = ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
         return ca.DM(sparsity, matrix.data)
 
-    H, A = converted(program.P), converted(program.A)
-    shapes = {"h": H.sparsity(), "a": A.sparsity()}
+    hessian = converted(program.P)
+    rows = converted(program.A)
+    shapes = {"h": hessian.sparsity(), "a": rows.sparsity()}
     solver = ca.conic("program", "piqp", shapes, {"error_on_fail": False})
-    rows = {"lba": program.lower, "uba": program.upper}
-    solution = solver(h=H, g=program.q, a=A, lbx=program.x_min, ubx=program.x_max, **rows)
-    x = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
-    values = program.A @ x
-    gaps = program.lower - values, values - program.upper, program.x_min - x, x - program.x_max
-    feasible = np.max(np.concatenate(gaps)) <= RESIDUAL_TOLERANCE  # False for nan
-    return np.clip(x, program.x_min, program.x_max) if feasible else None
+    solution = solver(
+        h=hessian,
+        g=program.q,
+        a=rows,
+        lba=program.lower,
+        uba=program.upper,
+        lbx=program.x_min,
+        ubx=program.x_max,
+    )
+    minimizer = np.asarray(solution["x"], dtype=np.float64).reshape(-1)
+    values = program.A @ minimizer
+    residuals = [
+        program.lower - values,
+        values - program.upper,
+        program.x_min - minimizer,
+        minimizer - program.x_max,
+    ]
+    if not np.max(np.concatenate(residuals)) <= RESIDUAL_TOLERANCE:  # nan is not
+        return None
+    return np.clip(minimizer, program.x_min, program.x_max)

@@ -193,20 +193,22 @@ class Quadrotor(OneLine):
         store(self, **vars(self))
         if self.model is not None:
             values = MODELS[self.model]._asdict()
-            for each in fields(self):
-                if getattr(self, each.name) == each.default and each.name in values:
-                    object.__setattr__(self, each.name, values[each.name])
+            for field in fields(self):
+                if getattr(self, field.name) == field.default and field.name in values:
+                    object.__setattr__(self, field.name, values[field.name])
             if self.gains is None and self.controller == "mellinger":
                 store(self, gains=stiffest_gains(self.mass, self.latency))
         check_lift(self.mass, self.max_thrust, GRAVITY)
         if self.controller is None:
             for name in ("gains", "latency"):
-                if (value := getattr(self, name)) is not None:
-                    bound, remedy = "omitted without a controller", "name one, or give stiffness"
-                    raise InputError(name, value, bound, remedy)
+                value = getattr(self, name)
+                if value is not None:
+                    bound = "omitted without a controller"
+                    raise InputError(name, value, bound, "name one, or give stiffness")
             return
         for name in ("stiffness", "integral", "feed_forward"):
-            if (value := getattr(self, name)) is not None:
+            value = getattr(self, name)
+            if value is not None:
                 bound = f"omitted with controller {self.controller}, from which it follows"
                 raise InputError(name, value, bound, "omit it, or give gains")
         _loop(self)
@@ -252,6 +254,7 @@ MEASURED = ("trim", "thrust_factor", "tracking")
 
 @lru_cache(maxsize=1024)
 def _loop(kind: Quadrotor) -> FlightController:
+    """Return the position loop of a kind of quadrotor."""
     if kind.controller is not None:
         return FlightController.of(kind.controller, kind.mass, kind.gains, kind.latency)
     feed_forward = kind.feed_forward is None or kind.feed_forward
@@ -278,7 +281,7 @@ def _by_drone(key: str, value: Any) -> Quadrotor | dict[str, Quadrotor]:
     if not named:
         kind: Quadrotor = kind_of(key, value)
         return kind
-    common = {name: each for name, each in value.items() if name not in named}
+    common = {name: kind for name, kind in value.items() if name not in named}
 
     def own_kind(name: str) -> tuple[str, Quadrotor]:
         stated = {"model": value[name]} if isinstance(value[name], str) else value[name]
@@ -292,9 +295,10 @@ def _by_drone_schema(definitions: dict[str, Schema]) -> Schema:
     """Add the schema of kinds by drone to definitions; return a reference to it."""
     kind = record_schema(Quadrotor, definitions)
     kind_or_model = {"anyOf": [kind, MODEL_NAMES.schema]}
-    text, keys = "Quadrotors by drone; other keys are common.", definitions["Quadrotor"]
+    text = "Quadrotors by drone; other keys are common."
+    properties = definitions["Quadrotor"]["properties"]
     options = {"patternProperties": {f"^{DRONE_NAME}$": kind_or_model}}
-    return mapping_schema("Quadrotors", text, keys["properties"], definitions, options)
+    return mapping_schema("Quadrotors", text, properties, definitions, options)
 
 
 def quadrotors(min_length: int, max_length: int) -> Kind:
@@ -328,12 +332,14 @@ def kinds_of(
             known = ", ".join([*names[:4], *(["…"] if len(names) > 4 else [])])
             raise InputError(f"quadrotor.{name}", kind[name], f"of {known}", "name a drone")
         kind = [kind.get(name, kind[""]) for name in names]
-    one = isinstance(kind, QuadrotorOrName)
-    kinds = [*((kind,) * count if one else sequence("quadrotor", kind))]
-    for k, each in enumerate(kinds):
-        key = "quadrotor" if one else f"quadrotor[{k}]"
-        kinds[k] = MODEL_NAMES.check(key, each) if isinstance(each, str) else each
-        check_instance(f"quadrotor[{k}]", kinds[k], Quadrotor)
+    is_common = isinstance(kind, QuadrotorOrName)
+    stated = (kind,) * count if is_common else sequence("quadrotor", kind)
+    kinds = list[Quadrotor]()
+    for index, kind_or_name in enumerate(stated):
+        key = "quadrotor" if is_common else f"quadrotor[{index}]"
+        is_name = isinstance(kind_or_name, str)
+        kinds.append(MODEL_NAMES.check(key, kind_or_name) if is_name else kind_or_name)
+        check_instance(f"quadrotor[{index}]", kinds[-1], Quadrotor)
     if len(kinds) == len(names) == 2 * count and kinds[::2] == kinds[1::2]:
         kinds = kinds[::2]
     if len(kinds) not in (count, len(names) or count):

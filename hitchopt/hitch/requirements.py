@@ -108,8 +108,12 @@ class Limits(OneLine):
         """The limits enforced at full rate: acceleration and jerk times the reserve."""
         if self.reserve == 1.0:
             return self
-        acceleration, jerk = self.reserve * self.acceleration, self.reserve * self.jerk
-        return with_fields(self, reserve=1.0, acceleration=acceleration, jerk=jerk)
+        return with_fields(
+            self,
+            reserve=1.0,
+            acceleration=self.reserve * self.acceleration,
+            jerk=self.reserve * self.jerk,
+        )
 
 
 @documented
@@ -135,7 +139,8 @@ class Separation(Record):
     @property
     def scale(self) -> Array:
         """Scale factors (3,) [1/m]: ``separation`` is the norm of the scaled offset of drones."""
-        across, upward = 0.5 / self.radius, 0.5 / self.height
+        across = 0.5 / self.radius
+        upward = 0.5 / self.height
         return np.array([across, across, upward])
 
     def widened(self, off: float, ratio: float = 1.0) -> Separation:
@@ -146,12 +151,17 @@ class Separation(Record):
         b² (1 + radius/off) for semi-axes a and b, so that its radius is radius + off. Other
         distances are between points whose heights are divided by ``ratio``.
         """
-        height = self.height / ratio
-        height = math.sqrt((height**2 + self.radius * off) * (1.0 + off / self.radius)) * ratio
-        cable, crossing = self.cable + 2.0 * off, self.crossing + 2.0 * off
+        flat_height = self.height / ratio
+        squared_height = (flat_height**2 + self.radius * off) * (1.0 + off / self.radius)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UnitWarning)  # these values are of the team's errors
-            return Separation(self.radius + off, height, cable, crossing, self.object + off)
+            return Separation(
+                radius=self.radius + off,
+                height=math.sqrt(squared_height) * ratio,
+                cable=self.cable + 2.0 * off,
+                crossing=self.crossing + 2.0 * off,
+                object=self.object + off,
+            )
 
 
 CORNER = points((3,), "x, y, z", largest=units.MAX_WALL)
@@ -278,24 +288,24 @@ class Requirements(ByValue):
 
         The arena's floor does not move, since drones stand there.
         """
-        limits, tube = self.limits.with_reserve, self.limits.tube
-        off, ratio = ROUNDING_FACTOR * tube.level, tube.ratio
-        if not off:
+        limits = self.limits.with_reserve
+        tube = self.limits.tube
+        error = ROUNDING_FACTOR * tube.level
+        if not error:
             return self if limits is self.limits else replace(self, limits=limits)
         arena = self.arena
         if arena is not None:
-            inward, down = np.array([off, off, 0.0]), np.array([off, off, off * ratio])
-            lower, upper = arena.lower + inward, arena.upper - down
-            arena = Arena(lower, upper) if np.all(lower < upper) else arena
-        limits = with_fields(limits, leg=limits.leg + 2.0 * off, tracking=0.0)
-        wider = self.separation.widened(off, ratio)
+            lower = arena.lower + np.array([error, error, 0.0])
+            upper = arena.upper - np.array([error, error, error * tube.ratio])
+            if np.all(lower < upper):
+                arena = Arena(lower, upper)
         return replace(
             self,
-            limits=limits,
-            separation=wider,
+            limits=with_fields(limits, leg=limits.leg + 2.0 * error, tracking=0.0),
+            separation=self.separation.widened(error, tube.ratio),
             arena=arena,
-            position_error=off,
-            height_ratio=ratio,
+            position_error=error,
+            height_ratio=tube.ratio,
         )
 
     def flown_by(self, team: Team) -> Requirements:
@@ -303,15 +313,18 @@ class Requirements(ByValue):
 
         A specified ``tracking`` takes precedence over that of the drones.
         """
-        limits, tilt = self.limits, float(np.min(team.max_tilt))
-        off = team.tracking if limits.tracking is None else limits.tracking
-        if off == limits.tracking and limits.tilt <= tilt:
+        limits = self.limits
+        max_tilt = float(np.min(team.max_tilt))
+        tracking = team.tracking if limits.tracking is None else limits.tracking
+        if tracking == limits.tracking and limits.tilt <= max_tilt:
             return self
-        return replace(self, limits=with_fields(limits, tilt=min(limits.tilt, tilt), tracking=off))
+        tilt = min(limits.tilt, max_tilt)
+        return replace(self, limits=with_fields(limits, tilt=tilt, tracking=tracking))
 
     def understated_tracking(self, team: Team) -> str:
         """Return a warning of ``limits.tracking`` below a team's own errors; empty without one."""
-        stated, expected = self.limits.tube, Tube.of(team.tracking)
+        stated = self.limits.tube
+        expected = Tube.of(team.tracking)
         if stated.level >= expected.level and max(stated.height, stated.level) >= expected.height:
             return ""
         names = sorted({kind.loop.name for kind in team.quadrotor if kind.loop.name})

@@ -13,12 +13,16 @@ import numpy as np
 
 from hitchopt.values import Array, Indices
 
-ORDER = 3  # Order of the highest derivative in jets: the jerk
-JET = ORDER + 1  # Number of columns of a jet
+ORDER = 3
+"""Order of the highest derivative in jets: the jerk."""
+
+JET = ORDER + 1
+"""Number of columns of a jet."""
 
 UP = [0.0, 0.0, 1.0]
 
 FACTORIALS = np.array([float(factorial(k)) for k in range(JET)])
+"""Factors of derivatives over coefficients."""
 
 
 class Series:
@@ -43,16 +47,16 @@ class Series:
 
     def constant(self, value: Any) -> Series:
         """Return a constant whose rows (rows, …) broadcast against those of this series."""
-        c = self.coefficients
-        return Series(np.array(value, ndmin=c.ndim) if _is_array(c) else value)
+        if not _is_array(self.coefficients):
+            return Series(value)
+        return Series(np.array(value, ndmin=self.coefficients.ndim))
 
     @property
     def jet(self) -> Array:
         """(…, rows, count): value and derivatives of a series over arrays."""
-        c = self.coefficients
-        jet: Array = np.multiply(
-            c.transpose(*range(2, c.ndim), 1, 0), FACTORIALS[: len(c)], order="C"
-        )
+        coefficients: Array = self.coefficients
+        columns = coefficients.transpose(*range(2, coefficients.ndim), 1, 0)
+        jet: Array = np.multiply(columns, FACTORIALS[: len(coefficients)], order="C")
         return jet
 
     @property
@@ -62,8 +66,10 @@ class Series:
 
     def row(self, *rows: int) -> Series:
         """Return the rows of a vector at some indices."""
-        c, index = self.coefficients, list(rows)
-        return Series(c[:, index] if _is_array(c) else c[index])
+        index = list(rows)
+        if _is_array(self.coefficients):
+            return Series(self.coefficients[:, index])
+        return Series(self.coefficients[index])
 
     def select(self, index: Indices) -> Series:
         """Return the items at some indices of the last axis of arrays."""
@@ -72,21 +78,27 @@ class Series:
     @property
     def upward(self) -> Series:
         """A vector along z whose z component is this scalar."""
-        c = self.coefficients
-        return Series(c * (np.array(UP).reshape(-1, *[1] * (c.ndim - 2)) if _is_array(c) else UP))
+        if not _is_array(self.coefficients):
+            return Series(self.coefficients * UP)
+        items = self.coefficients.ndim - 2
+        return Series(self.coefficients * np.array(UP).reshape(-1, *[1] * items))
 
     def __add__(self, other: Series) -> Series:
-        a, b = self.coefficients, other.coefficients
-        if _is_array(a) and len(a) != len(b):
-            a, b = (a, b) if len(a) > len(b) else (b, a)
-            total = a.copy()
-            total[: len(b)] += b
-            return Series(total)
-        return Series(a + b)
+        a = self.coefficients
+        b = other.coefficients
+        if not _is_array(a) or len(a) == len(b):
+            return Series(a + b)
+        longer, shorter = (a, b) if len(a) > len(b) else (b, a)
+        total = longer.copy()
+        total[: len(shorter)] += shorter
+        return Series(total)
 
     def __sub__(self, other: Series) -> Series:
-        a, b = self.coefficients, other.coefficients
-        return self + -other if _is_array(a) and len(a) != len(b) else Series(a - b)
+        a = self.coefficients
+        b = other.coefficients
+        if not _is_array(a) or len(a) == len(b):
+            return Series(a - b)
+        return self + -other
 
     def __neg__(self) -> Series:
         return Series(-self.coefficients)
@@ -95,27 +107,30 @@ class Series:
         """Return the product of components, by Leibniz' rule; scalars multiply all of a vector."""
         if not isinstance(other, Series):
             return Series(other * self.coefficients)
-        a, b = self.coefficients, other.coefficients
+        a = self.coefficients
+        b = other.coefficients
         if not _is_array(a) or len(b) == 1:
             return Series(a * b)
-        a, b = (a, b) if len(a) <= len(b) else (b, a)
-        product = a[0] * b
-        for k in range(1, len(a)):
-            product[k:] += a[k] * b[:-k]
+        shorter, longer = (a, b) if len(a) <= len(b) else (b, a)
+        product = shorter[0] * longer
+        for order in range(1, len(shorter)):
+            product[order:] += shorter[order] * longer[:-order]
         return Series(product)
 
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: Series) -> Series:
         """Return the quotient q by a scalar b, from ``q · b = a``."""
-        a, b = self.coefficients, divisor.coefficients
+        a = self.coefficients
+        b = divisor.coefficients
         if not _is_array(a) or len(b) == 1:
             return Series(a * (1.0 / b))
-        inverse, quotient = 1.0 / b[0], np.zeros(np.broadcast_shapes(a[:1].shape, b.shape))
+        inverse = 1.0 / b[0]
+        quotient = np.zeros(np.broadcast_shapes(a[:1].shape, b.shape))
         quotient[: len(a)] = a
-        for k in range(len(b)):
-            quotient[k] *= inverse
-            quotient[k + 1 :] -= quotient[k] * b[1 : len(b) - k]
+        for order in range(len(b)):
+            quotient[order] *= inverse
+            quotient[order + 1 :] -= quotient[order] * b[1 : len(b) - order]
         return Series(quotient)
 
     def __rsub__(self, value: float) -> Series:
@@ -123,10 +138,11 @@ class Series:
 
     def dot(self, other: Series) -> Series:
         """Return the scalar product of vectors."""
-        product = (self * other).coefficients
-        if _is_array(product):
-            return Series(np.add.reduce(product, axis=1, keepdims=True))
-        return Series(sum((product[i] for i in range(1, product.size1())), product[0]))
+        products = (self * other).coefficients
+        if _is_array(products):
+            return Series(np.add.reduce(products, axis=1, keepdims=True))
+        first, *others = (products[row] for row in range(products.size1()))
+        return Series(sum(others, first))
 
     def cross(self, other: Series) -> Series:
         """Return the vector product."""
@@ -143,10 +159,10 @@ class Series:
         root = np.array(a)
         np.sqrt(a[0], out=root[0])
         inverse = 0.5 / root[0]
-        for k in range(1, len(a)):
-            for i in range(1, k):
-                root[k] -= root[i] * root[k - i]
-            root[k] *= inverse
+        for order in range(1, len(a)):
+            for lower in range(1, order):
+                root[order] -= root[lower] * root[order - lower]
+            root[order] *= inverse
         return Series(root)
 
     @property
@@ -160,17 +176,19 @@ class Series:
         psi = self.coefficients
         if not _is_array(psi):
             return Series(psi.cos()), Series(psi.sin())
-        c, s = np.zeros((2, *psi.shape))
-        c[0], s[0] = np.cos(psi[0]), np.sin(psi[0])
-        for k in range(1, len(psi)):
-            for i in range(1, k + 1):
-                rate = i / k * psi[i]
-                c[k] -= rate * s[k - i]
-                s[k] += rate * c[k - i]
-        return Series(c), Series(s)
+        cosine, sine = np.zeros((2, *psi.shape))
+        cosine[0] = np.cos(psi[0])
+        sine[0] = np.sin(psi[0])
+        for order in range(1, len(psi)):
+            for part in range(1, order + 1):
+                rate = part / order * psi[part]
+                cosine[order] -= rate * sine[order - part]
+                sine[order] += rate * cosine[order - part]
+        return Series(cosine), Series(sine)
 
 
 def _is_array(value: Any) -> bool:
+    """Return whether coefficients are an array of numpy, not an expression of casadi."""
     return isinstance(value, np.ndarray)
 
 
@@ -189,13 +207,18 @@ def chained(outer: Array, inner: Array) -> Array:
     """
     first, second, third = chained_rates(outer, inner)
     jets = np.empty((*third.shape, 4), third.dtype)
-    for k, each in enumerate((outer[..., 0], first, second, third)):
-        jets[..., k] = each
+    jets[..., 0] = outer[..., 0]
+    jets[..., 1] = first
+    jets[..., 2] = second
+    jets[..., 3] = third
     return jets
 
 
 def chained_rates(outer: Array, inner: Array) -> tuple[Array, Array, Array]:
     """Return the first three derivatives (…) of f(g(t)), with arguments as in ``chained``."""
-    f1, f2, f3 = outer[..., 1], outer[..., 2], outer[..., 3]
-    g1, g2, g3 = inner[..., 1], inner[..., 2], inner[..., 3]
-    return f1 * g1, f2 * g1**2 + f1 * g2, f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
+    _, f1, f2, f3 = np.moveaxis(outer, -1, 0)
+    _, g1, g2, g3 = np.moveaxis(inner, -1, 0)
+    first = f1 * g1
+    second = f2 * g1**2 + f1 * g2
+    third = f3 * g1**3 + 3.0 * f2 * g1 * g2 + f1 * g3
+    return first, second, third

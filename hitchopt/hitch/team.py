@@ -39,8 +39,11 @@ from hitchopt.values.fields import (
     words,
 )
 
-CLOSED = "closed"  # Topology of a polygon of cables
-OPEN = "open"  # Topology of a chain of cables
+CLOSED = "closed"
+"""Topology of a polygon of cables."""
+
+OPEN = "open"
+"""Topology of a chain of cables."""
 
 PER_ROBOT = "one for all or one per robot"
 
@@ -49,21 +52,39 @@ PER_ROBOT = "one for all or one per robot"
 class Layout:
     """Indices into arrays of points, cables (or edges) and drones."""
 
-    robots: int  # number n of cables
-    points: int  # number of points, n or n + 1
-    starts: Indices  # (n,), the point at which each edge starts
-    ends: Indices  # (n,), the point at which each edge ends
-    # (c,), the points at which two cables bend around each other: all, or all inner ones
+    robots: int
+    """The number n of cables."""
+
+    points: int
+    """The number of points, n or n + 1."""
+
+    starts: Indices
+    """(n,), the point at which each edge starts."""
+
+    ends: Indices
+    """(n,), the point at which each edge ends."""
+
     clasps: Indices
-    ahead: Indices  # (c,), the cable whose edge starts at each clasp
-    behind: Indices  # (c,), the cable whose edge ends at each clasp
-    has_leg: NDArray[np.bool_]  # (n, 2), whether q_k and r_k have a leg
-    # (2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any
+    """(clasps,), the points at which two cables bend around each other: all, or all inner ones."""
+
+    ahead: Indices
+    """(clasps,), the cable whose edge starts at each clasp."""
+
+    behind: Indices
+    """(clasps,), the cable whose edge ends at each clasp."""
+
+    has_leg: NDArray[np.bool_]
+    """(n, 2), whether q_k and r_k have a leg."""
+
     anchors: Indices
-    # (2n,), the next point along the cable of each drone: its anchor, or without a leg the other
-    # end of its edge
+    """(2n,), the point of each drone q0, r0, q1, …: the other end of its leg, if any."""
+
     pulled_to: Indices
-    neighbours: Indices  # (n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself
+    """(2n,), the next point along the cable of each drone: its anchor, or without a leg the other
+    end of its edge."""
+
+    neighbours: Indices
+    """(n, 3), the cables k-1 … k+1; beyond a chain's ends the cable itself."""
 
     @property
     def closed(self) -> bool:
@@ -89,8 +110,8 @@ class Layout:
     @cached_property
     def part_nodes(self) -> Indices:
         """(parts, 2): nodes at the ends of taut cable parts."""
-        k, kind = np.divmod(self.parts, 3)
-        return np.stack([self.routes[k, kind], self.routes[k, kind + 1]], axis=1)
+        cable, kind = np.divmod(self.parts, 3)
+        return np.stack([self.routes[cable, kind], self.routes[cable, kind + 1]], axis=1)
 
     def edges(self, points: Array, axis: int = -2) -> Array:
         """Return the edge vectors: points (…, points, d) to (…, n, d), along ``axis``."""
@@ -118,21 +139,27 @@ class Layout:
 @lru_cache(maxsize=64)
 def layout_of(robots: int, topology: str) -> Layout:
     """Return the layout of ``robots`` cables with topology ``closed`` or ``open``."""
-    k = np.arange(robots)
+    edges = np.arange(robots)
     has_leg = np.ones((robots, 2), dtype=np.bool_)
+    adjacent = edges[:, None] + np.arange(-1, 2)
     if topology == CLOSED:
-        points, following, clasps = robots, (k + 1) % robots, k
-        neighbours = (k[:, None] + np.arange(-1, 2)) % robots
+        points = robots
+        ends = (edges + 1) % robots
+        clasps = edges
+        neighbours = adjacent % robots
     else:
-        points, following, clasps = robots + 1, k + 1, k[1:]
-        neighbours = np.clip(k[:, None] + np.arange(-1, 2), 0, robots - 1)
-        has_leg[0, 0] = has_leg[-1, 1] = False
-    edge_ends = np.column_stack([k, following])
+        points = robots + 1
+        ends = edges + 1
+        clasps = edges[1:]
+        neighbours = np.clip(adjacent, 0, robots - 1)
+        has_leg[0, 0] = False
+        has_leg[-1, 1] = False
+    edge_ends = np.column_stack([edges, ends])
     layout = Layout(
         robots=robots,
         points=points,
-        starts=k,
-        ends=following,
+        starts=edges,
+        ends=ends,
         clasps=clasps,
         ahead=clasps,
         behind=(clasps - 1) % robots,
@@ -169,16 +196,17 @@ class Assignment(OneLine):
         for name in ("robots", "flipped"):
             object.__setattr__(self, name, sequence(f"assignment.{name}", getattr(self, name)))
         n = len(self.robots)
-        for i, robot in enumerate(self.robots):
-            integer(f"assignment.robots[{i}]", robot, 0)
+        for edge, robot in enumerate(self.robots):
+            integer(f"assignment.robots[{edge}]", robot, 0)
         if sorted(self.robots) != list(range(n)):
-            bound, remedy = f"0 to {n - 1}, each once", f"pass a permutation of 0..{n - 1}"
+            bound = f"0 to {n - 1}, each once"
+            remedy = f"pass a permutation of 0..{n - 1}"
             raise InputError("assignment.robots", self.robots, bound, remedy)
         if len(self.flipped) != n:
             bound = f"{n} truth values"
             raise InputError("assignment.flipped", self.flipped, bound, "give one per edge")
-        for i, each in enumerate(self.flipped):
-            flag(f"assignment.flipped[{i}]", each)
+        for edge, is_flipped in enumerate(self.flipped):
+            flag(f"assignment.flipped[{edge}]", is_flipped)
 
     @classmethod
     def fixed(cls, robots: int) -> Assignment:
@@ -204,11 +232,12 @@ class Assignment(OneLine):
 
     def team(self, team: Team) -> Team:
         """Return a team of the problem with its robots and drones in the order of places."""
-        order, kinds = list(self.robots), team.kinds
+        robots = list(self.robots)
+        kinds = team.kinds
         return replace(
             team,
-            cable_length=team.cable_length[order],
-            tension=team.tension[order],
+            cable_length=team.cable_length[robots],
+            tension=team.tension[robots],
             quadrotor=tuple(kinds[drone] for drone in self.drones),
             assignment=self,
         )
@@ -240,7 +269,8 @@ class Errors(Record):
     ] = 0.0
 
 
-MAX_ROBOTS = 10_000  # Largest number of robots, checked before any memory is allocated
+MAX_ROBOTS = 10_000
+"""Largest number of robots, checked before any memory is allocated."""
 
 
 def _loads(load: float | Sequence[float] | ArrayLike, clasps: int) -> NDArray[np.float64]:
@@ -335,14 +365,18 @@ class Team(ByValue):
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
         store(self, errors=errors)
         n = integer("robots", robots, 2, MAX_ROBOTS)
-        length = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
+        cable_lengths = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot", _names("qr", n))
         if tension is None:
             tension = np.min(np.reshape([kind.tension for kind in kinds], (n, -1)), axis=1)
-        pull = per_robot("tension", tension, n, units.TENSION.check)
-        values = {"robots": n, "cable_length": length, "tension": pull, "quadrotor": kinds}
-        values |= {"load": _loads(load, len(layout_of(n, topology).clasps))}
-        values |= {"assignment": _checked_assignment(assignment, n)}
+        values = {
+            "robots": n,
+            "cable_length": cable_lengths,
+            "tension": per_robot("tension", tension, n, units.TENSION.check),
+            "quadrotor": kinds,
+            "load": _loads(load, len(layout_of(n, topology).clasps)),
+            "assignment": _checked_assignment(assignment, n),
+        }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -420,8 +454,8 @@ class Team(ByValue):
     @property
     def tracking(self) -> float | Tube | None:
         """Largest tracking errors of drones; None without named controllers and measurements."""
-        tubes = [tube for kind in self.quadrotor if (tube := kind.tube) is not None]
-        tube = Tube.enclosing(tubes)
+        tubes = [kind.tube for kind in self.quadrotor]
+        tube = Tube.enclosing(tube for tube in tubes if tube is not None)
         return None if tube is None else tube.tracking
 
     @property
@@ -512,15 +546,18 @@ class Team(ByValue):
 
 @lru_cache(maxsize=64)
 def _at_places(names: tuple[str, ...], assignment: Assignment) -> tuple[str, ...]:
+    """Return names of drones in the order of their places."""
     return tuple(names[drone] for drone in assignment.drones)
 
 
 @lru_cache(maxsize=64)
 def _names(kinds: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{kind}{k}" for k in range(count) for kind in kinds)
+    """Return names such as q0, r0, q1, … for kinds such as ``qr``."""
+    return tuple(f"{kind}{number}" for number in range(count) for kind in kinds)
 
 
-MAX_DRONES = 2 * MAX_ROBOTS  # Largest number of drones, checked before any memory is allocated
+MAX_DRONES = 2 * MAX_ROBOTS
+"""Largest number of drones, checked before any memory is allocated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -534,9 +571,14 @@ class Swarm(Team):
         count = integer("drones", drones, 1, MAX_DRONES)
         empty = np.zeros(0)
         empty.setflags(write=False)
-        values: dict[str, object] = dict.fromkeys(("cable_length", "tension", "load"), empty)
-        values |= {"robots": 0, "topology": CLOSED, "cable_density": 0.0, "cable_friction": 0.0}
-        values |= {
+        values: dict[str, object] = {
+            "robots": 0,
+            "cable_length": empty,
+            "topology": CLOSED,
+            "cable_density": 0.0,
+            "cable_friction": 0.0,
+            "tension": empty,
+            "load": empty,
             "quadrotor": kinds_of(quadrotor, count, "drone", _names("d", count)),
             "errors": None,
         }

@@ -294,7 +294,7 @@ class _SharedData:
 
 def _sliding_spans(motion: Motion) -> Array:
     """Return the spans (m, 2) [s] of pieces on which one team's legs lean and cables slide."""
-    if not motion.has_friction:
+    if not motion.leg_tensions_differ:
         return np.zeros((0, 2))
     breaks, pulls = motion.drones.breaks, motion.pulls.coefficients
     differences = np.ptp(pulls.reshape(len(pulls), motion.team.robots, -1), axis=-1)

@@ -11,6 +11,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,8 @@ from hitchopt.values import Array, Indices, check_instance, lazy, sequence
 NAME = re.compile(r"[^\W\d][\w-]*")
 """Valid names of teams; teams of external plans are named plan.team."""
 
-REST_RATE = 1e-6  # Largest speed [m/s] and acceleration [m/s²] at rest
+REST_RATE = 1e-6
+"""Largest speed [m/s] and acceleration [m/s²] at rest."""
 
 
 def team_label(team: str, name: str) -> str:
@@ -119,33 +121,37 @@ class Flight(OneLine):
     def __post_init__(self) -> None:
         for name in ("teams", "others"):
             entries = sequence(name, getattr(self, name))
-            for i, each in enumerate(entries):
-                check_instance(f"{name}[{i}]", each, TeamMotion)
+            for index, flown in enumerate(entries):
+                check_instance(f"{name}[{index}]", flown, TeamMotion)
             object.__setattr__(self, name, entries)
         if not self.teams:
             raise InputError("teams", [], "at least one", "name the teams that fly")
         self._check_names()
-        if len(self.all_teams) > 1 and any(x.motion.has_bent_cables for x in self.all_teams):
+        if len(self.all_teams) > 1 and self._has_bent_cables:
             message = "cables that bend around an object on their own keep no distances to other"
             remedy = "plan the team that ties them in a file without others"
             raise UnsupportedError(f"{message} teams; {remedy}")
         if len(self.teams) == 1:
             object.__setattr__(self, "teams", (replace(self.teams[0], name=""),))
             return
-        ends = np.array([each.motion.drones.breaks[[0, -1]] for each in self.teams])
-        begin, end = float(np.min(ends[:, 0])), float(np.max(ends[:, 1]))
-        padded_teams = [replace(x, motion=padded(x.motion, begin, end)) for x in self.teams]
+        ends = np.array([flown.motion.drones.breaks[[0, -1]] for flown in self.teams])
+        begin = float(np.min(ends[:, 0]))
+        end = float(np.max(ends[:, 1]))
+        padded_teams = [
+            replace(flown, motion=padded(flown.motion, begin, end)) for flown in self.teams
+        ]
         object.__setattr__(self, "teams", tuple(padded_teams))
 
     def _check_names(self) -> None:
         """Raise InputError for an invalid name of a team, or one that is taken."""
-        names = [each.name for each in self.all_teams]
+        names = [flown.name for flown in self.all_teams]
         count = len(self.teams)
         for index, name in enumerate(names):
             words = name.split(".", 1) if index >= count else [name]
-            unnamed = name == "" and count == 1 and index == 0
+            may_be_empty = count == 1 and index == 0
+            is_valid = (name == "" and may_be_empty) or all(map(NAME.fullmatch, words))
             taken = map(folded, ("others", *names[:index]))
-            if not (unnamed or all(map(NAME.fullmatch, words))) or folded(name) in taken:
+            if not is_valid or folded(name) in taken:
                 bound = "a unique name, regardless of case, of letters, digits, - and _"
                 raise InputError("teams", name, bound, "rename it")
 
@@ -155,7 +161,7 @@ class Flight(OneLine):
         return cls((TeamMotion("", flown),)) if isinstance(flown, Motion) else flown
 
     def _parts(self) -> Iterator[str]:
-        names = [each.name for each in self.teams if each.name]
+        names = [flown.name for flown in self.teams if flown.name]
         yield f"{len(self.team.drone_names)} drones"
         yield from [f"teams: {', '.join(names)}"] if names else []
         yield f"{self.duration:.4g} s, phases: {len(self.phases)}"
@@ -177,7 +183,7 @@ class Flight(OneLine):
         """
         flying = self.teams if others else self.all_teams
         if len(flying) > 1:
-            names = ", ".join(each.name or "the team" for each in flying)
+            names = ", ".join(flown.name or "the team" for flown in flying)
             message = f"{feature} supports a single team, not {names}"
             raise UnsupportedError(f"{message}; plan that team in a separate file")
         return self.teams[0].motion
@@ -185,7 +191,12 @@ class Flight(OneLine):
     @property
     def has_cables(self) -> bool:
         """Whether any of its teams has cables."""
-        return any(each.motion.team.has_cables for each in self.teams)
+        return any(flown.motion.team.has_cables for flown in self.teams)
+
+    @property
+    def _has_bent_cables(self) -> bool:
+        """Whether cables of any team, or external plan, bend around an object on their own."""
+        return any(flown.motion.has_bent_cables for flown in self.all_teams)
 
     @property
     def breaks(self) -> Array:
@@ -202,7 +213,7 @@ class Flight(OneLine):
         """The only team, or the drones of all teams as one swarm."""
         if len(self.teams) == 1:
             return self.teams[0].motion.team
-        return CombinedSwarm([(each.name, each.motion.team) for each in self.teams])
+        return CombinedSwarm([(flown.name, flown.motion.team) for flown in self.teams])
 
     @lazy
     def drones(self) -> PiecewisePolynomial:
@@ -210,8 +221,8 @@ class Flight(OneLine):
         if len(self.teams) == 1:
             return self.teams[0].motion.drones
         motions = self._on_common_breaks
-        degree = max(each.drones.degree for each in motions)
-        parts = [each.drones.elevated(degree).coefficients for each in motions]
+        degree = max(motion.drones.degree for motion in motions)
+        parts = [motion.drones.elevated(degree).coefficients for motion in motions]
         return PiecewisePolynomial(motions[0].drones.breaks, np.concatenate(parts, axis=1))
 
     @lazy
@@ -227,30 +238,29 @@ class Flight(OneLine):
         """
         if len(self.teams) == 1:
             return self.teams[0].motion.requirements
-        return self._joint[0]
+        return self._joint.requirements
 
     @property
     def poses(self) -> PiecewisePolynomial:
         """Poses of the objects in the requirements, as in ``Motion``."""
-        return self.teams[0].motion.poses if len(self.teams) == 1 else self._joint[1]
+        return self.teams[0].motion.poses if len(self.teams) == 1 else self._joint.poses
 
     @lazy
     def _on_common_breaks(self) -> list[Motion]:
         """Motions of the teams, on the breaks of all of them."""
-        breaks = merged_breaks([each.motion.drones.breaks for each in self.teams])
-        return [on_breaks_of(each.motion, breaks) for each in self.teams]
+        breaks = merged_breaks([flown.motion.drones.breaks for flown in self.teams])
+        return [on_breaks_of(flown.motion, breaks) for flown in self.teams]
 
     @lazy
-    def _joint(self) -> tuple[Requirements, PiecewisePolynomial]:
-        """Requirements between several teams, and poses of all their objects."""
+    def _joint(self) -> JointRequirements:
+        """Requirements between several teams."""
         objects, poses = _joint_objects(self.teams, self._on_common_breaks)
-        return _joint_requirements(self.teams, objects), poses
+        return JointRequirements(_joint_requirements(self.teams, objects), poses)
 
     def each_team(self, change: Callable[[Motion], Motion]) -> Flight:
         """Return the flight with ``change`` applied to the motion of every team."""
-        return Flight(
-            tuple(replace(each, motion=change(each.motion)) for each in self.teams), self.others
-        )
+        teams = [replace(flown, motion=change(flown.motion)) for flown in self.teams]
+        return Flight(tuple(teams), self.others)
 
     @property
     def without_others(self) -> Flight:
@@ -272,8 +282,8 @@ class Flight(OneLine):
         def part(motion: Motion) -> Motion:
             return shifted(slice_time(motion, start, end), -start)
 
-        others = tuple(replace(x, motion=shifted(x.motion, -start)) for x in self.others)
-        return replace(self.each_team(part), others=others)
+        others = [replace(flown, motion=shifted(flown.motion, -start)) for flown in self.others]
+        return replace(self.each_team(part), others=tuple(others))
 
     def prolonged(self, seconds: float) -> Flight:
         """Return a flight that stays at rest at its end for some time, in its last phases."""
@@ -281,40 +291,57 @@ class Flight(OneLine):
 
     def followed_by(self, flight: Flight) -> Flight:
         """Return two flights of the same teams in sequence; a continued phase stays one phase."""
-        pairs = zip(self.teams, flight.teams, strict=True)
-        teams = tuple(replace(a, motion=append_motion(a.motion, b.motion)) for a, b in pairs)
-        return replace(self, teams=teams)
+        teams = [
+            replace(flown, motion=append_motion(flown.motion, following.motion))
+            for flown, following in zip(self.teams, flight.teams, strict=True)
+        ]
+        return replace(self, teams=tuple(teams))
 
     @property
     def rest_breaks(self) -> NDArray[np.intp]:
         """Indices of breaks, first and last included, at which all drones are at rest."""
         breaks = self.breaks
         at_rest = np.ones(len(breaks) - 2, dtype=np.bool_)
-        for each, order in product(self.teams, (1, 2)):  # on the breaks of each team
-            rates = each.motion.drones.differentiated(order)
+        for flown, order in product(self.teams, (1, 2)):
+            rates = flown.motion.drones.differentiated(order)  # on the team's own breaks
             left, right = on_breaks(rates, breaks).ends()
             for values in (right[:-1], left[1:]):
                 at_rest &= np.max(np.linalg.norm(values, axis=-1), axis=-1) <= REST_RATE
         return np.concatenate([[0], 1 + np.flatnonzero(at_rest), [len(breaks) - 1]])
 
 
+class JointRequirements(NamedTuple):
+    """What several teams keep between them."""
+
+    requirements: Requirements
+    """Distances, with the objects of all teams."""
+
+    poses: PiecewisePolynomial
+    """(objects, 5), poses of these objects, as in ``Motion``."""
+
+
 def _joint_requirements(
     teams: Sequence[TeamMotion], objects: dict[str, SolidObject]
 ) -> Requirements:
     """Return the requirements between teams: the larger of all distances and tracking errors."""
-    requirements = [each.motion.requirements for each in teams]
-    distances = [vars(each.separation) for each in requirements]
-    separation = Separation(**{key: max(each[key] for each in distances) for key in distances[0]})
-    tube = Tube.enclosing(each.limits.tube for each in requirements)
+    of_teams = [flown.motion.requirements for flown in teams]
+    distances = [vars(requirements.separation) for requirements in of_teams]
+    largest = {key: max(values[key] for values in distances) for key in distances[0]}
+    tube = Tube.enclosing(requirements.limits.tube for requirements in of_teams)
     tracking = tube.tracking if tube and tube.level else None
-    limits = replace(requirements[0].limits, tracking=tracking)
-    prisms = {prism.corners.tobytes(): prism for x in requirements for prism in x.keep_out}
-    arenas = [each.arena for each in requirements if each.arena is not None]
+    limits = replace(of_teams[0].limits, tracking=tracking)
+    prisms = {
+        prism.corners.tobytes(): prism
+        for requirements in of_teams
+        for prism in requirements.keep_out
+    }
+    arenas = [requirements.arena for requirements in of_teams if requirements.arena is not None]
     arena = None
-    if len(arenas) == len(requirements):  # each team stays in its own arena
-        lower, upper = (np.array([getattr(x, end) for x in arenas]) for end in ("lower", "upper"))
-        arena = Arena(np.min(lower, axis=0), np.max(upper, axis=0))
-    return Requirements(limits, separation, arena, tuple(prisms.values()), objects)
+    if len(arenas) == len(of_teams):  # each team stays in its own arena
+        lower = np.min([each.lower for each in arenas], axis=0)
+        upper = np.max([each.upper for each in arenas], axis=0)
+        arena = Arena(lower, upper)
+    return Requirements(limits, Separation(**largest), arena, tuple(prisms.values()), objects)
 
 
 def _joint_objects(
@@ -324,13 +351,14 @@ def _joint_objects(
 
     Teams may share obstacles at rest. Other objects with the same name are labelled by team.
     """
-    objects, poses = dict[str, SolidObject](), list[Array]()
+    objects = dict[str, SolidObject]()
+    poses = list[Array]()
     breaks = motions[0].drones.breaks
-    degree = max(each.poses.degree for each in motions)
-    for each, motion in zip(teams, motions, strict=True):
-        for index, (name, body) in enumerate(each.motion.requirements.objects.items()):
+    degree = max(motion.poses.degree for motion in motions)
+    for flown, motion in zip(teams, motions, strict=True):
+        for index, (name, body) in enumerate(motion.requirements.objects.items()):
             pose = motion.poses.elevated(degree).coefficients[:, index]
-            key = each.label(name) if name in objects else name
+            key = flown.label(name) if name in objects else name
             at_rest = np.max(np.abs(pose - body.pose[:, None])) <= REST_DRIFT
             if not (at_rest and name in objects and same_object(objects[name], body)):
                 objects[key] = body
@@ -343,29 +371,32 @@ def _joint_objects(
 def _joint_phases(teams: Sequence[TeamMotion]) -> tuple[Phase, ...]:
     """Return common phases, split where a phase of any team ends, with the names of all."""
     begin, end = teams[0].motion.drones.breaks[[0, -1]].tolist()
-    ends = [
-        np.array([begin, *(phase.end for phase in each.motion.phases[:-1]), end]) for each in teams
-    ]
-    times = np.unique(np.concatenate(ends))
+    ends = [phase.end for flown in teams for phase in flown.motion.phases[:-1]]
+    times = np.unique([begin, *ends, end])
     times = times[np.append(True, np.diff(times) > JOINT)]
     times[-1] = end
     phases = list[Phase]()
     for start, stop in pairwise(times.tolist()):
         middle = 0.5 * (start + stop)
-        active = [next(p for p in each.motion.phases if p.end >= middle) for each in teams]
+        active = [_phase_at(flown.motion, middle) for flown in teams]
         name = ", ".join(
-            f"{team.name} {phase.name}" for team, phase in zip(teams, active, strict=True)
+            f"{flown.name} {phase.name}" for flown, phase in zip(teams, active, strict=True)
         )
         step = max(phase.step for phase in active)
         phases.append(Phase(name, step, start, stop, state=CableState.NONE))
     return tuple(phases)
 
 
+def _phase_at(motion: Motion, time: float) -> Phase:
+    """Return the phase of a motion at a time [s]."""
+    return next(phase for phase in motion.phases if phase.end >= time)
+
+
 def moved_objects(motion: Motion) -> frozenset[str]:
     """Return the names of objects that a motion moves."""
-    moves = np.ptp(motion.poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
-    names = motion.requirements.objects
-    return frozenset(name for name, by in zip(names, moves, strict=True) if by > REST_DRIFT)
+    extents = np.ptp(motion.poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
+    moves = dict(zip(motion.requirements.objects, extents, strict=True))
+    return frozenset(name for name, extent in moves.items() if extent > REST_DRIFT)
 
 
 def same_object(one: SolidObject, other: SolidObject) -> bool:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.quadrotor import MODELS
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import JOINT, HoldBy, Motion
+from hitchopt.motion.motion import JOINT, HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT, in_frame
 from hitchopt.storage.yaml_file import parse_yaml
@@ -40,12 +41,14 @@ def ranged_phases(motion: Motion) -> NDArray[np.intp]:
 
     A range applies to pieces that lie entirely within its phase.
     """
-    starts, ends = motion.drones.breaks[:-1], motion.drones.breaks[1:]
-    index = np.full(motion.drones.pieces, -1, dtype=np.intp)
-    for i, phase in enumerate(motion.phases):
+    starts = motion.drones.breaks[:-1]
+    ends = motion.drones.breaks[1:]
+    ranged = np.full(motion.drones.pieces, -1, dtype=np.intp)
+    for index, phase in enumerate(motion.phases):
         if phase.tension is not None:
-            index[(starts >= phase.start - JOINT) & (ends <= phase.end + JOINT)] = i
-    return index
+            is_within = (starts >= phase.start - JOINT) & (ends <= phase.end + JOINT)
+            ranged[is_within] = index
+    return ranged
 
 
 def stated_tensions(motion: Motion) -> Array:
@@ -53,11 +56,12 @@ def stated_tensions(motion: Motion) -> Array:
 
     Both are the team's tension if the phase states no range.
     """
-    index, default = ranged_phases(motion), np.repeat(motion.team.tension[:, None], 2, axis=1)
-    stated = np.tile(default, (motion.drones.pieces, 1, 1))
-    for i, phase in enumerate(motion.phases):
+    ranged = ranged_phases(motion)
+    of_team = np.repeat(motion.team.tension[:, None], 2, axis=1)
+    stated = np.tile(of_team, (motion.drones.pieces, 1, 1))
+    for index, phase in enumerate(motion.phases):
         if phase.tension is not None:
-            stated[index == i] = phase.tension
+            stated[ranged == index] = phase.tension
     return stated
 
 
@@ -72,7 +76,8 @@ RIM_REMEDY = (
     "where they bend"
 )
 
-USUAL_DENSITY = 0.01  # Density of a cord of 4 mm [kg/m], of drones without a model
+USUAL_DENSITY = 0.01
+"""[kg/m] Density of a cord of 4 mm, which drones without a model are assumed to have."""
 
 
 def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
@@ -141,13 +146,15 @@ def sags(motion: Motion, density: float) -> Array:
 
     for a regular hitch ``z = ρ g d (l + d) / 2T``.
     """
-    team, layout, formed = motion.team, motion.team.layout, motion.formed
+    layout = motion.team.layout
+    formed = motion.formed
     points = motion.vertices.coefficients[formed, ..., 0]
     edges = length(layout.edges(points))
     cables = np.stack([layout.ahead, layout.behind])  # of a clasp's q- and r-leg
     legs = motion.legs.coefficients[formed][:, cables, [[0], [1]], 0]
     weight = 0.5 * GRAVITY * density * np.sum(legs + edges[:, cables], axis=1)
-    return np.asarray(weight / np.sum(team.tension[cables] / legs, axis=1))
+    stiffness = np.sum(motion.team.tension[cables] / legs, axis=1)
+    return np.asarray(weight / stiffness)
 
 
 def tautness(motion: Motion) -> Array:
@@ -178,18 +185,20 @@ def reduce_constants(coefficients: Array) -> Array:
 class Supports:
     """Distribution of an object's weight over the clasps below it."""
 
-    shares: Array  # (…, clasps), fractions of its mass
-    # (…, clasps, 2) [1/m], ``G_k``: derivatives of the shares by the point at which the force line
-    # meets the clasps' plane, in the object's frame
+    shares: Array
+    """(…, clasps), fractions ``μ_k`` of its mass."""
+
     gains: Array
+    """(…, clasps, 2) [1/m], ``G_k``: derivatives of the shares by the point at which the force line
+    meets the clasps' plane, in the object's frame."""
 
     @classmethod
     def at(cls, points: Array, centre: Array) -> Supports:
         """Return the distribution over points (…, clasps, 2) [m] below a centre (2,) [m]."""
         offsets = points - centre
         rows = np.concatenate([np.ones_like(offsets[..., :1]), offsets], axis=-1)
-        gains = np.swapaxes(np.linalg.pinv(rows), -1, -2)  # (…, clasps, 3)
-        return cls(gains[..., 0], gains[..., 1:])
+        solution = np.swapaxes(np.linalg.pinv(rows), -1, -2)  # (…, clasps, 3)
+        return cls(shares=solution[..., 0], gains=solution[..., 1:])
 
 
 def supports_of(motion: Motion, index: int, body: SolidObject) -> Supports:
@@ -207,27 +216,47 @@ def _local_vertices(motion: Motion, index: int) -> Array:
 def object_loads(motion: Motion) -> Array | None:
     """Return the forces ``w_k`` (pieces, clasps, 3, …) [N] of objects on clasps; None if zero."""
     loads: list[Array] = []
-    for index, body, held, share in _resting_objects(motion):
-        pose = motion.poses.coefficients[:, index]
-        supports = supports_of(motion, index, body)
-        moving = np.any(np.ptp(pose, axis=-1) > REST_DRIFT, axis=-1)[:, None, None, None]
-        accelerations = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
-        accelerations = np.where(moving, accelerations, 0.0)  # at rest on its support
-        order = max(bernstein.degree(accelerations), bernstein.degree(share))
-        specific_forces = bernstein.elevate(accelerations, order).copy()
-        specific_forces[:, :, 2] += GRAVITY * bernstein.elevate(share, order)[:, None]
-        inertial = -body.mass * supports.shares[..., None, None] * specific_forces
-        acceleration = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
-        horizontal = acceleration[:, :2] / motion.drones.durations[:, None, None] ** 2
-        x, y = np.moveaxis(np.where(moving[..., 0], horizontal, 0.0), 1, 0)
-        c, s = np.moveaxis(reduce_constants(pose[:, 3:]), 1, 0)  # into the object's frame
-        along = bernstein.multiply(x, c) + bernstein.multiply(y, s)
-        local = np.stack([along, bernstein.multiply(y, c) - bernstein.multiply(x, s)], axis=1)
-        height = body.centre_of_mass[2] - (0.0 if body.rim is None else body.rim.height)
-        shift = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, local)
-        tilting = np.stack([0.0 * shift, 0.0 * shift, shift], axis=2)
-        loads += [np.where(held[:, None, None, None], part, 0.0) for part in (inertial, tilting)]
+    for resting in _resting_objects(motion):
+        supports = supports_of(motion, resting.index, resting.body)
+        is_held = resting.held[:, None, None, None]
+        loads.append(np.where(is_held, _inertial_loads(motion, resting, supports), 0.0))
+        loads.append(np.where(is_held, _tilting_loads(motion, resting, supports), 0.0))
     return _total(loads)
+
+
+def _inertial_loads(motion: Motion, resting: RestingObject, supports: Supports) -> Array:
+    """Return the shares of weight and inertia (pieces, clasps, 3, …) [N] on clasps.
+
+    Each clasp accelerates its share of the mass as it moves itself.
+    """
+    body = resting.body
+    accelerations = motion.vertices.differentiated(2).coefficients[:, motion.team.layout.clasps]
+    accelerations = np.where(resting.moves[:, None, None, None], accelerations, 0.0)
+    order = max(bernstein.degree(accelerations), bernstein.degree(resting.load_share))
+    specific_forces = bernstein.elevate(accelerations, order).copy()
+    specific_forces[:, :, 2] += GRAVITY * bernstein.elevate(resting.load_share, order)[:, None]
+    return -body.mass * supports.shares[..., None, None] * specific_forces
+
+
+def _tilting_loads(motion: Motion, resting: RestingObject, supports: Supports) -> Array:
+    """Return the forces ``m h G_k·a ẑ`` (pieces, clasps, 3, …) [N] on clasps.
+
+    They balance the moment of the inertia of a centre of mass that is h above the clasps.
+    """
+    body = resting.body
+    pose = resting.pose
+    rim_height = 0.0 if body.rim is None else body.rim.height
+    height = body.centre_of_mass[2] - rim_height
+    acceleration = bernstein.differentiate(bernstein.differentiate(centre_path(pose, body)))
+    horizontal = acceleration[:, :2] / motion.drones.durations[:, None, None] ** 2
+    x, y = np.moveaxis(np.where(resting.moves[:, None, None], horizontal, 0.0), 1, 0)
+    cosine, sine = np.moveaxis(reduce_constants(pose[:, 3:]), 1, 0)  # of yaw
+    local_x = bernstein.multiply(x, cosine) + bernstein.multiply(y, sine)
+    local_y = bernstein.multiply(y, cosine) - bernstein.multiply(x, sine)
+    local = np.stack([local_x, local_y], axis=1)
+    upward = body.mass * height * np.einsum("pkd,pdi->pki", supports.gains, local)
+    level = np.zeros_like(upward)
+    return np.stack([level, level, upward], axis=2)
 
 
 def saved_lengths(motion: Motion) -> Array | None:
@@ -235,14 +264,17 @@ def saved_lengths(motion: Motion) -> Array | None:
 
     They grow with the square of the load share, like ``strut_shares``.
     """
-    savings, n = list[Array](), motion.team.robots
-    for index, body, held, load_share in _resting_objects(motion):
-        if body.rim is None or not motion.team.layout.closed:
+    savings = list[Array]()
+    for resting in _resting_objects(motion):
+        if resting.body.rim is None or not motion.team.layout.closed:
             continue
-        full, pulls = np.zeros((len(held), n)), motion.tensions.coefficients[held, ..., 0]
-        vertices = _local_vertices(motion, index)[held]
-        full[held] = np.sum(rim_savings(motion.team, body, vertices, pulls), axis=-1)
-        savings.append(full[..., None] * bernstein.multiply(load_share, load_share)[:, None])
+        held = resting.held
+        tensions = motion.tensions.coefficients[held, ..., 0]
+        vertices = _local_vertices(motion, resting.index)[held]
+        at_full_load = np.zeros((len(held), motion.team.robots))
+        legs = rim_savings(motion.team, resting.body, vertices, tensions)
+        at_full_load[held] = np.sum(legs, axis=-1)
+        savings.append(at_full_load[..., None] * resting.squared_share[:, None])
     return _total(savings)
 
 
@@ -252,27 +284,64 @@ def strut_shares(motion: Motion) -> Array | None:
     It grows with the square of the load share, as ``1 - cos`` of the legs' slope does.
     """
     edges = length(motion.team.layout.edges(motion.vertices.coefficients[..., 0], axis=1))
-    pulls, shares = motion.tensions.coefficients[..., 0], []
-    for _, body, held, load_share in _resting_objects(motion):
-        full = np.ones(len(held))
-        full[held] = strut_share(motion.team, body.mass, edges[held], pulls[held])
-        shares.append(full[:, None] * bernstein.multiply(load_share, load_share))
+    tensions = motion.tensions.coefficients[..., 0]
+    shares = list[Array]()
+    for resting in _resting_objects(motion):
+        held = resting.held
+        at_full_load = np.ones(len(held))
+        mass = resting.body.mass
+        at_full_load[held] = strut_share(motion.team, mass, edges[held], tensions[held])
+        shares.append(at_full_load[:, None] * resting.squared_share)
     return _total(shares)
 
 
 def held_pieces(motion: Motion, name: str, by: HoldBy) -> NDArray[np.bool_]:
     """Return on which pieces (pieces,) an object is held, either by rest or by grip."""
-    holds = [p.hold is not None and (p.hold.object, p.hold.by) == (name, by) for p in motion.phases]
-    return np.array([*holds, False])[motion.phase_of_piece]
+
+    def is_held(phase: Phase) -> bool:
+        hold = phase.hold
+        return hold is not None and hold.object == name and hold.by is by
+
+    return motion.in_phases(is_held)
 
 
-def _resting_objects(motion: Motion) -> Iterator[tuple[int, SolidObject, NDArray[np.bool_], Array]]:
-    """Yield objects on clasps: index, object, mask of the pieces (pieces,), and load share."""
+@dataclass(frozen=True, eq=False)
+class RestingObject:
+    """An object whose rim rests on clasps on some pieces of a motion."""
+
+    index: int
+    """Its index."""
+
+    body: SolidObject
+    """The object."""
+
+    pose: Array
+    """(pieces, 5, degree + 1), x, y, z [m], cosine and sine of yaw."""
+
+    held: NDArray[np.bool_]
+    """(pieces,), whether it rests on clasps."""
+
+    load_share: Array
+    """(pieces, degree + 1), the fraction of its weight that clasps carry there."""
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """(pieces,), whether it moves; else it may still stand on its support."""
+        return np.asarray(np.any(np.ptp(self.pose, axis=-1) > REST_DRIFT, axis=-1))
+
+    @property
+    def squared_share(self) -> Array:
+        """(pieces, 2 degree + 1), the square of the load share."""
+        return bernstein.multiply(self.load_share, self.load_share)
+
+
+def _resting_objects(motion: Motion) -> Iterator[RestingObject]:
+    """Yield the objects that load clasps."""
     for index, (name, body) in enumerate(motion.requirements.objects.items()):
         held = held_pieces(motion, name, HoldBy.REST)
         load_share = np.where(held[:, None], motion.load_share.coefficients[:, index], 0.0)
         if np.any(load_share):
-            yield index, body, held, load_share
+            yield RestingObject(index, body, motion.poses.coefficients[:, index], held, load_share)
 
 
 def _total(parts: list[Array]) -> Array | None:
@@ -307,9 +376,10 @@ def rim_drop(
     From above, legs extend the two edges at their vertex. Vertices (…, n, 2) [m] are clockwise in
     the object's frame, with tensions (…, n) [N] and the share (…) of the weight on the legs.
     """
-    onward, back, edges = _distances_to_rim(body, vertices)
-    angle = _rise_angle(team, body.mass, edges, tensions, load_share)
-    return np.asarray(np.mean(onward + back, axis=-1) * 0.5 * np.tan(angle))
+    distances = _distances_to_rim(body, vertices)
+    angle = _rise_angle(team, body.mass, distances.edges, tensions, load_share)
+    both_legs = distances.onward + distances.back
+    return np.asarray(np.mean(both_legs, axis=-1) * 0.5 * np.tan(angle))
 
 
 def rim_savings(team: Team, body: SolidObject, vertices: Array, tensions: Array) -> Array:
@@ -318,24 +388,43 @@ def rim_savings(team: Team, body: SolidObject, vertices: Array, tensions: Array)
     Under the full weight, cables are level up to the rim's edge and rise beyond it. Parameters are
     those of ``rim_drop``.
     """
-    onward, back, edges = _distances_to_rim(body, vertices)
-    excess = 1.0 / np.cos(_rise_angle(team, body.mass, edges, tensions)) - 1.0
-    spans = np.stack([np.roll(onward, 1, axis=-1), np.roll(back, -1, axis=-1)], axis=-1)
-    return np.asarray(spans * excess[..., None, None])
+    distances = _distances_to_rim(body, vertices)
+    angle = _rise_angle(team, body.mass, distances.edges, tensions)
+    excess = 1.0 / np.cos(angle) - 1.0
+    # q_k extends edge k-1, r_k extends edge k+1.
+    below_q = np.roll(distances.onward, 1, axis=-1)
+    below_r = np.roll(distances.back, -1, axis=-1)
+    return np.asarray(np.stack([below_q, below_r], axis=-1) * excess[..., None, None])
 
 
-def _distances_to_rim(body: SolidObject, vertices: Array) -> tuple[Array, Array, Array]:
-    """Return distances from edges' ends and starts to the rim, and edges' lengths (…, n) [m]."""
+class RimDistances(NamedTuple):
+    """Distances (…, n) [m] along the lines of edges that extend to a rim."""
+
+    onward: Array
+    """Distances from the end of each edge to the rim's edge."""
+
+    back: Array
+    """Distances from the start of each edge to the rim's edge."""
+
+    edges: Array
+    """The lengths of edges."""
+
+
+def _distances_to_rim(body: SolidObject, vertices: Array) -> RimDistances:
+    """Return the distances of a polygon (…, n, 2) [m] in an object's frame."""
     if body.rim is None:
         raise InputError("rim", None, "given", "rest objects with a rim on clasps")
-    next_vertices, reach = np.roll(vertices, -1, axis=-2), body.rim.section.reach
-    along = unit(next_vertices - vertices)
-    return reach(next_vertices, along), reach(vertices, -along), length(next_vertices - vertices)
+    reach = body.rim.section.reach
+    next_vertices = np.roll(vertices, -1, axis=-2)
+    edges = next_vertices - vertices
+    along = unit(edges)
+    return RimDistances(reach(next_vertices, along), reach(vertices, -along), length(edges))
 
 
 def centre_path(pose: Array, body: SolidObject) -> Array:
     """Return the path of the centre of mass (pieces, 3, …) [m] for poses of its object."""
     x, y, z = body.centre_of_mass
-    c, s = pose[:, 3], pose[:, 4]
-    offset = np.stack([c * x - s * y, s * x + c * y, np.full_like(c, z)], axis=1)
-    return np.asarray(pose[:, :3] + offset)
+    cosine = pose[:, 3]
+    sine = pose[:, 4]
+    offset = [cosine * x - sine * y, sine * x + cosine * y, np.full_like(cosine, z)]
+    return np.asarray(pose[:, :3] + np.stack(offset, axis=1))

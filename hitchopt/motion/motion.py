@@ -23,9 +23,11 @@ from hitchopt.values import check_instance, lazy, sequence, true_runs
 JOINT = 1e-6
 """[s] Largest gap between phases, and between a change of the cables' state and a break."""
 
-WAIT = "wait"  # Name of phases in which a team waits at rest while others fly
+WAIT = "wait"
+"""Name of phases in which a team waits at rest while others fly."""
 
-TAKE_OFF = "take-off"  # Name of phases in which tying begins, up from the ground
+TAKE_OFF = "take-off"
+"""Name of phases in which tying begins, up from the ground."""
 
 SETTLE = "settle"
 """Name of phases in which drones swing to remove friction hysteresis, at the end of a step."""
@@ -109,7 +111,7 @@ class Phase(OneLine):
     name: a label without effect, such as ``morph`` or ``hold``.
     step: index of its step in the mission.
     start, end: [s]
-    remark: deviation from the request and its reason; usually empty.
+    remark: how the motion deviates from the request, and why, in words; usually empty.
     state: state of the cables.
     tension: smallest and largest tension [N] that the step allows during its motion; None for the
         team's tensions. Part of the problem: the check ``tension`` requires this range, and the
@@ -143,8 +145,9 @@ def check_phases(phases: Sequence[Phase], start: float, end: float) -> None:
     """
     spans = [[phase.start, phase.end] for phase in phases]
     covered = not spans or (spans[0][0] <= start + JOINT and spans[-1][1] >= end - JOINT)
-    contiguous = all(abs(b[0] - a[1]) <= JOINT for a, b in pairwise(spans))
-    if not (covered and contiguous and all(first < last for first, last in spans)):
+    contiguous = all(abs(later[0] - earlier[1]) <= JOINT for earlier, later in pairwise(spans))
+    ascending = all(first < last for first, last in spans)
+    if not (covered and contiguous and ascending):
         bound = f"one after the other from {start:g} to {end:g} s, each ending after it starts"
         remedy = "start each phase where the previous one ends"
         raise InputError("phases", spans, bound, remedy)
@@ -166,8 +169,11 @@ SOURCES: dict[str, frozenset[str]] = {
 """Curves that need not be passed, and the fields from which they follow without friction, wrapped
 edges and objects that move."""
 
-PLAIN: Any = None  # Stands for a curve that follows from its sources (``Motion``)
-PLAIN_TOLERANCE = 1e-9  # [m], [N] Largest difference from a plain curve that counts as none
+PLAIN: Any = None
+"""Stands for a curve that follows from its sources (``Motion``)."""
+
+PLAIN_TOLERANCE = 1e-9
+"""[m], [N] Largest difference from a plain curve that counts as none."""
 
 SHARE_TOLERANCE = 2.0**-40
 """Load shares this close to 0 or 1 are set to 0 or 1: elevating the degree rounds them."""
@@ -225,7 +231,8 @@ class Motion(OneLine):
 
     def __post_init__(self) -> None:
         self._check_types()
-        n, objects = self.team.robots, len(self.requirements.objects)
+        n = self.team.robots
+        objects = len(self.requirements.objects)
         shapes = {
             "drones": (self.team.drones, 3),
             "vertices": (self.team.layout.points, 3),
@@ -252,7 +259,11 @@ class Motion(OneLine):
             bound = "none without cables, another state with them"
             states = [str(phase.state) for phase in self.phases]
             raise InputError("phases.state", states, bound, "set the state of the cables")
-        changes = [b.start for a, b in pairwise(self.phases) if a.state != b.state]
+        changes = [
+            phase.start
+            for previous, phase in pairwise(self.phases)
+            if previous.state != phase.state
+        ]
         if any(np.min(np.abs(time - breaks)) > JOINT for time in changes):
             remedy = "split the pieces there"
             raise InputError("phases", changes, "breaks where states change", remedy)
@@ -266,37 +277,39 @@ class Motion(OneLine):
                 check_instance(name, getattr(self, name), PiecewisePolynomial)
         phases = sequence("phases", self.phases)
         object.__setattr__(self, "phases", phases)
-        for i, phase in enumerate(phases):
-            check_instance(f"phases[{i}]", phase, Phase)
+        for index, phase in enumerate(phases):
+            check_instance(f"phases[{index}]", phase, Phase)
 
     def _plain_curve(self, name: str) -> PiecewisePolynomial:
         """Return a curve of SOURCES as it is without friction, wrapped edges and moving objects."""
+        layout = self.team.layout
+        vertices = self.vertices.coefficients
         if name == "leg_tensions":
-            c = self.tensions.coefficients
-            return self.tensions.replaced(np.stack([c, c], axis=2))
+            tensions = self.tensions.coefficients
+            return self.tensions.replaced(np.stack([tensions, tensions], axis=2))
         if name == "contacts":
-            c, layout = self.vertices.coefficients, self.team.layout
-            middles = 0.5 * (c[:, layout.starts] + c[:, layout.ends])
+            middles = 0.5 * (vertices[:, layout.starts] + vertices[:, layout.ends])
             return self.vertices.replaced(np.stack([middles, middles], axis=2))
         if name == "anchors":
-            c, anchors = self.vertices.coefficients, self.team.layout.anchors
-            shape = len(c), self.team.robots, 2, *c.shape[2:]
-            return self.vertices.replaced(c[:, anchors].reshape(shape))
+            shape = len(vertices), self.team.robots, 2, *vertices.shape[2:]
+            return self.vertices.replaced(vertices[:, layout.anchors].reshape(shape))
         objects = self.requirements.objects
         rest = poses_of(objects) if name == "poses" else np.zeros(len(objects))
         return PiecewisePolynomial.constant(self.drones.breaks, rest)
 
     def _is_plain(self, name: str) -> bool:
         """Return whether a curve of SOURCES is as without friction, wraps and moving objects."""
-        stored, plain = getattr(self, name), self._plain_curve(name)
-        if stored.shape != plain.shape:
+        curve: PiecewisePolynomial = getattr(self, name)
+        plain = self._plain_curve(name)
+        if curve.shape != plain.shape:
             return False
-        parts = same_degree(stored.coefficients, plain.coefficients)
-        return bool(np.max(np.abs(parts[0] - parts[1]), initial=0.0) <= PLAIN_TOLERANCE)
+        coefficients, plain_coefficients = same_degree(curve.coefficients, plain.coefficients)
+        differences = np.abs(coefficients - plain_coefficients)
+        return bool(np.max(differences, initial=0.0) <= PLAIN_TOLERANCE)
 
     @lazy
-    def has_friction(self) -> bool:
-        """Whether any leg's tension differs from its cable's."""
+    def leg_tensions_differ(self) -> bool:
+        """Whether any leg's tension differs from its edge's, as where friction bears a part."""
         return not self._is_plain("leg_tensions")
 
     @lazy
@@ -315,9 +328,9 @@ class Motion(OneLine):
         plain = self._plain_curve("anchors")
         if not self.has_bent_cables:
             return plain
-        bent = self.in_states(frozenset({CableState.BENT}))[:, None, None, None, None]
-        both = same_degree(self.anchors.coefficients, plain.coefficients)
-        return plain.replaced(np.where(bent, *both))
+        is_bent = self.in_states(frozenset({CableState.BENT}))[:, None, None, None, None]
+        anchors, vertices = same_degree(self.anchors.coefficients, plain.coefficients)
+        return plain.replaced(np.where(is_bent, anchors, vertices))
 
     @property
     def pull_points(self) -> PiecewisePolynomial:
@@ -338,13 +351,21 @@ class Motion(OneLine):
 
         Phases of a team without cables get the state ``none``.
         """
-        shapes = (team.layout.points, 3), (team.robots, 2), (team.robots,)
-        vertices, legs, tensions = (
-            PiecewisePolynomial.constant(drones.breaks, np.zeros(shape)) for shape in shapes
-        )
         if not team.has_cables:
             phases = [replace(phase, state=CableState.NONE) for phase in phases]
-        return cls(team, requirements, drones, vertices, legs, tensions, tuple(phases))
+
+        def zero(*shape: int) -> PiecewisePolynomial:
+            return PiecewisePolynomial.constant(drones.breaks, np.zeros(shape))
+
+        return cls(
+            team,
+            requirements,
+            drones,
+            vertices=zero(team.layout.points, 3),
+            legs=zero(team.robots, 2),
+            tensions=zero(team.robots),
+            phases=tuple(phases),
+        )
 
     @property
     def assignment(self) -> Assignment | None:
@@ -388,11 +409,21 @@ class Motion(OneLine):
         """Return whether the cables are in one of the states on each piece (pieces,)."""
         present = self.cable_states
         if present <= states or present.isdisjoint(states):
-            every = np.empty(self.drones.pieces, dtype=np.bool_)
-            every[:] = present <= states
-            return every
-        in_phase: NDArray[np.bool_] = np.array([p.state in states for p in self.phases])
-        return in_phase[self.phase_of_piece]
+            return np.full(self.drones.pieces, present <= states)
+        return self.in_phases(lambda phase: phase.state in states)
+
+    def in_phases(self, condition: Callable[[Phase], bool]) -> NDArray[np.bool_]:
+        """Return whether the phase of each piece meets a condition (pieces,).
+
+        Without phases, no piece does.
+        """
+        fulfilled = np.array([*map(condition, self.phases), False])
+        return np.asarray(fulfilled[self.phase_of_piece])
+
+    @property
+    def holding(self) -> NDArray[np.bool_]:
+        """(pieces,): whether the cables hold an object on each piece."""
+        return self.in_phases(lambda phase: phase.hold is not None)
 
     @property
     def phase_of_piece(self) -> NDArray[np.intp]:
@@ -413,8 +444,9 @@ class Motion(OneLine):
 
     def overlapping(self, start: float, end: float) -> tuple[Phase, ...]:
         """Return the phases that overlap the time from ``start`` to ``end`` [s]."""
-        start, end = start + JOINT, end - JOINT
-        return tuple([p for p in self.phases if p.end > start and p.start < end])
+        start += JOINT
+        end -= JOINT
+        return tuple([phase for phase in self.phases if phase.end > start and phase.start < end])
 
     def slice_pieces(self, pieces: slice, phases: Sequence[Phase]) -> Motion:
         """Return the motion on a run of pieces, at the same times, with other phases."""
@@ -453,7 +485,7 @@ class Motion(OneLine):
 
     def slowed(self, factor: float) -> Motion:
         """Return the same curves and phases, slowed down by ``factor``; the motion starts at 0."""
-        phases = [p.retimed(factor * p.start, factor * p.end) for p in self.phases]
+        phases = [phase.retimed(factor * phase.start, factor * phase.end) for phase in self.phases]
         return self.map_curves(lambda part: part.stretched(factor), phases)
 
 
@@ -475,5 +507,7 @@ def concatenated(motions: Sequence[Motion]) -> Motion:
 
 def _snapped(share: PiecewisePolynomial) -> PiecewisePolynomial:
     """Return load shares with those within SHARE_TOLERANCE of 0 or 1 set to 0 or 1."""
-    c, nearest = share.coefficients, np.round(share.coefficients)
-    return share.replaced(np.where(np.abs(c - nearest) <= SHARE_TOLERANCE, nearest, c))
+    shares = share.coefficients
+    nearest = np.round(shares)
+    is_near = np.abs(shares - nearest) <= SHARE_TOLERANCE
+    return share.replaced(np.where(is_near, nearest, shares))

@@ -52,8 +52,11 @@ MAX_COEFFICIENT = 1e5
 MAX_DEGREE = 60
 """Largest degree of a plan's curves."""
 
-MAX_STEPS = 2**31  # Upper bound of a step's index, exclusive
-TOLERANCE = 1e-9  # Largest difference of the curves of an external plan from those of its own file
+MAX_STEPS = 2**31
+"""Upper bound of a step's index, exclusive."""
+
+TOLERANCE = 1e-9
+"""Largest difference of the curves of an external plan from those of its own file."""
 
 
 class Records(NamedTuple):
@@ -92,22 +95,26 @@ def write_plan(
     settings = json.dumps(_settings(saved), allow_nan=False)
     arrays = {"format": np.array(FORMAT), "settings": np.array(settings)}
     for folder, teams in ((GROUPS, flight.teams), (OTHERS, flight.others)):
-        for i, each in enumerate(teams):
-            arrays |= {f"{folder}/{i}/{name}": x for name, x in _arrays(each.motion).items()}
+        for index, flown in enumerate(teams):
+            for name, array in _arrays(flown.motion).items():
+                arrays[f"{folder}/{index}/{name}"] = array
     with path.open("wb") as file:
         np.savez(file, allow_pickle=False, **arrays)
 
 
 def _settings(saved: SavedPlan) -> dict[str, Any]:
     """Return everything but arrays, as JSON values."""
-    heads = {
-        key: [_head(each) for each in teams]
-        for key, teams in ((GROUPS, saved.flight.teams), (OTHERS, saved.flight.others))
-    }
     data = parse_yaml(saved.problem, "problem") if saved.problem else None
-    request = data if isinstance(data, dict) else None
-    settings = {"title": saved.title, "problem": saved.problem, "request": request, **heads}
-    return settings | ({RULES: encoded(saved.stated_rules)} if saved.stated_rules else {})
+    settings = {
+        "title": saved.title,
+        "problem": saved.problem,
+        "request": data if isinstance(data, dict) else None,
+        GROUPS: [_head(flown) for flown in saved.flight.teams],
+        OTHERS: [_head(flown) for flown in saved.flight.others],
+    }
+    if saved.stated_rules:
+        settings[RULES] = encoded(saved.stated_rules)
+    return settings
 
 
 def _head(flown: TeamMotion) -> dict[str, Any]:
@@ -123,10 +130,10 @@ def _head(flown: TeamMotion) -> dict[str, Any]:
 
 def _arrays(motion: Motion) -> dict[str, NDArray[np.float64]]:
     """Return the arrays of one team's motion, drones and robots in the order of the problem."""
-    team, (_, *names) = motion.team, _stored([*motion.cable_states])
+    names = _stored_curves([*motion.cable_states])
     curves = {name: getattr(motion, name).coefficients for name in names}
-    if team.assignment is not None:
-        curves |= in_order(curves, team.listed, team.edges)
+    if motion.team.assignment is not None:
+        curves |= in_order(curves, motion.team.listed, motion.team.edges)
     return {"breaks": motion.drones.breaks, **curves}
 
 
@@ -140,7 +147,8 @@ def in_order(
     """Return the arrays of drones and cables with their rows in another order."""
     ordered = {"tensions": curves["tensions"][:, robots]}
     for name in OF_DRONES:
-        if (array := curves.get(name)) is not None:
+        array = curves.get(name)
+        if array is not None:
             rows = array.reshape(len(array), len(drones), -1)
             ordered[name] = rows[:, drones].reshape(array.shape)
     return ordered
@@ -152,15 +160,16 @@ def with_cables(phases: Iterable[Phase], numbers: Sequence[int]) -> tuple[Phase,
     def renamed(phase: Phase) -> Phase:
         if phase.hold is None:
             return phase
-        cables = tuple(int(numbers[k]) for k in phase.hold.cables)
+        cables = tuple(int(numbers[cable]) for cable in phase.hold.cables)
         return replace(phase, hold=replace(phase.hold, cables=cables))
 
     return tuple(map(renamed, phases))
 
 
-def _stored(states: Sequence[str]) -> list[str]:
-    """Return the names of breaks and curves that are stored for cables in these states."""
-    return ["breaks", *(x for x in CURVES if CableState.BENT in states or x != "anchors")]
+def _stored_curves(states: Sequence[str]) -> list[str]:
+    """Return the names of the curves that are stored for cables in these states."""
+    has_anchors = CableState.BENT in states
+    return [name for name in CURVES if has_anchors or name != "anchors"]
 
 
 def read_plan(path: Path) -> Flight:
@@ -176,9 +185,12 @@ def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[TeamMotio
     """
     return tuple(
         TeamMotion(
-            ".".join(filter(None, (name, each.name))), shifted(each.motion, at), digest(path), plan
+            f"{name}.{flown.name}" if flown.name else name,
+            shifted(flown.motion, at),
+            digest(path),
+            plan,
         )
-        for each in read_plan(path).teams
+        for flown in read_plan(path).teams
     )
 
 
@@ -187,15 +199,15 @@ def is_of(other: TeamMotion, path: Path) -> bool:
     try:
         at = float(other.motion.drones.breaks[0])
         teams = saved_others(other.name.partition(".")[0], path, other.plan, at)
-        saved = next(each for each in teams if each.name == other.name)
+        saved = next(flown for flown in teams if flown.name == other.name)
         check_same("", _head(saved), _head(other), "as in its plan")
     except (FileError, InputError, StopIteration):
         return False
-    arrays, saved_arrays = _arrays(other.motion), _arrays(saved.motion)
+    arrays = _arrays(other.motion)
     return all(
-        arrays[name].shape == array.shape
-        and np.allclose(arrays[name], array, rtol=0.0, atol=TOLERANCE)
-        for name, array in saved_arrays.items()
+        arrays[name].shape == saved_array.shape
+        and np.allclose(arrays[name], saved_array, rtol=0.0, atol=TOLERANCE)
+        for name, saved_array in _arrays(saved.motion).items()
     )
 
 
@@ -233,21 +245,30 @@ def _saved_plan(path: Path) -> SavedPlan:
     settings = json.loads(str(read_arrays(path, ["settings"])["settings"]))
     if not isinstance(settings, dict):
         raise InputError("settings", settings, "a mapping", "use a plan that hitchopt wrote")
-    teams, others = (
-        tuple([_team_motion(path, key, i, head) for i, head in enumerate(settings[key])])
-        for key in (GROUPS, OTHERS)
-    )
+    teams = _team_motions(path, GROUPS, settings[GROUPS])
+    others = _team_motions(path, OTHERS, settings[OTHERS])
     _check_teams(teams)
-    title, problem = line("title", settings["title"]), text("problem", settings["problem"])
-    rules = decoded(tuple[StatedRule, ...], settings.get(RULES, []))
-    saved = SavedPlan(Flight(teams, others), title, problem, rules)
+    saved = SavedPlan(
+        Flight(teams, others),
+        title=line("title", settings["title"]),
+        problem=text("problem", settings["problem"]),
+        stated_rules=decoded(tuple[StatedRule, ...], settings.get(RULES, [])),
+    )
     check_same("", _settings(saved), settings, "as plans are written")
     return saved
 
 
+def _team_motions(
+    path: Path, key: str, heads: Sequence[Mapping[str, Any]]
+) -> tuple[TeamMotion, ...]:
+    """Return teams, or those of external plans, from their heads and arrays."""
+    return tuple([_team_motion(path, key, index, head) for index, head in enumerate(heads)])
+
+
 def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> TeamMotion:
     """Return a team, or one of an external plan, from its head and its arrays."""
-    names = _stored([phase["state"] for phase in head["records"]["phases"]])
+    states = [phase["state"] for phase in head["records"]["phases"]]
+    names = ["breaks", *_stored_curves(states)]
     stored = read_arrays(path, [f"{key}/{index}/{label}" for label in names])
     arrays = dict(zip(names, stored.values(), strict=True))
     name = text("name", head["name"])
@@ -257,10 +278,7 @@ def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> T
                 raise InputError(label, array.dtype, "of double precision", "do not convert it")
         curves = {label: array for label, array in arrays.items() if label != "breaks"}
         for label, array in curves.items():
-            if array.size and not np.max(np.abs(array)) <= MAX_COEFFICIENT:
-                raise InputError(label, "a coefficient", f"within ±{MAX_COEFFICIENT:g}", REMEDY)
-            if (degree := array.shape[-1] - 1) > MAX_DEGREE:
-                raise InputError(label, f"of degree {degree}", f"at most {MAX_DEGREE}", REMEDY)
+            _check_coefficients(label, array)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UnitWarning)  # said of the problem, under its keys
             team, requirements, phases, assignment = decoded(Records, head["records"])
@@ -268,43 +286,65 @@ def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> T
             team = assignment.team(team)
             curves |= in_order(curves, assignment.drones, np.array(assignment.robots))
             phases = with_cables(phases, team.edges.tolist())
-        parts: dict[str, Any] = {
-            x: PiecewisePolynomial(arrays["breaks"], c) for x, c in curves.items()
+        polynomials: dict[str, Any] = {
+            label: PiecewisePolynomial(arrays["breaks"], array) for label, array in curves.items()
         }
-        motion = Motion(team, requirements, phases=phases, **parts)
+        motion = Motion(team, requirements, phases=phases, **polynomials)
         first = float(motion.drones.breaks[0])
         if key == GROUPS and first != 0.0:
             raise InputError("breaks", first, "rising from 0", REMEDY)
         _check_phases(motion)
-        poses, objects = motion.poses.coefficients[0, ..., 0], motion.requirements.objects
+        objects = motion.requirements.objects
+        poses = motion.poses.coefficients[0, ..., 0]
         if np.max(np.abs(poses - poses_of(objects)), initial=0.0) > REST_DRIFT:
             raise InputError("poses", poses.tolist(), "where the objects stand", REMEDY)
         check_overlaps(objects)
     except InputError as error:
         raise error.within(f"{key}.{name}" if name else key) from error
-    origin = [text(label, head[label]) for label in ("digest", "plan")]
-    return TeamMotion(name, motion, *(origin if key == OTHERS else ()))
+    file_digest = text("digest", head["digest"])
+    plan = text("plan", head["plan"])
+    if key == OTHERS:
+        return TeamMotion(name, motion, file_digest, plan)
+    return TeamMotion(name, motion)
+
+
+def _check_coefficients(name: str, curve: NDArray[np.float64]) -> None:
+    """Raise InputError for a curve of too large a degree, or with coefficients that are."""
+    if curve.size and not np.max(np.abs(curve)) <= MAX_COEFFICIENT:
+        raise InputError(name, "a coefficient", f"within ±{MAX_COEFFICIENT:g}", REMEDY)
+    degree = curve.shape[-1] - 1
+    if degree > MAX_DEGREE:
+        raise InputError(name, f"of degree {degree}", f"at most {MAX_DEGREE}", REMEDY)
 
 
 def _check_teams(teams: Sequence[TeamMotion]) -> None:
     """Raise InputError unless teams end together, and nothing moves in phases named WAIT."""
-    for each in teams:
-        end, duration = each.motion.duration, teams[0].motion.duration
+    duration = teams[0].motion.duration
+    for flown in teams:
+        end = flown.motion.duration
         if abs(end - duration) > JOINT:
             bound = f"up to {duration:g} s, as for all teams"
-            raise InputError(f"{each.name}.breaks", end, bound, REMEDY)
-        for index, phase in enumerate(each.motion.phases if len(teams) > 1 else ()):
-            pieces = each.motion.phase_of_piece == index
-            if phase.name != WAIT or not np.any(pieces):
-                continue
-            for curve in (getattr(each.motion, name).coefficients[pieces] for name in CURVES):
-                if np.max(np.ptp(curve, axis=(0, -1)), initial=0.0) > REST_DRIFT:
-                    key, bound = f"{each.name}.phases[{index}].name", "of a phase of rest"
-                    raise InputError(key, WAIT, bound, REMEDY)
+            raise InputError(f"{flown.name}.breaks", end, bound, REMEDY)
+        if len(teams) > 1:
+            _check_waits(flown)
+
+
+def _check_waits(flown: TeamMotion) -> None:
+    """Raise InputError if anything moves in a phase named WAIT."""
+    motion = flown.motion
+    for index, phase in enumerate(motion.phases):
+        pieces = motion.phase_of_piece == index
+        if phase.name != WAIT or not np.any(pieces):
+            continue
+        for name in CURVES:
+            curve = getattr(motion, name).coefficients[pieces]
+            if np.max(np.ptp(curve, axis=(0, -1)), initial=0.0) > REST_DRIFT:
+                key = f"{flown.name}.phases[{index}].name"
+                raise InputError(key, WAIT, "of a phase of rest", REMEDY)
 
 
 def _check_phases(motion: Motion) -> None:
-    """Raise InputError for phases with invalid times, ranges, rings, or holds of missing objects.
+    """Raise InputError for phases with invalid times or ranges, or holds of missing objects.
 
     The motion has verified that they are contiguous and cover the pieces.
     """
@@ -313,7 +353,8 @@ def _check_phases(motion: Motion) -> None:
     if not spans or max(abs(spans[0][0] - first), abs(spans[-1][1] - last)) > JOINT:
         words = f"one after the other from {first:g} to {last:g} s"
         raise InputError("phases", spans, words, REMEDY)
-    objects, cables = motion.requirements.objects, range(motion.team.robots)
+    objects = motion.requirements.objects
+    cables = range(motion.team.robots)
     for phase in motion.phases:
         if not 0 <= phase.step < MAX_STEPS:
             raise InputError("phases.step", phase.step, "an index of a step", REMEDY)

@@ -17,6 +17,7 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
@@ -50,8 +51,10 @@ OMITTED: dict[type, tuple[str, ...]] = {
 """Fields of records that plan files omit where they are None."""
 
 SLACK = {"request.start": POSITION_TOLERANCE, "request.mission": POSITION_TOLERANCE}
+"""Largest differences of numbers by the beginning of their keys."""
 
-TENSION_SLACK = 1e-4  # [N] Largest excess over a range of tensions, as in the check ``tension``
+TENSION_SLACK = 1e-4
+"""[N] Largest excess over a range of tensions, as in the check ``tension``."""
 
 
 def encoded(value: Any) -> Any:
@@ -61,18 +64,18 @@ def encoded(value: Any) -> Any:
     if isinstance(value, Swarm):
         value = {"drones": value.drones, "quadrotor": value.quadrotor}
     elif is_dataclass(value):
-        values = {each.name: getattr(value, each.name) for each in fields(value)}
+        values = {field.name: getattr(value, field.name) for field in fields(value)}
         if isinstance(value, Team):
             del values["assignment"]  # records of plans have it beside the team
         omitted = OMITTED.get(type(value), ())
         absent = [name for name in omitted if values[name] is None]
-        value = {name: each for name, each in values.items() if name not in absent}
+        value = {name: item for name, item in values.items() if name not in absent}
     elif isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):
-        return {name: encoded(each) for name, each in value.items()}
+        return {name: encoded(item) for name, item in value.items()}
     if isinstance(value, list | tuple):
-        return [encoded(each) for each in value]
+        return [encoded(item) for item in value]
     if isinstance(value, np.ndarray | np.generic):
         return value.tolist()
     return value.value if isinstance(value, Enum) else value
@@ -81,47 +84,64 @@ def encoded(value: Any) -> Any:
 _hints = cache(get_type_hints)
 
 
+PLAIN_TYPES = {float: (float, int), int: (int,), str: (str,), bool: (bool,)}
+"""Types of JSON values of plain types."""
+
+
 def decoded(kind: Any, value: Any) -> Any:
     """Return the value of a type from JSON values; constructors check records.
 
     Raises TypeError, ValueError, KeyError or InputError for values of another form.
     """
-    origin, args = get_origin(kind), get_args(kind)
-    known = {float: (float, int), int: (int,), str: (str,), bool: (bool,)}.get(kind)
-    if known is not None and type(value) not in known:
+    origin = get_origin(kind)
+    arguments = get_args(kind)
+    if kind in PLAIN_TYPES and type(value) not in PLAIN_TYPES[kind]:
         raise InputError("", value, f"of the type {kind.__name__}", REMEDY)
     if origin in (Union, UnionType):
-        if value is None and NoneType in args:
-            return None
-        form: Any = tuple if isinstance(value, list) else type(value)
-        arms = [each for each in args if each is not NoneType and get_origin(each) is not Mapping]
-        fitting = [
-            each
-            for each in arms
-            if get_origin(each) is form or (form is dict and is_dataclass(each))
-        ]
-        value = decoded((fitting or arms)[0], value)
-    elif origin is tuple:
-        kinds = args[:1] * len(value) if args[1:] == (...,) else args
-        value = tuple(decoded(*each) for each in zip(kinds, value, strict=True))
-    elif isinstance(origin, type) and issubclass(origin, Mapping):
-        value = {name: decoded(args[1], each) for name, each in value.items()}
-    elif kind is Team and "drones" in value:
+        return _decoded_union(arguments, value)
+    if origin is tuple:
+        is_of_any_length = arguments[1:] == (...,)
+        kinds = arguments[:1] * len(value) if is_of_any_length else arguments
+        return tuple(decoded(*pair) for pair in zip(kinds, value, strict=True))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {name: decoded(arguments[1], item) for name, item in value.items()}
+    if (is_dataclass(kind) and kind is not ConvexPolygon) or hasattr(kind, "_fields"):
+        return _decoded_record(kind, value)
+    is_enumerated = isinstance(kind, type) and issubclass(kind, Enum)
+    return kind(value) if is_enumerated else value
+
+
+def _decoded_union(kinds: Sequence[Any], value: Any) -> Any:
+    """Return the value of one of several types: the first one of its form, else the first one."""
+    if value is None and NoneType in kinds:
+        return None
+    form: Any = tuple if isinstance(value, list) else type(value)
+    candidates = [
+        kind for kind in kinds if kind is not NoneType and get_origin(kind) is not Mapping
+    ]
+    fitting = [
+        kind
+        for kind in candidates
+        if get_origin(kind) is form or (form is dict and is_dataclass(kind))
+    ]
+    return decoded((fitting or candidates)[0], value)
+
+
+def _decoded_record(kind: Any, value: Mapping[str, Any]) -> Any:
+    """Return a record from a mapping of its fields; a team of single drones is a swarm."""
+    if kind is Team and "drones" in value:
         kinds = decoded(tuple[Quadrotor, ...], value["quadrotor"])
-        value = Swarm(value["drones"], quadrotor=kinds)
-    elif (is_dataclass(kind) and kind is not ConvexPolygon) or hasattr(kind, "_fields"):
-        hints, values = _hints(kind), dict[str, Any]()
-        for name, each in value.items():
-            if name not in hints:
-                raise InputError(name, each, "a known key", REMEDY)
-            try:
-                values[name] = decoded(hints[name], each)
-            except InputError as error:
-                raise error.within(name) from error
-        value = kind(**values)
-    elif isinstance(kind, type) and issubclass(kind, Enum):
-        value = kind(value)
-    return value
+        return Swarm(value["drones"], quadrotor=kinds)
+    hints = _hints(kind)
+    values = dict[str, Any]()
+    for name, item in value.items():
+        if name not in hints:
+            raise InputError(name, item, "a known key", REMEDY)
+        try:
+            values[name] = decoded(hints[name], item)
+        except InputError as error:
+            raise error.within(name) from error
+    return kind(**values)
 
 
 def check_same(
@@ -132,11 +152,18 @@ def check_same(
     Numbers are equal within TOLERANCE, and within ``slack`` where keys begin so.
     """
     if isinstance(request, dict) and isinstance(value, dict):  # most records are exactly equal
-        same = {k for k, x in request.items() if is_dataclass(x) and x == value.get(k)}
-        request, value = ({k: x[k] for k in x if k not in same} for x in (request, value))
-    requested, actual = (dict(_leaves(prefix, encoded(each))) for each in (request, value))
+        equal = {
+            key
+            for key, record in request.items()
+            if is_dataclass(record) and record == value.get(key)
+        }
+        request = {key: record for key, record in request.items() if key not in equal}
+        value = {key: record for key, record in value.items() if key not in equal}
+    requested = dict(_leaves(prefix, encoded(request)))
+    actual = dict(_leaves(prefix, encoded(value)))
     for key in requested | actual:
-        allowed = max([by for name, by in (slack or {}).items() if key.startswith(name)] or [0.0])
+        slacks = [by for beginning, by in (slack or {}).items() if key.startswith(beginning)]
+        allowed = max(slacks, default=0.0)
         in_both = key in requested and key in actual
         if not (in_both and _equal(requested[key], actual[key], allowed)):
             bound = f"{requested[key]!r} {suffix}" if key in requested else f"omitted {suffix}"
@@ -146,40 +173,48 @@ def check_same(
 def _leaves(key: str, value: Any) -> Iterator[tuple[str, Any]]:
     """Yield single values and empty containers by their keys in the file."""
     if isinstance(value, dict) and value:
-        for name, each in value.items():
-            yield from _leaves(f"{key}.{name}".lstrip("."), each)
+        for name, item in value.items():
+            yield from _leaves(f"{key}.{name}".lstrip("."), item)
     elif isinstance(value, list) and value:
-        for i, each in enumerate(value):
-            yield from _leaves(f"{key}[{i}]", each)
+        for index, item in enumerate(value):
+            yield from _leaves(f"{key}[{index}]", item)
     else:
         yield key, value
 
 
 def _equal(request: Any, value: Any, slack: float) -> bool:
     """Return whether single values are equal, numbers within TOLERANCE and ``slack``."""
-    if any(
-        isinstance(each, bool) or not isinstance(each, int | float) for each in (request, value)
-    ):
-        return type(request) is type(value) and bool(request == value)
-    return math.isclose(request, value, rel_tol=TOLERANCE, abs_tol=slack)
+    if _is_number(request) and _is_number(value):
+        return math.isclose(request, value, rel_tol=TOLERANCE, abs_tol=slack)
+    return type(request) is type(value) and bool(request == value)
+
+
+def _is_number(value: Any) -> bool:
+    """Return whether a value is a number, which true and false are not."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
 
 
 def request_of(motion: Motion) -> dict[str, Any]:
     """Return the request that a motion satisfies, with robots in the order of the problem."""
-    team, first = motion.team, motion.drones.coefficients[0, ..., 0]
+    team = motion.team
     requirements = replace(motion.requirements, objects=objects_at(motion))
-    start: dict[str, Any] = {"drones": first}
-    if team.has_cables:
-        first, team = first[team.listed], team.of_problem
-        assignment = motion.assignment or Assignment.fixed(team.robots)
-        start = {"drones": {"q": first[0::2], "r": first[1::2]}}
-        start["assignment"] = assignment.to_dict()
-        if motion.formed[0]:
-            x, y, z = motion.vertices.coefficients[0, ..., 0].T
-            legs = motion.legs.coefficients[0, :, 0, 0]
-            outline = np.column_stack([x, y])
-            start["hitch"] = {"polygon": outline, "altitude": float(np.mean(z)), "legs": legs}
-    return request_fields(team, requirements, start, mission_of(motion))
+    drones = motion.drones.coefficients[0, ..., 0]
+    if not team.has_cables:
+        return request_fields(team, requirements, {"drones": drones}, mission_of(motion))
+    in_order = drones[team.listed]
+    assignment = motion.assignment or Assignment.fixed(team.robots)
+    start: dict[str, Any] = {
+        "drones": {"q": in_order[0::2], "r": in_order[1::2]},
+        "assignment": assignment.to_dict(),
+    }
+    if motion.formed[0]:
+        vertices = motion.vertices.coefficients[0, ..., 0]
+        start["hitch"] = {
+            "polygon": vertices[:, :2],
+            "altitude": float(np.mean(vertices[:, 2])),
+            "legs": motion.legs.coefficients[0, :, 0, 0],
+        }
+    return request_fields(team.of_problem, requirements, start, mission_of(motion))
 
 
 def request_fields(
@@ -193,7 +228,7 @@ def request_fields(
     The start has ``hitch``, ``drones`` or both; steps of the mission have some of the keys of
     ``mission_of``.
     """
-    names = (each.name for each in fields(requirements) if each.name not in PLANNER_ONLY)
+    names = [field.name for field in fields(requirements) if field.name not in PLANNER_ONLY]
     return {
         "start": encoded(start),  # compared first: other drones differ in much else
         "team": team,
@@ -204,13 +239,18 @@ def request_fields(
 
 def objects_at(motion: Motion, end: Literal[0, -1] = 0) -> dict[str, SolidObject]:
     """Return objects with their poses at the motion's start, or at its end (-1)."""
+    objects = motion.requirements.objects
     poses = motion.poses.coefficients[end, ..., end]
     return {
-        name: each
-        if np.max(np.abs(pose - each.pose)) <= REST_DRIFT
-        else with_fields(each, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
-        for pose, (name, each) in zip(poses, motion.requirements.objects.items(), strict=True)
+        name: _placed(body, pose) for (name, body), pose in zip(objects.items(), poses, strict=True)
     }
+
+
+def _placed(body: SolidObject, pose: Array) -> SolidObject:
+    """Return an object at a pose (5,), or itself if it is there."""
+    if np.max(np.abs(pose - body.pose)) <= REST_DRIFT:
+        return body
+    return with_fields(body, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
 
 
 def _steps(motion: Motion) -> list[list[Phase]]:
@@ -220,24 +260,29 @@ def _steps(motion: Motion) -> list[list[Phase]]:
 
 def mission_of(motion: Motion) -> list[dict[str, Any]]:
     """Return the result of every step."""
-    breaks, names, results = motion.drones.breaks, motion.requirements.objects, []
+    breaks = motion.drones.breaks
+    results = list[dict[str, Any]]()
     for phases in _steps(motion):
         last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
+        poses = motion.poses.coefficients[last, ..., -1]
+        objects = dict(zip(motion.requirements.objects, poses, strict=True))
+        if not motion.team.has_cables:
+            drones = motion.drones.coefficients[last, ..., -1]
+            results.append({"drones": drones, "objects": objects})
+            continue
         ranges = [phase.tension for phase in phases if phase.tension is not None]
         holds = [(phase.hold.object, phase.hold.by) for phase in phases if phase.hold is not None]
-        places = motion.vertices.coefficients[last, ..., -1]
-        poses = motion.poses.coefficients[last, ..., -1]
+        vertices = motion.vertices.coefficients[last, ..., -1]
+        is_formed = bool(motion.formed[last])
         step: dict[str, Any] = {
             "tension": [np.min(ranges), np.max(ranges)] if ranges else None,
             "holds": [*dict.fromkeys(holds)],
-            "polygon": places[:, :2] if motion.formed[last] else None,
-            "altitude": float(np.mean(places[:, 2])) if motion.formed[last] else None,
-            "legs": motion.legs.coefficients[last, :, 0, -1] if motion.formed[last] else None,
+            "polygon": vertices[:, :2] if is_formed else None,
+            "altitude": float(np.mean(vertices[:, 2])) if is_formed else None,
+            "legs": motion.legs.coefficients[last, :, 0, -1] if is_formed else None,
             "heights": motion.drones.coefficients[last, :, 2, -1],
-            "objects": dict(zip(names, poses, strict=True)),
+            "objects": objects,
         }
-        if not motion.team.has_cables:
-            step = {"drones": motion.drones.coefficients[last, ..., -1], "objects": step["objects"]}
         results.append(step)
     return results
 
@@ -253,23 +298,23 @@ def check_request(request: Mapping[str, Any], flight: Flight) -> None:
     teams = {key: value for key, value in request.items() if key != "others"}
     if "others" in request:
         others = dict[str, dict[str, Any]]()
-        for each in flight.others:
-            name = each.name.partition(".")[0]
-            facts = {"plan": each.plan, "at": float(each.motion.drones.breaks[0])}
+        for flown in flight.others:
+            name = flown.name.partition(".")[0]
+            facts = {"plan": flown.plan, "at": float(flown.motion.drones.breaks[0])}
             keys = request["others"].get(name, facts)
             others[name] = {key: fact for key, fact in facts.items() if key in keys}
         check_same("request.others", request["others"], others, "as requested")
     if len(flight.teams) == 1:
         _check_team(teams, flight.teams[0].motion)
         return
-    names = [each.name for each in flight.teams]
+    names = [flown.name for flown in flight.teams]
     if teams.keys() != set(names):
         raise InputError("request", names, f"the teams {sorted(teams)}", REMEDY)
-    for each in flight.teams:
+    for flown in flight.teams:
         try:
-            _check_team(teams[each.name], each.motion)
+            _check_team(teams[flown.name], flown.motion)
         except InputError as error:
-            raise error.within(each.name) from error
+            raise error.within(flown.name) from error
 
 
 def _with_keys_of(given: Any, actual: Any, motion: Motion) -> Any:
@@ -287,21 +332,24 @@ def _unsagged(given: Mapping[str, Any], actual: Mapping[str, Any], motion: Motio
     """
     if given.get("legs") is None or actual.get("legs") is None:
         return {}
-    wanted, chords = (np.asarray(each["legs"], dtype=np.float64) for each in (given, actual))
-    if wanted.shape != chords.shape:
+    lengths = np.asarray(given["legs"], dtype=np.float64)
+    chords = np.asarray(actual["legs"], dtype=np.float64)
+    if lengths.shape != chords.shape:
         return {}
-    share = GRAVITY * motion.team.cable_density / motion.team.tension
-    allowed = 2.0 * share**2 * wanted**3 / 24.0 + POSITION_TOLERANCE
-    return {"legs": given["legs"]} if np.all(np.abs(wanted - chords) <= allowed) else {}
+    weight_ratio = GRAVITY * motion.team.cable_density / motion.team.tension  # [1/m]
+    allowed = 2.0 * weight_ratio**2 * lengths**3 / 24.0 + POSITION_TOLERANCE
+    is_sag = np.all(np.abs(lengths - chords) <= allowed)
+    return {"legs": given["legs"]} if is_sag else {}
 
 
 def _visited(places: Array, wanted: Sequence[Sequence[float]]) -> list[Array]:
     """Return those of places (k, 3) that are nearest to the wanted ones (m, 3), in their order."""
-    visited, first = list[Array](), 0
+    visited = list[Array]()
+    first = 0
     for place in wanted:
         distances = np.linalg.norm(places[first:] - np.asarray(place), axis=1)
-        near = distances <= POSITION_TOLERANCE
-        first += int(np.argmax(near)) if np.any(near) else int(np.argmin(distances))
+        is_near = distances <= POSITION_TOLERANCE
+        first += int(np.argmax(is_near) if np.any(is_near) else np.argmin(distances))
         visited.append(places[first])
     return visited
 
@@ -309,7 +357,8 @@ def _visited(places: Array, wanted: Sequence[Sequence[float]]) -> list[Array]:
 def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     """Raise InputError with the key if one team's motion differs from its request."""
     actual = request_of(motion)
-    results, steps = actual.pop("mission"), request["mission"]
+    results = actual.pop("mission")
+    steps = request["mission"]
     start = {
         key: _with_keys_of(given, actual["start"].get(key), motion)
         for key, given in request["start"].items()
@@ -319,34 +368,59 @@ def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     if len(steps) != len(results):
         bound = f"{len(steps)} as requested"
         raise InputError("request.mission", f"{len(results)} steps", bound, REMEDY)
-    breaks, vertices = motion.vertices.breaks, motion.vertices.coefficients
-    middles = 0.5 * (breaks[:-1] + breaks[1:])
-
-    def is_settling(phase: Phase) -> bool:
-        """Return whether a phase is a step's end, or a step, in which no vertex moves."""
-        points = vertices[(middles > phase.start) & (middles < phase.end)]
-        return phase.name == SETTLE and not np.any(np.ptp(points, axis=(0, -1)) > JOINT)
-
-    def rests(phases: Sequence[Phase]) -> Array:
-        """Return the poses (k, o, 5) at the ends of a step's pieces."""
-        on = (middles > phases[0].start) & (middles < phases[-1].end)
-        ends: Array = motion.poses.coefficients[on][..., -1]
-        return ends
-
-    names = [*motion.requirements.objects]
-    pairs = zip(_steps(motion), steps, results, strict=True)
-    for i, (phases, requested, result) in enumerate(pairs):
-        flown = [phase for phase in phases if phase.name != WAIT]
-        before_settling = [phase for phase in flown if not is_settling(phase)] or flown
-        result["seconds"] = sum(phase.end - phase.start for phase in before_settling)
-        low, high = requested.get("tension") or (0.0, 0.0)
-        used = result.get("tension")
-        if used is None or (low - TENSION_SLACK <= used[0] and used[1] <= high + TENSION_SLACK):
+    for index, (phases, requested, result) in enumerate(
+        zip(_steps(motion), steps, results, strict=True)
+    ):
+        result["seconds"] = _seconds_before_settling(motion, phases)
+        if _is_within_range(result.get("tension"), requested.get("tension")):
             result["tension"] = requested.get("tension")
-        if (route := requested.get("route")) is not None:
-            places = rests(phases)[:, names.index(route["object"]), :3]
-            highest = float(np.max(places[:, 2]))
-            result["route"] = {**route, "highest": highest, "via": _visited(places, route["via"])}
+        route = requested.get("route")
+        if route is not None:
+            result["route"] = route | _flown_route(motion, phases, route)
         compared = {key: result.get(key) for key in requested}
         compared |= _unsagged(requested, compared, motion)
-        check_same(f"request.mission[{i}]", requested, compared, "as requested", SLACK)
+        check_same(f"request.mission[{index}]", requested, compared, "as requested", SLACK)
+
+
+def _pieces_between(motion: Motion, start: float, end: float) -> NDArray[np.bool_]:
+    """Return the pieces (pieces,) whose middles are between two times [s]."""
+    breaks = motion.drones.breaks
+    middles = 0.5 * (breaks[:-1] + breaks[1:])
+    return np.asarray((middles > start) & (middles < end))
+
+
+def _seconds_before_settling(motion: Motion, phases: Sequence[Phase]) -> float:
+    """Return the duration [s] of a step without waiting, and without settling at its end.
+
+    Of a step that only settles, it is the whole duration.
+    """
+
+    def is_settling(phase: Phase) -> bool:
+        """Return whether it is a phase of settling in which no vertex moves."""
+        if phase.name != SETTLE:
+            return False
+        pieces = _pieces_between(motion, phase.start, phase.end)
+        travel = np.ptp(motion.vertices.coefficients[pieces], axis=(0, -1))
+        return not np.any(travel > JOINT)
+
+    flown = [phase for phase in phases if phase.name != WAIT]
+    before_settling = [phase for phase in flown if not is_settling(phase)] or flown
+    return sum(phase.end - phase.start for phase in before_settling)
+
+
+def _is_within_range(used: Sequence[float] | None, requested: Sequence[float] | None) -> bool:
+    """Return whether a step used no tensions [N] beyond those requested."""
+    if used is None:
+        return True
+    smallest, largest = requested or (0.0, 0.0)
+    return smallest - TENSION_SLACK <= used[0] and used[1] <= largest + TENSION_SLACK
+
+
+def _flown_route(
+    motion: Motion, phases: Sequence[Phase], route: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return the largest height [m] of a carried object, and the places that it has visited."""
+    pieces = _pieces_between(motion, phases[0].start, phases[-1].end)
+    index = [*motion.requirements.objects].index(route["object"])
+    places = motion.poses.coefficients[pieces, index, :3, -1]
+    return {"highest": float(np.max(places[:, 2])), "via": _visited(places, route["via"])}

@@ -55,12 +55,17 @@ def padded(motion: Motion, start: float, end: float) -> Motion:
     if max(first - start, end - last) <= JOINT:
         return motion
     parts = [shifted(motion, -first)]
-    for duration, index in ((first - start, 0), (end - last, -1)):
-        if duration > JOINT:
-            wait = replace(motion.phases[index], name=WAIT, tension=None, remark="")
-            rest = resting(motion, duration, wait, first=index == 0)
-            parts = [*parts, rest] if index else [rest, *parts]
+    if first - start > JOINT:
+        parts.insert(0, _waiting(motion, first - start, motion.phases[0], first=True))
+    if end - last > JOINT:
+        parts.append(_waiting(motion, end - last, motion.phases[-1], first=False))
     return shifted(concatenated(parts), min(start, first))
+
+
+def _waiting(motion: Motion, seconds: float, phase: Phase, *, first: bool) -> Motion:
+    """Return a motion that waits at another one's end, or at its start with ``first``."""
+    wait = replace(phase, name=WAIT, tension=None, remark="")
+    return resting(motion, seconds, wait, first=first)
 
 
 def stretched(motion: Motion, factor: float) -> Motion:
@@ -79,7 +84,11 @@ MIN_SPACING = 4e-3
 """[s] Minimum distance of the plan's breaks from the clock's: derivatives on short pieces suffer
 from rounding."""
 
-ORDERS = 4  # Number of derivatives, the zeroth included, interpolated at both ends of every piece
+ORDERS = 4
+"""Number of derivatives, the zeroth included, interpolated at both ends of every piece."""
+
+INWARD = 1e-12
+"""[s] Distance from a break at which the cell of the clock on one side of it is sought."""
 
 
 def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
@@ -90,12 +99,16 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
     times = np.concatenate([[0.0], np.cumsum(cells.duration)])
-    edges = np.concatenate([[0.0], np.cumsum(clock.duration)])
-    breaks = _subdivide(times, edges)
-    sides = []
-    for ends, inward in ((breaks[:-1], 1e-12), (breaks[1:], -1e-12)):
+    phase_ends = np.concatenate([[0.0], np.cumsum(clock.duration)])
+    breaks = _subdivide(times, phase_ends)
+
+    def clock_at(ends: Array, inward: float) -> tuple[Indices, Array]:
+        """Return the plan's pieces at ends of pieces [s], and jets (ends, 4) of the clock there."""
         cell = np.clip(np.searchsorted(times, ends + inward) - 1, 0, len(cells) - 1)
-        sides.append((pieces[cell], advance(cells.jets[cell], ends - times[cell])))
+        return pieces[cell], advance(cells.jets[cell], ends - times[cell])
+
+    at_starts = clock_at(breaks[:-1], INWARD)
+    at_ends = clock_at(breaks[1:], -INWARD)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
     phase_index = motion.phase_of_piece[pieces[np.searchsorted(times, middles) - 1]]
     states = np.array([phase.state for phase in motion.phases])[phase_index]
@@ -107,7 +120,8 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
     ]
 
     def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        left, right = (_jets(whole, *side) for side in sides)
+        left = _jets(whole, *at_starts)
+        right = _jets(whole, *at_ends)
         left[:3, smooth + 1] = right[:3, smooth]
         fitted = PiecewisePolynomial.hermite(breaks, left, right)
         if whole is motion.load_share:  # its second derivatives may jump; it stays within [0, 1]
@@ -133,18 +147,24 @@ def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
 
     At the ends of pieces they are exact: tensions that vanish there stay zero.
     """
-    c, h = part.coefficients[pieces], part.durations[pieces]
     axes = (-1, *(1,) * len(part.shape))
-    since, until = clock[:, 0] - part.breaks[pieces], part.breaks[pieces + 1] - clock[:, 0]
-    x = np.where(since <= BREAK_TOLERANCE, 0.0, np.where(until <= BREAK_TOLERANCE, 1.0, since / h))
-    x = x.reshape(axes)
-    orders = []
+    durations = part.durations[pieces]
+    since_start = clock[:, 0] - part.breaks[pieces]
+    until_end = part.breaks[pieces + 1] - clock[:, 0]
+    place = since_start / durations
+    place = np.where(until_end <= BREAK_TOLERANCE, 1.0, place)
+    place = np.where(since_start <= BREAK_TOLERANCE, 0.0, place).reshape(axes)
+    coefficients = part.coefficients[pieces]
+    derivatives = []
     for order in range(ORDERS):
-        orders.append(bernstein.evaluate(c, x) / h.reshape(axes) ** order)
-        c = bernstein.differentiate(c)
-    f, f1, f2, f3 = orders
-    s, a, j = (clock[:, k].reshape(axes) for k in (1, 2, 3))
-    return np.stack([f, s * f1, s**2 * f2 + a * f1, s**3 * f3 + 3.0 * s * a * f2 + j * f1])
+        values = bernstein.evaluate(coefficients, place)
+        derivatives.append(values / durations.reshape(axes) ** order)
+        coefficients = bernstein.differentiate(coefficients)
+    value, first, second, third = derivatives
+    rate, slope, curvature = (clock[:, order].reshape(axes) for order in (1, 2, 3))
+    acceleration = rate**2 * second + slope * first
+    jerk = rate**3 * third + 3.0 * rate * slope * second + curvature * first
+    return np.stack([value, rate * first, acceleration, jerk])
 
 
 def truncated(motion: Motion, time: float) -> Motion:
@@ -154,7 +174,8 @@ def truncated(motion: Motion, time: float) -> Motion:
 
 def append_motion(first: Motion, second: Motion) -> Motion:
     """Return two motions in sequence; a continued phase stays one phase."""
-    motion, count = concatenated([first, second]), len(first.phases)
+    motion = concatenated([first, second])
+    count = len(first.phases)
     last, following = motion.phases[count - 1 : count + 1]
     merged = last.retimed(last.start, following.end)
     if following.retimed(last.start, following.end) != merged:

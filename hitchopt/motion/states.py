@@ -18,12 +18,14 @@ from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
 from hitchopt.values import Array, as_array, nonnegative, positive
 
-HOVER = np.array([0.0, 0.0, GRAVITY])  # [m/s²] Specific thrust that compensates gravity
+HOVER = np.array([0.0, 0.0, GRAVITY])
+"""[m/s²] Specific thrust that compensates gravity."""
 
 END_TOLERANCE = 1e-6
 """[s] Minimum distance of a plan's end from the last regular sample at which it is sampled."""
 
-MAX_SAMPLES = 50_000_000  # Maximum number of samples; more are refused before memory is allocated
+MAX_SAMPLES = 50_000_000
+"""Maximum number of samples; more are refused before memory is allocated."""
 
 TIME_TOLERANCE = 1e-9
 """[s] Largest distance of a time outside the plan: rounding of sums of durations."""
@@ -49,7 +51,11 @@ ROLL_STEP = 1e-6
 ROLL_ROUNDING = 1e-9
 """[rad] Roll that counts as zero."""
 
-MAX_DEVIATION = 1e-6  # [m] Largest distance of a drone from that of the recovered hitch
+MAX_ROLL_STEP = 0.5
+"""[rad] Largest change of a roll in one step."""
+
+MAX_DEVIATION = 1e-6
+"""[m] Largest distance of a drone from that of the recovered hitch."""
 
 BLOCK = 1 << 20
 """Number of coordinates of drones evaluated at a time: their coefficients take ten times the memory
@@ -98,15 +104,16 @@ class States(OneLine):
 
     def __getitem__(self, index: int | list[int]) -> States:
         """Return the states of one sample, or of some."""
-        return States(*(getattr(self, each.name)[index] for each in fields(self)))
+        return States(*(getattr(self, field.name)[index] for field in fields(self)))
 
     def listed(self, team: Team) -> States:
         """Return states of a team's places with drones and robots in the order of the problem."""
-        drones, robots, head = team.listed, team.edges, self.t.shape
+        drones = team.listed
+        robots = team.edges
         if np.array_equal(drones, np.arange(len(drones))):
             return self
         values = {name: getattr(self, name).take(drones, self.t.ndim) for name in DRONE_FIELDS}
-        legs = self.legs.reshape(*head, -1)[..., drones[: 2 * len(robots)]]
+        legs = self.legs.reshape(*self.t.shape, -1)[..., drones[: 2 * len(robots)]]
         values |= {"legs": legs.reshape(self.legs.shape), "tensions": self.tensions[..., robots]}
         return replace(self, **values)
 
@@ -123,6 +130,7 @@ class States(OneLine):
 
     @cached_property
     def _attitudes(self) -> Attitudes:
+        """Attitudes and body rates of the drones, with the masses of the states."""
         masses = self.masses[..., None]
         thrusts = masses * (self.accelerations + HOVER) - self.cable_forces
         return attitudes(thrusts, masses * self.jerks - self.cable_force_rates)
@@ -140,10 +148,13 @@ class States(OneLine):
 
 @dataclass(frozen=True, eq=False)
 class Attitudes:
-    """Attitudes (…, 4), w, x, y, z, body to world, and body rates (…, 3) [rad/s]."""
+    """Attitudes of drones, and the rates of their bodies."""
 
     quaternions: Array
+    """(…, 4), w, x, y, z, from body to world."""
+
     body_rates: Array
+    """(…, 3) [rad/s], about the body's own axes."""
 
 
 def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitudes:
@@ -160,29 +171,37 @@ def attitudes(thrusts: Array, thrust_rates: Array, yaw: float = 0.0) -> Attitude
     thrusts, thrust_rates: (…, 3) [N], and their time derivatives.
     yaw: [rad]
     """
-    c, s = np.cos(yaw), np.sin(yaw)
-    # In axes that are rotated by the yaw.
-    (ahead, left, up), (ahead_rate, left_rate, up_rate) = (
-        (c * f[..., 0] + s * f[..., 1], c * f[..., 1] - s * f[..., 0], f[..., 2])
-        for f in (thrusts, thrust_rates)
-    )
+    ahead, left, up = _components(thrusts, yaw)
+    ahead_rate, left_rate, up_rate = _components(thrust_rates, yaw)
     upright = np.hypot(ahead, up)
-    pitch, roll = np.arctan2(ahead, up), np.arctan2(-left, upright)
+    pitch = np.arctan2(ahead, up)
+    roll = np.arctan2(-left, upright)
     with np.errstate(all="ignore"):
         pitch_rate = (up * ahead_rate - ahead * up_rate) / upright**2
-        stretch = (ahead * ahead_rate + up * up_rate) / upright
-        roll_rate = (left * stretch - left_rate * upright) / (left**2 + upright**2)
+        upright_rate = (ahead * ahead_rate + up * up_rate) / upright
+        roll_rate = (left * upright_rate - left_rate * upright) / (left**2 + upright**2)
     body_rates = [roll_rate, pitch_rate * np.cos(roll), -pitch_rate * np.sin(roll)]
-    (cr, sr), (cp, sp), (cy, sy) = (
-        (np.cos(0.5 * angle), np.sin(0.5 * angle)) for angle in (roll, pitch, yaw)
-    )
-    quaternions = [
-        cy * cp * cr + sy * sp * sr,
-        cy * cp * sr - sy * sp * cr,
-        cy * sp * cr + sy * cp * sr,
-        sy * cp * cr - cy * sp * sr,
-    ]
-    return Attitudes(np.stack(quaternions, axis=-1), np.stack(body_rates, axis=-1))
+    return Attitudes(_quaternions(roll, pitch, yaw), np.stack(body_rates, axis=-1))
+
+
+def _components(vectors: Array, yaw: float) -> tuple[Array, Array, Array]:
+    """Return the components (…) of vectors (…, 3) ahead, to the left and up at a yaw [rad]."""
+    x, y, z = np.moveaxis(vectors, -1, 0)
+    cosine = np.cos(yaw)
+    sine = np.sin(yaw)
+    return cosine * x + sine * y, cosine * y - sine * x, z
+
+
+def _quaternions(roll: Array, pitch: Array, yaw: float) -> Array:
+    """Return the quaternions (…, 4) of turns by yaw, then pitch, then roll (…) [rad]."""
+    cos_roll, sin_roll = np.cos(0.5 * roll), np.sin(0.5 * roll)
+    cos_pitch, sin_pitch = np.cos(0.5 * pitch), np.sin(0.5 * pitch)
+    cos_yaw, sin_yaw = np.cos(0.5 * yaw), np.sin(0.5 * yaw)
+    w = cos_yaw * cos_pitch * cos_roll + sin_yaw * sin_pitch * sin_roll
+    x = cos_yaw * cos_pitch * sin_roll - sin_yaw * sin_pitch * cos_roll
+    y = cos_yaw * sin_pitch * cos_roll + sin_yaw * cos_pitch * sin_roll
+    z = sin_yaw * cos_pitch * cos_roll - cos_yaw * sin_pitch * sin_roll
+    return np.stack([w, x, y, z], axis=-1)
 
 
 def sample_times(duration: float, rate: float) -> Array:
@@ -237,11 +256,11 @@ def iterate_flight_states(flight: Flight, times: Array, block_size: int) -> Iter
 
     Of several teams, vertices, legs and tensions are omitted: they are those of each team.
     """
-    each_team = [iterate_states(each.motion, times, block_size) for each in flight.teams]
-    if len(each_team) == 1:
-        yield from each_team[0]
+    of_teams = [iterate_states(flown.motion, times, block_size) for flown in flight.teams]
+    if len(of_teams) == 1:
+        yield from of_teams[0]
         return
-    for blocks in zip(*each_team, strict=True):
+    for blocks in zip(*of_teams, strict=True):
         t = blocks[0].t
         count = len(t)
         of_drones: dict[str, Array] = {
@@ -264,26 +283,31 @@ def iterate_flight_states(flight: Flight, times: Array, block_size: int) -> Iter
 
 def iterate_states(motion: Motion, times: Array, block_size: int) -> Iterator[States]:
     """Yield the states of one team at times (samples,) [s] in blocks of at most ``block_size``."""
-    pulls, taut = map(motion.drones.replaced, (leg_tensions(motion), tautness(motion)))
-    parts = motion.drones, motion.pull_points, pulls, taut
-    velocities = motion.vertices.differentiated()
-    rates, inner = [part.differentiated() for part in parts], motion.drones.breaks[1:-1]
-    second, third = (motion.drones.differentiated(order) for order in (2, 3))
+    drones = motion.drones
+    pulls = drones.replaced(leg_tensions(motion))
+    taut = drones.replaced(tautness(motion))
+    sources_of_force = drones, motion.pull_points, pulls, taut
+    force_rate_sources = [curve.differentiated() for curve in sources_of_force]
+    vertex_velocities = motion.vertices.differentiated()
+    accelerations = drones.differentiated(2)
+    jerks = drones.differentiated(3)
     for first in range(0, len(times), block_size):
         t = times[first : first + block_size]
-        plan_times = np.minimum(motion.drones.breaks[0] + t, motion.drones.breaks[-1])
-        values, slopes = (tuple(part.at(plan_times) for part in each) for each in (parts, rates))
+        plan_times = np.minimum(drones.breaks[0] + t, drones.breaks[-1])
+        piece = np.searchsorted(drones.breaks[1:-1], plan_times, side="right")
+        values = tuple(curve.at(plan_times) for curve in sources_of_force)
+        rates = tuple(curve.at(plan_times) for curve in force_rate_sources)
         yield States(
             t=t,
-            formed=motion.formed[np.searchsorted(inner, plan_times, side="right")],
+            formed=motion.formed[piece],
             positions=values[0],
-            velocities=slopes[0],
-            accelerations=second.at(plan_times),
-            jerks=third.at(plan_times),
+            velocities=rates[0],
+            accelerations=accelerations.at(plan_times),
+            jerks=jerks.at(plan_times),
             cable_forces=cable_forces(motion.team, *values),
-            cable_force_rates=cable_force_rates(motion.team, values, slopes),
+            cable_force_rates=cable_force_rates(motion.team, values, rates),
             vertices=motion.vertices.at(plan_times),
-            vertex_velocities=velocities.at(plan_times),
+            vertex_velocities=vertex_velocities.at(plan_times),
             legs=motion.legs.at(plan_times),
             tensions=motion.tensions.at(plan_times),
             object_poses=motion.poses.at(plan_times),
@@ -301,11 +325,13 @@ def final_hitch(motion: Motion) -> Hitch:
     if not (motion.team.has_cables and motion.formed[-1]):
         remedy = "form one, or continue with the drones at plan.at(plan.duration)"
         raise InputError("end", "free cables", "a hitch", remedy)
-    team, layout = motion.team, motion.team.layout
-    drones, vertices, legs = (
-        part.coefficients[-1, ..., -1] for part in (motion.drones, motion.vertices, motion.legs)
-    )
-    outline, altitude = vertices[:, :2], float(np.mean(vertices[:, 2]))
+    team = motion.team
+    layout = team.layout
+    drones = motion.drones.coefficients[-1, ..., -1]
+    vertices = motion.vertices.coefficients[-1, ..., -1]
+    legs = motion.legs.coefficients[-1, ..., -1]
+    outline = vertices[:, :2]
+    altitude = float(np.mean(vertices[:, 2]))
     q_drones = 2 * layout.clasps  # q_k, whose leg is at clasp k
 
     def hitch_of(q_legs: Array, roll: Array) -> Hitch:
@@ -318,7 +344,8 @@ def final_hitch(motion: Motion) -> Hitch:
         heights = hitch.drones[q_drones, 2]
         raised_heights = hitch_of(hitch.q_legs, hitch.roll + ROLL_STEP).drones[q_drones, 2]
         roll_step = (drones[q_drones, 2] - heights) * ROLL_STEP / (raised_heights - heights)
-        hitch = hitch_of(hitch.q_legs + leg_step, hitch.roll + np.clip(roll_step, -0.5, 0.5))
+        limited_step = np.clip(roll_step, -MAX_ROLL_STEP, MAX_ROLL_STEP)
+        hitch = hitch_of(hitch.q_legs + leg_step, hitch.roll + limited_step)
         if max(np.max(np.abs(leg_step)), np.max(np.abs(roll_step))) < CONVERGED:
             break
     hitch = hitch_of(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))

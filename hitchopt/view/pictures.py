@@ -22,8 +22,8 @@ from matplotlib.patheffects import withStroke
 from scipy.spatial import ConvexHull, cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
-from hitchopt.checks.distances import Closeness
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.separation import Closeness
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Phase

@@ -317,7 +317,7 @@ def _unbalanced(s: Samples) -> float:
             force[:, 2] -= borne + 0.5 * G * s.team.load[i] * s.taut[:, cable]
         least = np.minimum(s.T[:, k], s.T[:, m])
         balance.append(np.max(np.linalg.norm(force, axis=-1) / least))
-    if s.motion.has_friction:
+    if s.motion.leg_tensions_differ:
         ratio, most = slides(s)
         balance.append(np.max(np.maximum(ratio - most, 1.0 / most - ratio)))
     return float(max(balance))

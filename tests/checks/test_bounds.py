@@ -33,7 +33,7 @@ from motions import (
     wild_motion,
 )
 
-from hitchopt.checks.clearance import chains
+from hitchopt.checks.hanging import chains
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation

@@ -30,8 +30,8 @@ from motions import (
 from refusals import assert_refused
 
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.distances import leg_remedy
 from hitchopt.checks.registry import RULE_OF, below_ground
+from hitchopt.checks.separation import leg_remedy
 from hitchopt.errors import EXCHANGED
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.geometry.vectors import shortest_offset

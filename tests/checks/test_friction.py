@@ -33,7 +33,7 @@ def moved(friction: float) -> Motion:
 @pytest.fixture(scope="module")
 def leaned() -> Motion:
     motion = moved(0.2)
-    assert motion.has_friction
+    assert motion.leg_tensions_differ
     return motion
 
 
@@ -53,9 +53,9 @@ def test_samples_never_exceed_bounds(leaned: Motion) -> None:
 
 def test_legs_pull_as_their_cables_without_friction(leaned: Motion) -> None:
     plain = moved(0.0)
-    assert not plain.has_friction
+    assert not plain.leg_tensions_differ
     slack = plain.replaced(tensions=plain.tensions.replaced(0.9 * plain.tensions.coefficients))
-    assert not slack.has_friction
+    assert not slack.leg_tensions_differ
     assert not row(replace(leaned, team=team(0.0)), "equilibrium").holds
 
 
@@ -129,7 +129,7 @@ def test_friction_has_no_effect_at_a_chains_ends() -> None:
     points = [[-1.5, -0.4], [-0.6, 0.2], [0.6, 0.2], [1.5, -0.4]]
     start = ho.Hitch.spread(chain, points, altitude=1.0)
     motion = ho.move_vertex(start, 1, by=[0.1, 0.15], duration=4.0).motion
-    assert motion.has_friction
+    assert motion.leg_tensions_differ
     assert row(motion, "equilibrium").holds
     for factor, (cable, end, point) in product((0.0, 0.98, 1.02), ((0, 0, 0), (2, 1, 3))):
         pulls = motion.leg_tensions.coefficients[:, cable, end]

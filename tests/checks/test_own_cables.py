@@ -11,8 +11,8 @@ from motions import free_motion, random_flight, row
 
 import hitchopt as ho
 from hitchopt import verify
-from hitchopt.checks.clearance import drones_and_own_cables
 from hitchopt.checks.distances import smallest
+from hitchopt.checks.hanging import drones_and_own_cables
 from hitchopt.hitch import Team
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan

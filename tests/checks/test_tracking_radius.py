@@ -27,8 +27,8 @@ from refusals import assert_refused
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
-from hitchopt.checks.distances import closeness
 from hitchopt.checks.registry import RULES, TEAM_REPORTS
+from hitchopt.checks.separation import closeness
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.pairs import DISTANCES

@@ -156,7 +156,7 @@ def test_remarks_say_whether_legs_lean(
     remark = plan.phases[0].remark
     assert LEANING in remark if leans else "lean" not in remark
     assert "limits bind" not in remark
-    assert plan.motion.has_friction == leans
+    assert plan.motion.leg_tensions_differ == leans
 
 
 def test_only_the_steps_that_slide_lean() -> None:

@@ -22,7 +22,7 @@ from pictured import made_certificate, make_motion
 from plans import planned
 
 import hitchopt as ho
-from hitchopt.checks.distances import closeness
+from hitchopt.checks.separation import closeness
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Phase
 from hitchopt.motion.retiming import resting

@@ -30,7 +30,15 @@ from hitchopt.hitch.forces import (
     sag_factors,
 )
 from hitchopt.hitch.hitch import cable_slack
-from hitchopt.hitch.holding import Bends, Wraps, balanced, edge_ratios, straight_parts, wraps_around
+from hitchopt.hitch.holding import (
+    Bends,
+    PlannedClasps,
+    Wraps,
+    balanced,
+    edge_ratios,
+    straight_parts,
+    wraps_around,
+)
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.loads import RIM_CUT, RIM_REMEDY, Supports, rim_drop, rim_savings, strut_share
 from hitchopt.motion.motion import HoldBy, Motion, Phase
@@ -552,7 +560,7 @@ class GripHold(HoldingHitch):
         for _ in range(MAX_NEWTON_STEPS):
             before = np.concatenate([polygon - centre, heights[..., None]], axis=-1)
             arms = wraps.contacts - centre
-            displaced_from = (planned - centre, load_share)
+            displaced_from = PlannedClasps(planned - centre, load_share)
             after = balanced(before, state.tension, arms, load, displaced_from)
             polygon = centre + after[..., :2]
             heights = after[..., 2]

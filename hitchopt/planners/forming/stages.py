@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from hitchopt.checks.clearance import above_ground
+from hitchopt.checks.hanging import above_ground
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team

@@ -1,0 +1,186 @@
+"""Check ``arena``: distances of drones, taut cables and held objects from the walls.
+
+Hanging cables and objects are kept above the floor by ``cable_clearance`` and
+``object_clearance``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hitchopt.checks.certificate import Check
+from hitchopt.checks.distances import UNBOUNDED, Flags
+from hitchopt.checks.drones import Drones, SagTerms, edge_sags, leg_sags
+from hitchopt.checks.objects import placed_corners
+from hitchopt.checks.rule import (
+    Approach,
+    CheckRule,
+    Evaluator,
+    WorstCase,
+    WorstOverSpans,
+    largest_error,
+)
+from hitchopt.checks.solids import placed_objects
+from hitchopt.checks.spans import (
+    ROUNDING,
+    MotionSpans,
+    cable_parts,
+    cached,
+    joined_arrays,
+    magnitude,
+    part_names,
+)
+from hitchopt.errors import EXCHANGED
+from hitchopt.motion.loads import held_pieces
+from hitchopt.motion.motion import TAUT_STATES, HoldBy, Motion
+from hitchopt.objects.placing import CONTACT_GAP
+from hitchopt.trajectory.enclosed import Bound, Enclosed
+from hitchopt.trajectory.search import worst
+from hitchopt.values import Array, known
+
+EXPORTED_LIMIT = -1e-4
+"""[m] Limit of exported curves, which may pass a wall by this distance, as for a drone at rest on
+the floor."""
+
+FRACTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+"""Points along a span: the polygon through them, with the full sag at all inner ones, is below the
+cable."""
+
+
+@cached
+def on_floor_pieces(motion: Motion) -> Flags:
+    """Return on which pieces drones rest on the floor, take off or land (pieces, 2n)."""
+    places = motion.drones.coefficients
+    heights = places[:, :, 2, [0, -1]]
+    is_upright = np.all(np.ptp(places[:, :, :2], axis=-1) <= CONTACT_GAP, axis=-1)
+    touches = np.abs(heights - motion.requirements.floor) <= CONTACT_GAP
+    at_floor = is_upright & np.any(touches, axis=-1)
+    drones = len(places[0])
+    runs_of_drone = np.cumsum(~is_upright, axis=0)
+    runs = runs_of_drone * drones + np.arange(drones)  # a number for each run of each drone
+    return np.asarray(is_upright & np.isin(runs, runs[at_floor]))
+
+
+def _wall_gap(
+    spans: MotionSpans, points: Array, lowered: Array | float, reach: float = 0.0
+) -> Bound:
+    """Return the minimum distance to a wall of points (spans, points, 3, degree + 1) [m].
+
+    Points have a horizontal radius ``reach``, and are lowered by ``lowered`` (spans, points) [m].
+    """
+    arena = known(spans.source.requirements.arena)
+    above_lower = points - arena.lower[:, None]
+    below_upper = arena.upper[:, None] - points
+    above_lower[..., 2, :] -= np.asarray(lowered)[..., None]
+    for gaps in (above_lower, below_upper):
+        gaps[..., :2, :] -= reach
+        gaps[..., 2, :] /= spans.source.requirements.height_ratio
+    inside = np.concatenate([above_lower, below_upper], axis=2)
+    inside = inside.reshape(len(points), -1, points.shape[-1])
+    size = magnitude(spans.source) + float(np.max(np.abs([arena.lower, arena.upper])))
+    return Enclosed(np.min(inside, axis=1, keepdims=True), ROUNDING * size).lower
+
+
+def drone_wall_gap(spans: Drones, *, on_floor: bool = True) -> Bound:
+    """Return the minimum distance of drones to a wall [m].
+
+    With ``on_floor``, the floor also counts for drones that rest there, take off or land.
+    """
+    points = spans.read(spans.source.drones.coefficients)[:, None]
+    raised: Any = 0.0
+    if not on_floor:
+        raised = UNBOUNDED * on_floor_pieces(spans.source)[spans.piece, spans.item, None]
+    return _wall_gap(spans, points, -raised)
+
+
+class Parts(MotionSpans):
+    """Spans of the straight parts of taut cables."""
+
+    @classmethod
+    def names(cls, motion: Motion) -> list[str]:
+        """Return the parts' names."""
+        return part_names(motion, cable_parts(motion)[1])
+
+
+@cached
+def _part_sags(motion: Motion) -> SagTerms:
+    """Return the terms of all parts (pieces, parts, degree + 1)."""
+    cable, kind = np.divmod(cable_parts(motion)[1], 3)
+    is_edge = kind == 1
+    leg_or_edge = np.where(is_edge, motion.team.drones + cable, 2 * cable + kind // 2)
+    legs_and_edges = zip(leg_sags(motion), edge_sags(motion), strict=True)
+    return SagTerms(*(joined_arrays(terms, axis=1)[:, leg_or_edge] for terms in legs_and_edges))
+
+
+def _part_wall_gap(spans: Parts) -> Bound:
+    """Return the minimum distance of taut cables to a wall [m].
+
+    A straight part of length s sags by ``ρ g s² / 8 T`` at its middle.
+    """
+    ends = spans.read(cable_parts(spans.source)[0])
+    start = ends[:, :1]
+    along = ends[:, 1:] - start
+    sag: Array = np.zeros(len(spans))
+    if spans.source.team.cable_density > 0.0:
+        half_density, tension = spans.scalars(_part_sags(spans.source))
+        chord = Enclosed(along[:, 0]).norm_upper.value
+        sag = half_density.upper.value / tension.lower.value * chord**2 / 4.0
+    is_inner = (FRACTIONS > 0.0) & (FRACTIONS < 1.0)
+    points = start + FRACTIONS[:, None, None] * along
+    return _wall_gap(spans, points, sag[:, None] * is_inner)
+
+
+def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
+    """Return the minimum distance of a held object to a wall or the ceiling [m]."""
+    cases = [WorstCase(math.inf, 0.0)]
+    for name, body, pose in placed_objects(motion):
+        held = held_pieces(motion, name, HoldBy.REST) | held_pieces(motion, name, HoldBy.GRIP)
+        for slab in body.slabs:
+            corners = placed_corners(pose, slab)
+            reach = slab.section.rounding + float(np.max(corners.r))
+
+            def gap(spans: MotionSpans, table: Array = corners.c, reach: float = reach) -> Bound:
+                return _wall_gap(spans, spans.read(table), -UNBOUNDED, reach)
+
+            spans = MotionSpans.all_of(motion, motion.drones.breaks, 1, held)
+            smallest = worst(spans, gap, "min")
+            cases.append(WorstCase(smallest.worst, smallest.time, (name,)))
+    return min(cases, key=lambda case: case.worst)
+
+
+ARENA_REMEDY = "enlarge the arena, or keep the hitch farther from its walls"
+
+
+def _arena_remedy(motion: Motion, _check: Check) -> str:
+    """Return the suggested change, and whether drones were inside with x and y exchanged."""
+    arena = motion.requirements.arena
+    if arena is None:
+        return ""
+    places = motion.drones.at(motion.drones.breaks)[..., :2]
+
+    def are_inside(level: Array) -> bool:
+        return bool(np.all((level >= arena.lower[:2]) & (level <= arena.upper[:2])))
+
+    exchanged = not are_inside(places) and are_inside(places[..., ::-1])
+    return ARENA_REMEDY + EXCHANGED * exchanged
+
+
+ARENA = CheckRule(
+    "arena",
+    "m",
+    "min",
+    lambda motion: None if motion.requirements.arena is None else 0.0,
+    (
+        Evaluator(WorstOverSpans(Drones, drone_wall_gap, "min", magnitude), exported=True),
+        Evaluator(WorstOverSpans(Parts, _part_wall_gap, "min", magnitude), TAUT_STATES),
+        Evaluator(_object_wall_gap, TAUT_STATES),
+    ),
+    ARENA_REMEDY,
+    remedy_at=_arena_remedy,
+    exported_limit=EXPORTED_LIMIT,
+    approach=Approach(largest_error, lambda _: 1.0),
+)
+"""Drones, taut cables and held objects stay in the arena."""

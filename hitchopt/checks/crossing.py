@@ -1,0 +1,128 @@
+"""Check ``crossing``: cables and parts of cables that share no clasp keep a distance.
+
+For hanging cables, it is the distance of their chords seen from above: in space they are no closer.
+While cables are clasped or tightened, it is the distance of the regions that contain them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from hitchopt.checks.bodies import Bodies, cable_ends, clasped_cables, plan_points, taut_parts
+from hitchopt.checks.distances import PLAN_AXES, Flags, Hulls, Moving, gap, nearest
+from hitchopt.checks.rule import Approach, CheckRule, Evaluator, largest_error
+from hitchopt.checks.spans import cable_names, clasped_pairs, pair_of, phase_parts
+from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
+from hitchopt.hitch.pairs import DISTANCES, TautBodies
+from hitchopt.hitch.team import Layout
+from hitchopt.motion.motion import (
+    CLASPED_STATES,
+    FREE_STATES,
+    TAUT_STATES,
+    UNLINKED_STATES,
+    CableState,
+    Motion,
+)
+from hitchopt.values import Indices
+
+MAX_SIDEWAYS = 1e-6
+"""[m] Largest horizontal motion of drones that move vertically."""
+
+
+def upright_pieces(motion: Motion) -> Flags:
+    """Return on which pieces (pieces,) all drones move vertically, or rest."""
+    level = motion.drones.coefficients[:, :, :2]
+    return np.asarray(np.max(np.ptp(level, axis=-1), axis=(1, 2)) <= MAX_SIDEWAYS)
+
+
+def _taut_parts(motion: Motion) -> Iterator[Moving]:
+    """Yield the pairs of parts that share no clasp.
+
+    These include the two legs of one cable, which may cross. Bent cables share no clasp; an object
+    that they hold keeps them apart, as the check ``interlacing`` verifies.
+    """
+    parts = taut_parts(motion)
+    table = TautBodies.of(motion.team.layout)
+    body = table.of_parts(parts.part)
+
+    def share_no_clasp(first: Indices, second: Indices) -> Flags:
+        flags: Flags = table.kind(body[first], body[second]) == CROSSING_PAIR
+        return flags
+
+    yield Moving.between(motion, parts, allowed=share_no_clasp)
+    if motion.has_bent_cables:
+        bent = motion.in_states(frozenset({CableState.BENT}))
+        bodies = replace(parts, pieces=bent & ~motion.holding)
+        cable = parts.part // 3
+        yield Moving.between(motion, bodies, allowed=lambda i, j: cable[i] != cable[j])
+
+
+def _hanging_cables(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of cables, projected from above onto their chords.
+
+    Neighbours may touch while they are being clasped or unclasped.
+    """
+    for part in phase_parts(motion):
+        chords = Bodies(cable_ends(plan_points(part.motion)), cable_names(motion))
+        is_linked = part.phase.state not in UNLINKED_STATES
+        allowed = partial(_unclasped, motion.team.layout) if is_linked else None
+        yield Moving.between(part.motion, chords, allowed=allowed)
+        if part.phase.state is CableState.LAYING:
+            yield _laid_neighbours(part.motion)
+
+
+def _unclasped(layout: Layout, first: Indices, second: Indices) -> Flags:
+    """Return whether pairs of cables share no clasp."""
+    return ~np.isin(pair_of(layout, first, second), clasped_pairs(layout))
+
+
+def _clasped_cables(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of cables that share no clasp while cables are clasped or tightened."""
+    if not motion.cable_states & CLASPED_STATES:
+        return
+    regions = clasped_cables(motion)
+    corners = regions.outline
+    outlines = replace(regions, corners=regions.corners[:, :, :corners] * PLAN_AXES)
+    yield Moving.between(
+        motion,
+        outlines,
+        allowed=partial(_unclasped, motion.team.layout),
+        shape=Hulls((corners, corners)),
+    )
+
+
+def _laid_neighbours(motion: Motion) -> Moving:
+    """Return the pairs of neighbours, on pieces on which drones move horizontally."""
+    layout = motion.team.layout
+
+    def neighbours(first: Indices, second: Indices) -> Flags:
+        return ~_unclasped(layout, first, second)
+
+    strips = replace(clasped_cables(motion), pieces=~upright_pieces(motion))
+    return Moving.between(motion, strips, allowed=neighbours)
+
+
+CROSSING = CheckRule(
+    "crossing",
+    "m",
+    "min",
+    lambda motion: DISTANCES["crossing"].limit(motion.requirements.separation),
+    (
+        Evaluator(nearest(_taut_parts), TAUT_STATES, formulas=(gap,)),
+        Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),
+        Evaluator(nearest(_clasped_cables), FREE_STATES | TAUT_STATES),
+    ),
+    "shorten the legs that meet (a shorter cable or a larger polygon), "
+    "choose other leg lengths, or lower separation.crossing",
+    "place the robots farther apart, or lower separation.crossing",
+    approach=Approach(lambda gamma: 2.0 * largest_error(gamma), lambda _: 2.0),
+)
+"""Cable parts that share no clasp keep a distance.
+
+Laid neighbours may be above each other; as they come down on each other, the check ``interlacing``
+compares them.
+"""
