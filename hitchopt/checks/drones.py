@@ -10,7 +10,7 @@ cable is being tightened, these forces blend by its tautness, a polynomial.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from operator import attrgetter
 from typing import NamedTuple
@@ -445,10 +445,7 @@ BODY_RATE = CheckRule(
 class Legs(MotionSpans):
     """Spans of legs."""
 
-    @classmethod
-    def names(cls, motion: Motion) -> Sequence[str]:
-        """Return the legs' names."""
-        return [f"{end}-leg {k}" for k in range(motion.team.robots) for end in "qr"]
+    names = staticmethod(attrgetter("team.leg_names"))
 
 
 def _length(spans: Legs) -> Bound:

@@ -37,6 +37,7 @@ from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.geometry.vectors import shortest_offset
 from hitchopt.hitch import Hitch, Quadrotor, Team
 from hitchopt.hitch.requirements import Arena, Prism, Requirements
+from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.steps.certified_motions import rest_plan
@@ -423,3 +424,10 @@ def test_drones_outside_an_arena_may_have_x_and_y_exchanged(
     check = row(motion, "arena")
     assert not check.holds
     assert RULE_OF["arena"].remedy_at(motion, check).endswith(EXCHANGED) is is_noted
+
+
+def test_legs_are_named_after_the_robots_that_hold_them() -> None:
+    motion = triangle()
+    assert row(motion, "legs").where == ("q-leg 0",)
+    team = replace(motion.team, assignment=Assignment((1, 2, 0), (True, False, False)))
+    assert row(motion.replaced(team=team), "legs").where == ("r-leg 1",)
