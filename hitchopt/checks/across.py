@@ -32,7 +32,7 @@ from hitchopt.checks.bodies import (
     taut_parts,
 )
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.distances import Moving, Shape, nearest_of, smallest
+from hitchopt.checks.distances import Moving, Shape, nearest_of
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_object
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase, largest_error
@@ -44,12 +44,7 @@ from hitchopt.checks.solids import (
     placed_objects,
 )
 from hitchopt.checks.spans import ROUNDING, cable_names, cached, flight_magnitude, magnitude
-from hitchopt.checks.tracking import (
-    RULES,
-    Ellipsoid,
-    downwash_radius,
-    ellipsoid_axes,
-)
+from hitchopt.checks.tracking import RULES, downwash_radius, touching_radius
 from hitchopt.hitch.pairs import DISTANCES, DistanceRule
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
@@ -396,12 +391,7 @@ def radius_across(
 
     terms.append(downwash_radius(above, requirements, DISTANCES["downwash"].approach(error)))
     tightest = min(terms, key=lambda term: term.worst)
-    ellipsoid = Ellipsoid(ellipsoid_axes(requirements))
     for run in runs(flight):
-        drones = run.moving(run.first.drones, run.second.drones)
-        moving = replace(drones.flattened(requirements.height_ratio), shape=ellipsoid)
-        pair = smallest(moving, incumbent=2.0 * tightest.worst)
-        radius = max(0.5 * pair.worst, 0.0)
-        if pair.item >= 0 and radius < tightest.worst:
-            tightest = WorstCase(radius, pair.time, moving.pair_names(pair.item))
+        pairs = run.moving(run.first.drones, run.second.drones)
+        tightest = touching_radius(pairs, requirements, tightest)
     return replace(tightest, worst=tightest.worst * (1.0 - ROUNDING))

@@ -1,4 +1,4 @@
-"""Checks of the cables: ``cable_length``, ``span``, ``tension``, and the range of friction.
+"""Checks of the cables: ``cable_length``, ``span`` and ``tension``.
 
 While clasped cables are being tightened, none may be overstretched before the hitch exists. From
 the second swap on, neighbours hold each other, so a cable is not straight between its drones, and
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
+from hitchopt.checks.friction import FrictionLegs
 from hitchopt.checks.objects import arc_lengths, select, wrapped_arcs
 from hitchopt.checks.rule import (
     CheckRule,
@@ -31,14 +32,12 @@ from hitchopt.checks.spans import (
     joined_arrays,
     leg_vectors,
     magnitude,
-    without_shared_zeros,
 )
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.forces import sag_factors
 from hitchopt.motion.loads import ranged_phases, saved_lengths, stated_tensions
 from hitchopt.motion.motion import FREE_STATES, TAUT_STATES, CableState, Motion
 from hitchopt.objects.placing import REST_DRIFT
-from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
 from hitchopt.trajectory.search import worst
 from hitchopt.values import Array, lazy
@@ -209,52 +208,6 @@ SPAN = CheckRule(
     ease="length",
 )
 """Largest distance of a free cable's drones over its length: below 1, it hangs."""
-
-
-@cached
-def _leg_and_edge(motion: Motion) -> list[Array]:
-    """Return the pull of every drone's leg, and its cable's tension [N], without common zeros."""
-    pulls = motion.pulls.coefficients
-    tensions = np.repeat(motion.tensions.coefficients, 2, axis=1)
-    tables = without_shared_zeros([pulls[:, :, None], tensions[:, :, None]])
-    return [table[:, :, 0] for table in tables]
-
-
-class FrictionLegs(Drones):
-    """Spans of all legs, each by its drone, with the friction of their cables at the clasps."""
-
-    @lazy
-    def friction_ratio(self) -> Array:
-        """(spans,) ``e^{μ θ}``, θ the smallest wrap angle of the cable at its clasp."""
-        leaving, arriving = bent_edges(self.source)
-        edges = np.stack([leaving, -arriving], axis=2).reshape(len(leaving), -1, *leaving.shape[2:])
-        edge_directions = Enclosed(self.read(edges), self.noise).direction
-        cosine = self.along.dot(edge_directions).lower.value - ROUNDING
-        wrap_angle = np.pi - np.arccos(np.clip(cosine, -1.0, 1.0))
-        return np.asarray(np.exp(self.source.team.cable_friction * wrap_angle))
-
-
-def leg_excess(spans: FrictionLegs) -> Bound:
-    """Return the excess of a leg's pull over the range of friction, relative to the tension.
-
-    The range is from ``e^{-μ θ}`` to ``e^{μ θ}`` times the edge's pull. A quotient of polynomials
-    with a positive divisor lies between the quotients of their coefficients.
-    """
-    pulls, tensions = _leg_and_edge(spans.source)
-    pull, tension = same_degree(spans.read(pulls), spans.read(tensions))
-    ratios = np.divide(pull, tension, out=np.full_like(pull, np.inf), where=tension > 0.0)
-    highest = np.max(ratios, axis=-1) * (1.0 + ROUNDING)
-    lowest = np.min(ratios, axis=-1) * (1.0 - ROUNDING)
-    above = highest - spans.friction_ratio
-    below = 1.0 / spans.friction_ratio - lowest
-    return Bound(np.maximum(above, below), np.full(len(spans), 0.5))
-
-
-def friction_excess(motion: Motion) -> WorstCase:
-    """Return the largest excess of a leg's pull over the range of friction (``leg_excess``)."""
-    largest = worst(FrictionLegs.of(motion), leg_excess, "max")
-    point = motion.team.layout.anchors[largest.item]
-    return WorstCase(largest.worst, largest.time, (f"p{point}",))
 
 
 def _worst_tension(motion: Motion, _: float) -> WorstCase:

@@ -1,7 +1,7 @@
 """Checks of the clasps: ``equilibrium`` of the cables' forces, and ``convexity`` of the outline.
 
-Friction at clasps, which lets a leg pull differently from its edge, is bounded by ``leg_excess`` in
-``hitchopt.checks.cables``; its excess counts as a residual of ``equilibrium``.
+Pulls of legs may differ from those of their edges by friction (``hitchopt.checks.friction``); what
+exceeds it counts as a residual of ``equilibrium``.
 
 The q-leg and the edge of cable k meet the r-leg and the edge of cable k-1 at clasp k. Drones carry
 half of each leg of cable k, clasp k half of its q-leg and edge, clasp k+1 half of its edge and
@@ -20,9 +20,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.cables import friction_excess, leg_excess
 from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.drones import leg_sags
+from hitchopt.checks.friction import friction_excess, leg_excess
 from hitchopt.checks.objects import missing_force, select, unbalanced
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (

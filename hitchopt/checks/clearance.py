@@ -89,13 +89,9 @@ def _drones_and_taut(motion: Motion) -> Iterator[Moving]:
 def _drones_and_chords(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of drones and the chords of other cables, projected from above."""
     level = plan_points(motion)
-    yield Moving.of(
-        motion,
-        level,
-        cable_ends(level),
-        allowed=lambda drone, cable: drone // 2 != cable,
-        names=(motion.team.drone_names, cable_names(motion)),
-    )
+    drones = Bodies(level, motion.team.drone_names)
+    chords = Bodies(cable_ends(level), cable_names(motion))
+    yield Moving.between(motion, drones, chords, allowed=lambda drone, cable: drone // 2 != cable)
 
 
 def _drones_and_drawn(motion: Motion) -> Iterator[Moving]:

@@ -12,8 +12,15 @@ from functools import partial
 
 import numpy as np
 
-from hitchopt.checks.bodies import Bodies, cable_ends, clasped_cables, plan_points, taut_parts
-from hitchopt.checks.distances import PLAN_AXES, Flags, Hulls, Moving, gap, nearest
+from hitchopt.checks.bodies import (
+    PLAN_AXES,
+    Bodies,
+    cable_ends,
+    clasped_cables,
+    plan_points,
+    taut_parts,
+)
+from hitchopt.checks.distances import Flags, Hulls, Moving, gap, nearest
 from hitchopt.checks.rule import Approach, CheckRule, Evaluator, largest_error
 from hitchopt.checks.spans import cable_names, clasped_pairs, pair_of, phase_parts
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR

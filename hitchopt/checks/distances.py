@@ -240,13 +240,6 @@ class Moving:
     """Divisor of heights of hanging cables and their shape in the formula; see ``flattened``."""
 
     @classmethod
-    def of(
-        cls, motion: Motion, first: Array, second: Array | None = None, **options: Any
-    ) -> Moving:
-        """Return bodies on the pieces of a motion, with its rounding error."""
-        return cls(motion.drones.breaks, first, second, position_margin(motion), **options)
-
-    @classmethod
     def between(
         cls,
         motion: Motion,
@@ -560,9 +553,18 @@ def nearest_of(cases: Iterable[Moving], limit: float, size: float) -> WorstCase:
             pair = smallest(moving, target=target, incumbent=best.worst)
         else:  # the answer only depends on the time span
             pair = smallest(moving, relative=tolerance, absolute=tolerance)
-        value = max(pair.worst, 0.0)
-        if value < best.worst and pair.item < 0:  # no attained distance is smaller
-            best = replace(best, worst=value)
-        elif value < best.worst:
-            best = WorstCase(value, pair.time, moving.pair_names(pair.item), size)
+        best = smaller_case(best, max(pair.worst, 0.0), moving, pair)
     return best
+
+
+def smaller_case(case: WorstCase, value: float, moving: Moving, pair: Extremum) -> WorstCase:
+    """Return a case, or the smaller value that follows from the smallest distance of pairs.
+
+    If no pair attains a smaller one, a search that knew the case has still not excluded values down
+    to its bound: the case keeps its bodies with that bound.
+    """
+    if not value < case.worst:
+        return case
+    if pair.item < 0:
+        return replace(case, worst=value)
+    return replace(case, worst=value, time=pair.time, where=moving.pair_names(pair.item))

@@ -13,12 +13,13 @@ may fly inside the hanging cable of another.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
+from hitchopt.checks.bodies import Bodies
 from hitchopt.checks.cable_states import contradictions
 from hitchopt.checks.chords import (
     chord_crossings,
@@ -491,8 +492,8 @@ class LyingRun(NamedTuple):
 def _opposite_ends(motion: Motion) -> Iterator[Moving]:
     """Yield pairs of chords of bent cables that lead to different clasps."""
     names = motion.team.drone_names
-    pairs = Moving.of(motion, outer_chords(motion), names=(names, names))
-    yield replace(pairs, allowed=lambda i, j: (i + j) % 2 == 0)
+    chords = Bodies(outer_chords(motion), names)
+    yield Moving.between(motion, chords, allowed=lambda i, j: (i + j) % 2 == 0)
 
 
 class BothCables(MotionSpans):

@@ -31,10 +31,18 @@ from functools import partial
 import numpy as np
 
 from hitchopt.checks.arena import ARENA, drone_wall_gap
+from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CABLE_CLEARANCE, KEEP_OUT, OBJECT_CLEARANCE
 from hitchopt.checks.crossing import CROSSING
-from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smallest
+from hitchopt.checks.distances import (
+    Moving,
+    PairSpans,
+    Shape,
+    gap,
+    smaller_case,
+    smallest,
+)
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import LEGS, Drones
 from hitchopt.checks.hanging import cable_displacement
@@ -224,15 +232,21 @@ def _pair_radius(motion: Motion, check: Check, term: WorstCase) -> WorstCase:
     lower = max(0.5 * float(np.min(axes)) * (check.worst - 1.0), 0.0)
     if term.worst <= lower:
         return term
-    names = motion.team.drone_names
-    points = motion.drones.coefficients[:, :, None]
-    moving = Moving.of(motion, points, names=(names, names))
-    moving = replace(moving.flattened(motion.requirements.height_ratio), shape=Ellipsoid(axes))
-    pair = smallest(moving, incumbent=2.0 * term.worst)
-    radius = max(0.5 * pair.worst, lower)
-    if radius >= term.worst or pair.item < 0:
-        return replace(term, worst=min(radius, term.worst))
-    return WorstCase(radius, pair.time, moving.pair_names(pair.item))
+    pairs = Moving.between(motion, drones_of(motion))
+    return touching_radius(pairs, motion.requirements, term, lower)
+
+
+def touching_radius(
+    pairs: Moving, requirements: Requirements, term: WorstCase, lower: float = 0.0
+) -> WorstCase:
+    """Return the smaller of a term and the radius, at least ``lower``, at which drones may touch.
+
+    It is half of the smallest shift of the offset of a pair with which their ellipsoids touch.
+    """
+    ellipsoid = Ellipsoid(ellipsoid_axes(requirements))
+    shifts = replace(pairs.flattened(requirements.height_ratio), shape=ellipsoid)
+    pair = smallest(shifts, incumbent=2.0 * term.worst)
+    return smaller_case(term, max(0.5 * pair.worst, lower), shifts, pair)
 
 
 def ellipsoid_axes(requirements: Requirements) -> Array:
@@ -261,21 +275,25 @@ class Ellipsoid(Shape):
         ellipsoid. Newton's method finds t from the left, on a convex decreasing function.
         """
         offsets = corners[..., 0, :]
-        a = float(self.axes[0])
-        b = float(self.axes[2])
+        level_axis = float(self.axes[0])
+        upright_axis = float(self.axes[2])
         across = np.hypot(offsets[..., 0], offsets[..., 1])
         upward = np.abs(offsets[..., 2])
-        outside = (across / a) ** 2 + (upward / b) ** 2 > 1.0
-        t = np.maximum(np.maximum(a * across - a * a, b * upward - b * b), 0.0)
+        is_outside = (across / level_axis) ** 2 + (upward / upright_axis) ** 2 > 1.0
+        by_level = level_axis * across - level_axis * level_axis
+        by_height = upright_axis * upward - upright_axis * upright_axis
+        t = np.maximum(np.maximum(by_level, by_height), 0.0)
         for _ in range(NEWTON_ITERATIONS):
+            level_divisor = t + level_axis * level_axis
+            upright_divisor = t + upright_axis * upright_axis
             # The nearest point over the semi-axes, on the unit circle at the solution
-            x = a * across / (t + a * a)
-            z = b * upward / (t + b * b)
-            excess = x * x + z * z - 1.0
-            slope = 2.0 * (x * x / (t + a * a) + z * z / (t + b * b))
-            t = t + np.where(outside, excess / np.where(outside, slope, 1.0), 0.0)
+            level = level_axis * across / level_divisor
+            height = upright_axis * upward / upright_divisor
+            excess = level * level + height * height - 1.0
+            slope = 2.0 * (level * level / level_divisor + height * height / upright_divisor)
+            t = t + np.where(is_outside, excess / np.where(is_outside, slope, 1.0), 0.0)
         normals = offsets / (t[..., None] + self.axes**2)
-        return unit(np.where(outside[..., None], normals, 0.0))
+        return unit(np.where(is_outside[..., None], normals, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -347,9 +365,7 @@ def downwash_radius(
     least = WorstCase(math.inf, 0.0)
     for moving in pairs(scale, formula=_error, shape=partial(Wash, axes=axes)):
         pair = smallest(moving, incumbent=least.worst * approach)
-        radius = max(pair.worst, 0.0) / approach
-        if pair.item >= 0 and radius < least.worst:
-            least = WorstCase(radius, pair.time, moving.pair_names(pair.item))
+        least = smaller_case(least, max(pair.worst, 0.0) / approach, moving, pair)
     return least
 
 
