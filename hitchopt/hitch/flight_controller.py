@@ -410,6 +410,14 @@ class FlightController(OneLine):
         )
 
     @classmethod
+    def of_px4(cls, parameters: Mapping[str, float], mass: float) -> FlightController:
+        """Return the position loop of PX4's parameters ``MPC_…`` for a drone's mass [kg]."""
+        kp, kd, ki = _px4_loop(parameters, mass)
+        level, upright = (math.inf if gain else 0.0 for gain in ki)
+        stock = cls.of("px4", mass)
+        return replace(stock, kp=kp, kd=kd, ki=ki, ki_limit=(level, upright), tracking=None)
+
+    @classmethod
     def plain(
         cls, mass: float, stiffness: float | None, *, integral: bool, feed_forward: bool
     ) -> FlightController:

@@ -102,9 +102,16 @@ class States(OneLine):
     load_share: Array
     masses: Array
 
-    def __getitem__(self, index: int | list[int]) -> States:
+    def __getitem__(self, index: int | list[int] | slice) -> States:
         """Return the states of one sample, or of some."""
         return States(*(getattr(self, field.name)[index] for field in fields(self)))
+
+    def ending_at_rest(self) -> States:
+        """Return states (S, …) whose last sample is at rest, without velocities and rates."""
+        values = {name: getattr(self, name).copy() for name in ZERO_AT_REST}
+        for value in values.values():
+            value[-1] = 0.0
+        return replace(self, **values)
 
     def listed(self, team: Team) -> States:
         """Return states of a team's places with drones and robots in the order of the problem."""

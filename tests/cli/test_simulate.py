@@ -93,7 +93,7 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
     size = 1e3 * summary["compensation"]["cables_longer"]
     assert re.search(rf"extra rope for bends \[mm\] +≤ {size:.1f}", result.stdout)
     *_, last = result.stdout.splitlines()
-    line = shlex.split(last.removeprefix("LaTeX table: hitchopt "))
+    line = shlex.split(last.partition(": hitchopt ")[2])
     assert "evaluation.tex is the LaTeX table" in run(*line, code=0).stdout
     table = (solved / "evaluation" / "evaluation.tex").read_text(encoding="utf-8")
     assert re.search(r"^p0 & all( & \d+\.\d){3} &", table, re.MULTILINE)
@@ -156,6 +156,13 @@ def test_a_flight_that_is_invalid_ends_with_3(solved: Path) -> None:
         ("simulate --perturb density=0.00001", "density = 1e-05: must be at least"),
         ("simulate --runs 0", "runs = 0: must be at least 1; give 1 or more"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
+        (
+            "simulate --upload",
+            "--upload = True: must be omitted for this plan, whose drones have no flight "
+            "controller (team.quadrotor.controller); add --controller mellinger",
+        ),
+        ("simulate --estimator crazyflie", "--estimator = 'crazyflie': must be omitted for this"),
+        ("simulate --drones crazyfly", "'crazyfly' is not one of 'crazyflie', 'px4'"),
         ("statics --at -1", "t = "),
         ("statics --error cable=1cm", "--error cable = '1cm': must be a number, or sd:number"),
         ("statics --perturb cable_length=[2.4,x]", "--perturb cable_length[1] = 'x'"),

@@ -43,7 +43,7 @@ from hitchopt.lab.simulation.estimator import (
     rotation_vector,
 )
 from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
-from hitchopt.lab.simulation.settings import Settings, settings_of
+from hitchopt.lab.simulation.settings import DRONES, INDOOR, Settings, settings_of
 from hitchopt.lab.simulation.task import Commands, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.values import Array
@@ -455,9 +455,10 @@ def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
     ("given", "told"),
     [
         ({"controller": "bang"}, "controller = 'bang': must be one of mellinger, lee, pid, px4"),
-        ({"upload": True}, "upload = True: must be omitted without a controller"),
-        ({"estimator": "crazyflie"}, "estimator = .*omitted without a controller"),
-        ({"gains": {"kp": 1.0}}, "gains = .*omitted without a controller"),
+        ({"upload": True}, "upload = True: must be omitted for this plan, .*add controller=mell"),
+        ({"estimator": "crazyflie"}, "estimator = 'crazyflie': must be omitted for this plan"),
+        ({"gains": {"kp": 1.0}}, "gains = .*omitted for this plan, whose drones have no flight"),
+        ({"drones": "dji"}, "drones = 'dji': must be crazyflie or px4"),
         ({"controller": "ideal", "upload": True}, "upload = True: must be omitted without"),
         ({"controller": "pid", "estimator": "best"}, "estimator = 'best': must be one of ideal"),
         ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
@@ -502,6 +503,12 @@ def still_task(kind: ho.Quadrotor, seconds: float = 0.1) -> Task:
         ({"controller": "lee"}, {"controller": "lee"}, ("lee", None, False)),
         ({"controller": "lee"}, {"controller": "ideal"}, ("ideal", None, False)),
         ({}, {"controller": "pid", "estimator": "crazyflie"}, ("pid", HELD, False)),
+        # Drones of a kind fly as the plan states if it names a controller of theirs
+        ({}, {"drones": "crazyflie"}, ("mellinger", HELD, False)),
+        ({"controller": "px4"}, {"drones": "crazyflie"}, ("mellinger", HELD, False)),
+        ({"controller": "lee"}, {"drones": "crazyflie"}, ("lee", HELD, True)),
+        ({}, {"drones": "crazyflie", "controller": "pid"}, ("pid", None, False)),
+        ({}, {"drones": "px4"}, ("px4", None, False)),
     ],
 )
 def test_settings_follow_from_the_controller_that_the_plan_names(
@@ -537,6 +544,16 @@ def test_plans_that_exceed_the_memory_are_streamed_unless_uploads_are_requested(
     assert FlightInProgress(task, Settings()).files == ""
     with pytest.raises(ho.InfeasibleError, match="memory"):
         FlightInProgress(task, Settings(upload=True))
+
+
+def test_drones_of_a_kind_are_disturbed_unless_others_are_stated() -> None:
+    crazyflie = DRONES["crazyflie"].perturbations
+    given = {"drones": "crazyflie", "steady_wind": 0.0}
+    flown = settings_of("fast", perturbed=False, **given).perturbations
+    assert (flown.cable_error, flown.rotor_drag, flown.noise) == (0.005, 0.012, 0.0)
+    assert vars(flown) == vars(replace(crazyflie, steady_wind=0.0))
+    perturbed = settings_of("fast", perturbed=True, **given).perturbations
+    assert vars(perturbed) == vars(replace(INDOOR, steady_wind=0.0))
 
 
 def test_motors_of_named_controllers_lag_more() -> None:

@@ -16,7 +16,7 @@ from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.exports.contents import PLAN_COPY
 from hitchopt.exports.format import format_of
 from hitchopt.hitch.flight_controller import HELD
-from hitchopt.lab.simulation.commands import flown_team, resolved, streamed
+from hitchopt.lab.simulation.commands import flown_gains, flown_team, resolved, streamed
 from hitchopt.lab.simulation.exported import BEFORE, BETWEEN, is_export, read_exported
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
@@ -99,6 +99,52 @@ def test_gains_and_filter_are_those_of_the_files(plan: ho.Plan, tmp_path: Path) 
     assert edited.task.received.estimator.level_noise == 7.0
     with pytest.raises(InputError, match="its files state it"):
         resolved(edited.task, Settings(controller="lee"))
+
+
+def px4_plan(**kind: Any) -> ho.Plan:
+    drone = ho.Quadrotor(mass=0.8, max_thrust=16.0, **kind)
+    team = ho.Team(3, 4.6, tension=0.2, quadrotor=drone)
+    start = ho.Hitch.balanced(team, ho.regular_polygon(3, 2.4), altitude=2.0)
+    return ho.hold(start, seconds=0.1)
+
+
+def test_gains_of_px4_are_those_of_the_files(tmp_path: Path) -> None:
+    plan = px4_plan(controller="px4", gains={"kp": 2.4, "kd": 2.0, "ki": 0.1})
+    folder = exported(plan, tmp_path / "px4", "mavsdk_drone_show")
+    (own,) = {kind.loop for kind in plan.flight.team.kinds}
+    task = read_exported(folder).task
+    assert task.received is not None
+    for loop in task.received.loops:
+        for key in ("kp", "kd", "ki", "ki_limit"):
+            assert getattr(loop, key) == pytest.approx(getattr(own, key), rel=1e-5)
+    assert "gains: px4 kp [2.4, 2.4]" in flown_gains(task, Settings())
+    assert flown_gains(task, Settings()).endswith("those of the files")
+    manifest = folder / "export.json"
+    text = manifest.read_text(encoding="utf-8")
+    manifest.write_text(text.replace('"MPC_XY_P": 1.2', '"MPC_XY_P": 0.6'), encoding="utf-8")
+    edited = read_exported(folder).task.received
+    assert edited is not None
+    assert edited.loops[0].kp == pytest.approx((1.2, 2.4), rel=1e-5)
+    with pytest.raises(InputError, match="whose controller is px4; omit it"):
+        resolved(task, Settings(drones="crazyflie"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "format", "words"),
+    [
+        ({"controller": "px4"}, "mavsdk_drone_show", "defaults of its firmware, as the files"),
+        ({"controller": "px4", "gains": {"kp": 2.4}}, "csv", "the plan's, as the files hold none"),
+        ({}, "csv", "files and plan name no flight controller"),
+    ],
+)
+def test_gains_that_files_do_not_hold_are_said(
+    tmp_path: Path, kind: dict[str, Any], format: str, words: str
+) -> None:
+    task = read_exported(exported(px4_plan(**kind), tmp_path / "files", format)).task
+    assert words in flown_gains(task, Settings())
+    settings = resolved(task, Settings(controller="mellinger"))
+    assert (settings.controller, settings.upload) == ("mellinger", False)
+    assert "the stiffest" in flown_gains(task, Settings(controller="mellinger"))
 
 
 def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) -> None:
@@ -190,10 +236,37 @@ def test_parts_are_flown_with_what_the_script_does_between_them(tmp_path: Path) 
 
 
 @pytest.mark.slow
+def test_a_drone_of_an_export_is_lost_while_the_others_fly_on(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    folder = exported(plan, tmp_path / "files", "crazyswarm2")
+    result = CliRunner().invoke(main, ["simulate", str(folder), "--lose", "q1@0.3"])
+    assert "exported files hold no reaction to a loss: the other drones fly on" in result.stdout
+    content = json.loads((folder / "simulation" / "simulation.json").read_text(encoding="utf-8"))
+    assert content["loss"]["drone"] == "q1"
+    assert content["rests"] == []
+
+
+@pytest.mark.slow
+def test_the_evaluation_of_a_flown_export_agrees_to_a_millimetre(
+    plan: ho.Plan, tmp_path: Path
+) -> None:
+    """Its clock is that of the files, as is that of flights by fly.py."""
+    folder = exported(plan, tmp_path / "files", "crazyswarm2")
+    simulation = ho.simulate(folder, pull_test=False)
+    recording = simulation.save(tmp_path / "simulation")
+    evaluation, errors = ho.evaluate(recording, folder), simulation.errors
+    during = errors.t <= simulation.flight.task.duration
+    own, theirs = np.nanmean(errors.errors[during], axis=0), np.nanmean(evaluation.errors, axis=0)
+    np.testing.assert_allclose(theirs, own, atol=1e-3)
+
+
+@pytest.mark.slow
 def test_the_command_flies_an_export(plan: ho.Plan, tmp_path: Path) -> None:
     folder = exported(plan, tmp_path / "files", "crazyswarm2")
     result = CliRunner().invoke(main, ["simulate", str(folder)])
     assert result.exit_code == 0, result.output
     assert "flies the crazyswarm2 files in 1 part" in result.stdout
+    assert "gains: mellinger" in result.stdout
     assert (folder / "simulation" / "simulation.json").is_file()
     assert "every vertex holds" in result.stdout

@@ -10,10 +10,12 @@ from plans import planned
 from scripted import flight_of
 
 import hitchopt as ho
+from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import Outcome, judge, vertex_errors
+from hitchopt.lab.simulation.planned_rests import PullTest, pull_tests
 from hitchopt.lab.simulation.report import Simulation, summary
 from hitchopt.lab.simulation.rests import AFTER, rests
-from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.settings import INDOOR, Settings
 from hitchopt.lab.simulation.task import Task
 
 TEAM = ho.Team(3, 2.3, tension=0.5, cable_density=0.01)
@@ -49,6 +51,61 @@ def test_every_step_that_ends_with_a_taut_hitch_is_a_rest(plan: ho.Plan) -> None
         assert not rest.hitched  # straight cables are not linked
 
 
+def test_rests_between_which_nothing_moves_have_one_pull_test(plan: ho.Plan) -> None:
+    """The last one is pulled after the plan, with the morph's end before it."""
+    task = Task.of(plan.flight)
+    hold, morph = (phase.end for phase in plan.phases[:-1])
+    tests = pull_tests(task)
+    assert tests[hold] == PullTest(hold, 0.0)
+    assert tests[morph].time == task.duration
+    assert tests[morph].since == pytest.approx(morph, abs=0.02)
+    twice = ho.Mission(TEAM, ho.HitchStart(FROM, 2.0)).hold(0.3).hold(0.2).morph(TO).solve()
+    first, second = (phase.end for phase in twice.phases[:2])
+    assert pull_tests(Task.of(twice.flight)) == dict.fromkeys(
+        [first, second], PullTest(second, 0.0)
+    )
+
+
+def test_a_vertex_that_slips_where_it_is_pulled_does_not_hold(plan: ho.Plan) -> None:
+    task, end = Task.of(plan.flight), plan.phases[0].end
+    index, vertices = task.index(end), task.states.vertices[:, task.team.layout.clasps]
+    stopped, t = task.until(index), np.arange(0.0, 3.505, 0.01)
+    pulled = np.repeat(vertices[index][None], len(t), axis=0)
+    pulled[t > 1.6, 1] += [0.0, 0.3, 0.0]
+    linked = np.ones((3, 3), dtype=np.int64)
+    times = {"linking": linked, "rested": 1.5, "pulled": 3.5}
+    test = flight_of(stopped, plan.end, t, vertices=pulled, **times)
+    t = np.arange(0.0, task.duration + 1.005, 0.01)
+    whole = flight_of(
+        task, plan.end, t, rested=task.duration + 1.0, linking=linked, pull_tests={end: test}
+    )
+    outcome = judge(whole)
+    (failure,) = outcome.failures
+    assert (failure.kind, failure.where, failure.time) == ("slipped", ("p1",), end)
+    assert f"at rest at t = {end:.2f} s" in failure.words
+    found = rests(whole, outcome)
+    assert [vertex.holds for vertex in found[0].vertices.values()] == [True, False, True]
+    assert found[0].vertices["p1"].moved > 0.1
+    assert summary(Simulation.judged(whole))["rests"][0]["vertices"]["p1"]["holds"] is False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", ["ideal", "mellinger"])
+def test_pull_tests_leave_the_flight_as_it_is(controller: str) -> None:
+    """They fly a copy, so that every number of the record is the same without them."""
+    nearby = ho.regular_polygon(3, 1.28)
+    plan = ho.Mission(TEAM, ho.HitchStart(FROM, 2.0)).hold(0.1).morph(nearby).hold(0.3).solve()
+    task, estimator = Task.of(plan.flight), "ideal" if controller == "ideal" else "crazyflie"
+    options = {"controller": controller, "estimator": estimator, "perturbations": INDOOR}
+    pulled, plain = (fly(task, Settings(pull_test=each, **options)) for each in (True, False))  # type: ignore[arg-type]
+    assert [*pulled.pull_tests] == [plan.phases[0].end]
+    assert not plain.pull_tests
+    for name, values in vars(plain.record).items():
+        same = getattr(pulled.record, name)[: len(values)]
+        np.testing.assert_array_equal(same, values, err_msg=name)
+    assert [rest.hitched for rest in rests(pulled, judge(pulled))] == [True, True, True]
+
+
 @pytest.mark.slow
 def test_a_hitch_that_holds_does_so_at_every_rest(plan: ho.Plan, tmp_path: Path) -> None:
     """The evaluation of the recording finds the vertices of the simulation to a millimetre."""
@@ -74,8 +131,10 @@ def test_a_hitch_that_holds_does_so_at_every_rest(plan: ho.Plan, tmp_path: Path)
 @pytest.mark.slow
 def test_plans_that_end_untied_have_rests_before() -> None:
     motion = planned("tie_carry_untie").flight
-    simulation = Simulation.of(Task.of(motion), Settings(pull_test=False))
+    simulation = Simulation.of(Task.of(motion), Settings())
     found = simulation.rests
     assert found
+    assert all(rest.hitched for rest in found)
+    assert all(np.isfinite(vertex.moved) for rest in found for vertex in rest.vertices.values())
     assert AFTER not in {rest.phase for rest in found}
     assert all(rest.objects or not motion.requirements.objects for rest in found)

@@ -20,7 +20,8 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.energy import energy_of
 from hitchopt.lab.flights.readers import HEADER
 from hitchopt.lab.flights.recordings import RecordedFlight, Recording, Track, windows_of
-from hitchopt.lab.simulation.task import TeamTask, team_task
+from hitchopt.lab.simulation.exported import team_task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, friction_pulls
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.motion.states import States

@@ -23,7 +23,7 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
     "recording [RECORDING]",
     option(
         "--plan",
-        "Plan that was flown; without it, the contents of the recording are listed.",
+        "Plan or export that was flown; without it, the contents of the recording are listed.",
         PATH,
         "DIR",
     ),
@@ -71,16 +71,20 @@ def evaluate(
 ) -> None:
     """Compare RECORDING, a flight, with the plan in --plan: vertices (from markers) and drones.
 
+    An export has the plan's copy with the times of its files and of fly.py.
+
     Without a plan, the contents of RECORDING are listed: bodies, quantities, topics, rates and
     gaps. RECORDING is a table of Motive or Vicon, C3D, a ROS bag, Crazyflie uSD logs, a PX4 ulog,
     DIR/simulation, or a CSV file with the columns t, name, x, y, z, whose rows named marker are
     points without a name. Clock, frame and names are fitted. Writes evaluation.json, vertices.csv,
     evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.
     """
-    from hitchopt.lab.simulation.task import team_task
+    from hitchopt.lab.simulation.exported import is_export, team_task
     from hitchopt.values.fields import Missing
 
-    task = None if plan is None else team_task(plan_path(plan).parent, "evaluate")
+    task = None
+    if plan is not None:
+        task = team_task(plan if is_export(plan) else plan_path(plan).parent, "evaluate")
     if markers:
         if task is None:
             remedy = "name the directory of the plan"

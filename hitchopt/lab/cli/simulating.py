@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     import click
 
+    from hitchopt.lab.simulation.exported import ExportedFlight
     from hitchopt.lab.simulation.judgement import Spread
     from hitchopt.lab.simulation.report import Simulation
     from hitchopt.lab.simulation.rests import Rest
@@ -65,6 +66,7 @@ def _settings_options() -> Sequence[click.Option]:
             "repeated.",
             perturbation_keys(),
         ),
+        key_option("--drones", keys["drones"]),
         key_option("--controller", keys["controller"]),
         key_option("--estimator", keys["estimator"]),
         key_option("--latency", keys["latency"], "SECONDS"),
@@ -132,32 +134,23 @@ def simulate(
     distances in three dimensions, including sag. A single flight exits with 3 if drones touch, a
     vertex does not hold, an object is touched, dropped or not placed within 3 cm and 5° beyond
     the plan's tracking errors, or the simulation leaves its valid range; with --lose, if a survivor
-    touches anything or there is no reaction. A campaign (--runs) exits with 0 and reports the
-    success rate.
+    touches anything or no reaction is found (exports hold none: survivors fly on). A campaign
+    (--runs) exits with 0 and reports the success rate.
     """
+    from hitchopt.lab.simulation.commands import flown_gains
     from hitchopt.lab.simulation.control import read_calibrated
-    from hitchopt.lab.simulation.exported import is_export, read_exported
+    from hitchopt.lab.simulation.exported import is_export
     from hitchopt.lab.simulation.judgement import warnings
-    from hitchopt.lab.simulation.settings import settings_of
+    from hitchopt.lab.simulation.settings import Loss, settings_of
     from hitchopt.lab.simulation.task import read_task
-    from hitchopt.lab.sweeps.campaign import (
-        expected_seconds,
-        processes,
-        run_campaign,
-        save_campaign,
-    )
     from hitchopt.motion.plan_file import read_saved_plan
 
     exported = None
     if plan is not None or is_export(directory):
-        if lose is not None:
-            raise InputError("lose", lose, "of a plan", "simulate the plan's directory")
-        with ProgressBar("reading the export"):
-            exported = read_exported(directory, None if plan is None else plan_path(plan))
-        say(str(exported), exported=exported.facts)
+        exported, source = _read_export(directory, plan), plan or directory
         directory = directory if directory.is_dir() else directory.parent
     else:
-        directory = plan_path(directory).parent
+        directory = source = plan_path(directory).parent
     if lose is not None and runs is not None:
         raise InputError("lose", lose, "of a single flight", "omit --runs")
     if as_calibrated is not None:
@@ -165,7 +158,16 @@ def simulate(
     settings = settings_of(**options, **perturb)
     with ProgressBar("reading the plan"):
         task = read_task(directory) if exported is None else exported.task
-    if lose is not None:
+    if exported is not None:
+        gains = flown_gains(task, settings)
+        say(gains, gains=gains)
+    if settings.drones is not None:
+        drones = _disturbed_drones(task, settings)
+        say(drones, drones=drones)
+    if lose is not None and exported is not None:
+        settings = replace(settings, lost=Loss.parsed(lose))
+        say("exported files hold no reaction to a loss: the other drones fly on")
+    elif lose is not None:
         settings, task = _with_loss(directory, settings, task, lose, react=reaction)
     for warning in warnings(task, settings):
         say(f"note: {warning}")
@@ -179,8 +181,32 @@ def simulate(
             title, flight = exported.title, exported.flight
         with ProgressBar("writing the results"):
             simulation.save(folder, title, flight, picture_format(width), width)
-        _report(simulation, folder, directory if exported is None else None)
+        _report(simulation, folder, source)
         return
+    _fly_campaign(task, settings, runs, workers, folder)
+
+
+def _read_export(directory: Path, plan: Path | None) -> ExportedFlight:
+    """Return an export with its plan, and report what it contains."""
+    from hitchopt.lab.simulation.exported import read_exported
+
+    with ProgressBar("reading the export"):
+        exported = read_exported(directory, None if plan is None else plan_path(plan))
+    say(str(exported), exported=exported.facts)
+    return exported
+
+
+def _fly_campaign(
+    task: Task, settings: Settings, runs: int, workers: int | None, folder: Path
+) -> None:
+    """Simulate several flights; report and write their results."""
+    from hitchopt.lab.sweeps.campaign import (
+        expected_seconds,
+        processes,
+        run_campaign,
+        save_campaign,
+    )
+
     with ProgressBar("building ropes"):
         seconds, count = expected_seconds(task, settings), processes(runs, workers)
     if math.isfinite(seconds):
@@ -237,8 +263,8 @@ def _flown(task: Task, settings: Settings) -> Simulation:
         return Simulation.judged(flight.flown(progress))
 
 
-def _report(simulation: Simulation, folder: Path, plan: Path | None) -> None:
-    """Report one flight, of the ``plan`` in a directory or of an export.
+def _report(simulation: Simulation, folder: Path, source: Path) -> None:
+    """Report one flight of a plan or an export.
 
     Exits with EXIT_INFEASIBLE unless it succeeded.
     """
@@ -254,10 +280,13 @@ def _report(simulation: Simulation, folder: Path, plan: Path | None) -> None:
     say(message, directory=str(folder), simulation=summary(simulation))
     if words := tracking_verdict(simulation.flight):
         say(words, tracking=words)
+    for time, test in simulation.flight.pull_tests.items():
+        if test.error is not None:
+            say(f"note: not pulled at t = {time:.2f} s: {test.error}")
     is_alone = len(simulation.flight.task.teams) == 1
-    if simulation.errors.t.size and is_alone and plan is not None:
-        command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(plan)])
-        say(f"LaTeX table: {command}")
+    if simulation.errors.t.size and is_alone:
+        command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(source)])
+        say(f"LaTeX table, of the plan without the rest after it: {command}")
     for failure in simulation.outcome.failures:
         status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{status}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -302,7 +331,7 @@ def flight_tables(simulation: Simulation) -> str:
         ]
         parts.append(table("Vertex errors, sag included [cm]", vertices))
     if simulation.rests:
-        parts.append(_table_of_rests(simulation.rests))
+        parts += _tables_of_rests(simulation.rests)
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
@@ -313,19 +342,30 @@ def flight_tables(simulation: Simulation) -> str:
     return "\n\n".join([*parts, *_inexact(simulation.settings)])
 
 
-def _table_of_rests(rests: Sequence[Rest]) -> str:
-    """Return the table of every vertex at every rest."""
-    rows = [
-        {
-            "rest": f"{rest.phase}, {rest.end:.1f} s",
-            "vertex": name,
-            **{key: known_text(100.0 * getattr(vertex, key)) for key in ERROR_COLUMNS},
-            "holds": vertex.holds,
-        }
-        for rest in rests
-        for name, vertex in rest.vertices.items()
+def _tables_of_rests(rests: Sequence[Rest]) -> list[str]:
+    """Return the tables of every vertex, of the drones and of every object at every rest."""
+    vertices, drones, objects = list[dict[str, object]](), list[dict[str, object]](), []
+    for rest in rests:
+        label = {"rest": f"{rest.phase}, {rest.end:.1f} s"}
+        for name, vertex in rest.vertices.items():
+            errors = {key: known_text(100.0 * getattr(vertex, key)) for key in ERROR_COLUMNS}
+            pulled = known_text(100.0 * vertex.moved)
+            row = {"vertex": name, **errors, "slip if pulled": pulled, "holds": vertex.holds}
+            vertices.append(label | row)
+        sizes = zip(("horizontal", "vertical"), rest.drones, strict=True)
+        of_drones: dict[str, object] = {key: known_text(100.0 * size) for key, size in sizes}
+        if rest.within is not None:
+            allowed = known_text(100.0 * rest.allowed.level, 100.0 * rest.allowed.height)
+            of_drones |= {"allowed": allowed, "within": rest.within}
+        drones.append(label | {"vertices": ", ".join(rest.vertices)} | of_drones)
+        objects += [
+            label | {key: getattr(each, key) for key in OBJECT_COLUMNS} for each in rest.objects
+        ]
+    parts = [
+        table("Vertices at rest, where steps end [cm]", vertices),
+        table("Largest errors of drones at rest, to the plan [cm]", drones),
     ]
-    return table("Vertices at rest, where steps end [cm]", rows)
+    return [*parts, table("Objects at rest [m, °]", objects)] if objects else parts
 
 
 def _inexact(settings: Settings) -> list[str]:
@@ -339,6 +379,17 @@ def _inexact(settings: Settings) -> list[str]:
         f"preset={ACCURATE.name} ({1e3 * ACCURATE.segment:g} mm) to measure them"
     )
     return [] if preset.exact else [line]
+
+
+def _disturbed_drones(task: Task, settings: Settings) -> str:
+    """Return in words what drones of a kind fly with."""
+    from hitchopt.lab.simulation.commands import resolved
+    from hitchopt.lab.simulation.settings import CALM
+
+    usual = vars(CALM)
+    values = {key: x for key, x in vars(settings.perturbations).items() if x != usual[key]}
+    perturbed = ", ".join(f"{key}={value}" for key, value in values.items())
+    return f"drones {settings.drones}: {_flown_by(resolved(task, settings))}; {perturbed or 'calm'}"
 
 
 def _flown_by(settings: Settings) -> str:

@@ -30,7 +30,8 @@ from hitchopt.lab.flights.vertices import (
     measured_vertices,
     through_gaps,
 )
-from hitchopt.lab.simulation.task import TeamTask, team_task
+from hitchopt.lab.simulation.exported import team_task
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, RECORDING
@@ -237,7 +238,7 @@ def evaluate(
     Parameters
     ----------
     recording: a file or directory in a format of ``read_flight``, or a ``RecordedFlight``.
-    plan: the plan of the flight, or its directory.
+    plan: the plan of the flight, its directory, or the folder of the export that was flown.
     names: drones by recorded names, such as ``cf231=q0,cf7=r0``; None: assigned by positions.
     frame: ``plan``, ``y-up``, ``fit``, or a JSON file with rotation and shift, such as another
         evaluation; None: the plan's or y-up if drones are then near their plan, else fitted.

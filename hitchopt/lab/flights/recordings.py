@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
-from hitchopt.lab.simulation.judgement import TAUT_RATIO
+from hitchopt.lab.simulation.planned_rests import TAUT_RATIO
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array, as_array
 

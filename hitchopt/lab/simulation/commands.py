@@ -14,8 +14,8 @@ from hitchopt.exports.exporting import Export, export_flight
 from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.flight_controller import HELD, STOCK, Gains, latency_scale
-from hitchopt.lab.simulation.settings import IDEAL, Settings
+from hitchopt.hitch.flight_controller import CONTROLLERS, HELD, STOCK, Gains, latency_scale
+from hitchopt.lab.simulation.settings import DRONES, ESTIMATORS, IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Commands, Received, Task, TeamTask
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import SavedPlan
@@ -37,12 +37,16 @@ def resolved(task: Task, settings: Settings) -> Settings:
     Exact states are None in these. Raise InputError for settings of a flight controller without
     one, or a latency without an estimator.
     """
+    if settings.drones is not None:
+        settings = _of_drones(task, settings)
     if task.received is not None:
         settings = _of_files(task.received, settings)
     estimator, upload = settings.estimator, settings.upload
     if settings.controller is None:
         names = named_controllers(task)
         name = (names.pop() if len(names) == 1 else None) or IDEAL
+        if name == IDEAL:
+            _require_controller(settings, names)
         settings = replace(settings, controller=name)
         if name != IDEAL:
             if estimator is None and STOCK[name].filtered:
@@ -59,9 +63,45 @@ def resolved(task: Task, settings: Settings) -> Settings:
     return replace(settings, estimator=estimator, upload=bool(upload))
 
 
+def _of_drones(task: Task, settings: Settings) -> Settings:
+    """Return settings with controller and filter of ``settings.drones``, unless others are stated.
+
+    Those of files and of plans stay. Raise InputError for files of other drones.
+    """
+    name = settings.drones or ""
+    kind, loops = DRONES[name], () if task.received is None else task.received.loops
+    if loops:
+        if (own := loops[0].name) not in kind.controllers:
+            bound = f"drones that fly these files, whose controller is {own}"
+            raise InputError("drones", name, bound, "omit it, or export for these drones")
+        return settings
+    names = named_controllers(task)
+    if settings.controller is not None or (len(names) == 1 and names <= {*kind.controllers}):
+        return settings
+    estimator = settings.estimator or kind.estimator
+    return replace(settings, controller=kind.controllers[0], estimator=estimator)
+
+
+def _require_controller(settings: Settings, names: set[str | None]) -> None:
+    """Raise InputError for settings of flight controllers, which the drones have not, or several.
+
+    ``names`` are those of their controllers.
+    """
+    own = "name several controllers" if len(names) > 1 else "have no flight controller"
+    bound = f"omitted for this plan, whose drones {own} (team.quadrotor.controller)"
+    first, *others = CONTROLLERS
+    remedy = f"add controller={first} (or {', '.join(others)})"
+    estimators = {each: name for name, each in ESTIMATORS.items()}
+    for key in ("gains", "estimator", "upload"):
+        if (value := getattr(settings, key)) and value != IDEAL:
+            shown = estimators.get(value, value) if key == "estimator" else value
+            raise InputError(key, shown, bound, remedy)
+
+
 def _of_files(files: Received, settings: Settings) -> Settings:
     """Return settings with controller and filter of exported files, if these hold gains."""
-    for name in ("controller", "gains", "estimator", "upload", "feedback"):
+    of_loops = ("controller", "gains", "estimator") if files.loops else ()
+    for name in (*of_loops, "upload", "feedback"):
         if value := getattr(settings, name):
             raise InputError(name, value, "omitted for an export", "its files state it")
     settings = replace(settings, upload=files.flown_by == "upload")
@@ -70,6 +110,27 @@ def _of_files(files: Received, settings: Settings) -> Settings:
     name = files.loops[0].name
     estimator = (files.estimator or HELD) if STOCK[name].filtered else IDEAL
     return replace(settings, controller=name, estimator=estimator)
+
+
+def flown_gains(task: Task, settings: Settings) -> str:
+    """Return in words the gains that fly exported files, and who states them."""
+    settings, files = resolved(task, settings), task.received
+    name = settings.controller or IDEAL
+    if name == IDEAL:
+        return "gains: an ideal controller's; files and plan name no flight controller"
+    if files is not None and files.loops:
+        loops, source = files.loops, "those of the files"
+    else:
+        kinds = [kind for part in task.teams for kind in flown_team(part.team, settings).kinds]
+        loops = tuple(kind.loop for kind in kinds)
+        own = all(kind.controller == name for part in task.teams for kind in part.team.quadrotor)
+        stated = own and all(kind.gains is not None for kind in kinds)
+        source = "the plan's" if stated else "defaults of its firmware" if own else "the stiffest"
+        source = f"{source}, as the files hold none"
+    loop, others = loops[0], "" if len({*loops}) == 1 else ", other drones differ"
+    gains = ((key, getattr(loop, key)) for key in ("kp", "kd", "ki"))
+    text = ", ".join(f"{key} [{level:.3g}, {upright:.3g}]" for key, (level, upright) in gains)
+    return f"gains: {name} {text}{others}: {source}"
 
 
 def named_controllers(task: Task) -> set[str | None]:

@@ -399,6 +399,7 @@ class VertexFeedback:
         self._feedback = Feedback(task.flight, delay=delay, stiffness=stiffness[self._listed])
         self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
         self._waiting: deque[tuple[float, Array]] = deque()
+        self._end = np.inf  # time at which the plan's clock stops [s]
         self.offsets = self._feedback.offsets[self._numbers]
 
     def corrected(self, setpoints: States, time: float, seconds: float, drones: Array) -> States:
@@ -409,13 +410,17 @@ class VertexFeedback:
         measured_at, vertices = None, None
         while self._waiting and self._waiting[0][0] <= time - self._delay + ROUNDING:
             measured_at, vertices = self._waiting.popleft()
-        measured = None if measured_at is None else self._start + measured_at
+        measured = None if measured_at is None else self._start + min(measured_at, self._end)
         listed, step = drones[self._listed], self._feedback.step
-        step(self._start + time, seconds, vertices, listed, measured=measured)
+        step(self._start + min(time, self._end), seconds, vertices, listed, measured=measured)
         self.offsets = self._feedback.offsets[self._numbers]
         positions = setpoints.positions + self.offsets
         velocities = setpoints.velocities + self._feedback.velocities[self._numbers]
         return replace(setpoints, positions=positions, velocities=velocities)
+
+    def stop_clock(self, time: float) -> None:
+        """Let the plan stay as it is at a time [s] of the flight."""
+        self._end = time
 
     def observe(self, time: float, vertices: Array) -> None:
         """Measure the vertices (clasps, 3) [m] at a time [s]."""

@@ -23,23 +23,30 @@ from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, mapping_at
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.crazyflie import LANDED, CrazyflieFormat
 from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.hitch.flight_controller import EstimatorParameters, FlightController, Gains
+from hitchopt.hitch.flight_controller import (
+    PX4_RANGES,
+    EstimatorParameters,
+    FlightController,
+    Gains,
+)
 from hitchopt.lab.simulation.commands import (
     CURVE_RATES,
     PACKET_RATES,
     body_rates,
     packets,
 )
-from hitchopt.lab.simulation.task import RATE, Commands, Received, Task
+from hitchopt.lab.simulation.task import RATE, Commands, Received, Task, TeamTask, read_task
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.retiming import padded, shifted
 from hitchopt.motion.states import sample_times
+from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import digest
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array, Indices
+from hitchopt.values import path as checked_path
 
 TAKE_OFF_TIME = 3.0  # Duration of the script's take-off [s]
 SETTLE_TIME = 2.0  # The script's wait after a take-off or a goTo [s]
@@ -106,6 +113,27 @@ class ExportedFlight:
 def is_export(path: Path) -> bool:
     """Return whether a path is a folder or a file that ``hitchopt export`` wrote."""
     return not (path / PLAN).exists() and bool(_manifest(path))
+
+
+def read_flown(path: Path) -> Task:
+    """Return the task of a plan's directory, or of an export with the times of files and script.
+
+    Raises FileError and InputError as ``read_task`` and ``read_exported`` do.
+    """
+    return read_exported(path).task if is_export(path) else read_task(path)
+
+
+def team_task(plan: TeamTask | Plan | Path | str, feature: str) -> TeamTask:
+    """Return the task of a plan, its directory or an export, for a ``feature`` of one team.
+
+    Raises FileError if the plan is missing or damaged, and UnsupportedError for several teams.
+    """
+    if isinstance(plan, TeamTask):
+        return plan
+    task = (
+        Task.of(plan.flight) if isinstance(plan, Plan) else read_flown(checked_path("plan", plan))
+    )
+    return task.of_one_team(feature)
 
 
 def _manifest(path: Path) -> dict[str, Any]:
@@ -233,8 +261,9 @@ def _jets(kind: Format, parts: Sequence[ExportedPart], starts: Sequence[float], 
             sample = np.searchsorted(curve.breaks, elapsed + BREAK_TOLERANCE, side="right") - 1
             elapsed = curve.breaks[np.maximum(sample, 0)]
         jets[:, rows] = np.moveaxis(curve.jet(elapsed, 3), -1, 0)
-        ended = t[rows] > start + curve.duration + BREAK_TOLERANCE
-        jets[1:, rows[(t[rows] < start) | ended]] = 0.0
+        if kind.flown_by == "upload":  # receivers of streams hold the last sample's force, too
+            ended = t[rows] > start + curve.duration + BREAK_TOLERANCE
+            jets[1:, rows[(t[rows] < start) | ended]] = 0.0
         if i + 1 < len(parts):
             goal, leave = parts[i + 1].curves.at(0.0), starts[i + 1] - GO_TIME
             leave -= SETTLE_TIME + UPLOAD_TIME
@@ -281,6 +310,8 @@ def _commands(kind: Format, jets: Array, trims: Array, task: Task, part: Exporte
 
 def _controller(part: ExportedPart) -> str:
     """Return the name of the controller that a part's parameters select; empty for others."""
+    if PX4_RANGES.keys() <= part.parameters[0].keys():
+        return "px4"
     value = mapping_at(part.parameters[0], "stabilizer").get("controller")
     return next((name for name, number in CONTROLLERS.items() if number == value), "")
 
@@ -295,6 +326,8 @@ def _loops(part: ExportedPart, task: Task) -> tuple[FlightController, ...]:
 
 def _loop(name: str, parameters: Mapping[str, Any], mass: float) -> FlightController | None:
     """Return the position loop of a drone's parameters; None without gains."""
+    if name == "px4":
+        return FlightController.of_px4(parameters, mass)
     if name == "pid":
         return FlightController.of(name, mass)
     if name == "mellinger" and (group := mapping_at(parameters, "ctrlMel")):

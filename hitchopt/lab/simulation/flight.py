@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from time import process_time
 from typing import Any
@@ -20,6 +21,7 @@ from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import LATENCY, Estimator, frame_age
+from hitchopt.lab.simulation.planned_rests import REST_TIME, PullTest, pull_tests
 from hitchopt.lab.simulation.settings import IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Commands, Task
 from hitchopt.lab.simulation.world import (
@@ -43,11 +45,10 @@ TIGHTENING_TIME = 1.5
 
 SETTLE_DAMPING = 40.0  # Initial damping of cables while they settle, against whipping [1/s]
 MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do not whip
-REST_TIME = 1.0  # Rest after the flight, before it is evaluated [s]
-
 PULL_RATIO = 1.5  # Tension of the pull test over the plan's
 PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its first half
 
+REST_SAMPLES = round(REST_TIME * RATE)  # Number of samples of a rest before a pull test
 FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
 ESTIMATE_STEPS = 60  # Steps whose time tells that of the whole flight
 # Period of searches for contacts, and of checks of strain and penetration [s]
@@ -116,6 +117,9 @@ class SimulatedFlight:
     end_offset: float
     objects: dict[str, SolidObject]  # simulated objects by name, with perturbations
     error: InvalidRunError | None  # the error that ended the flight early, or None
+    # Pull tests before the plan's end, by time [s]: flights of the plan up to there, whose records
+    # begin with the last second before
+    pull_tests: Mapping[float, SimulatedFlight] = field(default_factory=dict)
 
     @property
     def cable_names(self) -> list[str]:
@@ -213,10 +217,10 @@ class FlightInProgress:
         self._source_of_sent: tuple[int, int] | None = None
         self._loose_offset = self._drones(0) - task.states.positions[0]
         self._settling = iter(self._times(-SETTLE_TIME, 0.0))
-        self._start_record()
+        self._start_record(_planned_tests(task, settings))
 
-    def _start_record(self) -> None:
-        """Start an empty record of the flight."""
+    def _start_record(self, planned_tests: list[PullTest]) -> None:
+        """Start an empty record of the flight, with pull tests before the plan's end."""
         world = self._world
         count = len(world.ropes.lengths)
         self._progress: Progress | None = None
@@ -229,6 +233,7 @@ class FlightInProgress:
         self._touches: dict[tuple[str, str], float] = {}
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
+        self._planned_tests, self._tests = planned_tests, dict[float, SimulatedFlight]()
 
     def _controllers(self) -> control.Pilots | Autopilots:
         """Return the drones' controllers, and store the commands of flight controllers."""
@@ -280,24 +285,59 @@ class FlightInProgress:
 
     def _fly_all(self) -> None:
         """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
-        world, end = self._world, self._task.duration
+        end = self._task.duration
         self._settle()
         self._contacts.collect()
         self._peaks[:] = 0.0
         self._sample(0.0, 0, 0)
         self._fly(0.0, end)
-        self._fly(end, end + REST_TIME)
-        self._rested = end + REST_TIME
-        self._linking = ropes.linking_matrix(world.cables)
+        self._rest_and_pull(end, REST_TIME)
+
+    def _rest_and_pull(self, begin: float, seconds: float) -> None:
+        """Rest from a time [s] on, and pull all hitches, where the plan ends."""
+        self._rested = begin + seconds
+        if seconds > 0.0:
+            self._fly(begin, self._rested)
+        self._linking = ropes.linking_matrix(self._world.cables)
         if self._settings.pull_test and self._lost is None:
             self._fly(self._rested, self._rested + PULL_TIME, PULL_RATIO)
             self._pulled = self._rested + PULL_TIME
 
+    def _tested(self, test: PullTest) -> SimulatedFlight:
+        """Return a copy of this flight whose plan ends now, at a pull test."""
+        shared = self._task, self._settings, self._rows, self._frames, self._progress
+        branch = deepcopy(self, {id(each): each for each in shared})
+        return branch.ended(self._task.index(test.time), test.since)
+
+    def ended(self, index: int, since: float) -> SimulatedFlight:
+        """Return the flight, now, if its plan ends at a sample, with a pull test.
+
+        It rests until nothing has moved for REST_TIME since a time [s].
+        """
+        last, accelerations = self._rows[-REST_SAMPLES:], self._task.states.accelerations[index]
+        self._task = self._task.until(index)
+        self._setpoints = self._setpoints[: index + 1].ending_at_rest()
+        self._moment, self._source_of_sent = self._moment_at(index), None
+        if isinstance(self._pilots, Autopilots):
+            self._commands = self._commands.until(index, accelerations)
+        if self._feedback is not None:
+            self._feedback.stop_clock(self._task.duration)
+        self._start_record([])
+        self._rows, now = last, float(last[-1][0])
+        try:
+            self._rest_and_pull(now, max(0.0, REST_TIME - (now - since)))
+        except InvalidRunError as error:
+            return self._flight(error)
+        return self._flight(None)
+
     @property
     def steps(self) -> int:
-        """Number of steps of the whole flight."""
-        pull = PULL_TIME if self._settings.pull_test and self._lost is None else 0.0
-        return round((SETTLE_TIME + self._task.duration + REST_TIME + pull) / self._period)
+        """Number of steps of the whole flight, pull tests included."""
+        seconds = SETTLE_TIME + self._task.duration + REST_TIME
+        if self._settings.pull_test and self._lost is None:
+            rests = (max(0.0, REST_TIME - (x.time - x.since)) for x in self._planned_tests)
+            seconds += PULL_TIME + sum(rest + PULL_TIME for rest in rests)
+        return round(seconds / self._period)
 
     def expected_seconds(self) -> float:
         """Return the processor time of the flight [s], extrapolated from its first steps."""
@@ -337,6 +377,9 @@ class FlightInProgress:
                 sample, index = now, following
                 if self._progress is not None and sample % REPORT_PERIOD == 0:
                     self._progress(f"flying, {time:.1f} of {end:.1f} s")
+                if self._planned_tests and time >= self._planned_tests[0].time - ROUNDING:
+                    test = self._planned_tests.pop(0)
+                    self._tests[test.time] = self._tested(test)
             growth = min(1.0, 2.0 * (time - begin) / (end - begin))
             factor = 1.0 + (pull - 1.0) * growth
             self._step(time, index, None if pull == 1.0 else np.full(task.team.drones, factor))
@@ -518,7 +561,15 @@ class FlightInProgress:
             end_offset=float(np.max(length(self._end_offsets))),
             objects=world.objects,
             error=error,
+            pull_tests=self._tests,
         )
+
+
+def _planned_tests(task: Task, settings: Settings) -> list[PullTest]:
+    """Return the pull tests before the plan's end, by time."""
+    if not settings.pull_test or settings.lost is not None:
+        return []
+    return sorted(test for test in {*pull_tests(task).values()} if test.time < task.duration)
 
 
 def _setpoints(task: Task, settings: Settings, trims: Array) -> States:

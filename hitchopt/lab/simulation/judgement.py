@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,22 +18,20 @@ from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
+from hitchopt.lab.simulation.planned_rests import (
+    REST_TIME,
+    TAUT_RATIO,
+    resting_samples,
+    taut_samples,
+)
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
-from hitchopt.lab.simulation.task import Task, TeamTask, team_of
+from hitchopt.lab.simulation.task import Task, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.values import Array
 
-# Largest step of a resting vertex between samples [m], and largest change of a steady tension, over
-# the team's
-REST_TOLERANCE = 1e-6
-
-# Smallest tension over the team's of a taut hitch; vertices of loose hitches are ill-defined
-TAUT_RATIO = 0.9
-
 ROUNDING = 1e-5  # Rounding error of sample times [s]
 MAX_SLIP = 0.10  # Largest slip of a vertex along its cables in the pull test [m]
-AVERAGING_TIME = 1.0  # Final time of rest and pull test over which values are averaged [s]
 
 # Largest distance of an object from its planned position, beyond the plan's tracking errors [m]
 MAX_DISTANCE = 0.03
@@ -126,21 +124,6 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     planned = np.where(clasp_is_taut[index, :, None], planned, np.nan)
     moving = moves[index] & (t <= task.duration + ROUNDING)
     return VertexErrors(t, rows, planned, record.vertices[rows] - planned, moving)
-
-
-def taut_samples(task: TeamTask) -> NDArray[np.bool_]:
-    """Return whether a team's hitch is taut at the samples of its task (samples,)."""
-    tension, states = task.team.tension, task.states
-    taut: NDArray[np.bool_] = np.all(states.tensions >= TAUT_RATIO * tension, axis=-1)
-    return states.formed & taut
-
-
-def resting_samples(task: TeamTask) -> NDArray[np.bool_]:
-    """Return whether no vertex moves and no tension changes before samples of a task (samples,)."""
-    steps = length(np.diff(task.states.vertices, axis=0))
-    changes = np.abs(np.diff(task.states.tensions, axis=0)) / task.team.tension
-    resting = np.all(np.concatenate([steps, changes], axis=-1) <= REST_TOLERANCE, axis=-1)
-    return np.append(False, resting)
 
 
 def tension_ratios(flight: SimulatedFlight, rows: NDArray[np.int64]) -> Array:
@@ -260,7 +243,8 @@ class Outcome:
 def judge(flight: SimulatedFlight) -> Outcome:
     """Return the outcome of a flight.
 
-    If the plan ends with a hitch, every vertex must hold; otherwise cables must not be linked.
+    If the plan ends with a hitch, every vertex must hold; otherwise cables must not be linked. The
+    same applies where the plan stops for a pull test.
     Objects must be at their planned positions, and free unless the plan ends holding them. After
     the loss of a drone only contacts of survivors are failures.
     """
@@ -276,8 +260,10 @@ def judge(flight: SimulatedFlight) -> Outcome:
     objects: tuple[ObjectState, ...] = ()
     if lost is None:
         if flight.linking is not None:
-            clasps = _clasps(flight, flight.linking) if flight.task.states.formed[-1] else ()
+            clasps = tuple(vertices_of(flight).values())
             failures += _failed_links(flight, flight.linking, clasps)
+        for time, test in flight.pull_tests.items():
+            failures += _failures_in_test(test, time)
         objects = object_states(flight)
         failures += [failure for each in objects for failure in _object_failures(flight, each)]
     return Outcome(clasps, tuple(sorted(failures, key=lambda failure: failure.time)), objects)
@@ -293,6 +279,13 @@ def clasp_links(links: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
     same = np.all(pairs[:, None] == pairs, axis=-1)
     shares, rest = np.divmod(links[layout.behind, layout.ahead], np.sum(same, axis=1))
     return np.asarray(np.where(rest == 0, shares, 0))
+
+
+def vertices_of(flight: SimulatedFlight) -> dict[str, ClaspState]:
+    """Return the vertices at the end of a flight's plan by name; none if it ended before."""
+    if flight.linking is None or not flight.task.states.formed[-1]:
+        return {}
+    return {clasp.name: clasp for clasp in _clasps(flight, flight.linking)}
 
 
 def _clasps(flight: SimulatedFlight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
@@ -316,10 +309,10 @@ def _clasps(flight: SimulatedFlight, links: NDArray[np.int64]) -> tuple[ClaspSta
 def _means(flight: SimulatedFlight, end: float) -> tuple[Array, Array]:
     """Return mean leg lengths (clasps, 2) [m] and contact forces (clasps,) [N] before ``end`` [s].
 
-    Means are over the last AVERAGING_TIME; leg lengths are nan without vertices.
+    Means are over the last REST_TIME; leg lengths are nan without vertices.
     """
     record, layout = flight.record, flight.task.team.layout
-    chosen = (record.t > end - AVERAGING_TIME) & (record.t <= end + ROUNDING)
+    chosen = (record.t > end - REST_TIME) & (record.t <= end + ROUNDING)
     ends = record.drones[chosen][:, np.stack([2 * layout.ahead, 2 * layout.behind + 1], axis=-1)]
     legs, bearing = length(ends - record.vertices[chosen][:, :, None]), record.bearing[chosen]
     sums, counts = np.nansum(legs, axis=0), np.sum(np.isfinite(legs), axis=0)
@@ -355,6 +348,15 @@ def _failed_links(
             when = flight.pulled if kind == "slipped" else rested
             failures.append(Failure(kind, (each.name,), when, f"{each.name} {words}"))
     return failures
+
+
+def _failures_in_test(test: SimulatedFlight, time: float) -> list[Failure]:
+    """Return the failures of links in a pull test at a time [s]; none if it is not valid."""
+    if test.error is not None or test.linking is None:
+        return []
+    failures = _failed_links(test, test.linking, tuple(vertices_of(test).values()))
+    words = f"at rest at t = {time:.2f} s"
+    return [replace(each, time=time, words=f"{each.words}, {words}") for each in failures]
 
 
 def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failure]:
@@ -394,7 +396,7 @@ def allowed_errors(flight: SimulatedFlight) -> Tube:
 
 
 def object_states(
-    flight: SimulatedFlight, end: float | None = None, window: float = AVERAGING_TIME
+    flight: SimulatedFlight, end: float | None = None, window: float = REST_TIME
 ) -> tuple[ObjectState, ...]:
     """Return the states of all movable objects at a time [s]: means over a ``window`` [s] before.
 

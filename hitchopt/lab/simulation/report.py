@@ -17,7 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hitchopt.errors import InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.simulation.exported import is_export, read_exported
+from hitchopt.lab.simulation.exported import read_flown
 from hitchopt.lab.simulation.flight import SimulatedFlight, fly
 from hitchopt.lab.simulation.judgement import (
     CampaignRun,
@@ -36,7 +36,7 @@ from hitchopt.lab.simulation.judgement import (
 )
 from hitchopt.lab.simulation.rests import Rest, rests
 from hitchopt.lab.simulation.settings import CALM, PRESETS, Settings, settings_of
-from hitchopt.lab.simulation.task import Task, read_task
+from hitchopt.lab.simulation.task import Task
 from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import RECORDING
@@ -252,10 +252,8 @@ def simulate(
     _check_names("settings", settings, vars(Settings()))
     is_perturbed = flag("perturbed", perturbed)
     options = settings_of(preset, perturbed=is_perturbed, **settings, **changes)
-    if isinstance(plan, str | Path) and is_export(Path(plan)):
-        return Simulation.of(read_exported(Path(plan)).task, options, progress)
     if isinstance(plan, str | Path):
-        return Simulation.of(read_task(Path(plan)), options, progress)
+        return Simulation.of(read_flown(Path(plan)), options, progress)
     check_instance("plan", plan, Plan)
     plan.certificate.raise_if_violated()
     return Simulation.of(Task.of(plan.flight), options, progress)

@@ -1,14 +1,14 @@
 """Verdicts at every rest of a flight: where steps end with a taut hitch, and after the plan.
 
-Every step of a mission ends at rest. Values are means over the time at rest before the step ends,
-a second at most; a step that ends without staying at rest is judged by its last tenth of a second.
+Values are means over the time at rest before the step ends, a second at most; a step that ends
+without staying at rest is judged by its last tenth of a second. Where all drones stand still, every
+vertex is pulled on a copy of the flight that stops there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,22 +20,20 @@ from hitchopt.hitch.flight_controller import Tube
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight
 from hitchopt.lab.simulation.judgement import (
-    AVERAGING_TIME,
     ROUNDING,
+    ClaspState,
     ObjectState,
     Outcome,
     Spread,
     allowed_errors,
     clasp_links,
     object_states,
-    resting_samples,
-    taut_samples,
+    vertices_of,
 )
+from hitchopt.lab.simulation.planned_rests import REST_TIME, PlannedRest, pull_tests, rests_of
 from hitchopt.lab.simulation.ropes import linking_matrix
-from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array
 
-SHORTEST = 0.1  # Shortest time over which values at rest are averaged [s]
 AFTER = "rest"  # Name of the rest after the plan
 
 
@@ -48,8 +46,9 @@ class VertexAtRest:
     largest: float
     linking: int  # linking number of its two cables, over their clasps; ±1 for a clasp
     bearing: float  # mean contact force [N]
-    # whether it is linked once and bears; after the plan, also whether it does not slip if pulled
-    holds: bool
+    # slip along its cables in the pull test [m]; nan without one, where other drones move
+    moved: float
+    holds: bool  # whether it is linked once, bears, and does not slip if it is pulled
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +61,7 @@ class Rest(OneLine):
     vertices: dict[str, VertexAtRest]  # by name
     drones: tuple[float, float]  # largest error of a drone, level and upright [m]
     allowed: Tube  # tracking errors that the plan allows for
+    within: bool | None  # whether all drones are within these; None if the plan allows for none
     objects: tuple[ObjectState, ...]  # all movable ones
 
     @property
@@ -77,7 +77,12 @@ class Rest(OneLine):
             "start": self.start,
             "end": self.end,
             "vertices": {name: asdict(vertex) for name, vertex in self.vertices.items()},
-            "drones": {"level": level, "height": upright, "allowed": asdict(self.allowed)},
+            "drones": {
+                "level": level,
+                "height": upright,
+                "allowed": asdict(self.allowed),
+                "within": self.within,
+            },
             "objects": [asdict(each) for each in self.objects],
         }
 
@@ -85,48 +90,42 @@ class Rest(OneLine):
 def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
     """Return all rests of a flight with a taut hitch, by time; ``outcome`` judges the last one."""
     task, found = flight.task, list[Rest]()
-    holds_at_end = {clasp.name: clasp.holds for clasp in outcome.clasps}
+    after = {clasp.name: clasp for clasp in outcome.clasps}
+    valid = {
+        time: vertices_of(test) for time, test in flight.pull_tests.items() if test.error is None
+    }
+    valid[task.duration] = after
+    tests = {end: valid.get(test.time, {}) for end, test in pull_tests(task).items()}
     clasps = drones = slice(0, 0)
     for part in task.teams:
         clasps = slice(clasps.stop, clasps.stop + len(part.team.layout.clasps))
         drones = slice(drones.stop, drones.stop + part.team.drones)
-        spans = [*_spans(part)]
+        planned = [*rests_of(part)]
         if part.states.formed[-1] and np.isfinite(flight.rested):
-            spans.append((AFTER, flight.rested - AVERAGING_TIME, flight.rested))
-        for phase, start, end in spans:
+            planned.append(PlannedRest(AFTER, flight.rested - REST_TIME, flight.rested))
+            tests[flight.rested] = after
+        for rest in planned:
             rows = np.flatnonzero(
-                (flight.record.t > start + ROUNDING) & (flight.record.t <= end + ROUNDING)
+                (flight.record.t > rest.start + ROUNDING) & (flight.record.t <= rest.end + ROUNDING)
             )
-            if rows.size and flight.record.t[-1] >= end - ROUNDING:
-                last = holds_at_end if phase == AFTER else {}
-                vertices = _vertices(flight, rows, end, clasps, last)
-                errors = _drone_errors(flight, rows, drones)
-                objects = object_states(flight, end, end - start)
-                allowed = allowed_errors(flight)
-                found.append(Rest(phase, start, end, vertices, errors, allowed, objects))
+            if rows.size and flight.record.t[-1] >= rest.end - ROUNDING:
+                vertices = _vertices(flight, rows, rest.end, clasps, tests.get(rest.end, {}))
+                errors, allowed = _drone_errors(flight, rows, drones), allowed_errors(flight)
+                level = float(np.max(np.hypot(errors[..., 0], errors[..., 1])))
+                upright = float(np.max(np.abs(errors[..., 2])))
+                within = allowed.contains(errors) if allowed.level else None
+                objects = object_states(flight, rest.end, rest.end - rest.start)
+                found.append(
+                    Rest(
+                        *(rest.phase, rest.start, rest.end),
+                        vertices=vertices,
+                        drones=(level, upright),
+                        allowed=allowed,
+                        within=within,
+                        objects=objects,
+                    )
+                )
     return tuple(sorted(found, key=lambda rest: rest.end))
-
-
-def _spans(part: TeamTask) -> Iterator[tuple[str, float, float]]:
-    """Yield name, start and end [s] of the rests at which steps of a team end, its last excluded.
-
-    Only rests with a taut hitch are yielded. Times count from the flight's start.
-    """
-    if part.motion is None:
-        return
-    t, phases = part.states.t - part.states.t[0], part.motion.phases
-    taut = taut_samples(part)
-    still = taut & resting_samples(part)
-    for phase, following in pairwise(phases):
-        if phase.step == following.step:
-            continue
-        end = phase.end - float(part.states.t[0])
-        index = part.index(end)
-        if not taut[index]:
-            continue
-        moving = np.flatnonzero(~still[: index + 1])
-        since = t[moving[-1]] if moving.size else t[0]
-        yield phase.name, float(min(max(since, end - AVERAGING_TIME), end - SHORTEST)), end
 
 
 def _vertices(
@@ -134,9 +133,12 @@ def _vertices(
     rows: NDArray[np.intp],
     end: float,
     clasps: slice,
-    holds_at_end: dict[str, bool],
+    pulled: Mapping[str, ClaspState],
 ) -> dict[str, VertexAtRest]:
-    """Return the vertices of a team at rows of the record that end at a time [s]."""
+    """Return the vertices of a team at rows of the record that end at a time [s].
+
+    ``pulled`` are those of the pull test, if there is one.
+    """
     task, record, layout = flight.task, flight.record, flight.task.team.layout
     index = record.index[rows]
     planned = task.states.vertices[index][:, layout.clasps[clasps]]
@@ -146,11 +148,14 @@ def _vertices(
     links = clasp_links(_linking(flight, end), layout)[clasps]
     vertices = {}
     for c, point in enumerate(layout.clasps[clasps].tolist()):
-        name, spread = task.team.point_names[point], Spread.of(errors[:, c])
-        bears = bool(bearing[c] >= least[c] > 0.0)
-        holds = holds_at_end.get(name, bears and abs(int(links[c])) == 1)
-        linking, force = int(links[c]), float(bearing[c])
-        vertices[name] = VertexAtRest(**vars(spread), linking=linking, bearing=force, holds=holds)
+        name, linking, force = task.team.point_names[point], int(links[c]), float(bearing[c])
+        moved, holds = np.nan, abs(linking) == 1 and bool(bearing[c] >= least[c] > 0.0)
+        if (tested := pulled.get(name)) is not None:
+            moved, holds = tested.moved, tested.holds
+        spread = vars(Spread.of(errors[:, c]))
+        vertices[name] = VertexAtRest(
+            **spread, linking=linking, bearing=force, moved=moved, holds=holds
+        )
     return vertices
 
 
@@ -161,12 +166,9 @@ def _linking(flight: SimulatedFlight, end: float) -> NDArray[np.int64]:
     return linking_matrix(np.split(film.nodes[frame].astype(np.float64), film.cables[1:-1]))
 
 
-def _drone_errors(
-    flight: SimulatedFlight, rows: NDArray[np.intp], drones: slice
-) -> tuple[float, float]:
-    """Return the largest distances of drones from their planned places, level and upright [m]."""
+def _drone_errors(flight: SimulatedFlight, rows: NDArray[np.intp], drones: slice) -> Array:
+    """Return offsets of drones from their planned places (rows, drones, 3) [m]."""
     record = flight.record
-    planned: Array = flight.task.states.positions[record.index[rows]][:, drones]
-    errors = record.drones[rows][:, drones] - planned
-    level = np.hypot(errors[..., 0], errors[..., 1])
-    return float(np.max(level)), float(np.max(np.abs(errors[..., 2])))
+    planned = flight.task.states.positions[record.index[rows]][:, drones]
+    errors: Array = record.drones[rows][:, drones] - planned
+    return errors

@@ -149,6 +149,30 @@ INDOOR = Perturbations(
 
 
 @dataclass(frozen=True)
+class DroneKind:
+    """Drones that fly in place of the plan's idealized ones."""
+
+    controllers: tuple[str, ...]  # of their firmware; the first if the plan names none of them
+    estimator: str  # one of ESTIMATORS
+    perturbations: Perturbations
+
+
+DRONES: Mapping[str, DroneKind] = {
+    # Errors of positions are those of motion capture in the filter. A drone of 39 g has 0.015 N in
+    # a wind in which one of 132 g has 0.03 N
+    "crazyflie": DroneKind(
+        ("mellinger", "lee", "pid"),
+        "crazyflie",
+        replace(
+            INDOOR, noise=0.0, velocity_noise=0.0, wind=0.015, steady_wind=0.015, rotor_drag=0.012
+        ),
+    ),
+    "px4": DroneKind(("px4",), IDEAL, INDOOR),  # its filter is not simulated, but its errors are
+}
+"""Drones by name, with which a flight has what real ones have."""
+
+
+@dataclass(frozen=True)
 class Loss(OneLine):
     """Loss of a drone, by name, whose motors stop at a time of the flight [s]."""
 
@@ -199,6 +223,15 @@ class Settings(Record):
     feedback: Annotated[
         bool, Key(FLAGS, "Correct setpoints by measured vertices, as ho.Feedback does")
     ] = False
+    drones: Annotated[
+        str | None,
+        Key(
+            words(*DRONES),
+            "Drones that fly: their controller and filter if the plan names none of theirs, "
+            "cables 0.5 % and starts 2 cm off, wind, downwash and errors of objects; other "
+            "options override these; null: as the plan states, undisturbed",
+        ),
+    ] = None
     controller: Annotated[
         str | None,
         Key(
@@ -292,9 +325,12 @@ def flight_keys() -> dict[str, Key]:
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
     """Return settings from names of their fields and of perturbations; None counts as absent.
 
-    Other perturbations are INDOOR if ``perturbed``, else CALM.
+    Other perturbations are INDOOR if ``perturbed``, else those of the ``drones``, if any, else
+    CALM.
     """
-    usual = INDOOR if perturbed else CALM
     stated = {name: value for name, value in given.items() if value is not None}
+    kind = stated.get("drones")
+    of_drones = CALM if kind is None else DRONES[words(*DRONES).check("drones", kind)].perturbations
+    usual = INDOOR if perturbed else of_drones
     changes = {name: stated.pop(name) for name in vars(usual) if name in stated}
     return Settings(preset=PRESETS[preset], perturbations=replace(usual, **changes), **stated)

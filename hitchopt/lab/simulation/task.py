@@ -25,10 +25,9 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
-from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, lazy, path
+from hitchopt.values import Array, lazy
 
 Flags = NDArray[np.bool_]
 
@@ -142,6 +141,15 @@ class Commands:
     def arrays(self) -> dict[str, Array]:
         """Arrays of the setpoints by name."""
         return {name: values for name, values in vars(self).items() if name != "files"}
+
+    def until(self, index: int, accelerations: Array) -> Commands:
+        """Return the samples up to one, which stays: without the plan's accelerations (2n, 3)."""
+        last = min(index, len(self.positions) - 1)
+        arrays = {name: values[: last + 1].copy() for name, values in self.arrays.items()}
+        stays = Commands(**arrays, files=self.files)
+        stays.velocities[-1] = stays.rates[-1] = 0.0
+        stays.accelerations[-1] -= accelerations
+        return stays
 
     def __getitem__(self, index: int) -> Commands:
         """Return the setpoints of one sample, of the last one beyond it."""
@@ -280,6 +288,18 @@ class TeamTask:
         """Time from the first setpoint to the last [s]."""
         return float(self.states.t[-1] - self.states.t[0])
 
+    def until(self, index: int) -> TeamTask:
+        """Return the task whose last sample is one of its own."""
+        samples, cargo = slice(index + 1), self.cargo
+        cargo = replace(
+            cargo,
+            poses=cargo.poses[samples],
+            held=cargo.held[samples],
+            load_share=cargo.load_share[samples],
+        )
+        taut = None if self.taut is None else self.taut[samples]
+        return replace(self, states=self.states[samples], taut=taut, cargo=cargo)
+
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of loads that cables carry at a sample."""
         shares = self.states.tensions > 0.0 if self.taut is None else self.taut
@@ -370,6 +390,10 @@ class Task:
         """Time from the first setpoint to the last [s]."""
         return self.teams[0].duration
 
+    def until(self, index: int) -> Task:
+        """Return the task whose last sample is one of its own."""
+        return replace(self, teams=tuple(each.until(index) for each in self.teams))
+
     def with_positions(self, positions: Array) -> Task:
         """Return the task with other positions of the drones (samples, 2n, 3) [m]."""
         counts = np.cumsum([each.team.drones for each in self.teams])[:-1]
@@ -393,17 +417,6 @@ class Task:
     def index(self, elapsed: float) -> int:
         """Return the setpoint that applies ``elapsed`` [s] after the first one."""
         return self.teams[0].index(elapsed)
-
-
-def team_task(plan: TeamTask | Plan | Path | str, feature: str) -> TeamTask:
-    """Return the task of a plan, or of the plan in a directory, for a ``feature`` of one team.
-
-    Raises FileError if the plan is missing or damaged, and UnsupportedError for several teams.
-    """
-    if isinstance(plan, TeamTask):
-        return plan
-    task = Task.of(plan.flight) if isinstance(plan, Plan) else read_task(path("plan", plan))
-    return task.of_one_team(feature)
 
 
 def read_task(directory: Path) -> Task:

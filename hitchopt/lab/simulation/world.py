@@ -109,7 +109,8 @@ class World:
         objects: dict[str, SolidObject],
         names: Sequence[str] = (),
     ) -> None:
-        mujoco = self._mujoco = optional_module("mujoco", "simulating needs", "simulate")
+        mujoco = optional_module("mujoco", "simulating needs", "simulate")
+        self._forward, self._advance = mujoco.mj_forward, mujoco.mj_step  # deep copies share these
         if mujoco.get_mju_user_warning() is None:  # Without its log file of warnings
             mujoco.set_mju_user_warning(lambda _text: None)
         self.ropes, self.ground, self.objects = ropes, ground, objects
@@ -159,7 +160,7 @@ class World:
         ends = np.concatenate([cable[[0, -1]] for cable in cables])
         self.data.qpos[self._node_qpos] = inner - self._node_origins
         self.data.qpos[self._drone_qpos] = ends
-        self._mujoco.mj_forward(self.model, self.data)
+        self._forward(self.model, self.data)
 
     def step(self, count: int = 1, *, loose: bool = False, substeps: int = 1) -> None:
         """Advance by ``count`` time steps of the preset, with substeps while ropes whip.
@@ -184,7 +185,7 @@ class World:
             self._stepping = step / count_per_step, time
             self.model.opt.timestep = step / count_per_step
             self.model.eq_solref[:, 0] = time
-        self._mujoco.mj_step(self.model, self.data, nstep=count * count_per_step)
+        self._advance(self.model, self.data, nstep=count * count_per_step)
 
     @property
     def is_finite(self) -> bool:

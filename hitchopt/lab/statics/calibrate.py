@@ -51,8 +51,9 @@ from hitchopt.lab.flights.recordings import (
     taut_at,
     windows_of,
 )
-from hitchopt.lab.simulation.judgement import TAUT_RATIO
-from hitchopt.lab.simulation.task import TeamTask, team_task
+from hitchopt.lab.simulation.exported import team_task
+from hitchopt.lab.simulation.planned_rests import TAUT_RATIO
+from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.lab.statics.rests import DronesAtRests, drones_at_rests
 from hitchopt.plan import Plan
