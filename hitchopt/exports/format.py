@@ -128,7 +128,7 @@ class ExportTask:
         """Return the setpoints at times (S,) [s] in the files' frame, (S, D, 3) each.
 
         In addition to the states: ``yaw`` (S, D, 1) [rad]; ``feed_forward``, the acceleration for
-        controllers that add gravity, ``a_ff = a - G F / m`` with G = ``Team.pull_gain``;
+        controllers that add gravity, ``a_ff = a - G F / m`` with G F = ``States.held_forces``;
         ``quaternions`` (S, D, 4), w, x, y, z, from the body frame, whose z axis is along the thrust
         ``m (a_ff + g ẑ)``; and ``body_rates`` [rad/s] in the body frame. In frames with z down, the
         body axes are forward, right, down, otherwise forward, left, up. If offsets hold the
@@ -155,11 +155,10 @@ class ExportTask:
         frame, mass = self.frame, self.masses[:, None]
         rotated, heading = frame.vectors, frame.heading
         share = 0.0 if self.holds_tension else 1.0
-        forces, force_rates = share * states.cable_forces, share * states.cable_force_rates
-        gain = self.flight.team.pull_gain[self.order]
-        forward = states.accelerations - gain * forces / mass
+        false_pull = self.flight.team.false_pull[self.order]
+        forward = states.accelerations - share * states.held_forces(false_pull) / mass
         thrusts = rotated(mass * (forward + HOVER))
-        rates = rotated(mass * states.jerks - gain * force_rates)
+        rates = rotated(mass * states.jerks - share * states.held_force_rates(false_pull))
         flip = FLIPPED if rotated(HOVER)[2] < 0.0 else np.ones(3)
         attitude = attitudes(thrusts * flip, rates * flip, heading * flip[2])
         return {
@@ -168,7 +167,7 @@ class ExportTask:
             "accelerations": rotated(states.accelerations),
             "jerks": rotated(states.jerks),
             "yaw": np.full((*states.positions.shape[:-1], 1), heading),
-            "cable_forces": rotated(forces),
+            "cable_forces": rotated(share * states.cable_forces),
             "feed_forward": rotated(forward),
             "quaternions": attitude.quaternions * [1.0, *flip],
             "body_rates": attitude.body_rates * flip,

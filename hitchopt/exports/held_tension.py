@@ -6,7 +6,7 @@ setpoint s, and moves a drone of mass m under the cable force F by
     m ẍ = m s̈ + c (ṡ - ẋ) + k (s - x) + F.
 
 The drone follows the plan if ``δ = s - x`` solves ``δ + (c/k) δ' + (m/k) δ'' = -F/k``. At rest the
-setpoint is offset outward by T/k. F is scaled by ``Team.pull_gain``. The equation is solved
+setpoint is offset outward by T/k. F is that of ``States.held_forces``. The equation is solved
 forward from rest by collocation at Lobatto points, ends included, so that the second derivative is
 as continuous as F. The residual between these points moves the drone by at most the gain of the
 response times the residual, which is computed and reported. The plan is extended so that the
@@ -210,7 +210,7 @@ def _solve_offsets(
     durations = np.diff(breaks)
     times = breaks[:-1, None] + durations[:, None] * np.append(x, probes)
     times[:, len(x) - 1] = breaks[1:]  # exactly the start of the next piece
-    forces = motion.team.pull_gain * states_at(motion, times - breaks[0]).cable_forces
+    forces = states_at(motion, times - breaks[0]).held_forces(motion.team.false_pull)
     right_sides = np.moveaxis(-forces / stiffness, 1, -1)  # (pieces, 2n, 3, points)
     first, second = damping / stiffness, motion.team.mass[:, None] / stiffness
     coefficients = np.zeros((len(durations), motion.team.drones, 3, DEGREE + 1))

@@ -436,9 +436,9 @@ class Team(ByValue):
         return self._of_loops("feed_forward") > 0.0
 
     @property
-    def pull_gain(self) -> NDArray[np.float64]:
-        """(2n, 3): feed-forward force of each drone's loop over the steady cable force it holds."""
-        return self._per_axis("pull_gain")
+    def false_pull(self) -> NDArray[np.float64]:
+        """(2n, 3): force of each drone's damping over a pull across its thrust, at rest."""
+        return self._per_axis("false_pull")
 
     @property
     def max_tilt(self) -> NDArray[np.float64]:

@@ -85,13 +85,14 @@ class CommandedPlan:
         flight, setpoints = self._player.flight, self._player.step(seconds)
         states, team = flight_states_at(flight, [setpoints.time]), flight.team
         states = states.listed(team)
-        mass, gain = states.masses[0, :, None], team.pull_gain[team.listed]
-        gain = 0.0 * gain if self.landed else gain
-        forward = setpoints.accelerations - gain * states.cable_forces[0] / mass
+        mass, false_pull = states.masses[0, :, None], team.false_pull[team.listed]
+        share = 0.0 if self.landed else 1.0
+        forward = setpoints.accelerations - share * states.held_forces(false_pull)[0] / mass
         return FleetSetpoints(
             setpoints,
             mass * (forward + [0.0, 0.0, GRAVITY]),
-            mass * setpoints.jerks - setpoints.rate * gain * states.cable_force_rates[0],
+            mass * setpoints.jerks
+            - setpoints.rate * share * states.held_force_rates(false_pull)[0],
             forward,
         )
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Hitch, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
 from hitchopt.motion.flight import Flight
@@ -23,6 +24,9 @@ HOVER = np.array([0.0, 0.0, GRAVITY])
 
 END_TOLERANCE = 1e-6
 """[s] Minimum distance of a plan's end from the last regular sample at which it is sampled."""
+
+MIN_THRUST = 1e-9
+"""[N] Smallest divisor of thrusts."""
 
 MAX_SAMPLES = 50_000_000
 """Maximum number of samples; more are refused before memory is allocated."""
@@ -134,6 +138,39 @@ class States(OneLine):
     def thrust_rates(self, team: Team | Swarm) -> Array:
         """Return the time derivatives of the thrust vectors (…, 2n, 3) [N/s]."""
         return np.asarray(team.mass[:, None] * self.jerks - self.cable_force_rates)
+
+    def held_forces(self, false_pull: Array) -> Array:
+        """Return the cable forces (…, 2n, 3) [N] that controllers have to hold.
+
+        To the cable force F, filters that take a pull across the thrust for an acceleration add
+        ``false_pull (F - (F·b) b)``, with the thrust's direction b. ``false_pull`` (2n, 3) is that
+        of ``FlightController``, of the drones in the order of the states.
+        """
+        if not np.any(false_pull):
+            return self.cable_forces
+        return self.cable_forces + false_pull * self._across_thrust[0]
+
+    def held_force_rates(self, false_pull: Array) -> Array:
+        """Return the time derivatives of ``held_forces`` (…, 2n, 3) [N/s]."""
+        if not np.any(false_pull):
+            return self.cable_force_rates
+        return self.cable_force_rates + false_pull * self._across_thrust[1]
+
+    @cached_property
+    def _across_thrust(self) -> tuple[Array, Array]:
+        """Parts of cable forces across the thrust, and their time derivatives (…, 2n, 3)."""
+        masses, forces, rates = self.masses[..., None], self.cable_forces, self.cable_force_rates
+        thrusts = masses * (self.accelerations + HOVER) - forces
+        thrust_rates = masses * self.jerks - rates
+        size = np.maximum(length(thrusts), MIN_THRUST)[..., None]
+        direction = thrusts / size
+        turning = (thrust_rates - dot(thrust_rates, direction)[..., None] * direction) / size
+        along = dot(forces, direction)[..., None]
+        along_rates = (dot(rates, direction) + dot(forces, turning))[..., None]
+        return (
+            forces - along * direction,
+            rates - along_rates * direction - along * turning,
+        )
 
     @cached_property
     def _attitudes(self) -> Attitudes:

@@ -113,10 +113,8 @@ def test_all_drones_are_in_the_files(name: str, kind: str, tmp_path: Path) -> No
         off = np.linalg.norm(read.places - there, axis=-1)
         assert np.max(off) <= part.verdict.position.worst + 1e-6
     if read.forward is not None and name != "mavsdk_drone_show":
-        mass, gain = flight.team.mass[:, None], flight.team.pull_gain
-        np.testing.assert_allclose(
-            read.forward, states.accelerations - gain * states.cable_forces / mass, atol=1e-6
-        )
+        held = states.held_forces(flight.team.false_pull) / flight.team.mass[:, None]
+        np.testing.assert_allclose(read.forward, states.accelerations - held, atol=1e-6)
     (linted,) = lint(tmp_path)
     assert {finding.level for finding in linted.findings} <= {"warning", "note"}
     assert len(linted.facts) == len(roles)

@@ -48,7 +48,7 @@ def flown(
         x, v = y.reshape(2, count, 3)
         at = min(now, held.flight.duration)
         s, ds, dds = (held.flight.drones.at(at, order) for order in range(3))
-        pull = motion.team.pull_gain * states_at(motion, at).cable_forces
+        pull = states_at(motion, at).held_forces(motion.team.false_pull)
         force = sent * (m * dds + c * ds) - c * v + k * (s - x) + pull
         return np.concatenate([v.ravel(), (force / m).ravel()])
 

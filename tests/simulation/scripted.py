@@ -55,6 +55,7 @@ def hanging_task(team: Team, positions: Array, cable_forces: Array) -> Task:
     given = {"velocities": velocities, "accelerations": accelerations, "jerks": jerks}
     given |= {"cable_forces": cable_forces, "vertices": np.zeros((len(t), team.layout.points, 3))}
     given |= {"tensions": np.zeros((len(t), team.robots))}
+    given |= {"masses": np.broadcast_to(team.mass, positions.shape[:-1])}
     return Task((TeamTask(team, states_of(t, positions, **given)),))
 
 

@@ -35,9 +35,11 @@ from hitchopt.hitch.flight_controller import (
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import (
+    EXACT,
     LATENCY,
+    READINGS,
     Estimator,
-    SensorNoise,
+    LowPass,
     frame_age,
     rotation,
     rotation_vector,
@@ -46,6 +48,7 @@ from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
 from hitchopt.lab.simulation.settings import DRONES, INDOOR, Settings, settings_of
 from hitchopt.lab.simulation.task import Commands, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
+from hitchopt.motion.states import states_at
 from hitchopt.values import Array
 
 MASS, PULL = 0.132, 0.4
@@ -68,14 +71,16 @@ def flown(
     *,
     known: EstimatorParameters | None = None,
     fed: ArrayLike = 0.0,
+    added: ArrayLike = 0.0,
     mass: float = MASS,
     start: ArrayLike = 0.0,
     latency: float = LATENCY,
 ) -> tuple[Array, Array, Array, Estimator | None]:
     """Return positions (steps, d, 3) [m] of drones to be at the origin, tilts [°], and filters.
 
-    ``forces`` (d, 3) [N] grow in a second, and a share ``fed`` (d, 1) of them is fed forward. What
-    drones know of themselves is in between, tilts and level velocities (steps, d, 2) [°], [m/s].
+    ``forces`` (d, 3) [N] grow in a second. A share ``fed`` (d, 1) of them is fed forward, and so
+    are forces ``added`` (d, 3) [N], which grow alike. What drones know of themselves is in between,
+    tilts and level velocities (steps, d, 2) [°], [m/s].
     """
     pulls, masses = np.array(forces, dtype=np.float64), np.full(len(loops), mass)
     inertia, none = inertia_of(masses), np.zeros((len(loops), 3))
@@ -89,8 +94,10 @@ def flown(
         return np.degrees(np.arccos(np.clip(attitudes[:, 2, 2], -1.0, 1.0)))
 
     for i in range(round(seconds / PERIOD)):
-        grown = min(1.0, i * PERIOD) * pulls
-        pilots.advance(Commands(none, none, -np.array(fed) * grown / mass, none), now, PERIOD)
+        growth = min(1.0, i * PERIOD)
+        grown = growth * pulls
+        forward = -(np.array(fed) * grown + growth * np.array(added)) / mass
+        pilots.advance(Commands(none, none, forward, none), now, PERIOD)
         for _ in range(2):
             push = pilots.thrusts[:, None] * now.attitudes[:, :, 2] + grown
             velocities = now.velocities + STEP * (push / mass - [0.0, 0.0, GRAVITY])
@@ -137,17 +144,52 @@ def test_filters_interpret_horizontal_pulls_as_the_firmware_does(
     assert np.all(np.linalg.eigvalsh(known.variances) > 0.0)
 
 
+def false_pulls(loop: FlightController, pulls: Array, mass: float = MASS) -> Array:
+    """Return the forces (d, 3) [N] that damping adds to pulls (d, 3) on drones at rest."""
+    thrusts = np.array([0.0, 0.0, GRAVITY * mass]) - pulls
+    direction = thrusts / np.linalg.norm(thrusts, axis=1, keepdims=True)
+    across: Array = pulls - np.sum(pulls * direction, axis=1, keepdims=True) * direction
+    return np.array(loop.false_pull)[[0, 0, 1]] * across
+
+
 @pytest.mark.parametrize("name", ["mellinger", pytest.param("lee", marks=pytest.mark.slow)])
-def test_pull_gains_compensate_the_bias_of_the_filter(name: str) -> None:
-    """Without the gain, retuned drones would be 2 cm off; PX4 has another filter."""
+def test_held_forces_compensate_the_bias_of_the_filter(name: str) -> None:
+    """Without them, retuned drones would be 3 cm off at a tilt of 26°, and 1 cm too high."""
     gains = {"kp": 36.0 * MASS, "kd": 10.0 * MASS, "ki": 0.0} if name == "mellinger" else None
     loop = FlightController.of(name, MASS, gains)
-    assert FlightController.of("px4", MASS).pull_gain == (1.0, 1.0)
-    fed = np.array([[1.0], [loop.pull_gain[0]]])
-    pulls = np.tile([PULL, 0.0, 0.0], (2, 1))
-    places, *_ = flown([loop] * 2, pulls, 4.0, known=HELD, fed=fed)
-    plain, gained = np.abs(np.mean(places[-500:, :, 0], axis=0))
-    assert gained < 0.25 * plain
+    assert FlightController.of("px4", MASS).false_pull == (0.0, 0.0)
+    pulls = np.array([[0.2, 0.0, 0.0], [0.0, 0.4, 0.0], [0.6, 0.0, -0.1]])
+    twice, added = np.tile(pulls, (2, 1)), np.zeros((6, 3))
+    added[3:] = false_pulls(loop, pulls)
+    places, *_ = flown([loop] * 6, twice, 5.0, known=HELD, fed=1.0, added=added)
+    plain, held = np.split(np.linalg.norm(np.mean(places[-1000:], axis=0), axis=-1), 2)
+    assert np.all(held < 0.15 * plain)
+    heights = np.mean(places[-1000:, :, 2], axis=0)
+    assert heights[2] > 0.01
+    assert abs(heights[5]) < 0.15 * heights[2]
+
+
+def test_held_forces_of_states_add_what_lies_across_the_thrust() -> None:
+    """They are the cable forces of drones without a filter; rates are their derivatives."""
+    gains = {"kp": 4.75, "kd": 1.32, "ki": 0.0}
+    drone = ho.Quadrotor(0.132, 2.6, controller="mellinger", gains=gains)
+    team = ho.Team(robots=3, cable_length=2.4, tension=0.6, quadrotor=drone)
+    start = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.2)
+    motion = ho.morph(start, ho.regular_polygon(3, 1.3, angle=0.2)).motion
+    step, middle = 1e-5, 0.5 * motion.duration
+    states = states_at(motion, middle + step * np.array([-1.0, 0.0, 1.0]))
+    none = np.zeros((6, 3))
+    np.testing.assert_array_equal(states.held_forces(none), states.cable_forces)
+    np.testing.assert_array_equal(states.held_force_rates(none), states.cable_force_rates)
+    held, rates = states.held_forces(team.false_pull), states.held_force_rates(team.false_pull)
+    np.testing.assert_allclose((held[2] - held[0]) / (2.0 * step), rates[1], rtol=1e-4, atol=1e-5)
+    added = held - states.cable_forces
+    thrusts = states.thrusts(team)
+    np.testing.assert_allclose(np.sum(added * thrusts, axis=-1), 0.0, atol=1e-12)
+    along = np.sum(states.cable_forces * thrusts, axis=-1) / np.linalg.norm(thrusts, axis=-1)
+    across = np.linalg.norm(states.cable_forces, axis=-1) ** 2 - along**2
+    expected = team.false_pull[:, 0] * np.sqrt(across)
+    np.testing.assert_allclose(np.linalg.norm(added, axis=-1), expected, rtol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -215,8 +257,10 @@ def swings_at(latency: float, delays: list[float | None], name: str = "mellinger
     """Return how much drones tilt to and fro [°] at a stated latency, with gains for delays."""
     gains = [stiffest_gains(MASS, each, name) for each in delays]
     loops = [FlightController.of(name, MASS, each) for each in gains]
-    pulls, fed = [[PULL, 0.0, 0.0]] * len(loops), [[x.pull_gain[0]] for x in loops]
-    _, tilts, *_ = flown(loops, pulls, 6.0, known=HELD, fed=fed, latency=frame_age(latency))
+    pulls = np.tile([PULL, 0.0, 0.0], (len(loops), 1))
+    added = np.concatenate([false_pulls(loop, pulls[:1]) for loop in loops])
+    age = frame_age(latency)
+    _, tilts, *_ = flown(loops, pulls, 6.0, known=HELD, fed=1.0, added=added, latency=age)
     swings: list[float] = np.ptp(tilts[-1000:], axis=0).tolist()
     return swings
 
@@ -347,16 +391,15 @@ def test_motors_turn_before_they_lift_and_fade_with_their_lag() -> None:
 
 def test_without_noise_the_filter_is_exact_for_a_free_drone() -> None:
     """The drone moves by its thrust alone and turns; the filter has no residual."""
-    exact = SensorNoise(0.0, 0.0, 0.0, 0.0)
     now = replace(bodies_at_rest(1), velocities=np.array([[0.4, -0.2, 0.1]]))
     tilted = replace(now, attitudes=rotation(np.array([[0.1, -0.1, 0.0]])))
     random = np.random.default_rng(0)
-    known = [Estimator(each, tilted, random, noise=exact) for each in (HELD, ONE_MARKER)]
+    known = [Estimator(each, tilted, random, sensors=EXACT) for each in (HELD, ONE_MARKER)]
     for i in range(2000):
         for each in known:
             each.read(now)
             if i % 5 == 0:
-                each.predict(now)
+                each.predict()
             elif i % 5 == 2:
                 each.correct()
         t = PERIOD * i
@@ -374,6 +417,27 @@ def test_without_noise_the_filter_is_exact_for_a_free_drone() -> None:
         assert across.magnitude() < 0.02
 
 
+@pytest.mark.parametrize("cutoff", [30.0, 80.0])
+def test_low_passes_halve_the_power_at_their_cutoff_and_keep_what_is_steady(cutoff: float) -> None:
+    """As second-order Butterworth filters, which fall by the square of the frequency beyond it."""
+    t = np.arange(4000) / READINGS
+
+    def gain(frequency: float) -> float:
+        filter_ = LowPass(cutoff, np.zeros(1))
+        answers = [
+            filter_.apply(np.sin(2.0 * np.pi * frequency * t[i : i + 1])) for i in range(4000)
+        ]
+        return float(np.sqrt(2.0) * np.std(answers[2000:]))
+
+    assert gain(0.05 * cutoff) == pytest.approx(1.0, abs=1e-3)
+    assert gain(cutoff) == pytest.approx(np.sqrt(0.5), abs=1e-3)
+    warped = np.tan(np.pi * 2.0 * cutoff / READINGS) / np.tan(np.pi * cutoff / READINGS)
+    assert gain(2.0 * cutoff) == pytest.approx(1.0 / np.sqrt(1.0 + warped**4), abs=1e-3)
+    still = LowPass(cutoff, np.full(2, 3.0))
+    for _ in range(5):
+        np.testing.assert_allclose(still.apply(np.full(2, 3.0)), 3.0, rtol=1e-12)
+
+
 def test_packets_are_rounded_and_hold_the_pull() -> None:
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.0)
     (task,) = resting_task(hitch, 0.1).teams
@@ -382,9 +446,10 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
     for values in sent.arrays.values():
         np.testing.assert_allclose(values, 1e-3 * np.rint(1e3 * values), atol=1e-12)
     assert 0.0 < np.max(np.abs(sent.positions - task.states.positions)) <= 5.0001e-4
-    pull = -task.states.cable_forces / task.team.mass[:, None]
-    gain = [1.2, 1.2, 1.0]  # 1 + 0.02 s times the damping of 10/s
-    np.testing.assert_allclose(sent.accelerations, gain * pull, atol=1e-3)
+    forces, mass = task.states.cable_forces[0], float(task.team.mass[0])
+    loop = FlightController.of("mellinger", mass, stiffest_gains(mass))
+    held = forces + false_pulls(loop, forces, mass)
+    np.testing.assert_allclose(sent.accelerations[0], -held / mass, atol=2e-3)
     far = np.full((3, 6, 3), 50.0)
     (hovering,) = hanging_task(hitch.team, far, 0.0 * far).teams
     there = received(hovering, hitch.team, settings)
@@ -407,8 +472,8 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
     settings = Settings(controller="mellinger", upload=True)
     held = received(task, flown_team(team, settings), settings)
     offset = held.positions[0] - task.states.positions[0]
-    gain = 1.0 + 0.02 * 1.0 / kind.mass
-    expected = -task.states.cable_forces[0] * [gain, gain, 1.0] / [2.0, 2.0, 4.0]
+    forces = task.states.cable_forces[0]
+    expected = -(forces + false_pulls(kind.loop, forces, kind.mass)) / [2.0, 2.0, 4.0]
     np.testing.assert_allclose(offset, expected, atol=1e-3)
     assert len(held.positions) > len(task.states.t)
     np.testing.assert_allclose(held[10_000].positions, held.positions[-1])

@@ -25,13 +25,13 @@ from hitchopt.geometry.vectors import axial_vector, cross_product, length
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.flight_controller import FlightController
 from hitchopt.lab.simulation.control import ARM, MOMENT_SHARES, UP, PositionGains, desired_attitudes
-from hitchopt.lab.simulation.estimator import RATE, Estimator
+from hitchopt.lab.simulation.estimator import RATE, READINGS, Estimator
 from hitchopt.lab.simulation.settings import MOTOR_LAG
 from hitchopt.lab.simulation.task import Commands
 from hitchopt.lab.simulation.world import BODY_RADIUS, RigidBodies
 from hitchopt.values import Array
 
-PERIOD = 0.002  # Period of the attitude loops [s]
+PERIOD = 1.0 / READINGS  # Period of the attitude loops [s]
 
 TICKS = round(1.0 / (RATE * PERIOD))  # Number of periods between predictions of the filter
 # Number of periods from a prediction to the arrival of a frame; position loops run after both.
@@ -135,7 +135,7 @@ class Autopilots:
         phase, self._ticks = self._ticks % TICKS, self._ticks + 1
         if phase in (0, ARRIVAL):
             if estimator is not None:
-                estimator.predict(bodies) if phase == 0 else estimator.correct()
+                estimator.predict() if phase == 0 else estimator.correct()
             self._set_goals(commands, state, seconds * (ARRIVAL if phase else TICKS - ARRIVAL))
         attitudes = state.attitudes
         thrust, answer = self._attitude_loops(attitudes, rates, commands.rates, seconds)

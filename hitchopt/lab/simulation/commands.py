@@ -173,7 +173,7 @@ def received(task: TeamTask, team: Team, settings: Settings) -> Commands:
 def streamed(task: TeamTask, team: Team, *, follows: bool) -> Commands:
     """Return the rounded packets of full states, with body rates if ``follows``."""
     setpoints, mass = task.states, team.mass[:, None]
-    forward = setpoints.accelerations - team.pull_gain * setpoints.cable_forces / mass
+    forward = setpoints.accelerations - setpoints.held_forces(team.false_pull) / mass
     rates = body_rates(mass, forward, task.states.t, follows=follows)
     return packets(Commands(setpoints.positions, setpoints.velocities, forward, rates))
 

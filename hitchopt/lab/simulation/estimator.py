@@ -4,14 +4,15 @@ The filter is the nine-state error-state filter of M. W. Mueller, M. Hamer and R
 ultra-wideband range measurements with accelerometers and rate gyroscopes for quadrocopter state
 estimation", ICRA 2015: position, velocity in the body's frame and a small rotation of the attitude.
 It predicts by the accelerometer along the body's z axis and the gyroscope alone, as a drone without
-a cable moves, and is corrected by the captured position and, of a rigid body, attitude.
+a cable moves, and is corrected by the captured position and, of a rigid body, attitude. Readings
+of the IMU pass the low-pass filters of the firmware's sensor driver (``sensors_bmi088_bmp3xx.c``).
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import floor
+from math import floor, inf, isfinite, pi, sqrt, tan
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -23,12 +24,13 @@ from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
 
 RATE = 100.0  # Rate of filter predictions and of motion capture [Hz]
+READINGS = 500.0  # Rate of the IMU's readings [Hz]
 LATENCY = 0.01  # Delay of motion capture [s] if none is stated, up to the use of a frame
 
 
 @dataclass(frozen=True)
-class SensorNoise:
-    """Standard deviations of readings of motion capture and of an IMU."""
+class Sensors:
+    """Standard deviations of readings of motion capture and of an IMU, and its low-pass filters."""
 
     position: float = 1e-3
     """Deviation of captured positions, per axis and frame [m]."""
@@ -39,11 +41,18 @@ class SensorNoise:
     gyroscope: float = 0.02
     """Deviation of angular rates, per reading [rad/s]."""
 
-    accelerometer: float = 0.2
+    accelerometer: float = 0.45
     """Deviation of specific forces, per reading [m/s²]."""
 
+    gyroscope_cutoff: float = 80.0
+    """Cutoff frequency of angular rates [Hz]; infinite without a filter."""
 
-SENSOR_NOISE = SensorNoise()
+    accelerometer_cutoff: float = 30.0
+    """Cutoff frequency of specific forces [Hz]; infinite without a filter."""
+
+
+SENSORS = Sensors()
+EXACT = Sensors(0.0, 0.0, 0.0, 0.0, inf, inf)  # Sensors without noise and filters
 
 TURN_NOISE = 0.1  # The firmware's process noise of attitudes [rad/s]
 NOISE_RATE = 1000.0  # Rate at which process noise is added [Hz]
@@ -88,6 +97,32 @@ def rotation_vector(matrices: Array) -> Array:
     small = angle <= SMALL_ANGLE
     factor = np.where(small, series, angle / np.sin(0.5 * np.where(small, 1.0, angle)))
     return np.asarray(factor[..., None] * axis)
+
+
+class LowPass:
+    """Second-order Butterworth filters of readings (…) at a rate [Hz], by the bilinear transform.
+
+    ``start`` (…) is what readings have been so far. A filter of infinite cutoff [Hz] passes all.
+    """
+
+    def __init__(self, cutoff: float, start: Array, rate: float = READINGS) -> None:
+        self._filters = isfinite(cutoff)
+        warped = tan(pi * cutoff / rate) if self._filters else 1.0
+        scale = 1.0 + sqrt(2.0) * warped + warped**2
+        self._passed = warped**2 / scale  # share of a reading that passes at once
+        self._first = 2.0 * (1.0 - warped**2) / scale
+        self._second = -(1.0 - sqrt(2.0) * warped + warped**2) / scale
+        self._read = self._given = start, start  # the last two readings and results
+
+    def apply(self, reading: Array) -> Array:
+        """Return the filtered reading (…)."""
+        if not self._filters:
+            return reading
+        (last, previous), (given, before) = self._read, self._given
+        sums = reading + 2.0 * last + previous
+        result = self._passed * sums + self._first * given + self._second * before
+        self._read, self._given = (reading, last), (result, given)
+        return np.asarray(result)
 
 
 class Filter:
@@ -174,37 +209,44 @@ class Estimator(Filter):
         bodies: RigidBodies,
         random: np.random.Generator,
         age: int = 5,
-        noise: SensorNoise = SENSOR_NOISE,
+        sensors: Sensors = SENSORS,
     ) -> None:
         super().__init__(parameters, bodies.positions, bodies.velocities, bodies.attitudes)
-        self._random, self._noise = random, noise
-        self._last = bodies  # state at the last prediction
-        self._gyro: list[Array] = []  # readings since then
+        self._random, self._sensors = random, sensors
+        self._rates: list[Array] = []  # filtered readings since the last prediction
+        self._specific_forces: list[Array] = []
         self._passed = deque([bodies], age + 1)  # at the last readings
+        self._gyroscope = LowPass(sensors.gyroscope_cutoff, bodies.rates)
+        hovering = np.full(len(bodies.rates), GRAVITY)
+        self._accelerometer = LowPass(sensors.accelerometer_cutoff, hovering)
 
     def read(self, bodies: RigidBodies) -> Array:
-        """Return gyroscope readings (2n, 3) [rad/s] for true states."""
+        """Read the IMU; return the angular rates (2n, 3) [rad/s] that it gives for true states."""
+        previous, noise, random = self._passed[-1], self._sensors, self._random
         self._passed.append(bodies)
-        noise = self._noise.gyroscope * self._random.standard_normal(bodies.rates.shape)
-        self._gyro.append(bodies.rates + noise)
-        return self._gyro[-1]
-
-    def predict(self, bodies: RigidBodies) -> None:
-        """Predict from the readings since the last prediction, 1 / RATE ago."""
-        dt = 1.0 / RATE
-        rates, previous = np.add.reduce(self._gyro) / len(self._gyro), self._last
-        self._gyro, self._last = [], bodies
-        acceleration = (bodies.velocities - previous.velocities) / dt + [0.0, 0.0, GRAVITY]
+        shift = noise.gyroscope * random.standard_normal(bodies.rates.shape)
+        rates = self._gyroscope.apply(bodies.rates + shift)
+        gained = READINGS * (bodies.velocities - previous.velocities) + [0.0, 0.0, GRAVITY]
         thrust_axis = 0.5 * (bodies.attitudes + previous.attitudes)[..., 2]
-        noise = self._noise.accelerometer * self._random.standard_normal(len(acceleration))
-        specific_forces = np.einsum("ia,ia->i", acceleration, thrust_axis) + noise
-        self.advance(rates, specific_forces, dt)
+        forces = np.einsum("ia,ia->i", gained, thrust_axis)
+        forces += noise.accelerometer * random.standard_normal(len(forces))
+        self._rates.append(rates)
+        self._specific_forces.append(self._accelerometer.apply(forces))
+        return rates
+
+    def predict(self) -> None:
+        """Predict from the readings since the last prediction, 1 / RATE ago."""
+        count = len(self._rates)
+        rates = np.add.reduce(self._rates) / count
+        specific_forces = np.add.reduce(self._specific_forces) / count
+        self._rates, self._specific_forces = [], []
+        self.advance(rates, specific_forces, 1.0 / RATE)
 
     def correct(self) -> None:
         """Correct with the frame that arrives."""
         captured = self._passed[0]
         shift, turn = self._random.standard_normal((2, *captured.positions.shape))
         self.observe(
-            captured.positions + self._noise.position * shift,
-            captured.attitudes @ rotation(self._noise.attitude * turn),
+            captured.positions + self._sensors.position * shift,
+            captured.attitudes @ rotation(self._sensors.attitude * turn),
         )
