@@ -439,7 +439,7 @@ def optimised_plan(
     def certified_motion(path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
         climbed = climbing(path)
-        variants = list[Path]()
+        variants: list[Path] = []
         if allow_slides:
             sliding = with_slides(climbed, requirements.limits)
             variants += [variant for variant in sliding if legs_clear(variant, requirements)]
