@@ -36,13 +36,7 @@ from hitchopt.checks.distances import Moving, Shape, nearest_of
 from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_object
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase, largest_error
-from hitchopt.checks.solids import (
-    PlacedObject,
-    Solid,
-    from_above,
-    pairs_with_shape,
-    placed_objects,
-)
+from hitchopt.checks.solids import PlacedObject, Solid, from_above, pairs_with_shape, placed_objects
 from hitchopt.checks.spans import ROUNDING, cable_names, cached, flight_magnitude, magnitude
 from hitchopt.checks.tracking import RULES, downwash_radius, touching_radius
 from hitchopt.hitch.pairs import DISTANCES, DistanceRule

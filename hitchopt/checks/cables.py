@@ -15,14 +15,9 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.drones import Drones, edge_sags
 from hitchopt.checks.friction import FrictionLegs
-from hitchopt.checks.objects import arc_lengths, select, wrapped_arcs
-from hitchopt.checks.rule import (
-    CheckRule,
-    Evaluator,
-    WorstCase,
-    WorstOverSpans,
-    worst_at_joint,
-)
+from hitchopt.checks.grips import arc_lengths, wrapped_arcs
+from hitchopt.checks.objects import select
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans, worst_at_joint
 from hitchopt.checks.spans import (
     ROUNDING,
     MotionSpans,

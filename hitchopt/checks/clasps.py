@@ -23,7 +23,8 @@ from numpy.typing import NDArray
 from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.drones import leg_sags
 from hitchopt.checks.friction import friction_excess, leg_excess
-from hitchopt.checks.objects import missing_force, select, unbalanced
+from hitchopt.checks.grips import missing_force, unbalanced
+from hitchopt.checks.objects import select
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -39,12 +40,7 @@ from hitchopt.geometry.vectors import column_lengths, turn, unit
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.motion.loads import leg_tensions, object_loads, strut_shares, tautness
-from hitchopt.motion.motion import (
-    HITCHED_STATE,
-    OPEN_STATES,
-    CableState,
-    Motion,
-)
+from hitchopt.motion.motion import HITCHED_STATE, OPEN_STATES, CableState, Motion
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of

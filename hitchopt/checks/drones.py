@@ -18,12 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.checks.certificate import with_tolerance
-from hitchopt.checks.rule import (
-    Approach,
-    CheckRule,
-    Evaluator,
-    WorstOverSpans,
-)
+from hitchopt.checks.rule import Approach, CheckRule, Evaluator, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,

@@ -15,9 +15,10 @@ from hitchopt.checks import (
     clearance,
     crossing,
     drones,
-    objects,
+    grips,
     separation,
     stops,
+    support,
     tracking,
 )
 from hitchopt.checks.across import check_across, radius_across
@@ -61,9 +62,9 @@ RULES = (
     CONTINUITY,
     INTERLACING,
     clearance.OBJECT_CLEARANCE,
-    objects.GRIP,
-    objects.HINGE,
-    objects.SUPPORT,
+    grips.GRIP,
+    grips.HINGE,
+    support.SUPPORT,
     DURATION,
 )
 """One rule per check; a new check needs one record and one line here."""

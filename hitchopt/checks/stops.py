@@ -23,13 +23,8 @@ from numpy.typing import NDArray
 
 from hitchopt.checks.clasps import spare_forces
 from hitchopt.checks.drones import Drones, Hovering, thrust_share, tilt, turning_rate
-from hitchopt.checks.objects import (
-    SUPPORT,
-    heading_error,
-    moving_objects,
-    spare_friction,
-    turning_reach,
-)
+from hitchopt.checks.grips import spare_friction, turning_reach
+from hitchopt.checks.objects import heading_error, moving_objects
 from hitchopt.checks.rule import FlightReport, WorstCase
 from hitchopt.checks.spans import (
     MotionSpans,
@@ -38,6 +33,7 @@ from hitchopt.checks.spans import (
     joined_arrays,
     value_cache,
 )
+from hitchopt.checks.support import SUPPORT
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import column_lengths
 from hitchopt.hitch import GRAVITY

@@ -35,14 +35,7 @@ from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CABLE_CLEARANCE, KEEP_OUT, OBJECT_CLEARANCE
 from hitchopt.checks.crossing import CROSSING
-from hitchopt.checks.distances import (
-    Moving,
-    PairSpans,
-    Shape,
-    gap,
-    smaller_case,
-    smallest,
-)
+from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smaller_case, smallest
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import LEGS, Drones
 from hitchopt.checks.hanging import cable_displacement

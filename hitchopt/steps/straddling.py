@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
 
-from hitchopt.checks.objects import MIN_HINGE
+from hitchopt.checks.grips import MIN_HINGE
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import rotated, turn
 from hitchopt.hitch import Team

@@ -18,7 +18,7 @@ from scipy.optimize import brentq
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks.objects import Gripped, arc_lengths
+from hitchopt.checks.grips import Gripped, arc_lengths
 from hitchopt.checks.stops import carried_paths
 from hitchopt.errors import FileError
 from hitchopt.hitch import GRAVITY
