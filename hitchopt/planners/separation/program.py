@@ -40,6 +40,9 @@ ROUGHNESS_WEIGHT = 3e-7
 PLANE_PENALTY = 10.0
 """Penalty weight of a squared slack of a plane or tether."""
 
+MIN_DIRECTION = 1e-9
+"""Smallest length of a scaled vector whose direction counts."""
+
 LIMIT_PENALTY = 100.0
 """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
 
@@ -70,11 +73,12 @@ def moved_curves(
     mask = np.ones(len(program.q), dtype=np.bool_)
     if not np.all(moving):
         program, mask = _reduced(program, np.repeat(moving, 3 * (free.stop - free.start)))
-    x = np.zeros(len(mask))
-    x[mask] = solve_program(program)
+    solution = np.zeros(len(mask))
+    solution[mask] = solve_program(program)
     moved = coefficients.copy()
     inner = moved[:, free]
-    inner += setting.trust * np.clip(x[: inner.size].reshape(inner.shape), -1.0, 1.0)
+    changes = solution[: inner.size].reshape(inner.shape)
+    inner += setting.trust * np.clip(changes, -1.0, 1.0)
     inner[...] = inside(setting.task.requirements.arena, inner)  # exactly
     return moved
 
@@ -89,16 +93,25 @@ def _reduced(
     mask = np.append(moving, slacks)
     columns = sp.csr_array(program.A[:, mask])
     rows = np.diff(columns.indptr) > 0
-    P, A = sp.csc_array(program.P[:, mask][mask]), sp.csc_array(columns[rows])
-    return QuadraticProgram(P, program.q[mask], A, program.lower[rows], program.upper[rows]), mask
+    reduced = QuadraticProgram(
+        sp.csc_array(program.P[:, mask][mask]),
+        program.q[mask],
+        sp.csc_array(columns[rows]),
+        program.lower[rows],
+        program.upper[rows],
+    )
+    return reduced, mask
 
 
 def build_program(
     setting: Setting, coefficients: Array, duration: float, planes: Planes, damping: float
 ) -> QuadraticProgram:
     """Return the program around the current curves; parameters are those of ``moved_curves``."""
-    n, tethers, trust = setting.task.drones, len(setting.task.tethers), setting.trust
-    inner, arena = coefficients[:, setting.grid.free], setting.task.requirements.arena
+    n = setting.task.drones
+    tethers = len(setting.task.tethers)
+    trust = setting.trust
+    inner = coefficients[:, setting.grid.free]
+    arena = setting.task.requirements.arena
     slacks = n + tethers + len(planes.sides)
     rows = Rows(inner.size + slacks)
     upper = np.ones(inner.shape)
@@ -120,12 +133,15 @@ def build_program(
 
 def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.float64], Array]:
     """Return the Hessian and gradient of deviation and roughness in the first variables."""
-    (deviation, roughness), free = setting.grid.energies, setting.grid.free
-    deviation, roughness = DEVIATION_WEIGHT * deviation, ROUGHNESS_WEIGHT * roughness
+    free = setting.grid.free
+    deviation_energy, roughness_energy = setting.grid.energies
+    deviation = DEVIATION_WEIGHT * deviation_energy
+    roughness = ROUGHNESS_WEIGHT * roughness_energy
     scale = 2.0 * setting.trust / (setting.size**2 * setting.task.drones)
-    gradient = deviation[free] @ (coefficients - setting.nominal) + roughness[free] @ coefficients
-    one = scale * setting.trust * (deviation + roughness)[free, free]
-    block = sp.kron(sp.csc_array(one), sp.eye_array(3))
+    by_deviation = deviation[free] @ (coefficients - setting.nominal)
+    gradient = by_deviation + roughness[free] @ coefficients
+    of_axis = scale * setting.trust * (deviation + roughness)[free, free]
+    block = sp.kron(sp.csc_array(of_axis), sp.eye_array(3))
     hessian = sp.csc_array(sp.kron(sp.eye_array(setting.task.drones), block))
     return hessian, scale * gradient.ravel()
 
@@ -135,20 +151,21 @@ def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None
     first, second, longest = setting.task.tether_arrays
     free = inner.shape[1]
     offset = (inner[first] - inner[second]) / longest[:, None, None]
-    along = unit(offset, min_length=1e-9)
-    entries = (along * setting.trust / longest[:, None, None]).ravel()
-    f = np.arange(free)
-    columns = 3 * (np.stack([first, second])[..., None] * free + f)[..., None] + np.arange(3)
+    along = unit(offset, min_length=MIN_DIRECTION)
+    of_first = (along * setting.trust / longest[:, None, None]).ravel()
+    points = np.stack([first, second])[..., None] * free + np.arange(free)
+    columns = 3 * points[..., None] + np.arange(3)
     upper = (1.0 - 0.5 * PLANE_MARGIN - np.linalg.norm(offset, axis=-1)).ravel()
     every = np.arange(len(upper))
-    local, entries = np.tile(np.repeat(every, 3), 2), np.concatenate([entries, -entries])
+    local = np.tile(np.repeat(every, 3), 2)
+    entries = np.concatenate([of_first, -of_first])
     top = rows.add(local, columns.ravel(), entries, np.full(len(upper), -np.inf), upper)
     rows.extend(top + every, slack + every // free, -1.0)
 
 
 def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> None:
     """Keep Bernstein coefficients of pieces on their sides of planes, with a slack per plane."""
-    m, k = planes.gaps.shape
+    m, k = planes.gaps.shape  # planes and coefficients of a piece
     free = setting.grid.count - 2 * END_COUNT
     piece, *drones = planes.sides.T
     entries = setting.grid.extraction[piece][..., None]
@@ -158,17 +175,25 @@ def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> Non
     is_free = np.broadcast_to((index >= 0) & (index < free), entries.shape)
     every = np.arange(m * k)
     local = np.broadcast_to(every.reshape(m, k, 1, 1), is_free.shape)
-    parts: list[tuple[Indices, Indices, Array]] = []
+    row_parts = list[Indices]()
+    column_parts = list[Indices]()
+    entry_parts = list[Array]()
     for drone, sign in zip(drones, (1.0, -1.0), strict=True):
         mask = is_free & (drone >= 0)[:, None, None, None]
         columns = 3 * (drone[:, None, None, None] * free + index) + np.arange(3)
-        columns = np.broadcast_to(columns, entries.shape)
-        parts.append((local[mask], columns[mask], sign * entries[mask]))
-    # Rows of fixed coefficients have no bound.
+        row_parts.append(local[mask])
+        column_parts.append(np.broadcast_to(columns, entries.shape)[mask])
+        entry_parts.append(sign * entries[mask])
+    # Rows of fixed coefficients have no bound
     bounds = 1.0 + PLANE_MARGIN - planes.gaps
     lower = np.where(np.any(is_free, axis=(2, 3)), bounds, -np.inf).ravel()
-    local, columns, values = (np.concatenate(part) for part in zip(*parts, strict=True))
-    top = rows.add(local, columns, values, lower, np.full(m * k, np.inf))
+    top = rows.add(
+        np.concatenate(row_parts),
+        np.concatenate(column_parts),
+        np.concatenate(entry_parts),
+        lower,
+        np.full(m * k, np.inf),
+    )
     rows.extend(top + every, slack + every // k, 1.0)
 
 
@@ -201,7 +226,8 @@ def _add_limit(
 
     The factor of the slack is the change of a derivative, over its limit, per fraction of duration.
     """
-    count, free = len(derivatives), setting.grid.count - 2 * END_COUNT
+    count = len(derivatives)
+    free = setting.grid.count - 2 * END_COUNT
     drones = np.arange(count)[:, None]
     relative = derivatives / cap[:, None, None]
     jacobian = matrix[:, setting.grid.free] * setting.trust
@@ -215,7 +241,7 @@ def _add_limit(
         entries = (values[..., None] * axis[:, row]).ravel()
         return rows.add(local, columns, entries, lower.ravel(), upper.ravel())
 
-    along = unit(relative, EAST, 1e-9)
+    along = unit(relative, EAST, MIN_DIRECTION)
     component = np.sum(relative * along, axis=-1)
     top = add(along, np.full(component.shape, -np.inf), 1.0 - component)
     every = np.arange(component.size)
@@ -268,17 +294,28 @@ def solve_program(program: QuadraticProgram) -> Array:
     """
     import osqp
 
-    matrix, lower, upper = sp.csr_array(program.A), program.lower, program.upper
+    matrix = sp.csr_array(program.A)
+    lower = program.lower
+    upper = program.upper
     hessian = sp.csc_matrix(sp.triu(program.P))
     enforced = np.minimum(-lower, upper) < NEAR_RANGE
-    x, dual, step = np.zeros(len(program.q)), np.zeros(len(lower)), INITIAL_STEP
+    x = np.zeros(len(program.q))
+    dual = np.zeros(len(lower))
+    step = INITIAL_STEP
     solver = None
     for _ in range(MAX_ITERATIONS // CHUNK):
         if solver is None:
             rows = np.flatnonzero(enforced)
-            constraints = sp.csc_matrix(matrix[rows]), lower[rows], upper[rows]
             solver = osqp.OSQP(algebra="builtin")
-            solver.setup(hessian, program.q, *constraints, rho=step, **_settings())
+            solver.setup(
+                hessian,
+                program.q,
+                sp.csc_matrix(matrix[rows]),
+                lower[rows],
+                upper[rows],
+                rho=step,
+                **_settings(),
+            )
             solver.warm_start(x=x, y=dual[rows])
         result = solver.solve(raise_error=False)
         if result.info.status_val == osqp.SolverStatus.OSQP_SIGINT:
@@ -291,7 +328,9 @@ def solve_program(program: QuadraticProgram) -> Array:
         excess = np.maximum(lower - values, values - upper)
         added = ~enforced & (excess > -ADDED_RANGE)
         if np.any(excess[added] > SOLVER_TOLERANCE):
-            dual[rows], step, solver = result.y, result.info.rho_estimate, None
+            dual[rows] = result.y
+            step = result.info.rho_estimate
+            solver = None
             enforced |= added
         elif result.info.status_val == osqp.SolverStatus.OSQP_SOLVED:
             break
@@ -300,14 +339,24 @@ def solve_program(program: QuadraticProgram) -> Array:
 
 def _settings() -> dict[str, float | bool]:
     """Return the settings of OSQP for the next iterations."""
+    settings: dict[str, float | bool] = {
+        "eps_abs": SOLVER_TOLERANCE,
+        "eps_rel": SOLVER_TOLERANCE,
+        "max_iter": CHUNK,
+        "polishing": False,
+        "verbose": False,
+    }
     remaining = time_left()
-    limit = {"time_limit": max(remaining, MIN_TIME_LIMIT)} if math.isfinite(remaining) else {}
-    tolerance = {"eps_abs": SOLVER_TOLERANCE, "eps_rel": SOLVER_TOLERANCE}
-    return {**tolerance, "max_iter": CHUNK, "polishing": False, "verbose": False, **limit}
+    if math.isfinite(remaining):
+        settings["time_limit"] = max(remaining, MIN_TIME_LIMIT)
+    return settings
 
 
 LEVEL_TOLERANCE = 1e-6
 """Largest vertical component of horizontal normals."""
+
+MIN_HULL_DISTANCE = 1e-6
+"""Distance of a hull from the origin, in separations, below which it contains it."""
 
 NORMAL_SLOPE = 1e-2
 """Upward slope of horizontal normals per separation."""
@@ -351,33 +400,48 @@ def planes_between(
     cutoff: a separation.
     required: (k, 3), sides that have a plane at any distance.
     """
-    pairs_by_time, scaled = [required], curves * separation.scale[:, None]
-    for m, piece in enumerate(scaled):
+    scaled = curves * separation.scale[:, None]
+    sides_by_time = [required]
+    for index, piece in enumerate(scaled):
         pairs = close_pairs(Boxes(np.min(piece, axis=-1), np.max(piece, axis=-1)), None, cutoff)
-        pairs_by_time.append(np.column_stack([np.full(len(pairs), m), pairs.first, pairs.second]))
-    sides, index = np.unique(np.concatenate(pairs_by_time), axis=0, return_inverse=True)
-    piece, first, second = sides.T
-    differences = scaled[piece, first] - scaled[piece, second]
+        pieces = np.full(len(pairs), index)
+        sides_by_time.append(np.column_stack([pieces, pairs.first, pairs.second]))
+    sides, inverse = np.unique(np.concatenate(sides_by_time), axis=0, return_inverse=True)
+    pieces, first, second = sides.T
+    differences = scaled[pieces, first] - scaled[pieces, second]
     nearest = hull_points(differences)
     distances = length(nearest)
-    mask = distances < cutoff
-    mask[index.ravel()[: len(required)]] = True
-    sides, differences = sides[mask], differences[mask]
-    nearest, distances = nearest[mask], distances[mask]
-    # For hulls that contain the origin, the nearest point of the curve defines the plane.
-    inside = distances < 1e-6
+    has_plane = distances < cutoff
+    has_plane[inverse.ravel()[: len(required)]] = True
+    differences = differences[has_plane]
+    normals = _normals(differences, nearest[has_plane], distances[has_plane])
+    gaps = np.einsum("md,mdk->mk", normals, differences)
+    return Planes(sides[has_plane], normals * separation.scale, gaps)
+
+
+def _normals(differences: Array, nearest: Array, distances: Array) -> Array:
+    """Return the normals (m, 3) of planes between two pieces, toward the first one.
+
+    Drones at equal altitude could pass above or below each other, as rounding decides. A slope of
+    horizontal normals lets the first one go up.
+
+    Parameters
+    ----------
+    differences: (m, 3, degree + 1), of both pieces.
+    nearest: (m, 3), the points nearest to the origin of the differences' hulls.
+    distances: (m,), of these points.
+    """
+    # For hulls that contain the origin, the nearest point of the curve defines the plane
+    inside = distances < MIN_HULL_DISTANCE
     points = _points_of(differences[inside])
     squared = np.sum(points * points, axis=2)
     best = first_smallest(squared, np.max(squared, axis=1))
-    nearest[inside] = points[np.arange(len(points)), best]
-    normals = unit(nearest, EAST, 1e-9)
-    # Drones at equal altitude could pass above or below each other, as rounding decides. The slope
-    # lets the first one go up.
+    toward_first = nearest.copy()
+    toward_first[inside] = points[np.arange(len(points)), best]
+    normals = unit(toward_first, EAST, MIN_DIRECTION)
     slope = NORMAL_SLOPE * np.maximum(SLOPE_SEPARATION - distances, 0.0)
     normals[:, 2] += np.where(np.abs(normals[:, 2]) < LEVEL_TOLERANCE, slope, 0.0)
-    normals = unit(normals)
-    gaps = np.einsum("md,mdk->mk", normals, differences)
-    return Planes(sides, normals * separation.scale, gaps)
+    return unit(normals)
 
 
 def _points_of(pieces: Array) -> Array:
@@ -393,7 +457,8 @@ def hull_points(differences: Array) -> Array:
     hulls are convex they are unique.
     """
     points = np.ascontiguousarray(differences.transpose(1, 2, 0))  # (3, k, m)
-    nearest, smallest = points[:, 0], _dot(points[:, 0], points[:, 0])
+    nearest = points[:, 0]
+    smallest = _dot(nearest, nearest)
     for size in (1, 2, 3):
         for corners in combinations(range(points.shape[1]), size):
             start, *others = (points[:, corner] for corner in corners)
@@ -411,9 +476,12 @@ def _of_simplex(start: Array, edges: list[Array]) -> tuple[Array, NDArray[np.boo
     """Return the points (3, m) of simplices' affine hulls nearest to the origin, and if inside."""
     if not edges:
         return start, np.ones(start.shape[1], dtype=np.bool_)
-    first, last = edges[0], edges[-1]
-    first_square, last_square = _dot(first, first), _dot(last, last)
-    toward_first, toward_last = -_dot(first, start), -_dot(last, start)
+    first = edges[0]
+    last = edges[-1]
+    first_square = _dot(first, first)
+    last_square = _dot(last, last)
+    toward_first = -_dot(first, start)
+    toward_last = -_dot(last, start)
     if len(edges) == 1:
         size = first_square
         parts = [toward_first]
@@ -447,7 +515,8 @@ def planes_to_prism(curves: Array, prism: Prism, radius: float, cutoff: float) -
     radius: minimum distance to the prism [m]
     """
     corners = prism.corners
-    low, high = np.min(corners, axis=0) - cutoff, np.max(corners, axis=0) + cutoff
+    low = np.min(corners, axis=0) - cutoff
+    high = np.max(corners, axis=0) + cutoff
     near = np.all((np.min(curves, -1) <= high) & (np.max(curves, -1) >= low), axis=-1)
     piece, drone = np.nonzero(near)
     coefficients = curves[piece, drone]
