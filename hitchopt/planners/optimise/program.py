@@ -280,8 +280,8 @@ def _assembled(
     variables = changes + len(times) + len(violated)
 
     by_changes = sp.coo_array(sp.vstack([block.by_changes for block in blocks]))
-    rows = [by_changes.row]
-    columns = [by_changes.col]
+    rows: list[Indices] = [np.asarray(by_changes.row, dtype=np.intp)]
+    columns: list[Indices] = [np.asarray(by_changes.col, dtype=np.intp)]
     entries = [by_changes.data]
     first_rows = np.cumsum([0, *(len(block.lower) for block in blocks)])
     for block, first_row in zip(blocks, first_rows.tolist(), strict=False):
