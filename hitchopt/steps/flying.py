@@ -161,7 +161,7 @@ def flyable_accelerations(team: Team, limits: Limits) -> Array:
     vertical = team.max_thrust / team.mass - GRAVITY
     too_heavy = np.flatnonzero(vertical <= 0.0)
     if len(too_heavy):
-        raise InfeasibleError(_weight_violation(team, drone) for drone in too_heavy)
+        raise InfeasibleError(_weight_violation(team, drone) for drone in too_heavy.tolist())
     horizontal = GRAVITY * math.sin(limits.tilt)
     feasible = LIMIT_SHARE * np.minimum(vertical, horizontal)
     return np.minimum(feasible, limits.with_reserve.acceleration)

@@ -385,14 +385,14 @@ def approach_motion(task: StepTask, goal: Array) -> Motion:
     if task.requirements.objects:
         kinds.append(OverApproach)
 
-    def certified(kind: type[Approach]) -> StepPlan:
-        """Return the certified plan of one kind of approach."""
-        approach = kind(before.team, before.drones, goal, task.requirements, task.index)
+    def certified(approach: Approach) -> StepPlan:
+        """Return the certified plan of an approach."""
         return require_certified(StepPlan(concatenated(approach.solve()), before))
 
     errors = list[HitchoptError]()
     for kind in kinds:
-        outcome = attempt(partial(certified, kind))
+        approach = kind(before.team, before.drones, goal, task.requirements, task.index)
+        outcome = attempt(partial(certified, approach))
         if isinstance(outcome, StepPlan):
             return outcome.motion
         errors.append(outcome)
