@@ -218,7 +218,9 @@ class Settings(Record):
             "of rigid drones",
         ),
     ] = None
-    pull_test: Annotated[bool, Key(FLAGS, "Whether the flight ends with a pull test")] = True
+    pull_test: Annotated[
+        bool, Key(FLAGS, "Whether vertices are pulled at rests and after the plan")
+    ] = True
     lost: Loss | None = None
     feedback: Annotated[
         bool, Key(FLAGS, "Correct setpoints by measured vertices, as ho.Feedback does")
