@@ -370,6 +370,6 @@ TRACKING_RADIUS = ReportRule(
     limit=lambda requirements: requirements.limits.tube.level or None,
     remedy="give cables or polygons more room or stiffer gains, or state limits.tracking as "
     "measured, if that is less",
-    free_remedy="place the robots farther apart, give stiffer gains, or state limits.tracking as "
-    "measured, if that is less",
+    free_remedy="place the robots farther apart and farther from objects, give stiffer gains, or "
+    "state limits.tracking as measured, if that is less",
 )
