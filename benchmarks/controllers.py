@@ -27,12 +27,12 @@ from hitchopt.lab.simulation.settings import ESTIMATORS, Settings
 
 LIMITATIONS = (
     "laws and filter are written from their mathematics and agree with the Crazyflie's firmware in "
-    "a bench; no hardware has flown any of it. Ropes of the fast preset place vertices within 1 to "
-    "2 cm. Cables weigh 5 g/m where the problem gives no weight, which plans know; they keep "
-    "distances for the tracking error of retuned gains, without an arena. Perturbed: gusts and "
-    "steady wind of 0.05 N each, less for lighter drones by their faces, downwash, cables 0.5 % "
-    "and starts 2 cm off. Figures are means over flights that formed, of their rest of a second; "
-    "tilt, distance in flight and least ratio are the worst of all"
+    "a bench; no hardware has flown any of it. Ropes of the fast preset are accurate to 1 to "
+    "2 cm at vertices. Cables weigh 5 g/m if the problem gives no weight; plans include it "
+    "and allow for the tracking error of retuned gains, without an arena. Perturbed: gusts and "
+    "steady wind of 0.05 N each, less for lighter, smaller drones, downwash, cables 0.5 % "
+    "and starts 2 cm off. Figures are means over the last second at rest of flights that formed; "
+    "tilt, distance in flight and smallest ratio are the worst of all"
 )
 
 STOCK: dict[str, float] = {}

@@ -59,13 +59,13 @@ CABLE_DENSITY = 0.005
 """Density of cables that hang or hold objects [kg/m]."""
 
 FORM_ALTITUDE = (1.2, 1.8)
-"""Altitude of formed hitches, least and most [m]."""
+"""Altitude of formed hitches, minimum and maximum [m]."""
 
 SPAN = (0.35, 0.85)
-"""Distance of the drones of a hanging cable over its length, least and most."""
+"""Distance of the drones of a hanging cable over its length, minimum and maximum."""
 
 HOVER = (1.0, 2.0)
-"""Mean heights of hovering pairs, least and most [m]."""
+"""Mean heights of hovering pairs, minimum and maximum [m]."""
 
 HOVER_STEP = 0.15
 """Largest difference of a hovering drone from its pair's mean height [m]."""
@@ -180,38 +180,38 @@ RIM_SHARE = 0.7
 """Share of the objects that rest on a rim; the others are gripped."""
 
 HALF_WIDTH = (0.18, 0.28)
-"""Half of the smaller width of a rim or of a gripped object, least and most [m]."""
+"""Half of the smaller width of a rim or of a gripped object, minimum and maximum [m]."""
 
 ASPECT = (1.0, 1.5)
-"""Width of an object along its longer axis, over the smaller one, least and most."""
+"""Width of an object along its longer axis, over the smaller one, minimum and maximum."""
 
 STEM_SHARE = {3: (0.2, 0.45), 4: (0.3, 0.6), 5: (0.3, 0.6), 6: (0.3, 0.6)}
-"""Width of the body below a rim, over the rim's, least and most, by number of robots: three clasps
-form a triangle, which leaves less room for it."""
+"""Ratio of the body's width to that of its rim, minimum and maximum, by number of robots: three
+clasps form a triangle, which leaves less room for it."""
 
 RIM_HEIGHT = (0.3, 0.45)
-"""Height of rims above the ground, least and most [m]."""
+"""Height of rims above the ground, minimum and maximum [m]."""
 
 RESTING_MASS = (0.1, 0.4)
-"""Mass of objects on rims, least and most [kg]."""
+"""Mass of objects on rims, minimum and maximum [kg]."""
 
 GRIPPED_MASS = (0.04, 0.1)
-"""Mass of gripped objects, least and most [kg]."""
+"""Mass of gripped objects, minimum and maximum [kg]."""
 
 EXTRA_CABLE = (0.0, 0.35)
-"""Length of cables beyond the shortest that keep drones apart around the object, least and most."""
+"""Length of cables beyond the shortest that keep drones apart around the object, as a range."""
 
 START_SCALE = (1.0, 1.3)
-"""Size of the hitch at the start over that around the object, least and most."""
+"""Size of the hitch at the start over that around the object, minimum and maximum."""
 
 BESIDE = (0.5, 0.9)
-"""Distance of a table to the object's corners, least and most [m]: drones reach farther."""
+"""Distance of a table to the object's corners, minimum and maximum [m]: drones reach farther."""
 
 TABLE_HEIGHT = (0.2, 0.6)
-"""Height of a table, least and most [m]."""
+"""Height of a table, minimum and maximum [m]."""
 
 PLACES = (1.2, 2.2)
-"""Distance of the object from the hitch and of its goal from its start, least and most [m]."""
+"""Distance of the object from the hitch and of its goal from its start, minimum and maximum [m]."""
 
 
 TURNS = 12
@@ -373,7 +373,7 @@ WAITING_REACH = 1.5
 """Reach of that team from its middle [m]."""
 
 LEVEL_ERRORS, HEIGHT_ERRORS = (0.005, 0.03), (0.005, 0.06)
-"""Tracking errors of a tube, horizontal and vertical, least and most [m]."""
+"""Tracking errors of a tube, horizontal and vertical, minimum and maximum [m]."""
 
 
 def travelling(seed: int, half_width: float) -> dict[str, Any]:
@@ -460,7 +460,7 @@ MANY_ROBOTS = (20, 24)
 """Numbers of robots of large hitches."""
 
 MANY_EDGE = (1.1, 1.6)
-"""Mean edge of a large hitch, least and most [m]."""
+"""Mean edge of a large hitch, minimum and maximum [m]."""
 
 MANY_JITTER = 0.2
 """Jitter of the vertices of a large hitch."""

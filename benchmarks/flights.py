@@ -4,7 +4,7 @@ Usage: python -m benchmarks flights [--runs N] [--seed S] [--preset NAME] [--fri
                                     [--formed N ...] [--processes P]
                                     [--irregular SEED ... [--methods METHOD ...]]
 
-Plans know the friction of the ropes. Each is flown perturbed, with consecutive seeds. With
+Plans include the friction of the ropes. Each is flown perturbed, with consecutive seeds. With
 ``--irregular`` hitches that settle after they are formed are compared with those that do not.
 """
 

@@ -23,7 +23,7 @@ from hitchopt.steps.moving import Hold
 from hitchopt.steps.tying import Form
 
 LIMITATIONS = (
-    "fast preset; cables of 10 g/m, ropes of 12 mm, friction 0.1, which plans know, without "
+    "fast preset; cables of 10 g/m, ropes of 12 mm, friction 0.1, as planned, without "
     "settling; perturbed: noise of 1 cm and 3 cm/s, 0.05 N each of gusts and of steady wind, "
     "downwash, cables 0.5 % off, starts 2 cm off; means are over hitches that both methods plan"
 )

@@ -44,7 +44,7 @@ from problems.random_morph import random_convex_polygon
 LIMITATIONS = (
     "one machine, one run each in its own process; processor time; cables of 2 m; "
     "first and second are whole solves with their certificates and without imports, the second "
-    "the least of several; the rival knows "
+    "the fastest of several; the rival limits "
     "neither jerk nor clearances of cables, and its model is built by this repository's authors; "
     f"{CLEARANCE_NOTE}"
 )

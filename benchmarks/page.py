@@ -3,9 +3,9 @@
 Usage: python -m benchmarks page [--problems N] [--limit SECONDS] [--again]
 
 Morphs are the pairs of ``problems/irregular_pairs.json``, planned with their ends; rivals get the
-ends and the same processor time at most. Families are those of ``benchmarks.families``. Results are
-stored as they come, in page.jsonl beside the tables: an interrupted run goes on from there, and
-``--again`` begins anew. Failures count as failures and have no times.
+ends and at most the same processor time. Families are those of ``benchmarks.families``. Results are
+stored as they come, in page.jsonl next to the tables: an interrupted run continues from there, and
+``--again`` starts over. Failures count as failures and have no times.
 """
 
 from __future__ import annotations

@@ -318,14 +318,14 @@ def write_table(
     table.section("", "quantity", "series", "without", "with the model")
     rows: list[tuple[str, int, object, object]] = [
         (
-            "attitude that the drone believed [°]: its distance from the true one, by forces, and "
-            "from our filter fed with gyroscope and accelerometer, rms",
+            "error of the attitude [°], rms, relative to the one that forces imply: of the drone's "
+            "estimate, and of our filter with the recorded gyroscope and accelerometer",
             filters.n,
             Figure.rms([x.true_tilt_deg for x in series]),
             filters,
         ),
         (
-            "share of a cable's pull that is seen [%]: by the drone, and by our filter",
+            "fraction of a cable's pull that is detected [%]: by the drone, and by our filter",
             seen.n,
             seen.scaled(100.0),
             replayed.scaled(100.0),
@@ -337,7 +337,7 @@ def write_table(
             Figure.mean([x.exported_share for x in series]).scaled(100.0),
         ),
         (
-            "gain of the believed tilt on acceleration",
+            "gain of the estimated tilt on acceleration",
             len(series),
             "",
             Figure.mean([x.logged_gain for x in series]),
@@ -364,8 +364,8 @@ def write_table(
             rest[1],
         ),
         (
-            "tied drones in motion [cm], level rms: from their setpoints, and from the position "
-            "loop with the trim of the other flight",
+            "tied drones in motion [cm], horizontal rms: from their setpoints, and from the "
+            "position loop with the trim of the other flight",
             motion[0].n,
             motion[0],
             motion[1],

@@ -110,7 +110,7 @@ def replay_filters(
 ) -> tuple[ReplayedFilter, ...]:
     """Replay filters on all drones of a recorded flight with gyroscopes.
 
-    The pull is that of the recorded load, else a steady one. Without a logged accelerometer the
+    The pull is that of the recorded load, or a steady one. Without a logged accelerometer the
     force along the body's z axis follows from the velocity.
 
     Parameters
@@ -147,7 +147,7 @@ class Series:
     velocities: Array  # (m, 3) [m/s]
     rates: Array  # (m, 3) [rad/s], shifted to the times of the logged attitude
     force: Array  # (m,) [m/s²], specific force along the body's z axis
-    known: Array  # captured attitudes, else logged ones (m, 3, 3)
+    known: Array  # captured attitudes, or logged ones (m, 3, 3)
     logged: Array | None  # attitudes (m, 3, 3); None if not recorded
     captured: Array | None  # the same
     pull: Array | None  # (m, 3) [m/s²], by the load's cable up to a factor; None without a load

@@ -1,11 +1,11 @@
 """A rival of optimised morphs: a minimal formulation in plain casadi and IPOPT.
 
 Vertices are uniform B-splines of degree 5 in s = t/T with 10 coefficients each and free final time;
-q-legs and roll go evenly along a smooth step, and the roll also has such coefficients. Speeds,
-accelerations, thrust, tilt, legs, convexity and the distances of all pairs of drones are kept at 24
-samples. There are no limits of jerk, no clearances of cables, no certificate. Written in SX
-throughout, so that casadi differentiates one flat graph of ``hitchopt.model``. It is built once for
-a team: start, end and cable lengths are parameters.
+q-legs and roll change evenly along a smooth step; the roll also has coefficients of this kind.
+Speeds, accelerations, thrust, tilt, legs, convexity and the distances of all pairs of drones are
+kept at 24 samples. There are no limits of jerk, no clearances of cables, no certificate. Written in
+SX throughout, so that casadi differentiates one flat graph of ``hitchopt.model``. It is built once
+for a team: start, end and cable lengths are parameters.
 """
 
 from __future__ import annotations

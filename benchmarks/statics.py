@@ -29,7 +29,7 @@ from problems.random_morph import random_convex_polygon
 
 LIMITATIONS = (
     "simulated ropes of 12 mm in segments of 10 mm, without friction; one flight each; noise of "
-    "1 cm; statics know its mean, and the weight and effective lengths of the ropes"
+    "1 cm; statics are given its mean, and the weight and effective lengths of the ropes"
 )
 
 CALIBRATION_LIMITATIONS = (

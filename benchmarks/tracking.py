@@ -31,7 +31,7 @@ STEP, SETTLED = 0.005, 1.0
 """Time step of simulation and controller, and time of flight at the last point [s]."""
 
 LIMITATIONS = (
-    "one drone after the other, without cables (rotorpy knows none), noise or wind; rotorpy's "
+    "one drone after the other, without cables (rotorpy has none), noise or wind; rotorpy's "
     f"Hummingbird of 0.5 kg, default gains; the worst of each problem's {FASTEST} fastest drones"
 )
 

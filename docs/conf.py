@@ -68,7 +68,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-project_copyright = "The hitchopt developers, MIT licence"
+project_copyright = "The hitchopt developers, MIT License"
 
 # Commands in tutorials are those of the environment that builds them.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

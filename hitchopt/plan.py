@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from hitchopt.exports.exporting import Export
     from hitchopt.view.live import LiveView
 
+FLOWN_ERROR = 0.02
+"""[m] Mean error of positions in swarms of Crazyflies (Preiss et al., Crazyswarm, ICRA 2017)."""
+
 
 @dataclass(frozen=True, eq=False)
 class Plan(OneLine):
@@ -93,7 +96,7 @@ class Plan(OneLine):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user: assumptions, and tracking errors below those of controllers.
+        """Notes for the user: assumptions, and tracking errors below those of drones.
 
         Cables are assumed to be weightless if the problem states no density. If a plan lacks the
         text of its problem, a density above 0 is taken as stated.
@@ -103,7 +106,23 @@ class Plan(OneLine):
             notes += weightless_notes(self.flight, self.problem)
             notes += assumption_notes(self.flight, self.problem)
             notes += tracking_warnings(self.flight)
+            notes += self._distance_notes()
         return tuple(notes)
+
+    def _distance_notes(self) -> Iterator[str]:
+        """Yield a note if no tracking errors are stated, and distances leave room for none."""
+        for each in self.flight.teams:
+            team, limits = each.motion.team, each.motion.requirements.limits
+            if team.tracking is not None or limits.tube.largest > 0.0:
+                return
+        worst = {check.name: check.worst for check in self.certificate.checks}
+        radius = worst.get("tracking_radius")
+        if radius is not None and radius < FLOWN_ERROR:
+            yield (
+                f"tracking_radius is {1e3 * radius:.2g} mm; real drones are "
+                f"{100.0 * FLOWN_ERROR:.0f} cm off or more, and may come too close: "
+                "set limits.tracking to your drones' error"
+            )
 
     def _repr_html_(self) -> str:
         """Return the summary card for notebooks: picture, phases, certificate and notes."""

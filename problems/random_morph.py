@@ -25,7 +25,7 @@ JITTER = 0.18
 """Jitter of the vertices: edges stay long enough for two legs and two drones."""
 
 SLACK = (0.32, 0.7)
-"""Slack of a cable for both legs where its edge is longest, least and most [m]."""
+"""Slack of a cable for both legs where its edge is longest, minimum and maximum [m]."""
 
 BETWEEN = 0.45
 """Least distance ``l - d - e`` [m] of a cable's two drones along a nearly straight outline."""
@@ -88,13 +88,13 @@ def random_morph(n: int, seed: int) -> dict[str, Any]:
 
 
 WILD_EDGE = (0.7, 1.8)
-"""Mean edge of the larger one of two wild polygons, least and most [m]."""
+"""Mean edge of the larger of two wild polygons, minimum and maximum [m]."""
 
 MAX_RATIO = 2.5
 """Largest ratio of the sizes of two wild polygons."""
 
 WILD_SLACK = (0.45, 2.2)
-"""Length of the cables beyond the longest edge of two wild polygons, least and most [m]."""
+"""Length of the cables beyond the longest edge of two wild polygons, minimum and maximum [m]."""
 
 MAX_SHIFT = 0.5
 """Largest shift of the centre of a wild polygon along either axis [m]."""

@@ -52,7 +52,7 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
 
 
 def _facts_of_report(rule: ReportRule | FlightReport) -> dict[str, str]:
-    limit = "`limits.tracking`, if stated; else it is only reported"
+    limit = "`limits.tracking`, if stated; otherwise it is only reported"
     limit = limit if isinstance(rule, ReportRule) else "none: it is only reported"
     return {"`worst`": _unit(rule.unit), "limit": limit}
 

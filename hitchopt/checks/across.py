@@ -7,7 +7,7 @@ breaks, in runs of pieces on which neither ties nor unties its hitch; they are a
 after their motions.
 
 Cables without a hitch stay within upright regions (``checks.bodies``). The distance of such a
-region is the larger one of its horizontal distance and the difference of heights.
+region is the larger of its horizontal distance and its difference in height.
 
 Where tracking errors are larger upright than level, all heights are divided by their ratio
 (``Requirements.height_ratio``): errors are then within a ball, and no distance is longer.

@@ -100,8 +100,8 @@ def _not_laid(motion: Motion) -> Flags:
 def _not_rolling(motion: Motion) -> Flags:
     """Return all cables (n,) if one contradicts rolling.
 
-    Vertices are at rest, and legs but for the sag of their tension; some clasp is open. Unequal
-    tensions, loads and objects are not allowed.
+    Vertices are at rest, and so are legs except for the sag of their tension; some clasp is open.
+    Unequal tensions, loads and objects are not allowed.
     """
     is_wrong = (
         _vertices_move(motion)

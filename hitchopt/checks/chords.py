@@ -170,14 +170,14 @@ def chord_crossings(drones: PiecewisePolynomial) -> Crossings:
 
 
 def are_separated(chords: Array) -> Flags:
-    """Return on which spans a plane separates two chords (spans, 4, 3, …) for certain."""
+    """Return on which spans a plane certainly separates two chords (spans, 4, 3, …)."""
     differences = Enclosed(chords[:, [0, 0, 1, 1]]) - Enclosed(chords[:, [2, 3, 2, 3]])
     along = unit(shortest_offset(differences.middle))
     return np.asarray(np.min(differences.dot(along[:, None]).lower.value, axis=1) > MIN_DISTANCE)
 
 
 def _are_across(chords: Array) -> Flags:
-    """Return on which spans, seen along some direction, two chords cross for certain."""
+    """Return on which spans, seen along some direction, two chords certainly cross."""
     first_start, first_end, second_start, second_end = (Enclosed(chords[:, k]) for k in range(4))
     first_chord = (first_end - first_start).middle
     second_chord = (second_end - second_start).middle
@@ -192,7 +192,7 @@ def _are_across(chords: Array) -> Flags:
 
 
 def _on_both_sides(first: Enclosed, second: Enclosed) -> Flags:
-    """Return on which spans two distances from a line have opposite signs for certain."""
+    """Return on which spans two distances from a line certainly have opposite signs."""
     start = first.range
     end = second.range
     down = (start.low > 0.0) & (end.high < 0.0)
@@ -248,10 +248,10 @@ class CrossingHeight(NamedTuple):
     """Where two chords cross, seen from above."""
 
     crosses: Flags
-    """(spans,), whether they cross for certain."""
+    """(spans,), whether they certainly cross."""
 
     height: Interval
-    """(spans,) [m], of the first chord over the second one; of no meaning elsewhere."""
+    """(spans,) [m], of the first chord over the second one; meaningless elsewhere."""
 
 
 def _crossing_height(chords: Array) -> CrossingHeight:

@@ -1,7 +1,7 @@
 """Custom rules: limits on quantities of drones, vertices or clasps, certified for all t.
 
-A rule is a formula over spans, like every check. ``hitchopt verify`` does not know the formula and
-does not prove the rule.
+A rule is a formula over spans, like every check. ``hitchopt verify`` has no formula for it and
+does not prove it.
 """
 
 from __future__ import annotations

@@ -463,7 +463,7 @@ class LyingRun(NamedTuple):
     """Spans next to rolling, on which the cables of a clasp cross beyond an object."""
 
     above: int
-    """1 if the cable ahead is above the one behind, -1 if below, 0 if neither for certain."""
+    """1 if the cable ahead is above the one behind, -1 if below, 0 if neither is certain."""
 
     valid: bool
     """Whether they lie on each other next to rolling, and never pass each other."""

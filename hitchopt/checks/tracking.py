@@ -176,7 +176,7 @@ def _is_hanging(result: SpanResult) -> bool:
 def _excess(spans: Drones) -> Bound:
     """Return twice the radius [m] at which chords may be as long as cables: the excess length.
 
-    If errors are larger upright, chords grow by 2r horizontally and by ``2r ratio`` upright.
+    If errors are larger vertically, chords grow by 2r horizontally and by ``2r ratio`` vertically.
     """
     ratio = spans.source.requirements.height_ratio
     chord = spans.partner.norm_upper

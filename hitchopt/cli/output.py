@@ -33,7 +33,7 @@ CLOCK_WIDTH = 12  # Width of its clock with gaps [characters]
 LINE_INTERVAL = 1.0  # Minimum time between lines of percentages [s]
 ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|'?\w*'?)")  # Python argument in a message
 COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percentage in a message
-# Control characters but for line breaks and tabs, and those that change the direction of text
+# Control characters except line breaks and tabs, and those that change the direction of text
 CONTROL = re.compile(r"\r(?!\n)|[^\r\n\t\x20-\x7e\xa0-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
 RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Text that is red on a terminal
 NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")  # Prefix of a right-aligned cell

@@ -183,7 +183,7 @@ def check_times(t: Array, source: str = "") -> None:
     for i in np.flatnonzero(np.diff(t) <= SAME_TIME)[:1]:
         back = t[i + 1] < t[i] - SAME_TIME
         reason = "its times go back from" if back else "repeats the time"
-        raise FileError(f"{place}{reason} t = {t[i]:g} s; sort its rows, one of every time")
+        raise FileError(f"{place}{reason} t = {t[i]:g} s; sort its rows by time, one for each")
 
 
 def _check_units(t: Array, positions: Array, velocities: Array) -> None:

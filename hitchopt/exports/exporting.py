@@ -195,7 +195,7 @@ def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str
 
 
 def _lags(flight: Flight, options: ExportOptions) -> tuple[float, float]:
-    """Return the largest ``trailing_times`` [s] of a flight's drones, level and upright.
+    """Return the largest ``trailing_times`` [s] of a flight's drones, horizontal and vertical.
 
     Raises InputError if gains of a team are not known.
     """
@@ -210,7 +210,7 @@ def _lags(flight: Flight, options: ExportOptions) -> tuple[float, float]:
 def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
     """Return the task with the check of distances of drones that follow positions alone.
 
-    They trail by v kd/kp at a steady speed v, and by ``trailing_times`` at most. That and the
+    They trail by v kd/kp at a steady speed v, and by at most ``trailing_times``. That and the
     format's error add to the drones' own errors. InfeasibleError if distances do not allow for it,
     with a remedy.
     """
@@ -260,7 +260,7 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
 
 
 def _own_errors(motion: Motion) -> Tube:
-    """Return the tracking errors of a team's drones: as stated for each, else as allowed for."""
+    """Return the tracking errors of a team's drones: as stated for each, or as allowed for."""
     stated = [kind.tracking for kind in motion.team.quadrotor if kind.tracking is not None]
     if len(stated) < len(motion.team.quadrotor):
         return motion.requirements.limits.tube
@@ -297,8 +297,8 @@ def _export_task(
 ) -> tuple[ExportTask, list[Export]]:
     """Export a task; return it with its offsets, if any.
 
-    If tensions cannot be held, they are lost if ``allow_slack`` is set; else InfeasibleError is
-    raised, with a remedy.
+    If tensions cannot be held, they are lost if ``allow_slack`` is set; otherwise InfeasibleError
+    is raised, with a remedy.
     """
     policy, may_lose = _policy(kind, task), task.options.allow_slack
     if not policy.slack_reason:
@@ -443,7 +443,7 @@ def _written(kind: Format, folder: Path, task: ExportTask) -> FormatOutput:
 def _export_part(
     kind: Format, task: ExportTask, place: Path, say: Progress, refusals: list[InfeasibleError]
 ) -> Export:
-    """Export a part with the first refit that violates no limit; else raise InfeasibleError.
+    """Export a part with the first refit that violates no limit, or raise InfeasibleError.
 
     Refusals are appended to ``refusals``. Limits that caused one are verified first.
     """

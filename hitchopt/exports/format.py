@@ -146,7 +146,13 @@ class ExportTask:
         return heights
 
     def blocks(self, rows: int) -> Iterator[tuple[Array, dict[str, Array]]]:
-        """Yield times (S,) and samples at the task's rate, in blocks of rows (time, drone)."""
+        """Yield times (S,) and samples at the task's rate, in blocks of rows (time, drone).
+
+        Raises UnsupportedError if the class of the format states no rate.
+        """
+        if not self.rate:
+            words = "samples without a rate: set the attribute rate [Hz] of its class"
+            raise UnsupportedError(f"the format {self.options.format} {words}")
         times = sample_times(self.flight.duration, self.rate)
         for states in iterate_flight_states(self.flight, times, max(1, rows // len(self.names))):
             yield states.t, self._samples(states.listed(self.flight.team))

@@ -66,7 +66,7 @@ class HeldTension:
 def is_overridden(team: Team) -> bool:
     """Return whether integral gains would pull drones to moved setpoints, at any tension.
 
-    The upright integral that PX4 always has is not counted: it only bears vertical forces.
+    The vertical integral that PX4 always has is not counted: it only bears vertical forces.
     """
     level = np.array([True, True, False])
     return bool(np.any((team.integral > 0.0) & (level | np.isfinite(team.integral))))

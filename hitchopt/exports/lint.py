@@ -310,7 +310,7 @@ def _joint_flight(
     findings += _end_findings(last, names, jumps, rules)
     findings += _time_findings(kind, contents, longest)
     if reach[0] > MAX_INT16:
-        reason = f"goes {reach[0]:.4g} m from the origin, and 16 bits hold {MAX_INT16} m; move it"
+        reason = f"is up to {reach[0]:.4g} m from the origin; 16 bits hold {MAX_INT16} m: move it"
         findings.append(note("range", reach[1], reason))
     if start != 0.0:
         findings.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))

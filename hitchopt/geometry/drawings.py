@@ -58,8 +58,8 @@ PIXELS = 96.0
 PAGE_TOLERANCE = 5e-4  # Largest fraction of its bounding box that a page or frame leaves out
 
 PIXEL_NOTE = (
-    "its size is in CSS pixels (1/96 inch); programs with 72 px per inch make parts three "
-    "quarters as large: check it, or save the drawing in mm"
+    "size in CSS pixels (1/96 inch); programs with 72 px per inch make parts three quarters as "
+    "large: check it, or save in mm"
 )
 """Note on drawings whose size is in pixels, which is no physical unit."""
 

@@ -119,7 +119,7 @@ class Outline(ByValue, ABC):
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
             turn, min_turn = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
             is_left = f"left by {-turn:.4g}°, where clockwise outlines turn right"
-            is_flat = f"right by {turn:.4g}°, not {min_turn:.2g}° at least"
+            is_flat = f"right by {turn:.4g}°, not by at least {min_turn:.2g}°"
             bound = f"a convex corner: it turns {is_left if turn < 0.0 else is_flat}"
             remedy = "move the point outward, or list the points in clockwise order"
             raise self._error(bound, remedy, int(self.corners[flattest]))

@@ -86,8 +86,8 @@ def displacement_bound(
     unit. This change follows from ``(coth σ - 1/σ) dσ = d ln(Λ/s)``, where s and h change by at
     most 2r. The bound is infinite for cables that may be nearly taut.
 
-    With a ``height_ratio``, ends move that many times farther upright, and heights of displacements
-    are divided by it. A change of σ moves points upright.
+    With a ``height_ratio``, ends move that many times farther vertically, and heights of
+    displacements are divided by it. A change of σ moves points upright.
 
     Parameters
     ----------

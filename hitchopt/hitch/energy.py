@@ -14,7 +14,7 @@ energy of a cable is the maximum over T of ``Σ E(v, m) - T L - a (T - T₀)²/2
 stretch add up to the length. T is bounded below by the tension at which the cable becomes slack;
 arcs are constant below that tension.
 
-Drones add ``½ k (x - x_set)² - F·x``, with different level and upright stiffness k, and loads
+Drones add ``½ k (x - x_set)² - F·x``, with different horizontal and vertical stiffness k, and loads
 ``-w·x``. For weightless cables the energy is convex and its minimum global. With friction at the
 clasps the tension of a leg is ``e^{μθ}`` times that of its edge, θ the angle of the bend: forces
 balance, but there is no energy.

@@ -130,7 +130,7 @@ class Tube(Record):
 
     @property
     def tracking(self) -> float | Tube:
-        """The tracking error as in files: a number for a ball, else the tube."""
+        """The tracking error as in files: a number for a ball, otherwise the tube."""
         return self.level if self.height == self.level else self
 
     def contains(self, errors: Array) -> bool:
@@ -154,7 +154,7 @@ GAIN = float | Pair | None
 @documented
 @dataclass(frozen=True)
 class Gains(Record):
-    """Gains of a position loop, one number or [level, upright]; null: the controller's default.
+    """Gains of a position loop: a number or [horizontal, vertical]; null: the controller's default.
 
     Raises
     ------
@@ -380,7 +380,7 @@ class FlightController(OneLine):
         scale_of_stock = mass if stock.per_mass else 1.0
 
         def gain(key: str) -> Pair:
-            """Return the stated gain, level and upright; else the default one."""
+            """Return the stated gain, horizontal and vertical, or the default one."""
             level, upright = getattr(stock, key)
             given: Pair | None = getattr(stated, key)
             return (scale_of_stock * level, scale_of_stock * upright) if given is None else given
@@ -505,7 +505,7 @@ GAIN_ROUNDING = 0.01
 """Relative rounding of stated gains."""
 
 GAIN_UNITS = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}
-"""Units of gains, per mass and as such."""
+"""Units of gains, per mass and in total."""
 
 
 def _check_stiffness(

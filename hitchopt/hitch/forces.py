@@ -375,7 +375,7 @@ def _unbalanced(
     size = float(length(load))
     limit = _bearable_load(edge_pull, load, leg_pull)
     factor = size / limit if limit > 0.0 else math.inf
-    remedy = f"raise team.tension {factor:.3g} times, or lower team.load or team.cable_density"
+    remedy = f"multiply team.tension by {factor:.3g}, or lower team.load or team.cable_density"
     return InfeasibleError([Violation("load", size, limit, "max", "N", (point,), "", remedy)])
 
 

@@ -246,7 +246,8 @@ class Hitch(ByValue):
         Parameters
         ----------
         limits, separation: defaults if None; tracking errors add to the distances.
-        roll: one or (clasps,) [rad]. None: no roll if the limits hold without it; else the smallest
+        roll: one or (clasps,) [rad]. None: no roll if the limits hold without it; otherwise the
+        smallest
             angle, the same at all clasps, with which the margin holds, or at least the limits.
         """
         outline = checked_polygon(team, polygon)

@@ -277,7 +277,7 @@ def slipping_drones(
     half_edges = -np.sum(half_legs, axis=2)
     half_edges[..., 0] += half_density * team.cable_length
     forces = np.zeros(sides.shape)
-    # A clasp carries half of both cables, but for their legs at other clasps.
+    # A clasp carries half of both cables, except for their legs at other clasps.
     forces[:, :, 2] = half_legs[:, ahead, 1] + half_legs[:, behind, 0]
     half_cables = half_density * (team.cable_length[ahead] + team.cable_length[behind])
     forces[:, :, 2, 0] -= half_cables + GRAVITY * team.load

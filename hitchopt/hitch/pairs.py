@@ -160,7 +160,7 @@ class TautBodies:
         return kind
 
     def _vertices(self, bodies: Indices) -> Indices:
-        """Return the vertices, where clasps are, at both ends of bodies (bodies, 2); else -1."""
+        """Return the vertices at both ends of bodies (bodies, 2), -1 where there is none."""
         nodes = self.nodes[bodies]
         return np.where(nodes < self.layout.points, nodes, -1)
 

@@ -78,7 +78,7 @@ class Rows:
 
 
 def solve_qp(program: QuadraticProgram) -> Array | None:
-    """Return the minimizer, or None if its residuals exceed RESIDUAL_TOLERANCE.
+    """Return the minimiser, or None if its residuals exceed RESIDUAL_TOLERANCE.
 
     The solver is PIQP, an interior-point method that ships with casadi; OSQP is slow to reach the
     accuracy of 1e-6 that leg lengths need. Its status is not trusted; residuals are recomputed.

@@ -145,7 +145,7 @@ class LegTask:
     """(J, points, 2) [m]"""
 
     reference: Array
-    """(J, n) [m], ``d`` whose deviation is minimized."""
+    """(J, n) [m], ``d`` whose deviation is minimised."""
 
     shortest_leg: float
     """[m], for both legs of every cable."""
@@ -225,7 +225,7 @@ class LegTask:
         return lower, upper
 
     def split(self, *, first: bool = False) -> LegLengths:
-        """Return the leg lengths nearest to the reference that keep the margin, else the best ones.
+        """Return the leg lengths nearest to the reference that keep the margin, or the best ones.
 
         The search is local. It starts from the reference and, if that fails on a single polygon,
         also from a few uneven splits. Its cost is linear in J·n. With ``first`` it ends at the

@@ -144,7 +144,7 @@ class DatagramOutlet(ABC):
             self._socket.bind(listen)
         except OSError as error:
             self._socket.close()
-            reason = f"{listen[0]}:{listen[1]} cannot be listened on: {error.strerror or error}"
+            reason = f"cannot listen on {listen[0]}:{listen[1]}: {error.strerror or error}"
             raise UnsupportedError(reason) from None
 
     @abstractmethod

@@ -491,7 +491,7 @@ def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterato
 
 
 def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
-    """Yield the arena's walls but its ground, all upright ones together and each wall alone."""
+    """Yield the arena's walls and ceiling: all vertical ones together, and each alone."""
     arena = problem.arena
     if arena is None:
         return

@@ -253,7 +253,7 @@ class TeamMission:
             if not self.steps and self.name:
                 value = f"no step of {self.name}"
                 remedy = f"add {self.name}: {{{_words(self.team)[-1]}}}"
-                raise InputError("mission", value, "of an item at least", remedy)
+                raise InputError("mission", value, "of at least one item", remedy)
             if not self.steps:
                 bound = "a list of at least one step"
                 raise InputError("mission", [], bound, "add a morph or a hold")
@@ -549,7 +549,7 @@ class Problem(ByValue):
         for i, item in enumerate(self.mission):
             if not item:
                 remedy = f"write a step, such as {names[0]}: {{hold: {{seconds: 1.0}}}}"
-                raise InputError(f"mission[{i}]", {}, "steps of one team at least", remedy)
+                raise InputError(f"mission[{i}]", {}, "steps of at least one team", remedy)
         owners = self._owners()
         missions = collect(lambda name: self._named_mission(name, owners), names)
         check_placed(self.objects, missions[0].requirements.floor)

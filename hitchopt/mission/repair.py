@@ -357,7 +357,7 @@ class _Search:
 
 
 def _smallest(suggestions: Iterable[Suggestion]) -> tuple[Suggestion, ...]:
-    """Return up to three suggestions, smallest first, none with changes beside a smaller one's."""
+    """Return up to three suggestions, smallest first, none that adds changes to a smaller one."""
     by_size = sorted(suggestions, key=lambda s: round(s.change.size, SIZE_DECIMALS))
     smallest = list[tuple[frozenset[str], Suggestion]]()
     for each in by_size:

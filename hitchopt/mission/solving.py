@@ -102,9 +102,8 @@ def check_controllers(team: Team) -> None:
     suitable = ", ".join(loop.name for loop in loops if loop.feed_forward)
     max_tension = float(np.min(team.mass * GRAVITY * np.tan(team.max_tilt)))
     remedy = (
-        f"{unsuited[0].name} ignores the accelerations that hold the tension, and holds pulls of "
-        f"{max_tension:.2g} N at most by its tilt; set team.quadrotor.controller to one of "
-        f"{suitable}"
+        f"{unsuited[0].name} ignores the accelerations that hold the tension; its tilt holds "
+        f"pulls of at most {max_tension:.2g} N. Set team.quadrotor.controller to one of {suitable}"
     )
     share = float(np.mean(team.feed_forward))
     where = (*names[:4], *(["…"] if len(names) > 4 else []))

@@ -369,7 +369,7 @@ class Motion(OneLine):
 
     @property
     def assignment(self) -> Assignment | None:
-        """Places of the problem's robots, if they were chosen; else robot k holds edge k."""
+        """Places of the problem's robots, if they were chosen; otherwise robot k holds edge k."""
         return self.team.assignment
 
     @property

@@ -33,7 +33,7 @@ from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
 AXES = 24
-"""Number of directions of stretch of enclosing polygons, besides those of the section's sides."""
+"""Number of directions of stretch of enclosing polygons; those of the section's sides are added."""
 
 ROTATIONS = 16
 """Number of rotations of enclosing polygons within a period of symmetry."""

@@ -65,7 +65,7 @@ class CertifiedFlight:
 
 
 def require_certified(plan: StepPlan, when: str = "") -> StepPlan:
-    """Return a certified plan, else raise InfeasibleError; ``when`` describes the time."""
+    """Return a certified plan, or raise InfeasibleError; ``when`` describes the time."""
     if not plan.certificate.certified:
         raise infeasible_error(plan.certificate, plan.motion, when)
     return plan
@@ -82,7 +82,7 @@ def attempt(planner: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
 
 
 def first_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
-    """Return the plan of the first planner that succeeds, else raise the first error."""
+    """Return the plan of the first planner that succeeds, or raise the first error."""
     errors = list[HitchoptError]()
     for planner in planners:
         outcome = attempt(planner)
@@ -104,7 +104,7 @@ def excess(error: HitchoptError) -> float:
 
 
 def nearest_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
-    """Return the first certified plan, else raise the error with the smallest violation."""
+    """Return the first certified plan, or raise the error with the smallest violation."""
     errors = list[HitchoptError]()
     for planner in planners:
         outcome = attempt(lambda planner=planner: require_certified(planner()))  # type: ignore[misc]
@@ -197,7 +197,7 @@ def _remedy(check: Check, flight: Flight, rules: Sequence[Rule[Any]]) -> str:
 
 
 def _separation_shortfall(check: Check, flight: Flight) -> str:
-    """Describe the distance of two drones at one height and its shortfall; else return nothing."""
+    """Describe the distance of two drones at one height and its shortfall, or return nothing."""
     if check.name != "separation":
         return ""
     heights = list[float]()
@@ -421,7 +421,7 @@ def optimised_plan(
     duration: prescribed duration [s], or None.
     straight: the step's own path, which is a candidate if it is feasible; None if it is not.
     allow_slides: also try legs that lead and lag.
-    cost: minimized together with the duration.
+    cost: minimised together with the duration.
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
     from hitchopt.planners.optimise.cost import ShapeCost

@@ -431,7 +431,7 @@ class MoveStep(ActionStep):
         super().__post_init__()
         if (self.to is None) == (self.by is None):
             value = None if self.to is None else self.to.tolist()
-            bound = "given if by is not, and only then"
+            bound = "given if and only if by is omitted"
             raise InputError("to", value, bound, "give either to or by")
 
     @abstractmethod

@@ -182,8 +182,8 @@ class Form(Step):
     def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
         """Return the hitch.
 
-        Without ``legs``, legs keep drones apart as pairs roll if cables are laid; else they are
-        spread, with the largest feasible cable margin.
+        Without ``legs``, legs keep drones apart as pairs roll if cables are laid; otherwise they
+        are spread, with the largest feasible cable margin.
         """
         from hitchopt.planners.forming.laying import senses_of, split_for_rolling
 

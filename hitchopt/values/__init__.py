@@ -45,7 +45,7 @@ MAX_COORDINATE = 1000.0
 9e-7 m/s² in the problems that hitchopt comes with, at this distance by 4e-7 to more than 2e-6. The
 certificate allows 1e-6."""
 
-TOO_FAR = "if these are millimetres, give metres; else subtract an offset from all coordinates"
+TOO_FAR = "if these are millimetres, give metres; otherwise subtract an offset from all coordinates"
 """Remedy for coordinates that are too large."""
 
 # Forms of values, as messages name them
@@ -158,7 +158,7 @@ SYNONYMS = {
 
 
 def closest_word(word: str, valid: Sequence[str], fallback: str = "") -> str:
-    """Return a question that suggests a valid word: a synonym, else the closest one.
+    """Return a question that suggests a valid word: a synonym, or the closest one.
 
     Without one the result is ``fallback``, by default a list of all valid words.
     """

@@ -57,7 +57,7 @@ def quantity(
     (low, high), (minimum, maximum) = usual, allowed
 
     def remedy(number: float, fallback: str = "") -> str:
-        """Return a remedy: the value in the most plausible other unit, else the fallback."""
+        """Return a remedy: the value in the most plausible other unit, or the fallback."""
         plausible = [(name, number * size) for name, size in others if low <= number * size <= high]
         if plausible and number:
             middle = math.sqrt(max(low, 1e-3) * min(high, 1e3)) if typical is None else typical

@@ -159,7 +159,8 @@ def shift(s: Spans, k: Index) -> Line:
 
     They move by ``√(1 + ¼) r`` and by the effect of σ: ``(coth σ - 1/σ) σ' = (ln √(L² - h²) / s)'``
     s and h within 2 r. Slopes of depths over L are at most ¼, and ``(1/eσ + e^-σ) / 2`` for σ > 1.
-    Errors of h are larger by the ratio, by which heights are divided; σ only moves points upright.
+    Errors of h are larger by the ratio, by which heights are divided; σ only moves points
+    vertically.
     """
     L, r, ratio = s.plan.length[k, 0], 2.0 * s.plan.tracking, s.plan.ratio
     up = r * ratio

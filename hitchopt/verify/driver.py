@@ -27,8 +27,8 @@ from .tying import bent_cables, free_cables
 
 GROSS, JUMP = 10.0, 0.01  # ratio to a limit, and jump [m], of curves that are no plan at all
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
-# Verdicts that do not fail: the ground is unknown without an arena, hence warnings
-PASSING = {"proven", "warning", STATED}
+NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
+PASSING = {"proven", NO_LIMIT, STATED}  # verdicts that do not fail
 
 
 def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
@@ -236,7 +236,7 @@ def proofs(own: Sequence[Plan], others: Sequence[Plan]) -> Iterator[Row]:
             return order.index(row.verdict), sign * (row.worst - row.limit) / abs(row.limit or 1.0)
 
         worst = min(same, key=rank)
-        verdict = "warning" if name == "ground" and worst.verdict != "proven" else worst.verdict
+        verdict = NO_LIMIT if name == "ground" and worst.verdict != "proven" else worst.verdict
         yield worst._replace(verdict=verdict, samples=sum(row.samples for row in same))
 
 
@@ -255,6 +255,8 @@ def verdict(rows: Sequence[Row]) -> str:
     bad = dict.fromkeys(row.name for row in rows if row.verdict not in PASSING)
     stated = ", ".join(row.name for row in rows if row.verdict == STATED)
     rest = f"; not recomputed: {stated}" if stated else ""
+    if any(row.verdict == NO_LIMIT for row in rows):
+        rest += "; not proven: height above z = 0, which is no limit without an arena"
     if bad:
         return f"not proven: {', '.join(bad)}{rest}"
     return f"proven: every limit holds at all times{rest}"

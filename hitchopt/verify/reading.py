@@ -139,7 +139,7 @@ class Body:
 
 
 def tube_of(tracking: Any) -> tuple[float, float]:
-    """Return level and upright tracking errors [m] of a limit."""
+    """Return horizontal and vertical tracking errors [m] of a limit."""
     if not isinstance(tracking, dict):
         tracking = {"level": tracking or 0.0, "height": tracking or 0.0}
     if tracking["height"] > 0.0 == tracking["level"]:
@@ -189,7 +189,7 @@ class Plan:
         return x
 
     def _set_distances(self, separation: dict[str, float], tube: tuple[float, float]) -> None:
-        """Set minimum distances, larger by the effect of tracking errors, level and upright [m].
+        """Set minimum distances, widened by horizontal and vertical tracking errors [m].
 
         Where heights are divided by ``ratio`` of the errors, errors are within a ball, and no
         distance is longer.

@@ -246,7 +246,7 @@ def rolls(s: Step, end: int) -> Array:
 
 
 def settled(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return the difference of the duration of swings, where drones swing [s]."""
+    """Return the error [s] of the duration of swings, if drones swing."""
     return duration_of(s.swings) - float(value) if s.swings else 0.0
 
 

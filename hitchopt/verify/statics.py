@@ -25,7 +25,7 @@ LEVELS, ITERATIONS = np.linspace(0.1, 1.0, 10), 30  # of errors, and of Newton's
 SOLVED = 1e-9  # [m] largest last step
 STEP = 1e-30  # step of complex-step derivatives
 
-# Default gains kp of controllers over the mass [1/s²], level and upright; kd of px4 [1/s]
+# Default gains kp of controllers over the mass [1/s²], horizontal and vertical; kd of px4 [1/s]
 PER_MASS = {"lee": (7.0, 7.0), "pid": (51.0 * DEGREE_OF_TILT,) * 2, "px4": (1.71, 4.0)}
 MELLINGER = 0.40, 1.25  # [N/m]
 PX4_DAMPING = 1.8, 4.0

@@ -43,7 +43,9 @@ def save_film(
     """
     kind = path.suffix.lower()
     if kind not in RATES:
-        raise InputError("film", str(path), "a name in .gif or .mp4", "such as flight.mp4")
+        raise InputError(
+            "film", str(path), "a name that ends in .gif or .mp4", "such as flight.mp4"
+        )
     imageio = optional_module("imageio.v2", f"{path}: needs", "view")
     if kind == ".mp4":
         optional_module("imageio_ffmpeg", f"{path}: needs", "view")

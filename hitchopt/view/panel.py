@@ -75,7 +75,7 @@ class EditingPanel:
         disk = "saved" if self.editing.saved else "not saved"
         lines = [f"**{plain_words(str(status.stage))}** ({disk})"]
         if status.suggestions:
-            lines.append("A click below makes a suggested change.")
+            lines.append("Click a suggested change below to make it.")
         lines += map(plain_words, status.words.splitlines())
         self.status.content = "  \n".join(lines)
         if status.suggestions != self._suggestions:

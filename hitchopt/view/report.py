@@ -68,7 +68,7 @@ def save_view(
         save_film(path, scene_of(flight), title, lambda done: tell(f"drawing, {done:.0%}"))
         return
     if kind not in (*PICTURES, PAGE):
-        bound = f"a name in {', '.join((PAGE, *PICTURES, *FILMS))}"
+        bound = f"a name that ends in one of {', '.join((PAGE, *PICTURES, *FILMS))}"
         raise InputError("save", str(path), bound, "such as plan.html")
     with style.atomic_write(path) as draft:
         if kind == PAGE:

@@ -1,4 +1,4 @@
-"""The paper's experiment 2: one vertex moves; table in LaTeX and figure of a simulated flight."""
+"""Half of the paper's experiment 2, without its wait, simulated: table in LaTeX, and figures."""
 
 import hitchopt as ho
 

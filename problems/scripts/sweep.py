@@ -1,4 +1,4 @@
-"""Plan every combination of tension and cable length, and tell which limit refuses the others."""
+"""Plan every combination of tension and cable length, and print which limit excludes the others."""
 
 import hitchopt as ho
 

@@ -299,7 +299,7 @@ def test_edges_that_touch_first_have_low_tensions_or_are_refused() -> None:
     pushed = np.max(np.linalg.norm(np.sum(T[..., None] * away, axis=1)[:, :2], axis=-1))
     assert 0.05 < pushed < held < 1.3 * pushed / np.min(T)
     np.testing.assert_allclose(T[-1], 1.3)
-    for mass, clasps, words in ((0.012, 0.0, "edges push it along"), (0.05, 0.2, "clasps stick")):
+    for mass, clasps, words in ((0.012, 0.0, "pushed by the edges"), (0.05, 0.2, "clasps stick")):
         with pytest.raises(ho.InfeasibleError, match=words):
             ho.solve(around_a_stone(mass, clasps))
 

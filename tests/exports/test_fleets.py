@@ -86,6 +86,19 @@ def test_the_sag_is_that_of_the_cables_that_a_model_flies() -> None:
     assert own_drop == pytest.approx(0.15 * drop, rel=0.05)
 
 
+def test_plans_that_leave_no_room_for_tracking_errors_say_so() -> None:
+    ends = np.array([[-1.0, 0.01, 1.0], [1.0, 0.0, 1.0]])
+    notes = {}
+    for tracking in (None, 0.01, 0.05):
+        limits = ho.Limits(tracking=tracking)
+        plan = ho.separate(ho.Problem(ho.Swarm(2), ends, [ho.Fly(ends[::-1])], limits=limits))
+        notes[tracking] = plan.notes
+    (note,) = notes.pop(None)
+    assert note.startswith("tracking_radius is ")
+    assert note.endswith("set limits.tracking to your drones' error")
+    assert set(notes.values()) == {()}
+
+
 @pytest.mark.parametrize(
     ("name", "kind"),
     [

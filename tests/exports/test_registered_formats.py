@@ -277,6 +277,16 @@ class Typo(OurFleet):
     assert not (place / "typo").exists()
 
 
+@pytest.mark.usefixtures("example")
+def test_a_format_that_samples_without_a_rate_is_named(install: Install, place: Path) -> None:
+    module = (
+        "from our_fleet import OurFleet\n\nclass Hasty(OurFleet):\n    name, rate = 'hasty', 0.0\n"
+    )
+    install("hasty-fleet", {"hasty": "hasty_fleet:Hasty"}, module)
+    with pytest.raises(UnsupportedError, match=r"the format hasty samples without a rate: set"):
+        exported(swarm_plan(), "hasty", place / "hasty")
+
+
 def test_a_format_whose_package_is_gone_is_unknown() -> None:
     with pytest.raises(InputError, match=r"one of crazyswarm2, .*hitchopt export lists them"):
         format_of("our_fleet")

@@ -564,7 +564,7 @@ def test_a_body_of_two_sources_in_one_topic_is_omitted(tmp_path: Path) -> None:
     assert set(result.tracks) == set(rest)
     assert any(note.startswith(f"{first} omitted: ") for note in result.notes)
     others = [(*TF, moved(flight))]
-    with pytest.raises(FileError, match="jump to and fro by 1 m, as of two sources in one"):
+    with pytest.raises(FileError, match="jump back and forth by 1 m, as of two sources in one"):
         ho.read_flight(w.write_bag(tmp_path / "all", flight, bodies=TF, others=others))
 
 

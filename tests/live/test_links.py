@@ -230,7 +230,7 @@ def test_invalid_arguments_and_missing_libraries_are_refused() -> None:
             address("--to", text)
     with pytest.raises(UnsupportedError, match="ROS 2 workspace"):
         CrazyflieOutlet(NAMES, NAMES, ReferenceFrame(), {})
-    with pytest.raises(UnsupportedError, match="cannot be listened on"):
+    with pytest.raises(UnsupportedError, match="cannot listen on"):
         JsonOutlet(NAMES, [], ReferenceFrame(), ("192.0.2.1", 0))
 
 

@@ -1,4 +1,4 @@
-"""Morphs: leg laws, blocked paths, and the optimizer's guesses, paths and programs."""
+"""Morphs: leg laws, blocked paths, and the optimiser's guesses, paths and programs."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_renumbering_gives_the_same_duration() -> None:
 
 
 def found(start: Hitch, end: Hitch, tension: tuple[float, float] | None = None) -> list[Motion]:
-    """The optimizer's motions with a judge that accepts every flight, the fastest first."""
+    """The optimiser's motions with a judge that accepts every flight, the fastest first."""
     given = OptimisedMorph(start, end, FREE, lambda path: motion_along(path, FREE), tension).solve()
     flights = [candidate.motion for candidate in given]
     durations = [flight.duration for flight in flights]

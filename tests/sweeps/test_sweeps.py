@@ -382,6 +382,19 @@ def test_the_summary_and_the_picture_of_a_sweep(swept: tuple[Path, pandas.DataFr
     assert draw_sweep(outcomes(rows[:1])) is None
 
 
+@pytest.mark.parametrize(("values", "line"), [((0.3, 0.5), "-"), (("lee", "pid"), "None")])
+def test_points_of_numbers_are_joined_and_those_of_names_are_not(
+    values: tuple[Any, ...], line: str
+) -> None:
+    points = [
+        {"team.key": x, "planned": True, "duration [s]": 1.0 + i} for i, x in enumerate(values)
+    ]
+    figure = draw_sweep(points)
+    assert figure is not None
+    (curve,) = figure.axes[0].lines
+    assert curve.get_linestyle() == line
+
+
 @pytest.mark.slow
 def test_the_command_reports_and_goes_on(
     swept: tuple[Path, pandas.DataFrame], tmp_path: Path

@@ -71,6 +71,19 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
     assert found.keys() <= OWN
 
 
+def test_heights_above_the_ground_are_no_limit_without_an_arena(tmp_path: Path) -> None:
+    team = ho.Team(robots=3, cable_length=2.4)
+    start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=0.1)
+    for altitude, words in (
+        (0.2, PROVEN),
+        (-0.2, f"{PROVEN}; not proven: height above z = 0, which is no limit without an arena"),
+    ):
+        ho.transport(start, to=[0, 0, altitude]).save(tmp_path, rate=10.0, picture=False)
+        rows = [*second.verify(tmp_path)]
+        assert second.verdict(rows) == words
+        assert {row.verdict for row in rows} <= second.PASSING
+
+
 @pytest.mark.slow
 def test_a_copy_of_the_folder_needs_numpy_alone(tmp_path: Path) -> None:
     saved("triangle", tmp_path)

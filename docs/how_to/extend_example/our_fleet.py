@@ -19,7 +19,7 @@ class OurFleet(Format):
     name = "our_fleet"  # of --format
     file = "our_fleet.csv"
     endings = (".csv",)
-    header = "time_s,robot"  # by which lint knows the files
+    header = "time_s,robot"  # by which lint recognises the files
     frames = ("enu",)
     rate = 50.0  # samples per second
     accuracy = 1e-3  # largest error of positions [m]; larger ones are refused

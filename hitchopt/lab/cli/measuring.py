@@ -37,7 +37,9 @@ RESULTS = "evaluation"  # Default directory of the results, next to the recordin
         str,
         "FRAME",
     ),
-    option("--start", "Time of the recording at which the plan begins; else fitted.", float, "S"),
+    option(
+        "--start", "Time of the recording at which the plan begins; otherwise fitted.", float, "S"
+    ),
     option(
         "--unit",
         "Unit of lengths: m, cm, mm, in, ft; default: that of the file, or m.",

@@ -104,7 +104,7 @@ def single_file(paths: Sequence[Path]) -> Path:
 def _readable_sources(paths: Sequence[Path], scratch: Path) -> tuple[list[Path], list[str]]:
     """Return paths that rosbags can read, and notes on repairs.
 
-    They are the directory of a closed bag, else files, which may be copies in ``scratch``.
+    They are the directory of a closed bag, or files, which may be copies in ``scratch``.
     """
     directory = paths[0].parent
     metadata = directory / METADATA

@@ -1,7 +1,8 @@
 """Reader of ROS bags: positions, commands, attitudes and on-board logs, on one clock.
 
 Topics are sorted by what they hold; see ``topics``. Logs of a drone may be stamped by a clock that
-starts at its boot: it is set by the positions in the log, else by the smallest delay of arrival.
+starts at its boot: it is set by the positions in the log, or without these by the smallest delay of
+arrival.
 """
 
 from __future__ import annotations

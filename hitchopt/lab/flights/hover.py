@@ -139,7 +139,7 @@ class DroneHover(OneLine):
             by_tilt = 100.0 * math.hypot(*self.expected_trim)
             text = f"stands {self.tilt_deg:.1f}° tilted, which would be {by_tilt:.0f} cm toward "
             text += f"{direction_of(*(-x for x in self.expected_trim))}, but hovers {beside}: its "
-            text += "tilt does not explain the trim, look for a bent arm, wind or a pull"
+            text += "tilt does not explain the trim: look for a bent arm, wind or a pull"
         else:
             text = f"stands {self.tilt_deg:.1f}° tilted: redefine its rigid body; until then it "
             text += f"hovers {beside}"
@@ -155,7 +155,7 @@ class DroneHover(OneLine):
             return ""
         text = f"; it follows commands {self.lag:.2f} s late (± {self.lag_error:.1g})"
         known = not math.isnan(self.expected_lag)
-        return f"{text}, {self.expected_lag:.2f} s by its gains" if known else text
+        return f"{text}; its gains lead to {self.expected_lag:.2f} s" if known else text
 
 
 @dataclass(frozen=True, eq=False)
@@ -505,7 +505,7 @@ class HoverSeries:
 
 
 def _drone(name: str, hovers: Sequence[HoverSeries], known: Mapping[str, float]) -> DroneHover:
-    """Return the findings about a drone, but for the trims that all drones' tilts lead to expect.
+    """Return the findings about a drone, without the trims expected from all drones' tilts.
 
     Raises InputError for trims that differ by more than their errors.
     """
@@ -589,7 +589,7 @@ def _changed_trim(name: str, frame: str, *parts: _Rest) -> InputError:
         places.append(f"[{x:.1f}, {y:.1f}] cm in {part.hover.label}")
     errors = " and ".join(f"{100.0 * part.error:.1f}" for part in parts)
     bound = f"equal within {MAX_RATIO:g} standard errors, of {errors} cm"
-    remedy = "its rigid body was redefined, or it was bent, in between: calibrate the last hover"
+    remedy = "it was bent or its rigid body redefined between them: calibrate the last hover"
     return InputError(f"trim of {name}", f"{places[0]}, but {places[1]}", bound, remedy)
 
 

@@ -1,4 +1,4 @@
-"""Readers of recorded flights. Formats are recognized by their first bytes, and units are checked.
+"""Readers of recorded flights. Formats are recognised by their first bytes, and units are checked.
 
 Readers return rows of time and position by label, which ``flight_of`` converts to bodies and
 markers. Motion capture yields one cloud of markers: labels are ignored, as they swap and end. The
@@ -41,7 +41,7 @@ from hitchopt.values import path as checked_path
 
 MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in metres [m]
 MAX_STEP = 1.0  # Largest median step of times in seconds [s]
-JUMP = 0.1  # Smallest jump to and fro between samples [m]
+JUMP = 0.1  # Smallest jump back and forth between samples [m]
 JUMP_SPEED = 10.0  # Smallest speed of such a jump [m/s]
 MAX_JUMPS = 0.1  # Largest fraction of samples with such jumps
 CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
@@ -113,14 +113,14 @@ def read_flight(
 
 
 def _without_jumping_bodies(flight: RecordedFlight) -> RecordedFlight:
-    """Return a flight without bodies that jump to and fro; FileError if none is left."""
+    """Return a flight without bodies that jump back and forth; FileError if none is left."""
     tracks, notes = dict(flight.tracks), list[str]()
     for name, track in flight.tracks.items():
         steps, across = (length(track.positions[k:] - track.positions[:-k]) for k in (1, 2))
         there = (steps > JUMP) & (steps > JUMP_SPEED * np.diff(track.t))
         jumps = there[:-1] & there[1:] & (across < 0.5 * np.minimum(steps[:-1], steps[1:]))
         if np.sum(jumps) > MAX_JUMPS * len(track.t):
-            size = f"to and fro by {np.median(steps[:-1][jumps]):.2g} m"
+            size = f"back and forth by {np.median(steps[:-1][jumps]):.2g} m"
             share = f"{np.sum(jumps) / len(jumps):.0%} of its samples jump {size}"
             notes.append(f"{name} omitted: {share}, as of two sources in one")
             del tracks[name]

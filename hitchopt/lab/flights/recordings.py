@@ -24,9 +24,10 @@ NAMES = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in"
 MIN_EPOCH = 1e7  # Smallest time that counts from a date or from a computer's start [s]
 MARKER = "marker"  # Name of the rows of unlabeled points
 
-# Quantities of a body, besides its measured position, with their units; those with True are in the
-# file's unit of length. Attitudes are quaternions x, y, z, w, from the body (x forward, z up) to
-# the world; rates and specific forces are in the body's frame; motors are fractions of full power
+# Quantities of a body other than its measured position, with their units; those with True are in
+# the file's unit of length. Attitudes are quaternions x, y, z, w, from the body (x forward, z up)
+# to the world; rates and specific forces are in the body's frame; motors are fractions of full
+# power
 QUANTITIES: dict[str, tuple[str, bool]] = {
     "velocity": ("m/s", True),
     "attitude": ("1", False),
@@ -356,7 +357,7 @@ def _tracks(content: Content, quantity: str, units: _Units) -> dict[str, Track]:
 def _signals(
     content: Content, units: _Units, apart: Collection[str]
 ) -> dict[str, dict[str, Signal]]:
-    """Return signals by body and quantity, but for quantities that are ``apart``."""
+    """Return signals by body and quantity, except for quantities that are ``apart``."""
     signals = defaultdict[str, dict[str, Signal]](dict)
     for name, own in content.items():
         for quantity, logged in own.items():

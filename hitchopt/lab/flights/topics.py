@@ -1,10 +1,11 @@
 """Topics of a recording: what they hold, whose they are, and which is taken for the drones.
 
 A topic is a stream of samples: of a bag, or a group of variables of a log. Its kind follows from
-the words of its name, else of its type: measured, estimated, commanded, or of a load. The drones'
-positions are of one kind: measured before estimated before commanded, and of a load only on
-request. Among topics of a kind those that name a motion capture system come first, then message
-types in the order of the reader. Other quantities are those of the first topic of their kind.
+the words of its name or, failing that, of its type: measured, estimated, commanded, or of a load.
+The drones' positions are of one kind: measured before estimated before commanded, and of a load
+only on request. Among topics of a kind those that name a motion capture system come first, then
+message types in the order of the reader. Other quantities are those of the first topic of their
+kind.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ LOAD = "load"  # Kind of topics of a carried load
 COMMANDED = "commanded"  # Kind of topics of setpoints
 KINDS = ("measured", "estimated", COMMANDED, LOAD)  # By preference
 
-# Words of topics, else of message types, by kind; the first kind that matches counts. A topic
+# Words of topics or, failing that, of message types, by kind; the first match counts. A topic
 # without such a word is measured
 WORDS: dict[str, frozenset[str]] = {
     kind: frozenset(words.split())

@@ -38,7 +38,7 @@ TICKS = round(1.0 / (RATE * PERIOD))  # Number of periods between predictions of
 # The delay of 8 ms, in which predicted velocities act uncorrected, agrees with estimates of the
 # firmware in a bench test
 ARRIVAL = 4
-MIN_LIFT = 0.1  # Smallest upright force over the weight in px4
+MIN_LIFT = 0.1  # Smallest vertical force over the weight in px4
 TINY = 1e-9  # Smallest divisor of level forces [N]
 MAX_SPEED = 1.1  # Largest velocity setpoint of pid for an offset, along an axis [m/s]
 
@@ -67,7 +67,7 @@ ATTITUDES: Mapping[str, AttitudeGains] = {
 
 
 def per_axis(loops: Sequence[FlightController], name: str) -> Array:
-    """Return a pair of gains of the loops (2n,), level and upright, by axis (2n, 3)."""
+    """Return a pair of gains of the loops (2n,), horizontal and vertical, by axis (2n, 3)."""
     return np.array([getattr(loop, name) for loop in loops])[:, [0, 0, 1]]
 
 
@@ -127,7 +127,7 @@ class Autopilots:
     def advance(self, commands: Commands, bodies: RigidBodies, seconds: float) -> None:
         """Run controllers and motors for the next ``seconds``, by the received setpoints.
 
-        ``bodies`` are true states with estimators, else measured ones.
+        ``bodies`` are true states if there are estimators, and measured ones otherwise.
         """
         estimator = self._estimator
         rates = bodies.rates if estimator is None else estimator.read(bodies)

@@ -76,7 +76,7 @@ class ClaspContacts:
         return contacts, clasp, self._normal_forces()[contacts]
 
     def _normal_forces(self) -> Array:
-        """Return the normal forces (contacts,) [N]; of no meaning for contacts without a row."""
+        """Return the normal forces (contacts,) [N]; meaningless for contacts without a row."""
         data = self._world.data  # cones are elliptic: the normal force comes first
         return np.asarray(np.maximum(data.efc_force[data.contact.efc_address], 0.0))
 

@@ -111,7 +111,7 @@ SCALED = ("mellinger", "pid")
 class FlownDrones:
     """How drones differ from those that a plan without calibration assumes."""
 
-    trims: Array  # (2n, 3) [m], that the plan knows: setpoints minus planned places
+    trims: Array  # (2n, 3) [m], in the plan: setpoints minus planned places
     turns: Array  # (2n, 3, 3), axes of the controllers' frames as columns, in those of the thrust
     thrust_factors: Array  # (2n,), commanded over actual thrusts, beyond what is exported
     drag: float  # [N s/m], over the speed

@@ -88,7 +88,7 @@ def rotation_vector(matrices: Array) -> Array:
     cosines = matrices[..., 0, 0] + matrices[..., 1, 1] + matrices[..., 2, 2]
     if cosines.min() <= 1.0:
         return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
-    axis, w = 2.0 * axial_vector(matrices), 1.0 + cosines  # a quaternion, but for its length
+    axis, w = 2.0 * axial_vector(matrices), 1.0 + cosines  # a quaternion before normalisation
     size = np.sqrt(dot(axis, axis) + w * w)
     axis, w = axis / size[..., None], w / size
     angle = 2.0 * np.arctan2(length(axis), w)
@@ -198,7 +198,7 @@ class Filter:
 
 
 class Estimator(Filter):
-    """Kalman filters and sensors of all drones, initialized with the true states.
+    """Kalman filters and sensors of all drones, initialised with the true states.
 
     Frames arrive ``age`` readings after they are captured.
     """

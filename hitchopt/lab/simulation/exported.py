@@ -1,10 +1,10 @@
 """Flights of exported files: the curves or samples that receivers get, and their parameters.
 
-The parts of an export are flown one after another, with what fly.py does in between: drones hover
+The parts of an export are flown one after another, with what fly.py does between them: drones hover
 where a part ends, go to the first points of the next one, and wait for its upload. Drones whose
 hitch is not tied yet take off as in the script; tied ones begin at their first points. The plan
-that the files were exported from adds what flies besides: cables, tensions and objects. Its rests
-are prolonged by the time that the files and the script take.
+that the files were exported from adds cables, tensions and objects. Its rests are prolonged by the
+time that the files and the script take.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def read_exported(path: Path, plan: Path | None = None) -> ExportedFlight:
         raise FileError(f"{path}: holds no {MANIFEST}; fly what `hitchopt export` wrote")
     kind = format_of(str(manifest.get("exported_as")))
     if not kind.flown_by:
-        raise UnsupportedError(f"{kind.name}: viewers show these files, no drone flies them")
+        raise UnsupportedError(f"{kind.name}: these files are for viewers; no drone flies them")
     flight, title = _plan_of(path, manifest, plan)
     names = listed_names(manifest, "parts")
     folders = [path / name for name in names] if names else [path]

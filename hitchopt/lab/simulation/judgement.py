@@ -137,7 +137,7 @@ def tension_ratios(flight: SimulatedFlight, rows: NDArray[np.int64]) -> Array:
 def tracking_verdict(flight: SimulatedFlight) -> str:
     """Return in words the largest errors of drones, and what the plan allows for; empty without.
 
-    Errors are distances from the planned positions, level and upright.
+    Errors are distances from the planned positions, horizontal and vertical.
     """
     record, tube, task = flight.record, allowed_errors(flight), flight.task
     during = record.t <= task.duration + ROUNDING
@@ -424,7 +424,7 @@ def object_states(
         axes = (Rotation.from_euler("z", -yaws[i]) * turned).as_matrix()
         dropped_times = t[carried & (offsets[:, i, 2] < -MAX_DROP - tube.largest)]
         off = np.mean(offsets[at_end, i], axis=0)
-        # Errors upright do not move what stands.
+        # Vertical errors do not move objects that stand.
         allowed = tube.level, tube.largest if cargo.held[rows[-1], i] else 0.0
         excess = np.maximum([length(off[:2]) - allowed[0], abs(off[2]) - allowed[1]], 0.0)
         states.append(

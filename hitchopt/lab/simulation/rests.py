@@ -59,7 +59,7 @@ class Rest(OneLine):
     start: float  # from which values are averaged [s]
     end: float  # [s]
     vertices: dict[str, VertexAtRest]  # by name
-    drones: tuple[float, float]  # largest error of a drone, level and upright [m]
+    drones: tuple[float, float]  # largest error of a drone, horizontal and vertical [m]
     allowed: Tube  # tracking errors that the plan allows for
     within: bool | None  # whether all drones are within these; None if the plan allows for none
     objects: tuple[ObjectState, ...]  # all movable ones

@@ -125,7 +125,7 @@ class Perturbations(Record):
     object_place: Annotated[float, Key(DISTANCE, "Largest error of movable objects' places")] = 0.0
     rotor_drag: Annotated[
         float | None,
-        Key(DRAG, "Drag of drones over their speed; null: 0.012 of calibrated drones, else 0"),
+        Key(DRAG, "Drag of drones over their speed; null: 0.012 if calibrated, otherwise 0"),
     ] = None
 
 
@@ -240,7 +240,7 @@ class Settings(Record):
             words(*CONTROLLERS, IDEAL),
             "Flight controller, ideal being a simplified one; null: that of the team's drones, "
             "with its filter and exported files. Gains are the team's if it names this "
-            "controller, else the stiffest that fly",
+            "controller, otherwise the stiffest that fly",
         ),
     ] = None
     gains: Annotated[
@@ -248,19 +248,19 @@ class Settings(Record):
         Key(
             mapping_of(Gains),
             "Gains of the controller's position loops; null: the team's if it names this "
-            "controller, else the stiffest stable ones",
+            "controller, otherwise the stiffest stable ones",
         ),
     ] = None
     estimator: Annotated[
         EstimatorParameters | str | None,
         Key(
             ESTIMATOR,
-            "State estimator: ideal, exact but for noise and velocity_noise; crazyflie, the "
+            "State estimator: ideal, exact except for noise and velocity_noise; crazyflie, the "
             "Crazyflie's filter with exported parameters on motion capture (100 Hz, 1 mm, "
             "latency) and an IMU; firmware or one_marker, the same with the firmware's parameters "
             "for rigid bodies or for one marker; null: crazyflie for a Crazyflie's controller of "
             "the "
-            "team, else ideal",
+            "team, otherwise ideal",
         ),
     ] = None
     upload: Annotated[

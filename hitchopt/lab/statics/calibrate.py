@@ -260,7 +260,7 @@ def calibrate(
     recording: file or directory in a format of ``read_flight``, a ``RecordedFlight``, or a
         ``Recording`` of the team's drones and vertices.
     plan: the plan that was flown, or its directory; None: the directory of the recording.
-    density: of the cables [kg/m]; None: that of the simulated flight, else the plan's.
+    density: of the cables [kg/m]; None: that of the simulated flight, or the plan's.
 
     Raises
     ------

@@ -257,7 +257,7 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
     values = plain(data)
     if not isinstance(values, dict):
         bound = "a mapping with the keys problem and parameters"
-        raise InputError("study", short(values), bound, "see hitchopt.Study")
+        raise InputError("study", short(values), bound, "see hitchopt.lab.sweeps.study.Study")
     if "problem" not in values and {"team", "teams"} & values.keys():
         remedy = "plan it with hitchopt solve, or name it in a study as problem: FILE"
         raise InputError("problem", Missing(), "given: this is a problem, no study", remedy)

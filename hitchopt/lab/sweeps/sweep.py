@@ -1,4 +1,4 @@
-"""Run studies: compute the missing rows in parallel on dask, and load and summarize all rows.
+"""Run studies: compute the missing rows in parallel on dask, and load and summarise all rows.
 
 A study's directory holds ``rows.jsonl``, one row per line, and ``study.json`` with the digests of
 the study's cases, in order. Rows of other studies in the same directory are preserved and reused.
@@ -56,7 +56,7 @@ Row = dict[str, Any]
 """A row of the results, by column; unknown values are None."""
 
 PLANNED = "planned"  # Value of the column ``status`` of a case with a plan
-# Value of the column ``status`` of a case without a plan, besides those of errors
+# Value of the column ``status`` of a case without a plan, in addition to those of errors
 FAILED = "failed"
 
 STATUS = {TimeLimitError: "time limit", InfeasibleError: "infeasible", InputError: "wrong"}
@@ -115,7 +115,8 @@ def run_sweep(
     elif isinstance(study, Mapping):
         study = study_from_dict(study)
     elif not isinstance(study, Study):
-        raise InputError("study", study, "a Study, its keys, or a path", "see hitchopt.Study")
+        remedy = "see hitchopt.lab.sweeps.study.Study"
+        raise InputError("study", study, "a Study, its keys, or a path", remedy)
     cases = {case.digest: case for case in study.cases()}
     for name in ("dask", "distributed", "pandas"):  # before anything is computed
         optional_module(name, "sweeps need", "sweep")
@@ -299,8 +300,9 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
 def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figure | None:
     """Plot the last figure of ``outcomes`` over the first varying parameter, if any.
 
-    Every combination of the other parameters is a curve. A point without a plan is a cross with the
-    reason. With a ``width`` [inch] it is a figure for a paper.
+    Every combination of the other parameters has its colour. Points are joined if the first
+    parameter is a number. A point without a plan is a cross with the reason. With a ``width``
+    [inch] it is a figure for a paper.
     """
     from hitchopt.view import style
     from hitchopt.view.pictures import STYLES
@@ -315,8 +317,10 @@ def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figu
     curves = dict[str, list[dict[str, Any]]]()
     for row in points:
         curves.setdefault(", ".join(f"{key} {row[key]}" for key in keys[1:]), []).append(row)
-    for (label, curve), (colour, line) in zip(curves.items(), cycle(STYLES)):
-        xs = [x if isinstance(x := row[keys[0]], int | float) else str(x) for row in curve]
+    for (label, curve), (colour, style_of_line) in zip(curves.items(), cycle(STYLES)):
+        xs, line = [row[keys[0]] for row in curve], style_of_line
+        if any(isinstance(x, bool) or not isinstance(x, int | float) for x in xs):  # names
+            xs, line = list(map(str, xs)), "none"
         axes.plot(xs, [row[head] for row in curve], "o", ls=line, ms=4, color=colour, label=label)
         for x, row in zip(xs, curve, strict=True):
             if not row["planned"]:

@@ -432,7 +432,7 @@ class MovePlanner:
         if not tensions:
             name = f"objects.{self.state.object}"
             push = hold.largest_push(low)
-            when = "on its support, which its edges push it along"
+            when = "on its support, pushed by the edges"
             remedy = f"give it more weight, or raise {name}.friction"
             violation = Violation("grip", push, limit, "max", "N", (name,), when, remedy)
             raise InfeasibleError([violation])

@@ -1,6 +1,6 @@
 """Polygons of clasps around an object and of its hold: grips and rests below rims.
 
-``best_grip`` maximizes the slip load within all limits by sequential quadratic programming (SLSQP)
+``best_grip`` maximises the slip load within all limits by sequential quadratic programming (SLSQP)
 from several initial guesses. The search is local: failure does not prove infeasibility. Its result
 is evaluated independently.
 """

@@ -379,7 +379,7 @@ def find_straddle(
     step: int = 0,
     drones: Array | None = None,
 ) -> StraddlePlanner:
-    """Return the planner of the first path that keeps distances, else of that with most margin.
+    """Return the planner of the first path that keeps distances, or of the one nearest to that.
 
     Clasps are tied so far from the object that drones which turn about each other keep off the
     ground, and are drawn to those of ``hold`` then.

@@ -251,7 +251,7 @@ def split_for_rolling(hitch: Hitch, senses: Array, requirements: Requirements) -
 
 
 def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> Laying:
-    """Return the first laying that separates the drones, else the one with the largest separation.
+    """Return the first laying that separates the drones, or the one with the largest separation.
 
     Levels are spaced by the sag of cables and the planned distance. Robots start as near to their
     edges as cables permit without crossing.
@@ -291,7 +291,7 @@ def _largest_sag(team: Team, drones: Array) -> float:
 def _nearest_start(
     laying: Laying, direction: Array, distance: float, separation: Separation
 ) -> Laying:
-    """Return the laying with the smallest offsets along directions (n, 2), else the largest ones.
+    """Return the laying with the smallest offsets along directions (n, 2), or the largest ones.
 
     Taut cables are at a distance [m], and landed drones separated.
     """

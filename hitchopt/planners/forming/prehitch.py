@@ -377,7 +377,7 @@ class PreHitch:
 
 
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
-    """Return the first pre-hitch without a violation, else the one with the smallest violation.
+    """Return the first pre-hitch without a violation, or the one with the smallest violation.
 
     Chords across the vertices are considered only if some other
     candidate would not link its cables.

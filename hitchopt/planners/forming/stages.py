@@ -143,7 +143,7 @@ def tension_stage(
 
 
 def best(candidates: Iterable[tuple[float, T]], enough: float) -> T:
-    """Return the first candidate with a margin of at least ``enough``, else of the largest margin.
+    """Return the first candidate with a margin of at least ``enough``, or the one with the most.
 
     Raises ValueError without a candidate.
     """
@@ -207,7 +207,7 @@ PAUSE = 0.01
 
 
 def straight_lines(team: Team, limits: Limits, start: Array, end: Array) -> PiecewisePolynomial:
-    """Return the drones (2n, 3) [m] on straight lines, synchronized and from rest to rest."""
+    """Return the drones (2n, 3) [m] on straight lines, synchronised and from rest to rest."""
     return on_lines(line_progress(team, limits, start, end), start, end)
 
 
@@ -216,7 +216,7 @@ def line_progress(
 ) -> PiecewisePolynomial:
     """Return the progress along straight lines, from 0 to 1.
 
-    It is timed for the longest line, but for no less than ``min_distance`` [m].
+    It is timed for the longest line, or for ``min_distance`` [m] if that is longer.
     """
     distance = float(np.max(np.linalg.norm(end - start, axis=1)))
     if distance < MIN_FLIGHT:

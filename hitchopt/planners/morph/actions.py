@@ -210,7 +210,7 @@ def _through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:
 def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
     """Return the path through points (J, d) [m] at times (J,) [s], a piece per interval.
 
-    Each moving stretch is a quintic spline with four continuous derivatives, which minimizes the
+    Each moving stretch is a quintic spline with four continuous derivatives, which minimises the
     squared jerk; it is at rest at both ends.
     """
     distances = np.linalg.norm(np.diff(points, axis=0), axis=1)

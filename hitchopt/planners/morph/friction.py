@@ -112,8 +112,8 @@ def settling_swings(rest: Motion, share: float) -> tuple[FrictionFeedforward, fl
 
     Legs close and open alternately, as mobilized friction ``P = T e^{± μ θ}`` requires to hold the
     vertices, with decreasing amplitude as in demagnetization. Vertices, leg lengths and edge
-    tensions are constant. The result is None if no leg can lean by MIN_LEAN; else it includes the
-    smallest fraction of the swing that the legs of a clasp can reach.
+    tensions are constant. The result is None if no leg can lean by MIN_LEAN; otherwise it includes
+    the smallest fraction of the swing that the legs of a clasp can reach.
 
     Open legs wrap more, and hold vertices more stiffly, than closed ones. Both sides therefore have
     the same share of their own friction, and every swing ends with open legs: with equal ratios of

@@ -20,7 +20,7 @@ PATH_SAMPLES = 65
 """Number of sampled points of the path; the certificate bounds all of it."""
 
 REFINEMENTS = ((9, 1.005), (17, 1.005), (17, 1.02), (33, 1.002), (33, 1.01))
-"""Numbers of knots at which leg lengths are optimized, and margins of distances and legs there."""
+"""Numbers of knots at which leg lengths are optimised, and margins of distances and legs there."""
 
 SAMPLE_MARGIN = 1.0 + 0.5 * (LIMIT_MARGIN - 1.0)
 """Margin of a law's distances at all samples: half of LIMIT_MARGIN, which applies to legs at rest,
@@ -41,7 +41,7 @@ def with_legs_clear(
 ) -> Path:
     """Return the path with a leg law that keeps all distances.
 
-    If the path's own law does not, leg lengths are optimized at knots, all at once, with the
+    If the path's own law does not, leg lengths are optimised at knots, all at once, with the
     smallest deviation from that law. If none is feasible the path is returned unchanged, and the
     certificate reports its violations.
 
@@ -150,7 +150,7 @@ DEGREE = 3
 """Degree of slides in s."""
 
 SHARES = (1.0, 0.75, 0.5)
-"""Candidate shares of the slide that minimizes the drones' motion at the ends, since it costs speed
+"""Candidate shares of the slide that minimises the drones' motion at the ends, since it costs speed
 between."""
 
 MAX_DURATION_RATIO = 0.995
@@ -162,7 +162,7 @@ def with_slides(path: Path, limits: Limits) -> Iterator[Path]:
 
     Speed limits bound vertices, while acceleration limits bound drones too. If cables slide while
     their vertices speed up, the drones lag for a while and vertices reach full speed earlier. The
-    slide is a cubic of s that is zero at both ends; its slopes there minimize the motion of the two
+    slide is a cubic of s that is zero at both ends; its slopes there minimise the motion of the two
     drones of each cable. Distances and duration are not verified.
     """
     if path.legs.length.pieces > 1:
@@ -176,7 +176,7 @@ def with_slides(path: Path, limits: Limits) -> Iterator[Path]:
 
 
 def _slopes(path: Path, limits: Limits) -> Array:
-    """Return the slides' slopes (2, n) [m] at s = 0 and 1 that minimize the drones' derivatives.
+    """Return the slides' slopes (2, n) [m] at s = 0 and 1 that minimise the drones' derivatives.
 
     The derivative of a drone by s is linear in that of its leg, along the leg.
     """

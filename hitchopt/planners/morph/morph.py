@@ -136,7 +136,7 @@ class BlendedMorph:
     """A planner of flights through hitches without a stop.
 
     Vertices, fractions and roll are natural quintic splines, the curves through the hitches that
-    minimize the third derivative. Their parameter is nearly the distance of the farthest drone.
+    minimise the third derivative. Their parameter is nearly the distance of the farthest drone.
     """
 
     hitches: Sequence[Hitch]

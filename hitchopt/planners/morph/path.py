@@ -131,7 +131,7 @@ class Path(OneLine):
 
         A function of s is sampled until the spline through the samples, which has four continuous
         derivatives, is within 0.1 mm of it. Knots are joined by a natural quintic spline, which
-        minimizes the third derivative. Shapes are checked by ``ho.time``, limits by ``ho.certify``.
+        minimises the third derivative. Shapes are checked by ``ho.time``, limits by ``ho.certify``.
 
         Parameters
         ----------

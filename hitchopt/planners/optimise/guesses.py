@@ -38,7 +38,7 @@ MIN_OTHER_TURN = 0.75 * math.pi
 """[rad] Smallest turn for which the opposite turn is a guess as well."""
 
 MIN_EDGE_SHARE = 0.3
-"""Smallest edge of a guess whose edges turn, over the shorter one of both ends."""
+"""Smallest edge of a guess whose edges turn, over the shorter of both ends."""
 
 WIDENING = 1.4
 """Scale of the outline halfway on a widened path, on which legs pass the tips of stars."""

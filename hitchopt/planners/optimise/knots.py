@@ -1,4 +1,4 @@
-"""Knots of a path from one hitch to another, the optimizer's variables, and their bounds."""
+"""Knots of a path from one hitch to another, the optimiser's variables, and their bounds."""
 
 from __future__ import annotations
 
@@ -241,7 +241,7 @@ Judge = Callable[[Path], Motion | None]
 
 @dataclass(frozen=True)
 class SolverStep:
-    """Parameters of a step of the optimizer."""
+    """Parameters of a step of the optimiser."""
 
     stride: float
     """[m] Trust radius of coordinates of vertices and drones."""
@@ -260,7 +260,7 @@ class SolverStep:
 
 @dataclass(eq=False)
 class Effort:
-    """Effort of the optimizer, which does not depend on the machine's speed, and its limit.
+    """Effort of the optimiser, which does not depend on the machine's speed, and its limit.
 
     It is the sum of the costs of programs; its unit takes about 0.1 ms.
     """

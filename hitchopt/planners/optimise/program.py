@@ -89,7 +89,7 @@ ENTRY_COST = 0.012
 """Cost of an entry of a program's matrices, in the unit of ``Effort``, by regression."""
 
 MIN_PROGRESS = 0.3
-"""Motion of vertices in a step over its stride, below which the optimizer has converged."""
+"""Motion of vertices in a step over its stride, below which the optimiser has converged."""
 
 
 def iterates(
@@ -99,7 +99,7 @@ def iterates(
     max_steps: int,
     progress: float = MIN_PROGRESS,
 ) -> Iterator[KnotPath]:
-    """Yield the paths after each step of the optimizer.
+    """Yield the paths after each step of the optimiser.
 
     Every step has rows and normals of the pairs that are close on the current path. The iterator
     ends if a step fails, or moves vertices by less than ``progress`` times its stride, or if the

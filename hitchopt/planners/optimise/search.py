@@ -1,4 +1,4 @@
-"""The search for paths of a morph: guesses are optimized and refined one by one.
+"""The search for paths of a morph: guesses are optimised and refined one by one.
 
 A guess is first moved to a path of minimum energy that keeps distances at its knots, then refined
 until it is feasible between them too, and shortened as far as it stays feasible. If no guess leads
@@ -62,10 +62,10 @@ REFINED_PARTS = 8
 """Number of parts of every step, at whose ends refinement enforces distances."""
 
 INITIAL_STEP = SolverStep(0.17)
-"""Step of the optimizer from a guess."""
+"""Step of the optimiser from a guess."""
 
 REFINED_STRIDE = 0.12
-"""[m] Stride of the optimizer in refinement."""
+"""[m] Stride of the optimiser in refinement."""
 
 MIN_STRIDE = 0.02
 """[m] Stride below which a feasible path is not shortened further."""
@@ -110,11 +110,11 @@ MAX_STEPS = 16
 """Maximum number of steps between the knots of a guess."""
 
 MAX_GUESS_RATIO = 1.3
-"""Largest estimated duration of a guess that is optimized, over that of the fastest motion so
+"""Largest estimated duration of a guess that is optimised, over that of the fastest motion so
 far."""
 
 MAX_ESTIMATE_RATIO = 1.1
-"""Largest estimated duration of an optimized path that is refined, over that of the fastest motion
+"""Largest estimated duration of an optimised path that is refined, over that of the fastest motion
 so far."""
 
 MIN_GAIN = 0.01
@@ -172,7 +172,7 @@ class Candidate:
 
     @property
     def objective(self) -> float:
-        """Duration and cost [s], which the best candidate minimizes."""
+        """Duration and cost [s], which the best candidate minimises."""
         return self.motion.duration + self.cost
 
 
@@ -186,7 +186,7 @@ class NoRouteError(HitchoptError):
 
 @dataclass(frozen=True, eq=False)
 class OptimisedMorph:
-    """A planner of morphs along optimized paths; those of chains are guesses as they are.
+    """A planner of morphs along optimised paths; those of chains are guesses as they are.
 
     If the straight path is feasible, it is the first candidate, and the search is limited to what
     can be faster.
@@ -246,8 +246,8 @@ class OptimisedMorph:
     def solve(self) -> list[Candidate]:
         """Return the motions along feasible paths, the fastest, or cheapest with a cost, first.
 
-        Guesses are optimized in the order of their estimated durations; on ties, turning edges
-        precede turning polygons. Optimized paths that equal earlier ones are skipped, and the
+        Guesses are optimised in the order of their estimated durations; on ties, turning edges
+        precede turning polygons. Optimised paths that equal earlier ones are skipped, and the
         search ends if no path can be faster by MIN_GAIN. Raises NoRouteError if there is none.
         """
         motion = None if self.straight is None else _judged(self.straight, self.judge)
@@ -271,7 +271,7 @@ class OptimisedMorph:
         return 0.0 if self.cost is None else self.cost.integral(path)
 
     def _optimised(self, straight: Motion | None, rejected: list[KnotPath]) -> list[Candidate]:
-        """Return the motions along optimized guesses that may be faster than the straight one."""
+        """Return the motions along optimised guesses that may be faster than the straight one."""
         fastest = math.inf if straight is None else straight.duration
         if self.cost is None and self.min_duration > (1.0 - MIN_GAIN) * fastest:
             return []
@@ -288,7 +288,7 @@ class OptimisedMorph:
         if straight is None or self.cost is not None:
             max_effort = MAX_EFFORT * max(path.size for path in paths)
         if self.cost is not None:
-            max_effort *= len(paths)  # all of them are optimized
+            max_effort *= len(paths)  # all of them are optimised
         estimates = np.zeros(len(paths))
         if len(paths) > 1 or straight is not None:
             smooth = [path.path for path in paths]
@@ -322,13 +322,13 @@ class OptimisedMorph:
     def _near(
         self, guesses: list[KnotPath], estimates: Array, search: SearchLimits, fastest: float
     ) -> list[Candidate]:
-        """Return the motions along optimized guesses, in the order of their estimates [s].
+        """Return the motions along optimised guesses, in the order of their estimates [s].
 
         ``fastest`` is the duration of the straight motion [s], infinite without one.
         """
         candidates: list[Candidate] = []
         visited: list[KnotPath] = []
-        shortest = math.inf  # estimate of the last optimized path with a motion [s]
+        shortest = math.inf  # estimate of the last optimised path with a motion [s]
         only_time = self.cost is None
         for guess, estimate in zip(guesses, estimates, strict=True):
             if only_time and estimate > MAX_GUESS_RATIO * fastest:
@@ -353,7 +353,7 @@ class OptimisedMorph:
         return candidates
 
     def _rolled(self, rejected: list[KnotPath]) -> list[Candidate]:
-        """Return the motion along the first feasible guess with roll, optimized or as it is."""
+        """Return the motion along the first feasible guess with roll, optimised or as it is."""
         guesses = rolled_guesses(self.start, self.end, self.requirements)[:MAX_ROLLED]
         as_it_is: list[Candidate] = []
         spent = 0.0

@@ -258,7 +258,7 @@ def fastest_path(
     """Return a path (times, 3) of indices with the fewest steps, at most ``horizon``, or None.
 
     Points that can be reached spread from the start by one step at a time. The path is read
-    backward: it waits where it can, else goes straight on.
+    backward: it waits where it can, and otherwise flies straight on.
     """
     reached = [np.zeros(reservations.lattice.clear.shape, dtype=np.bool_)]
     reached[0][start] = True

@@ -1,4 +1,4 @@
-"""The convex program around current curves, with all requirements linearized.
+"""The convex program around current curves, with all requirements linearised.
 
 Variables are the changes of the free coefficients, in trust radii, and slacks: one per drone for
 its limits, one per tether and plane. Rows bound whole pieces by their Bernstein (or spline)

@@ -259,7 +259,7 @@ class CurveBounds:
 
     @property
     def merit(self) -> float:
-        """Value to be minimized; curves with violations come last."""
+        """Value to be minimised; curves with violations come last."""
         return self.duration if self.clear else UNCLEAR_MERIT * (2.0 - min(self.closest, 1.0))
 
 

@@ -25,7 +25,7 @@ class SeparationTask:
     requirements: limits of speed, acceleration and jerk, ellipsoids, the arena, and prisms with a
         distance of ``separation.radius``; the rest is not used.
     tethers: pairs of drones that hold one cable, and their largest distance [m].
-    duration: prescribed duration [s], or None to minimize it.
+    duration: prescribed duration [s], or None to minimise it.
     acceleration: (N,) [m/s²]: usable acceleration of each drone (thrust, tilt), or None for the
         limit.
     names: of the drones, for messages; default d0, d1, ….
