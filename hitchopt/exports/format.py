@@ -101,7 +101,7 @@ class ExportTask:
 
     @property
     def rests_longer(self) -> bool:
-        """Whether parts rest longer at their ends than the plan, for offsets to come to rest."""
+        """Whether parts rest longer at their ends than the plan, until offsets are at rest."""
         is_alone = self.flight.alone is not None
         return self.options.longer_rests and self.holds_tension and is_alone
 

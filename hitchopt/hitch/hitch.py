@@ -273,7 +273,7 @@ class Hitch(ByValue):
         arena: Arena | None = None,
         roll: ArrayLike = 0.0,
     ) -> Hitch:
-        """Return the hitch within every limit whose slack split is nearest to ``fractions`` (n,).
+        """Return the hitch whose slack split is nearest to ``fractions`` (n,) within every limit.
 
         If there is none, return the one with the largest margin. The roll, one or (clasps,) [rad],
         applies unless it breaks a limit: then all clasps have the smallest feasible one of the

@@ -375,7 +375,7 @@ class CrazyflieOutlet:
         """Return control to the drones' high-level commander, which lands them.
 
         Without a command it would stop the motors of drones in the air at once. Commands are
-        repeated, for setpoints that are still on their way.
+        repeated, since setpoints may still be on their way.
         """
         for attempt in range(LANDINGS):
             if attempt:

@@ -579,7 +579,7 @@ class HoldFailure(NamedTuple):
     """Legs that do not hold an object, or to which the hitch does not close."""
 
     planner: MovePlanner
-    """The planner of moves with the hold."""
+    """Planner of the moves in which the object is held."""
 
     error: InfeasibleError
     """What the hold or the closing breaks."""

@@ -82,8 +82,8 @@ def between_plans(pair: Pair) -> Iterator[Row]:
     def below(a: list[Line], b: list[Line]) -> Line:
         """Return the distance over half an ellipsoid, large for cables above the drone.
 
-        A point is as far from a strip as the chord above from the points up to the strip's depth
-        over that point.
+        The distance of a point from a strip is that of the chord above from the points up to the
+        strip's depth over that point.
         """
         drone, cable = (a[0], b) if len(a) == 1 else (b[0], a)
         drone, *cable = (x * pair.wash for x in (drone, *cable))

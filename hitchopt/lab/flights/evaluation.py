@@ -120,7 +120,7 @@ class Evaluation(OneLine):
 
     @property
     def measured(self) -> Array:
-        """The clasps, or the crossings without a diameter (times, points, 3) [m]."""
+        """Clasps, or crossings if no diameter is given, (times, points, 3) [m]."""
         return self.vertices if self.clasps is None else self.clasps
 
     @property

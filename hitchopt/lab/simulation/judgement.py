@@ -42,8 +42,8 @@ MAX_DROP = 0.05
 RELEASE_TIME = 0.2  # Final time of the rest in which no cable may touch a free object [s]
 HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone is averaged [s]
 
-# Warnings: about cables without friction, about those without weight, with the density of their
-# ropes [g/m] and the preset, about drones with different controllers, and about those not simulated
+# Warnings about cables without friction; about weightless ones, with the density of their ropes
+# [g/m] and the preset; about different controllers; and about drones that are not simulated
 NO_FRICTION = (
     "friction is assumed to be 0; with a coefficient of 0.1, vertices end about 5 cm off: "
 )
