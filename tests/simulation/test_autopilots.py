@@ -35,11 +35,11 @@ from hitchopt.hitch.flight_controller import (
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import (
-    EXACT,
     LATENCY,
     READINGS,
     Estimator,
     LowPass,
+    Sensors,
     frame_age,
     rotation,
     rotation_vector,
@@ -52,6 +52,7 @@ from hitchopt.motion.states import states_at
 from hitchopt.values import Array
 
 MASS, PULL = 0.132, 0.4
+EXACT = Sensors(0.0, 0.0, 0.0, 0.0, np.inf, np.inf)
 STEP = 0.5 * PERIOD
 
 

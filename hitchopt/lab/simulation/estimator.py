@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from math import floor, inf, isfinite, pi, sqrt, tan
+from math import floor, isfinite, pi, sqrt, tan
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -52,7 +52,6 @@ class Sensors:
 
 
 SENSORS = Sensors()
-EXACT = Sensors(0.0, 0.0, 0.0, 0.0, inf, inf)  # Sensors without noise and filters
 
 TURN_NOISE = 0.1  # The firmware's process noise of attitudes [rad/s]
 NOISE_RATE = 1000.0  # Rate at which process noise is added [Hz]
