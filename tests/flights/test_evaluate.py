@@ -105,13 +105,12 @@ def test_an_unknown_weight_is_fitted() -> None:
 
 
 def test_standard_errors_cover_two_thirds_of_the_errors() -> None:
-    """Markers are offset from the axis, independently in every flight."""
+    """Markers are offset from the axis, independently in every flight; all times count."""
     coverage = []
     for seed in range(12):
         camera = Camera(noise=5e-4, offset=3e-3)
         result = ho.evaluate(planned_flight("triangle", camera, seed, offset=0.0), task("triangle"))
-        i = len(result.t) // 2
-        coverage.append(result.errors[i] < result.standard_errors[i])
+        coverage.append(np.mean(result.errors < result.standard_errors))
     assert 0.53 < np.mean(coverage) < 0.83
 
 
@@ -349,7 +348,7 @@ REFUSALS: dict[str, Request] = {
     "more robots": (triangle, "pentagon", {}, "6 bodies (cf"),
     "nothing moves": (motionless_flight, "triangle", {}, "start="),
     "too short": (lambda: excerpt(triangle(), 4.0, 5.5), "triangle", {}, "2.0 s"),
-    "a third of the flight in an unknown frame": (part_in_turned_frame, "triangle", {}, "m, 6."),
+    "a third of the flight in an unknown frame": (part_in_turned_frame, "triangle", {}, "m, 7."),
     "two assignments": (regular_in_turned_frame, "regular", {}, "names="),
     "no such name": (triangle, "triangle", {"names": "cf999=q0"}, "cf999"),
     "no pairs": (triangle, "triangle", {"names": "cf1"}, "cf231=q0"),
