@@ -185,7 +185,7 @@ def saved_others(name: str, path: Path, plan: str, at: float) -> tuple[TeamMotio
     """
     return tuple(
         TeamMotion(
-            f"{name}.{flown.name}" if flown.name else name,
+            ".".join(filter(None, (name, flown.name))),
             shifted(flown.motion, at),
             digest(path),
             plan,

@@ -89,7 +89,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         (f"calibrate {ROOT}/problems/show", "must be a flight, not its plan; name the file"),
         (
             f"sweep {TRIANGLE}",
-            ":5:1: problem = (missing): must be given: this is a problem, no stu",
+            ":6:1: problem = (missing): must be given: this is a problem, no stu",
         ),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],

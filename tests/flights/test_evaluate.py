@@ -107,7 +107,7 @@ def test_an_unknown_weight_is_fitted() -> None:
 def test_standard_errors_cover_two_thirds_of_the_errors() -> None:
     """Markers are offset from the axis, independently in every flight; all times count."""
     coverage = []
-    for seed in range(12):
+    for seed in range(24):
         camera = Camera(noise=5e-4, offset=3e-3)
         result = ho.evaluate(planned_flight("triangle", camera, seed, offset=0.0), task("triangle"))
         coverage.append(np.mean(result.errors < result.standard_errors))

@@ -127,7 +127,7 @@ def test_outlines_of_objects_are_read_beside_the_problem(tmp_path: Path) -> None
     section = load_problem(path).objects["box"].section
     assert sorted(section.core.round(9).tolist()) == sorted(corners)
     (tmp_path / "box.csv").unlink()
-    with pytest.raises(InputError, match=r":17:17: objects\.box\.file .* no such file"):
+    with pytest.raises(InputError, match=r":18:17: objects\.box\.file .* no such file"):
         load_problem(path)
 
 
