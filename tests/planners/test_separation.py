@@ -238,6 +238,30 @@ def test_routes_around_pillars_are_shortest_and_pass_over_low_ones() -> None:
     assert np.sum(np.linalg.norm(np.diff(over, axis=0), axis=1)) < 4.2
 
 
+@pytest.mark.parametrize("side", [[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+@pytest.mark.parametrize("distance", [1.02, 1.2, 1.4])
+def test_drones_beside_a_pillars_corner_have_a_short_route(
+    side: list[float], distance: float
+) -> None:
+    """There they are as near to both sides as no drone may be that is beside one of them."""
+    offset = distance * 0.12 * np.sqrt(0.5) * np.array(side)
+    corner = np.array([0.1, 0.0]) + 0.4 * np.array(side)
+    start = np.append(corner + offset, 1.0)
+    goal = np.append(np.array([0.1, 0.0]) - 1.9 * np.array(side), 1.0)
+    found = route(start, goal, PILLAR)
+    points = points_along(found, np.linspace(0.0, 1.0, 2001))
+    assert np.min(PILLAR.clearance(points).distance) >= 0.12 * (1.0 - 1e-5)
+    along_two_sides = np.sum(np.abs(goal - start))
+    assert np.sum(np.linalg.norm(np.diff(found, axis=0), axis=1)) < along_two_sides
+
+
+def test_segments_past_a_corner_are_straight() -> None:
+    """The corner is rounded: a line through the corner of the widened sides alone keeps clear."""
+    gap = 1.1 * 0.12 * np.sqrt(2.0)
+    start, goal = [0.5, 0.4 + gap, 1.0], [0.5 + gap, 0.4, 1.0]
+    np.testing.assert_allclose(route(start, goal, PILLAR), [start, goal])
+
+
 def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module(SeparatedCurves.__module__), "LARGE_CROWD", 40)
     monkeypatch.setattr(

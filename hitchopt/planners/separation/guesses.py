@@ -129,12 +129,21 @@ def routes_around(task: SeparationTask) -> list[Array]:
 
 
 def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
-    """Return the mask (m,) of segments between points (m, 3) that come too close to a prism."""
+    """Return the mask (m,) of segments between points (m, 3) that come too close to a prism.
+
+    Only the part of a segment between the corners of the prism widened by straight sides can.
+    """
     blocked = np.zeros(len(first), dtype=np.bool_)
+    distance = task.requirements.separation.radius * (1.0 - RADIUS_TOLERANCE)
     for prism in task.requirements.keep_out:
-        distance = task.requirements.separation.radius * (1.0 - RADIUS_TOLERANCE)
         entry, exit_ = _crossings(prism, distance, first, last)
-        blocked |= entry < exit_
+        near = np.flatnonzero((entry < exit_) & ~blocked)
+        start = first[near, :2]
+        along = last[near, :2] - start
+        entering = start + entry[near, None] * along
+        leaving = start + exit_[near, None] * along
+        distances = prism.slab.section.segment_distance(entering, leaving)
+        blocked[near[distances < distance]] = True
     return blocked
 
 
