@@ -248,7 +248,7 @@ def test_drones_beside_a_pillars_corner_have_a_short_route(
     corner = np.array([0.1, 0.0]) + 0.4 * np.array(side)
     start = np.append(corner + offset, 1.0)
     goal = np.append(np.array([0.1, 0.0]) - 1.9 * np.array(side), 1.0)
-    found = route(start, goal, PILLAR)
+    found = route(start.tolist(), goal.tolist(), PILLAR)
     points = points_along(found, np.linspace(0.0, 1.0, 2001))
     assert np.min(PILLAR.clearance(points).distance) >= 0.12 * (1.0 - 1e-5)
     along_two_sides = np.sum(np.abs(goal - start))
