@@ -207,7 +207,7 @@ class Moving:
     """(pieces, bodies, corners, 3, degree + 1) [m], corners of the first group of bodies."""
 
     second: Array | None = None
-    """The same of the second group; None for pairs i < j within the first one."""
+    """Corners of the second group, in the same shape; None for pairs i < j within the first one."""
 
     margin: float = 0.0
     """[m] Rounding error, which is subtracted from distances."""

@@ -24,9 +24,6 @@ if TYPE_CHECKING:
 AT_REST = 1e-6
 """[m/s], [m/s²] Largest velocity and acceleration at rest."""
 
-TAUT_RATIO = 0.9
-"""Smallest tension of a taut cable, over the team's."""
-
 BEFORE = 1e-9
 """[s] Time before the end of a piece at which it is evaluated."""
 
@@ -64,7 +61,7 @@ def states_at_rests(motion: Motion) -> States | None:
     states = states_at(motion, ends.ravel() - breaks[0])
     rates = np.stack([states.velocities, states.accelerations])
     at_rest = np.max(np.abs(rates), axis=(0, 2, 3)) <= AT_REST
-    at_rest &= np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
+    at_rest &= states.taut(motion.team.tension)
     rests = list[int]()
     for sample in np.flatnonzero(at_rest).tolist():
         offsets = np.abs(states.positions[rests] - states.positions[sample])

@@ -31,6 +31,9 @@ MIN_THRUST = 1e-9
 MAX_SAMPLES = 50_000_000
 """Maximum number of samples; more are refused before memory is allocated."""
 
+TAUT_RATIO = 0.9
+"""Smallest tension of a taut hitch over the team's; vertices of loose ones are ill-defined."""
+
 TIME_TOLERANCE = 1e-9
 """[s] Largest distance of a time outside the plan: rounding of sums of durations."""
 
@@ -138,6 +141,11 @@ class States(OneLine):
     def thrust_rates(self, team: Team | Swarm) -> Array:
         """Return the time derivatives of the thrust vectors (…, 2n, 3) [N/s]."""
         return np.asarray(team.mass[:, None] * self.jerks - self.cable_force_rates)
+
+    def taut(self, tension: Array) -> NDArray[np.bool_]:
+        """Return whether there is a taut hitch (…), of a team with tensions (n,) [N]."""
+        taut: NDArray[np.bool_] = np.all(self.tensions >= TAUT_RATIO * tension, axis=-1)
+        return self.formed & taut
 
     def held_forces(self, false_pull: Array) -> Array:
         """Return the cable forces (…, 2n, 3) [N] that controllers have to hold.

@@ -30,7 +30,7 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
-from hitchopt.planners.carrying.capacity import best_rim_hold, robots_that_rest
+from hitchopt.planners.carrying.capacity import best_rim_hold, team_for_rim
 from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
@@ -213,18 +213,22 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
 def _other_robots(planner: MovePlanner, requirements: Requirements) -> str:
     """Return what to use where legs cut a rim: another number of robots, if one holds it."""
     team = planner.hold.team
-    number = robots_that_rest(
+    cable_length = float(np.min(team.cable_length))
+    other = team_for_rim(
         team.robots,
         planner.body,
-        float(np.min(team.cable_length)),
+        cable_length,
         float(np.min(planner.state.tension)),
         team.quadrotor[0],
         requirements,
         planner.gap,
     )
-    if number is None:
+    if other is None:
         return "use a rounder rim"
-    return f"use {number} robots, whose legs stay below the rim"
+    cables = ""
+    if other.cable_length > cable_length:
+        cables = f" with cables of {other.cable_length:.3g} m or more"
+    return f"use {other.robots} robots{cables}, whose legs stay below the rim"
 
 
 class HoldCapacity(NamedTuple):
@@ -241,7 +245,7 @@ class HoldCapacity(NamedTuple):
 
 
 def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapacity:
-    """Return the capacities of the hold and of a rim, which at least three robots rest."""
+    """Return the capacities of the hold, and of a rim that at least three robots hold."""
     hold = planner.hold
     team = hold.team
     body = planner.body

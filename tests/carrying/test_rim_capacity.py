@@ -12,11 +12,12 @@ from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.lab.statics.fit import fit
 from hitchopt.motion.loads import RIM_CUT
 from hitchopt.objects import Rim, Section
-from hitchopt.planners.carrying.capacity import CUT_RESOLUTION, best_rim_hold, robots_that_rest
+from hitchopt.planners.carrying.capacity import CUT_RESOLUTION, best_rim_hold, team_for_rim
 from hitchopt.planners.carrying.holds import RestHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import EDGE_MARGIN, rest_polygons
 from hitchopt.values import Array
+from problems.random_morph import is_certified
 
 GAP = 0.035 + EDGE_MARGIN
 LIMITS = Limits(tilt=np.radians(60.0))
@@ -105,7 +106,22 @@ def test_the_number_of_robots_that_a_refusal_names_holds_the_object() -> None:
     assert ho.solve(ho.problem_from_dict(mission(4, mass, 1.5))).certificate.certified
 
 
-def test_no_number_of_robots_is_named_for_what_none_holds() -> None:
+def test_another_team_is_named_with_cables_that_it_needs() -> None:
     requirements = Requirements(LIMITS)
-    assert robots_that_rest(5, oblong(0.19), 1.4, 1.0, ho.Quadrotor(), requirements, GAP) == 4
-    assert robots_that_rest(5, oblong(5.0), 1.4, 1.0, ho.Quadrotor(), requirements, GAP) is None
+    rest = 1.0, ho.Quadrotor(), requirements, GAP
+    assert team_for_rim(5, oblong(0.19), 1.4, *rest) == (4, 1.4)
+    other = team_for_rim(5, oblong(0.19), 0.7, *rest)
+    assert other is not None
+    assert other.robots == 4
+    around = rest_polygons("thing", oblong(0.19), 4, GAP)[0].around.tolist()
+    start = {"hitch": {"polygon": around, "altitude": 1.0, "legs": "spread"}}
+    certified = [
+        is_certified({"robots": 4, "cable_length": length, "tension": 1.0}, start)
+        for length in (0.7, other.cable_length)
+    ]
+    assert certified == [False, True]
+
+
+def test_no_team_is_named_for_what_none_holds() -> None:
+    requirements = Requirements(LIMITS)
+    assert team_for_rim(5, oblong(5.0), 1.4, 1.0, ho.Quadrotor(), requirements, GAP) is None

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hitchopt.errors import FileError, InputError, OneLine, optional_module
-from hitchopt.lab.simulation.planned_rests import TAUT_RATIO
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.values import Array, as_array
 
@@ -431,9 +430,9 @@ def plan_at(task: TeamTask, t: ArrayLike, values: Array) -> Array:
     return curve
 
 
-def taut_at(task: TeamTask, t: Array, ratio: float = TAUT_RATIO) -> NDArray[np.bool_]:
-    """Return whether the plan's hitch has at least a ratio of the team's tension at times."""
-    taut = np.all(task.states.tensions >= ratio * task.team.tension, axis=-1) & task.states.formed
+def taut_at(task: TeamTask, t: Array) -> NDArray[np.bool_]:
+    """Return whether the plan's hitch is taut at times (…) [s] from its start."""
+    taut = task.states.taut(task.team.tension)
     return plan_at(task, t, taut.astype(np.float64)) > 1.0 - 1e-9
 
 

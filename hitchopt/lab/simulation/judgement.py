@@ -20,14 +20,13 @@ from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.planned_rests import (
     REST_TIME,
-    TAUT_RATIO,
     resting_samples,
-    taut_samples,
 )
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
+from hitchopt.motion.states import TAUT_RATIO
 from hitchopt.values import Array
 
 ROUNDING = 1e-5  # Rounding error of sample times [s]
@@ -112,7 +111,7 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     taut, moves = list[NDArray[np.bool_]](), np.zeros(len(task.states.t), np.bool_)
     for part in task.teams:
         formed = part.states.formed
-        taut.append(taut_samples(part))
+        taut.append(part.states.taut(part.team.tension))
         moves[1:] |= ~resting_samples(part)[1:] & formed[1:] & formed[:-1]
     clasp_is_taut = task.clasped(taut)
     end = np.fmax(task.duration, flight.rested) + ROUNDING

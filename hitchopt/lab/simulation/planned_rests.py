@@ -12,43 +12,44 @@ from numpy.typing import NDArray
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.task import Task, TeamTask
 
-REST_TIME = 1.0  # Time at rest before a pull test, over which values are averaged [s]
-SHORTEST = 0.1  # Shortest time over which values at rest are averaged [s]
+REST_TIME = 1.0
+"""[s] Time at rest before a pull test, over which values are averaged."""
 
-# Largest step of a resting vertex between samples [m], and largest change of a steady tension, over
-# the team's
+SHORTEST = 0.1
+"""[s] Shortest time over which values at rest are averaged."""
+
 REST_TOLERANCE = 1e-6
+"""[m] Largest step of a resting vertex between samples; also the largest change of a steady
+tension, over the team's."""
 
-# Smallest tension over the team's of a taut hitch; vertices of loose hitches are ill-defined
-TAUT_RATIO = 0.9
-
-# Largest speed of a standing drone [m/s]: a step that brakes with a jerk of 100 m/s³ until it ends
-# has this speed 10 ms before
 STANDING_SPEED = 0.005
+"""[m/s] Largest speed of a standing drone: a step that brakes with a jerk of 100 m/s³ until it ends
+has this speed 10 ms before."""
 
 
 @dataclass(frozen=True)
 class PlannedRest:
     """A rest at which a step of a team ends, its last step excluded."""
 
-    phase: str  # name of the phase that ends there
-    start: float  # from which values are averaged, from the flight's start [s]
-    end: float  # [s]
+    phase: str
+    """Name of the phase that ends there."""
+
+    start: float
+    """[s] Time from the flight's start, from which on values are averaged."""
+
+    end: float
+    """[s] Time from the flight's start."""
 
 
 @dataclass(frozen=True, order=True)
 class PullTest:
     """A pull test where all drones stand still; times count from the flight's start."""
 
-    time: float  # at which the plan stops for the test; its duration for the test after the plan
-    since: float  # from which on all drones stand still [s]
+    time: float
+    """[s] Time at which the plan stops for the test; its duration for the test after the plan."""
 
-
-def taut_samples(task: TeamTask) -> NDArray[np.bool_]:
-    """Return whether a team's hitch is taut at the samples of its task (samples,)."""
-    tension, states = task.team.tension, task.states
-    taut: NDArray[np.bool_] = np.all(states.tensions >= TAUT_RATIO * tension, axis=-1)
-    return states.formed & taut
+    since: float
+    """[s] Time from which on all drones stand still."""
 
 
 def resting_samples(task: TeamTask) -> NDArray[np.bool_]:
@@ -73,7 +74,7 @@ def rests_of(part: TeamTask) -> Iterator[PlannedRest]:
     if part.motion is None:
         return
     t, phases = part.states.t - part.states.t[0], part.motion.phases
-    taut, standing = taut_samples(part), standing_samples(part)
+    taut, standing = part.states.taut(part.team.tension), standing_samples(part)
     still = taut & resting_samples(part)
     for phase, following in pairwise(phases):
         if phase.step == following.step:

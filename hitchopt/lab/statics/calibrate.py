@@ -52,7 +52,6 @@ from hitchopt.lab.flights.recordings import (
     windows_of,
 )
 from hitchopt.lab.simulation.exported import team_task
-from hitchopt.lab.simulation.planned_rests import TAUT_RATIO
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.lab.statics.rests import DronesAtRests, drones_at_rests
@@ -326,7 +325,7 @@ def calibrate(
         tuple(estimates[kinds.index(kind.uncalibrated)] for kind in team.of_problem.quadrotor),
         friction,
         _at_rests(task, windows, settling, lengths),
-        np.where(taut_at(task, t, TAUT_RATIO)[:, None], vertex_errors, np.nan),
+        np.where(taut_at(task, t)[:, None], vertex_errors, np.nan),
         length(recording.drones - plan_at(task, t, setpoints)),
     )
 

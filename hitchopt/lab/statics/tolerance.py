@@ -41,7 +41,6 @@ PREFIX = "sd:"  # Prefix of a standard deviation on the command line: sd:0.01
 SAMPLES = 25  # Default number of times at which ranges are computed
 CANDIDATES = 20  # Number of candidate times for each of these
 
-TAUT_RATIO = 0.9  # Smallest tension of a taut cable, over the team's
 CORNERS = 4  # Tensions and coordinates of widest range whose worst-case errors are evaluated
 
 
@@ -190,7 +189,7 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     times = np.linspace(0.0, motion.duration, CANDIDATES * count)
     if motion.team.has_cables:
         states = states_at(motion, times)
-        taut = states.formed & np.all(states.tensions >= TAUT_RATIO * motion.team.tension, axis=-1)
+        taut = states.taut(motion.team.tension)
         unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
         times = times[taut & unloaded]
     if not motion.team.has_cables or not len(times):

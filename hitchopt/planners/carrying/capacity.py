@@ -1,4 +1,7 @@
-"""Masses that rims hold: limits of drones and cables, and legs that must not cut the rim."""
+"""Masses that unrolled legs hold by a rim: what drones bear, and legs that must not cut the rim.
+
+Cables are weightless here, with equal lengths and tensions.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,14 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.holds import RestHold
 from hitchopt.planners.carrying.polygons import HoldPolygons, rest_polygons
 from hitchopt.planners.fitting import shortest_cable
-from hitchopt.values import Array
+from hitchopt.values import Array, known
 from hitchopt.values.fields import with_fields
 
 COMPARED_ROBOTS = range(3, 9)
-"""Numbers of robots that are compared where legs of others cut a rim."""
+"""Numbers of robots that are tried where the legs of a team cut a rim."""
 
 CUT_RESOLUTION = 1e-3
-"""[kg] Resolution of the masses with which legs do not cut a rim."""
+"""[kg] Resolution of the largest mass with which legs do not cut a rim."""
 
 RIM_BINDING = "object_clearance"
 """The check that binds where legs cut a rim."""
@@ -47,10 +50,10 @@ def best_rim_hold(
     kind: Quadrotor,
     requirements: Requirements,
 ) -> RimHold:
-    """Return the clasps on whose unrolled legs a rim rests best.
+    """Return the clasps below a rim that hold it best, and the largest mass on them.
 
-    Candidates are compared in order of preference: the first ones whose legs do not cut the rim at
-    any mass that drones bear are best, or else those that hold most.
+    They are the first, in order of preference, whose legs do not cut the rim under the largest mass
+    that drones bear. If all do, they are those that hold most.
 
     Parameters
     ----------
@@ -81,35 +84,36 @@ def _borne(
     requirements: Requirements,
 ) -> Capacity:
     """Return the largest mass [kg] on clasps (n, 2) [m] that drones bear."""
-    assert body.rim is not None
-    mass_height = float(body.centre_of_mass[2]) - body.rim.height
+    mass_height = float(body.centre_of_mass[2]) - known(body.rim).height
     polygon = ConvexPolygon(clasps)
     return rest_capacity(polygon, cable_length, tension, kind, requirements, mass_height)
 
 
 def cuts_rim(team: Team, body: SolidObject, clasps: Array, mass: float) -> bool:
-    """Return whether unrolled legs cut an object's rim, with or without its weight.
+    """Return whether legs cut an object's rim, with its weight or without.
+
+    Cables that cannot bear the mass count as cutting.
 
     Parameters
     ----------
     team: with cables of equal lengths.
     body: the object, with a rim.
     clasps: (n, 2) [m], below its rim, in its frame.
-    mass: of the object [kg], which the cables bear.
+    mass: of the object [kg].
     """
-    assert body.rim is not None
+    height = known(body.rim).height
     loaded = with_fields(body, mass=max(mass, CUT_RESOLUTION))
     equal_legs = np.full(team.robots, 0.5)
     level = np.zeros(team.robots)
     try:
-        RestHold(team, loaded, clasps, body.rim.height, equal_legs, level).check_rim(team.tension)
+        RestHold(team, loaded, clasps, height, equal_legs, level).check_rim(team.tension)
     except InfeasibleError:
         return True
     return False
 
 
 def _uncut_mass(team: Team, body: SolidObject, clasps: Array, cutting: float) -> float:
-    """Return the largest mass [kg] with which legs do not cut a rim, below one that makes them."""
+    """Return the largest mass [kg] with which legs do not cut a rim, less than one that does."""
     low, high = 0.0, cutting
     while high - low > CUT_RESOLUTION:
         middle = 0.5 * (low + high)
@@ -120,7 +124,17 @@ def _uncut_mass(team: Team, body: SolidObject, clasps: Array, cutting: float) ->
     return low
 
 
-def robots_that_rest(
+class RimTeam(NamedTuple):
+    """A team that holds an object by its rim."""
+
+    robots: int
+    """Number of robots."""
+
+    cable_length: float
+    """Length of their cables [m]."""
+
+
+def team_for_rim(
     robots: int,
     body: SolidObject,
     cable_length: float,
@@ -128,16 +142,17 @@ def robots_that_rest(
     kind: Quadrotor,
     requirements: Requirements,
     gap: float,
-) -> int | None:
-    """Return the number of robots, nearest to one, whose unrolled legs hold a rim; None if none do.
+) -> RimTeam | None:
+    """Return a team of another size that holds an object by its rim at rest; None without one.
 
-    Their cables are as long as given, or longer if drones need it around the object.
+    Its size is the nearest to that of the team that does not. Cables are as long as that team's,
+    or as long as its drones need around the object.
 
     Parameters
     ----------
-    robots: the number that does not hold it.
+    robots: size of the team that does not hold the object.
     body: the object, with a rim and its mass.
-    cable_length: of all cables, at least [m].
+    cable_length: of that team's cables [m].
     tension: of all cables [N].
     kind: kind of all quadrotors.
     requirements: limits and distances.
@@ -148,16 +163,11 @@ def robots_that_rest(
         with contextlib.suppress(InfeasibleError):
             polygons = rest_polygons("object", body, number, gap)[0]
             team = Team(number, cable_length, tension=tension, quadrotor=kind)
-            uncut = [
-                clasps
-                for clasps in polygons.below_rim
-                if not cuts_rim(team, body, clasps, body.mass)
-            ]
-            if not uncut:
-                continue
-            outlines = [ConvexPolygon(polygons.around), ConvexPolygon(uncut[0])]
-            needed = max(cable_length, shortest_cable(outlines, requirements))
-            capacity = _borne(body, uncut[0], needed, tension, kind, requirements)
-            if capacity.mass >= body.mass:
-                return number
+            for clasps in polygons.below_rim:
+                if cuts_rim(team, body, clasps, body.mass):
+                    continue
+                outlines = [ConvexPolygon(polygons.around), ConvexPolygon(clasps)]
+                needed = max(cable_length, shortest_cable(outlines, requirements))
+                if _borne(body, clasps, needed, tension, kind, requirements).mass >= body.mass:
+                    return RimTeam(number, needed)
     return None

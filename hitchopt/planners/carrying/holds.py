@@ -47,7 +47,7 @@ from hitchopt.objects.placing import in_world, poses_of
 from hitchopt.planners.carrying.moves import Move, MoveState, SmoothLaw, polynomials
 from hitchopt.planners.carrying.polygons import sides_of
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array
+from hitchopt.values import Array, known
 
 RIM_EDGE = "the rim"
 """What legs cut, in messages."""
@@ -288,13 +288,13 @@ class RestHold(HoldingHitch):
         tension: (n,) [N]
         load_share: fraction of the weight on clasps.
         """
-        assert self.body.rim is not None
+        rim = known(self.body.rim).section
         at_rest = self._at_rest(tension, load_share)
         clasps = at_rest["vertices"][0, self.team.layout.anchors]
         legs = at_rest["drones"][0] - clasps
         level_lengths = length(legs[:, :2])
         level_directions = legs[:, :2] / level_lengths[:, None]
-        within_rim = self.body.rim.section.reach(clasps[:, :2], level_directions)
+        within_rim = rim.reach(clasps[:, :2], level_directions)
         return np.asarray(clasps[:, 2] + within_rim * legs[:, 2] / level_lengths - self.height)
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:

@@ -131,7 +131,8 @@ def routes_around(task: SeparationTask) -> list[Array]:
 def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
     """Return the mask (m,) of segments between points (m, 3) that come too close to a prism.
 
-    Only the part of a segment between the corners of the prism widened by straight sides can.
+    A segment is cut to its part inside of the prism with all faces moved outward. That part may
+    still pass a corner, where these faces meet farther away than the distance.
     """
     blocked = np.zeros(len(first), dtype=np.bool_)
     distance = task.requirements.separation.radius * (1.0 - RADIUS_TOLERANCE)
@@ -232,9 +233,8 @@ MOMENTUM = 0.8
 SMOOTHING_TIME = 0.08
 """Time constant of the smoothing filter, over the duration."""
 
-SIDE_FADE_SHARE = (
-    0.5  # Fraction of the iterations over which the common side fades out of the pushes
-)
+SIDE_FADE_SHARE = 0.5
+"""Fraction of the iterations over which the common side fades out of the pushes."""
 
 
 def pushed_apart(setting: Setting, side: float) -> Array:
