@@ -52,8 +52,8 @@ def best_rim_hold(
 ) -> RimHold:
     """Return the clasps below a rim that hold it best, and the largest mass on them.
 
-    They are the first, in order of preference, whose legs do not cut the rim under the largest mass
-    that drones bear. If all do, they are those that hold most.
+    They are the preferred ones if drones bear less than makes their legs cut the rim, or else those
+    of all candidates that hold most.
 
     Parameters
     ----------
@@ -64,15 +64,29 @@ def best_rim_hold(
     kind: kind of all quadrotors.
     requirements: limits and distances.
     """
-    holds = list[RimHold]()
-    for clasps in polygons.below_rim:
-        borne = _borne(body, clasps, cable_length, tension, kind, requirements)
-        team = Team(len(clasps), cable_length, tension=tension, quadrotor=kind)
-        if borne.mass == 0.0 or not cuts_rim(team, body, clasps, borne.mass):
-            return RimHold(clasps, borne)
-        uncut = _uncut_mass(team, body, clasps, borne.mass)
-        holds.append(RimHold(clasps, Capacity(uncut, RIM_BINDING)))
+    load = cable_length, tension, kind, requirements
+    preferred, *others = polygons.below_rim
+    hold = RimHold(preferred, _capacity(body, preferred, *load))
+    if hold.capacity.binding != RIM_BINDING:
+        return hold
+    holds = [hold, *(RimHold(clasps, _capacity(body, clasps, *load)) for clasps in others)]
     return max(holds, key=lambda hold: hold.capacity.mass)
+
+
+def _capacity(
+    body: SolidObject,
+    clasps: Array,
+    cable_length: float,
+    tension: float,
+    kind: Quadrotor,
+    requirements: Requirements,
+) -> Capacity:
+    """Return the largest mass on clasps (n, 2) [m] that drones bear without cutting the rim."""
+    borne = _borne(body, clasps, cable_length, tension, kind, requirements)
+    team = Team(len(clasps), cable_length, tension=tension, quadrotor=kind)
+    if borne.mass == 0.0 or not cuts_rim(team, body, clasps, borne.mass):
+        return borne
+    return Capacity(_uncut_mass(team, body, clasps, borne.mass), RIM_BINDING)
 
 
 def _borne(
