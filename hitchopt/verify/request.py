@@ -124,12 +124,19 @@ def moved_to(s: Step, value: Any, step: Mapping[str, Any], key: str, by: float) 
     return (s.vertices() - by * s.vertices(0))[both, :2] - np.array(value, dtype=float)
 
 
-def centroid(points: Array) -> Array:
-    """Return the centroid (3,) of the area of a polygon (n, 3), or of an open chain closed."""
-    x, y = points[:, :2], np.roll(points[:, :2], -1, axis=0)
-    cross = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
-    level = (x + y).T @ cross / (3.0 * np.sum(cross))
-    return np.append(level, np.mean(points[:, 2]))
+def centroid(s: Step) -> Array:
+    """Return the centroid (3,) of the area of a polygon, or of the length of an open chain."""
+    vertices = s.vertices()
+    origin = vertices[0, :2]
+    x = vertices[:, :2] - origin
+    y = np.roll(x, -1, axis=0)
+    if s.p.closed:
+        cross = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
+        level = (x + y).T @ cross / (3.0 * np.sum(cross))
+    else:
+        lengths = norm(y - x)[:-1]
+        level = (0.5 * (x + y)[:-1]).T @ lengths / np.sum(lengths)
+    return np.append(origin + level, np.mean(vertices[:, 2]))
 
 
 def turned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
@@ -365,7 +372,7 @@ STEP_KEYS: dict[str, Shows] = {
     "move_edge.by": partial(moved_to, key="edge", by=1.0),
     "path": path,
     "speed": speed,
-    "transport.to": lambda s, x, _: centroid(s.vertices()) - np.array(x, dtype=float),
+    "transport.to": lambda s, x, _: centroid(s) - np.array(x, dtype=float),
     "transport.yaw_deg": turned,
     "open_vertex.vertex": pair,
     "close_vertex.vertex": pair,

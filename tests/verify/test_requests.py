@@ -73,6 +73,19 @@ mission:
   - transport: {to: [0.3, 0.2, 1.3], yaw_deg: 20}
   - hold: {seconds: 0.5}
 """
+CHAINED = """
+team: {robots: 3, cable_length: [2.3, 2.2, 2.4], topology: open, tension: 0.4}
+start:
+  hitch: {polygon: [[12.7, 20], [13.2, 20.5], [14, 20.6], [14.5, 20]], altitude: 1.5}
+mission:
+  - morph: {polygon: [[12.7, 20], [13.2, 20.6], [14, 20.7], [14.5, 20]]}
+  - move_vertex: {vertex: 0, by: [0.1, -0.1]}
+  - move_vertex: {vertex: 2, to: [14, 20.65]}
+  - move_edge: {edge: 2, by: [0.1, 0]}
+  - follow_vertex: {vertex: 3, path: [[2, 14.6, 19.9], [4, 14.6, 20]]}
+  - transport: {to: [13.6, 20.3, 1.8], yaw_deg: 20}
+  - hold: {seconds: 0.5}
+"""
 SAGGING = """
 team: {robots: 3, cable_length: 2.8, cable_density: 0.01, tension: 0.8, quadrotor: paper_132g}
 start:
@@ -80,18 +93,19 @@ start:
 mission:
   - adjust: {legs: [0.75, 0.7, 0.7]}
 """
+TEXTS = {"tied": TIED, "moved": MOVED, "swung": SWUNG, "chained": CHAINED}
 ROLLED, DRUM, BOX = "roll_square", "two_robots_drum", "carry_box"
 
 
 def text_of(name: str) -> str:
-    given = {"tied": TIED, "moved": MOVED, "swung": SWUNG}.get(name)
+    given = TEXTS.get(name)
     return given or (PROBLEMS / f"{name}.yaml").read_text("utf-8")
 
 
 @cache
 def flight_of(name: str) -> ho.Flight:
     data: Any = parse_yaml(text_of(name))
-    plan: ho.Plan = planned_of(data) if name in ("tied", "moved", "swung") else planned(name)
+    plan: ho.Plan = planned_of(data) if name in TEXTS else planned(name)
     return plan.flight
 
 
@@ -157,6 +171,10 @@ LIES = [
     lie("moved", "mission 7 transport yaw_deg", -20),
     lie("moved", "mission 8 hold seconds", 0.6),
     lie("moved", "mission", []),
+    lie("chained", "team topology", "closed"),
+    lie("chained", "mission 3 move_edge edge", 1),
+    lie("chained", "mission 5 transport to", [13.6, 20.31, 1.8]),
+    lie("chained", "mission 5 transport yaw_deg", -20),
     lie("tied", "start drones q 0", [-0.5, -1.2, 0.1]),
     lie("tied", "mission 0 form altitude", 1.3),
     lie("tied", "mission 0 form polygon 0", [0, 0.6]),
@@ -216,9 +234,7 @@ def test_keys_that_the_plan_contradicts_are_found(
     assert found(name, path, value, tmp_path)
 
 
-@pytest.mark.parametrize(
-    "name", ["moved", "tied", "swung", ROLLED, DRUM, "swarms/circle_6", "beside_a_show"]
-)
+@pytest.mark.parametrize("name", [*TEXTS, ROLLED, DRUM, "swarms/circle_6", "beside_a_show"])
 def test_plans_show_what_was_asked_for(name: str, tmp_path: Path) -> None:
     assert found(name, (), None, tmp_path) == []
 
