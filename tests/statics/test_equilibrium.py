@@ -20,6 +20,7 @@ from hitchopt.hitch.energy import INTEGRAL_ERROR, HitchEnergy, energy_of
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.rest_errors import responses
 from hitchopt.lab.statics.equilibrium import Equilibrium, conditions_of, samples_of
+from hitchopt.lab.statics.files import draw_statics
 from hitchopt.lab.statics.tolerance import ErrorSize, Tolerance, taut_times
 from hitchopt.motion.loads import sags
 from hitchopt.motion.motion import CableState, Phase
@@ -502,6 +503,17 @@ def test_error_sizes_are_parsed_or_refused() -> None:
     for text in ("", "sd:", "sd:-1", "-1", "nan", "1 cm", -1.0):
         with pytest.raises(ho.InputError, match=r"^--x = "):
             ErrorSize.of("--x", text)
+
+
+@pytest.mark.parametrize("topology", ["closed", "open"])
+def test_pictures_draw_the_edges_of_rings_and_chains(topology: str) -> None:
+    rest = ho.equilibrium(resting_motion(random_hitch(9, 3, topology)), [1.0])
+    figure = draw_statics(rest, None)
+    _, from_above = figure.axes
+    edges = from_above.lines[0].get_xydata()
+    layout = rest.team.layout
+    np.testing.assert_allclose(edges[:-1], rest.vertices[0, layout.starts, :2])
+    np.testing.assert_allclose(edges[1:], rest.vertices[0, layout.ends, :2])
 
 
 def test_taut_times_exclude_rising_tensions() -> None:

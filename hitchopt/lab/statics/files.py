@@ -126,7 +126,7 @@ def draw_statics(rest: Equilibrium, ranges: Tolerance | None, width: float | Non
     left.plot(t, rest.planned_tensions, zorder=4, **PLANNED)[0].set_label("planned")
     left.set(xlabel="t [s]", ylabel="tension [N]")
     style.from_zero(left, 0.1 + 0.06 * min(cables, MAX_NAMED))
-    ring = np.append(np.arange(layout.points), [0] * layout.closed)
+    ring = np.arange(layout.points + layout.closed) % layout.points
     times = np.unique(np.linspace(0, len(t) - 1, len(TIME_COLOURS)).round().astype(np.intp))
     lines, areas = dict[str, Any](planned=Line2D([], [], **PLANNED)), dict[str, Any]()
     areas["drone"] = Line2D([], [], color=style.INK, marker="x", ls="none", ms=4)
