@@ -517,6 +517,23 @@ def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
     assert stiffness(stiffness=0.5) == pytest.approx([0.5] * 3)
 
 
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_a_stated_stiffness_scales_all_gains_of_every_controller(name: str) -> None:
+    """Ratios of horizontal to vertical gains and damping ratios stay those of the plan."""
+    kind = ho.Quadrotor(controller=name, gains={"kp": [0.8, 0.9], "kd": [0.5, 0.6], "ki": 0})
+    (planned,) = {kind.loop}
+    team = ho.Team(3, 2.4, quadrotor=kind)
+    (flown,) = {kind.loop for kind in flown_team(team, Settings(controller=name)).kinds}
+    assert flown == planned
+    settings = Settings(controller=name, stiffness=0.5)
+    (scaled,) = {kind.loop for kind in flown_team(team, settings).kinds}
+    assert scaled.kp[0] == pytest.approx(0.5)
+    if name not in {"mellinger", "lee"}:  # others have the damping of the stiffest loop
+        ratio = 0.5 / planned.kp[0]
+        assert scaled.kp == pytest.approx(tuple(ratio * x for x in planned.kp))
+        assert scaled.kd == pytest.approx(tuple(ratio**0.5 * x for x in planned.kd))
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
@@ -529,7 +546,10 @@ def test_gains_are_the_teams_or_the_stiffest_or_given() -> None:
         ({"controller": "pid", "estimator": "best"}, "estimator = 'best': must be one of ideal"),
         ({"controller": "lee", "upload": True, "feedback": True}, "feedback = True"),
         ({"latency": 0.02}, "latency = 0.02: must be omitted without an estimator"),
-        ({"controller": "lee", "latency": 0.02}, "omitted without an estimator"),
+        ({"latency": 0.02}, "add controller=mellinger and estimator=crazyflie"),
+        ({"controller": "lee", "latency": 0.02}, "omitted without an estimator; add estimator="),
+        ({"drones": "px4", "controller": "lee"}, "controller = 'lee': must be one of px4 with"),
+        ({"drones": "crazyflie", "controller": "ideal"}, "controller = 'ideal'.*one of mellinger"),
     ],
 )
 def test_incompatible_settings_are_refused(given: dict[str, Any], told: str) -> None:
@@ -573,7 +593,8 @@ def still_task(kind: ho.Quadrotor, seconds: float = 0.1) -> Task:
         ({}, {"drones": "crazyflie"}, ("mellinger", HELD, False)),
         ({"controller": "px4"}, {"drones": "crazyflie"}, ("mellinger", HELD, False)),
         ({"controller": "lee"}, {"drones": "crazyflie"}, ("lee", HELD, True)),
-        ({}, {"drones": "crazyflie", "controller": "pid"}, ("pid", None, False)),
+        ({}, {"drones": "crazyflie", "controller": "pid"}, ("pid", HELD, False)),
+        ({"controller": "lee"}, {"drones": "crazyflie", "controller": "lee"}, ("lee", HELD, False)),
         ({}, {"drones": "px4"}, ("px4", None, False)),
     ],
 )

@@ -97,8 +97,9 @@ def test_gains_and_filter_are_those_of_the_files(plan: ho.Plan, tmp_path: Path) 
     assert edited.task.received is not None
     assert edited.task.received.estimator is not None
     assert edited.task.received.estimator.level_noise == 7.0
-    with pytest.raises(InputError, match="its files state it"):
-        resolved(edited.task, Settings(controller="lee"))
+    for stated in ({"controller": "lee"}, {"stiffness": 1.0}, {"upload": False}):
+        with pytest.raises(InputError, match="its files state it"):
+            resolved(edited.task, Settings(**stated))
 
 
 def px4_plan(**kind: Any) -> ho.Plan:
@@ -127,6 +128,8 @@ def test_gains_of_px4_are_those_of_the_files(tmp_path: Path) -> None:
     assert edited.loops[0].kp == pytest.approx((1.2, 2.4), rel=1e-5)
     with pytest.raises(InputError, match="whose controller is px4; omit it"):
         resolved(task, Settings(drones="crazyflie"))
+    with pytest.raises(InputError, match=r"latency = 0\.02.*; omit it"):
+        resolved(task, Settings(latency=0.02))
 
 
 @pytest.mark.parametrize(
@@ -145,6 +148,11 @@ def test_gains_that_files_do_not_hold_are_said(
     settings = resolved(task, Settings(controller="mellinger"))
     assert (settings.controller, settings.upload) == ("mellinger", False)
     assert "the stiffest" in flown_gains(task, Settings(controller="mellinger"))
+    assert "defaults of its firmware" in flown_gains(task, Settings(controller="pid"))
+    assert flown_gains(task, Settings(controller="ideal")).endswith("as requested")
+    soft = flown_gains(task, Settings(controller="px4", stiffness=1.3))
+    assert "kp [1.3, " in soft
+    assert ": as requested" in soft
 
 
 def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) -> None:

@@ -221,7 +221,8 @@ def test_what_the_plan_leaves_open_is_warned_of() -> None:
     task = resting_task(regular_hitch(3, quadrotor=kinds), 0.1)
     (words,) = judgement.warnings(task, Settings())
     assert words.startswith("lee, none, pid: controllers are replaced by the ideal one")
-    assert judgement.warnings(task, Settings(controller="lee")) == ()
+    for stated in ({"controller": "lee"}, {"controller": "ideal"}, {"drones": "crazyflie"}):
+        assert judgement.warnings(task, Settings(**stated)) == ()
 
 
 def test_separation_and_tension_are_measured_before_the_pull_test() -> None:

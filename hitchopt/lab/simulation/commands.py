@@ -14,7 +14,14 @@ from hitchopt.exports.exporting import Export, export_flight
 from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.flight_controller import CONTROLLERS, HELD, STOCK, Gains, latency_scale
+from hitchopt.hitch.flight_controller import (
+    CONTROLLERS,
+    HELD,
+    STOCK,
+    FlightController,
+    Gains,
+    latency_scale,
+)
 from hitchopt.lab.simulation.settings import DRONES, ESTIMATORS, IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Commands, Received, Task, TeamTask
 from hitchopt.motion.flight import Flight
@@ -58,15 +65,24 @@ def resolved(task: Task, settings: Settings) -> Settings:
                 upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
     estimator = None if estimator == IDEAL else estimator
     if settings.latency is not None and estimator is None:
-        bound, remedy = "omitted without an estimator", "add estimator='crazyflie'"
-        raise InputError("latency", settings.latency, bound, remedy)
+        _refuse_latency(task, settings)
     return replace(settings, estimator=estimator, upload=bool(upload))
+
+
+def _refuse_latency(task: Task, settings: Settings) -> None:
+    """Raise InputError for the latency of drones whose state is estimated without delay."""
+    remedy = "add estimator=crazyflie"
+    if task.received is not None and task.received.loops:
+        remedy = "omit it: these files are for drones whose filter is not simulated"
+    elif settings.controller == IDEAL:
+        remedy = "add controller=mellinger and estimator=crazyflie"
+    raise InputError("latency", settings.latency, "omitted without an estimator", remedy)
 
 
 def _of_drones(task: Task, settings: Settings) -> Settings:
     """Return settings with controller and filter of ``settings.drones``, unless others are stated.
 
-    Those of files and of plans stay. Raise InputError for files of other drones.
+    Those of files and of plans stay. Raise InputError for files and controllers of other drones.
     """
     name = settings.drones or ""
     kind, loops = DRONES[name], () if task.received is None else task.received.loops
@@ -76,10 +92,16 @@ def _of_drones(task: Task, settings: Settings) -> Settings:
             raise InputError("drones", name, bound, "omit it, or export for these drones")
         return settings
     names = named_controllers(task)
-    if settings.controller is not None or (len(names) == 1 and names <= {*kind.controllers}):
-        return settings
+    controller = settings.controller
+    if controller is None:
+        if len(names) == 1 and names <= {*kind.controllers}:
+            return settings
+        controller = kind.controllers[0]
+    if controller not in kind.controllers:
+        bound = f"one of {', '.join(kind.controllers)} with drones={name}"
+        raise InputError("controller", controller, bound, "omit one of the two")
     estimator = settings.estimator or kind.estimator
-    return replace(settings, controller=kind.controllers[0], estimator=estimator)
+    return replace(settings, controller=controller, estimator=estimator)
 
 
 def _require_controller(settings: Settings, names: set[str | None]) -> None:
@@ -91,19 +113,30 @@ def _require_controller(settings: Settings, names: set[str | None]) -> None:
     bound = f"omitted for this plan, whose drones {own} (team.quadrotor.controller)"
     first, *others = CONTROLLERS
     remedy = f"add controller={first} (or {', '.join(others)})"
-    estimators = {each: name for name, each in ESTIMATORS.items()}
     for key in ("gains", "estimator", "upload"):
         if (value := getattr(settings, key)) and value != IDEAL:
-            shown = estimators.get(value, value) if key == "estimator" else value
-            raise InputError(key, shown, bound, remedy)
+            raise InputError(key, _shown(value), bound, remedy)
+
+
+def _shown(value: object) -> object:
+    """Return the value of a setting as it is stated: an estimator by its name."""
+    names = (name for name, each in ESTIMATORS.items() if each == value)
+    return next(names, value)
+
+
+OF_FILES = ("upload", "feedback")
+"""Settings that an export's files state."""
+
+OF_LOOPS = ("controller", "gains", "estimator", "stiffness")
+"""Settings that files state which hold gains."""
 
 
 def _of_files(files: Received, settings: Settings) -> Settings:
     """Return settings with controller and filter of exported files, if these hold gains."""
-    of_loops = ("controller", "gains", "estimator") if files.loops else ()
-    for name in (*of_loops, "upload", "feedback"):
-        if value := getattr(settings, name):
-            raise InputError(name, value, "omitted for an export", "its files state it")
+    unstated = Settings()
+    for name in (*(OF_LOOPS if files.loops else ()), *OF_FILES):
+        if (value := getattr(settings, name)) != getattr(unstated, name):
+            raise InputError(name, _shown(value), "omitted for an export", "its files state it")
     settings = replace(settings, upload=files.flown_by == "upload")
     if not files.loops:
         return settings
@@ -112,25 +145,49 @@ def _of_files(files: Received, settings: Settings) -> Settings:
     return replace(settings, controller=name, estimator=estimator)
 
 
+DEFAULTS = "defaults of its firmware"
+"""Source of gains that nobody states."""
+
+
 def flown_gains(task: Task, settings: Settings) -> str:
     """Return in words the gains that fly exported files, and who states them."""
+    reason = _reason_for_ideal(task, settings)
     settings, files = resolved(task, settings), task.received
     name = settings.controller or IDEAL
     if name == IDEAL:
-        return "gains: an ideal controller's; files and plan name no flight controller"
+        return f"gains: an ideal controller's; {reason}"
     if files is not None and files.loops:
         loops, source = files.loops, "those of the files"
     else:
-        kinds = [kind for part in task.teams for kind in flown_team(part.team, settings).kinds]
-        loops = tuple(kind.loop for kind in kinds)
-        own = all(kind.controller == name for part in task.teams for kind in part.team.quadrotor)
-        stated = own and all(kind.gains is not None for kind in kinds)
-        source = "the plan's" if stated else "defaults of its firmware" if own else "the stiffest"
-        source = f"{source}, as the files hold none"
+        teams = [part.team for part in task.teams]
+        loops = tuple(kind.loop for team in teams for kind in flown_team(team, settings).kinds)
+        own = {kind for team in teams for kind in team.quadrotor}
+        sources = {_source_of_gains(kind, settings) for kind in own}
+        source = f"{' and '.join(sorted(sources))}, as the files hold none"
     loop, others = loops[0], "" if len({*loops}) == 1 else ", other drones differ"
     gains = ((key, getattr(loop, key)) for key in ("kp", "kd", "ki"))
     text = ", ".join(f"{key} [{level:.3g}, {upright:.3g}]" for key, (level, upright) in gains)
     return f"gains: {name} {text}{others}: {source}"
+
+
+def _reason_for_ideal(task: Task, settings: Settings) -> str:
+    """Return in words why the simplified controller flies settings that name no other."""
+    if settings.controller == IDEAL:
+        return "as requested"
+    if len(named_controllers(task)) > 1:
+        return "the plan names several flight controllers"
+    return "files and plan name no flight controller"
+
+
+def _source_of_gains(kind: Quadrotor, settings: Settings) -> str:
+    """Return in words who states the gains with which a kind of drones flies the settings."""
+    if settings.gains is not None or settings.stiffness is not None:
+        return "as requested"
+    if kind.controller == settings.controller:
+        return "the plan's" if kind.gains is not None else DEFAULTS
+    if math.isinf(STOCK[settings.controller or ""].stiffest[0]):
+        return DEFAULTS
+    return "the stiffest" if kind.stiffness is None else "of the plan's stiffness"
 
 
 def named_controllers(task: Task) -> set[str | None]:
@@ -150,12 +207,23 @@ def _configured(kind: Quadrotor, settings: Settings) -> Quadrotor:
     if gains is None and kind.controller == name and settings.stiffness is None:
         return kind
     k, c = STOCK[name].stiffest
-    if gains is None and math.isfinite(k):  # other controllers have stock gains
+    if gains is None and math.isfinite(k):
         scale = latency_scale(kind.latency)
         stiffness = settings.stiffness or kind.stiffness or scale**2 * k * kind.mass
         damping = c * math.sqrt(stiffness * kind.mass / k)
         gains = Gains(kp=stiffness, kd=damping, ki=0.0)
+    elif gains is None and settings.stiffness is not None:
+        own = kind.gains if kind.controller == name else None
+        gains = _scaled(FlightController.of(name, kind.mass, own), settings.stiffness)
     return Quadrotor(kind.mass, kind.max_thrust, controller=name, gains=gains)
+
+
+def _scaled(loop: FlightController, stiffness: float) -> Gains:
+    """Return the gains of a loop with another horizontal stiffness [N/m], and its damping ratio."""
+    scale = stiffness / loop.kp[0]
+    powers = {"kp": scale, "kd": math.sqrt(scale), "ki": scale}
+    pairs = {key: tuple(x * gain for gain in getattr(loop, key)) for key, x in powers.items()}
+    return Gains(**pairs)
 
 
 def received(task: TeamTask, team: Team, settings: Settings) -> Commands:
