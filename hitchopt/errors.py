@@ -314,6 +314,20 @@ def distinct(value: float, other: float, digits: int) -> tuple[str, str]:
     return texts
 
 
+def rounded_up(value: float, digits: int) -> float:
+    """Return a value rounded up to some significant digits, in which it still suffices."""
+    nearest = float(f"{value:.{digits}g}")
+    if nearest >= value:
+        return nearest
+    step = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    return float(f"{nearest + step:.{digits}g}")
+
+
+def rounded_down(value: float, digits: int) -> float:
+    """Return a value rounded down to some significant digits, in which it is still allowed."""
+    return -rounded_up(-value, digits)
+
+
 def _nested_key(parent: str, key: str) -> str:
     separator = "" if key.startswith("[") or not key or not parent else "."
     return f"{parent}{separator}{key}"

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.certificate import with_tolerance
+from hitchopt.checks.certificate import Check, with_tolerance
 from hitchopt.checks.drones import leg_sags
 from hitchopt.checks.friction import friction_excess, leg_excess
 from hitchopt.checks.grips import missing_force, unbalanced
@@ -565,6 +565,18 @@ FORMULAS = (
     missing_force,
 )
 
+HEAVY_REMEDY = (
+    "raise the tension, or use lighter cables (team.cable_density): these sag too far to balance"
+)
+"""Remedy for clasps of cables so heavy that the model of their sag is too coarse."""
+
+
+def _balance_remedy(motion: Motion, check: Check) -> str:
+    """Return what to do about cables that sag too far; empty for other faults of the balance."""
+    is_heavy = motion.team.cable_density > 0.0 and motion.hold_at(check.time) is None
+    return HEAVY_REMEDY if is_heavy else ""
+
+
 EQUILIBRIUM = CheckRule(
     "equilibrium",
     "1",
@@ -574,6 +586,7 @@ EQUILIBRIUM = CheckRule(
         Evaluator(_worst_residual, HITCHED_STATE, formulas=FORMULAS),
         Evaluator(_bent_residual, BENT, formulas=(_kink,)),
     ),
+    remedy_at=_balance_remedy,
 )
 
 

@@ -419,9 +419,7 @@ def beside_or_above(spans: PairSpans, top: float) -> Bound:
 
 def _rim_remedy(motion: Motion, check: Check) -> str:
     """Return what to do about legs that cut a rim which rests on them; empty for others."""
-    piece = int(np.searchsorted(motion.drones.breaks, check.time, side="right")) - 1
-    piece = min(max(piece, 0), motion.drones.pieces - 1)
-    hold = motion.phases[motion.phase_of_piece[piece]].hold
+    hold = motion.hold_at(check.time)
     is_rest = hold is not None and hold.by is HoldBy.REST and hold.object in check.where
     is_holding = any(name in check.where for name in cable_names(motion))
     return RIM_REMEDY if check.worst == 0.0 and is_rest and is_holding else ""

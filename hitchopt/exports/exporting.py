@@ -30,6 +30,7 @@ from hitchopt.errors import (
     Progress,
     UnsupportedError,
     contained,
+    rounded_up,
 )
 from hitchopt.exports.contents import (
     MANIFEST,
@@ -250,7 +251,8 @@ def _allowing_for_trailing(kind: Format, task: ExportTask) -> ExportTask:
     )
     for factor in STRETCH_FACTORS:
         if first * factor <= MAX_STRETCH and check_at(first * factor).holds:
-            remedy = f"Add stretch={task.options.stretch * first * factor:.4g}"
+            stretch = rounded_up(task.options.stretch * first * factor, 4)
+            remedy = f"Add stretch={stretch:.4g}"
             break
     message = (
         f"{kind.name}: drones that follow positions alone {size}, more than distances allow for. "

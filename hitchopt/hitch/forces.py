@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, Violation, rounded_up
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.quadrotor import GRAVITY
@@ -374,8 +374,10 @@ def _unbalanced(
         return InfeasibleError([violation])
     size = float(length(load))
     limit = _bearable_load(edge_pull, load, leg_pull)
-    factor = size / limit if limit > 0.0 else math.inf
-    remedy = f"multiply team.tension by {factor:.3g}, or lower team.load or team.cable_density"
+    remedy = "lower team.load or team.cable_density"
+    if limit > 0.0:
+        factor = rounded_up(size / limit, 3)
+        remedy = f"multiply team.tension by {factor:.3g} or more, or {remedy}"
     return InfeasibleError([Violation("load", size, limit, "max", "N", (point,), "", remedy)])
 
 

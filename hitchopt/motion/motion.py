@@ -425,6 +425,12 @@ class Motion(OneLine):
         """(pieces,): whether the cables hold an object on each piece."""
         return self.in_phases(lambda phase: phase.hold is not None)
 
+    def hold_at(self, time: float) -> PhaseHold | None:
+        """Return the hold at a time [s]; None if nothing is held then."""
+        piece = int(np.searchsorted(self.drones.breaks, time, side="right")) - 1
+        piece = min(max(piece, 0), self.drones.pieces - 1)
+        return self.phases[self.phase_of_piece[piece]].hold
+
     @property
     def phase_of_piece(self) -> NDArray[np.intp]:
         """(pieces,): index of the phase that contains the middle of each piece."""

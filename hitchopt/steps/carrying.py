@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from hitchopt.checks.grips import GRIP_LIMIT
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, InputError, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Hitch, Team
@@ -227,7 +227,7 @@ def _other_robots(planner: MovePlanner, requirements: Requirements) -> str:
         return "use a rounder rim"
     cables = ""
     if other.cable_length > cable_length:
-        cables = f" with cables of {other.cable_length:.3g} m or more"
+        cables = f" with cables of {rounded_up(other.cable_length, 3):.3g} m or more"
     return f"use {other.robots} robots{cables}, whose legs stay below the rim"
 
 
@@ -361,7 +361,8 @@ class Enclose(Step):
             )
             raise InfeasibleError([violation])
         radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
-        remedy = f"tie the hitch as large as around objects.{self.object}, {radius:.2g} m in radius"
+        size = f"{rounded_up(radius, 2):.2g} m in radius"
+        remedy = f"tie the hitch as large as around objects.{self.object}, {size}"
         check_opens(hitch, polygon.vertices, requirements, remedy)
         safe_altitude = altitude_over(task)
         start = np.append(hitch.polygon.centroid, hitch.altitude)

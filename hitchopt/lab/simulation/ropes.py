@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from hitchopt.errors import HitchoptError, InputError
+from hitchopt.errors import HitchoptError, InputError, rounded_up
 from hitchopt.geometry.vectors import EAST, dot, length, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import hanging_cable
@@ -121,7 +121,7 @@ class Ropes:
         needed = TENSION_RESERVE * tension
         if self.largest_tension < needed:
             needed_density = self.density * needed / self.largest_tension
-            bound = f"at least {needed_density:.3g} kg/m to bear {needed:.3g} N"
+            bound = f"at least {rounded_up(needed_density, 3):.3g} kg/m to bear {needed:.3g} N"
             raise InputError("density", self.density, bound, "simulate heavier cables (density=)")
 
 

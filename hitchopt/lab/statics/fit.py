@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
+from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
 from hitchopt.geometry.vectors import length
@@ -287,7 +287,8 @@ def _holding(task: FitTask, robots: int) -> Holding:
     k = int(np.argmax(enclosing.edge_lengths))
     longest = float(enclosing.edge_lengths[k])
     if longest > max_edge:
-        remedy = f"use cables of {longest + cable - max_edge:.3g} m or more, or more robots"
+        needed = rounded_up(longest + cable - max_edge, 3)
+        remedy = f"use cables of {needed:.3g} m or more, or more robots"
         violation = Violation("legs", longest, max_edge, "max", "m", (f"edge {k}",), "", remedy)
         raise InfeasibleError([violation], "the enclosing polygon does not fit the cables")
     friction, requirements = task.clasp_friction, task.requirements

@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.checks import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import value_cache
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, InputError, Violation, rounded_down
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.holding import residual_grip
@@ -484,7 +484,7 @@ def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
     limit, binding = team.quadrotor[0].level_pull(requirements.limits.tilt)
     if tension <= limit:
         return
-    remedy = f"grasp with a tension of {limit:.3g} N or less"
+    remedy = f"grasp with a tension of {rounded_down(limit, 3):.3g} N or less"
     if binding == "tilt":
         tilt = np.degrees(requirements.limits.tilt)
         tilt_of_pull = np.degrees(np.arctan(tension / (GRAVITY * team.mass[0])))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import InfeasibleError, Violation, rounded_up
 from hitchopt.geometry.vectors import column_lengths, dot, length
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
@@ -50,7 +50,7 @@ def in_duration(motion: Motion, duration: float) -> Motion:
 def check_duration(duration: float, fastest: float, when: str = "") -> None:
     """Raise InfeasibleError if a prescribed duration is shorter than the fastest one [s]."""
     if duration < fastest:
-        remedy = f"give it {fastest:.6g} s or more, or raise the limits of motion"
+        remedy = f"give it {rounded_up(fastest, 6):.6g} s or more, or raise the limits of motion"
         raise InfeasibleError(
             [Violation("duration", duration, fastest, "min", "s", (), when, remedy)]
         )
