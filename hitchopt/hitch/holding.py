@@ -470,6 +470,7 @@ SUGGESTIONS = {
     "equilibrium": "raise the tension",
     "support": "use a wider rim, or lower the centre of mass",
     "object_clearance": "use another number of robots, or a rounder rim",
+    "robots": "use 3 robots or more",
 }
 """Changes that increase the capacity, by binding limit."""
 

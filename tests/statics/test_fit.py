@@ -203,6 +203,8 @@ def test_two_cables_are_tied_and_hold_more_than_three(tmp_path: Path) -> None:
     assert fit.holding.grip_capacity.binding == "grip"
     assert fit.holding.grip_capacity.mass > fit.capacities("grip")[3].mass
     assert min(fit.capacities("rest")) == 3
+    with pytest.raises(ho.InfeasibleError, match="robots binds: use 3 robots or more"):
+        fit.raise_if_too_heavy(0.01, "rest")
     save_fit(tmp_path, fit)
     content = json.loads((tmp_path / "fit.json").read_text())
     assert content["enclosing"] is None

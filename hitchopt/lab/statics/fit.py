@@ -21,7 +21,7 @@ from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, rou
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.holding import Capacity, Grip, grip_capacity
+from hitchopt.hitch.holding import SUGGESTIONS, Capacity, Grip, grip_capacity
 from hitchopt.hitch.quadrotor import Quadrotor, kinds_of
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
@@ -362,7 +362,7 @@ def _tied(task: FitTask) -> Holding:
             errors.append(error)
             continue
         capacity = grip_capacity(grip, kind, task.friction, SAFETY)
-        violation = Violation("support", 2, 3, "min", "robots", (), "", "use 3 robots or more")
+        violation = Violation("robots", 2, 3, "min", "", (), "", SUGGESTIONS["robots"])
         rest = InfeasibleError([violation], "two cables support no rim by three points")
         return Holding(task, 2, None, cable, grip, rest, capacity, _zero_capacity(rest))
     raise errors[-1]
