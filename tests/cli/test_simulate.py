@@ -101,6 +101,22 @@ def test_one_flight_reports_that_it_holds_and_writes_files(solved: Path) -> None
 
 
 @pytest.mark.slow
+def test_flights_that_evaluate_refuses_name_no_command_for_it() -> None:
+    """It compares a single team with its whole plan: others, and what follows a loss, it cannot."""
+    hitch = {"polygon": [[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], "altitude": 1.5}
+    goal = [[3.0, 0.2, 1.0]]
+    problem = {
+        "teams": {"tied": {"robots": 3, "cable_length": 2.4}, "single": {"drones": 1}},
+        "start": {"tied": {"hitch": hitch}, "single": [[3.0, 0.0, 1.0]]},
+        "mission": [{"tied": {"hold": {"seconds": 1.0}}, "single": {"fly": {"goal": goal}}}],
+    }
+    ho.solve(ho.problem_from_dict(problem)).save("out", picture=False)
+    result = run("simulate", "out", code=0)
+    assert "every vertex holds" in result.stdout
+    assert "hitchopt evaluate" not in result.stdout
+
+
+@pytest.mark.slow
 def test_a_campaign_reports_its_success_rate(solved: Path) -> None:
     options = [
         "--runs",

@@ -17,7 +17,13 @@ from hitchopt.exports.contents import PLAN_COPY
 from hitchopt.exports.format import format_of
 from hitchopt.hitch.flight_controller import HELD
 from hitchopt.lab.simulation.commands import flown_gains, flown_team, resolved, streamed
-from hitchopt.lab.simulation.exported import BEFORE, BETWEEN, is_export, read_exported
+from hitchopt.lab.simulation.exported import (
+    BEFORE,
+    BETWEEN,
+    is_export,
+    read_exported,
+    read_flown,
+)
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.storage.archive import PLAN
@@ -167,6 +173,8 @@ def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) 
     assert not is_export(saved)
     with pytest.raises(InputError, match=r"plan = None.*add --plan"):
         read_exported(file)
+    with pytest.raises(FileError, match=r"alone\.csv: holds no copy of the plan; name the dir"):
+        read_flown(file)
     with pytest.raises(FileError, match="is not the plan that was exported"):
         read_exported(file, other / PLAN)
     with pytest.raises(FileError, match=r"holds no export\.json"):

@@ -283,7 +283,8 @@ def _report(simulation: Simulation, folder: Path, source: Path) -> None:
     for time, test in simulation.flight.pull_tests.items():
         if test.error is not None:
             say(f"note: not pulled at t = {time:.2f} s: {test.error}")
-    is_alone = len(simulation.flight.task.teams) == 1
+    plan = simulation.flight.task.flight
+    is_alone = plan is not None and len(plan.teams) == 1
     if simulation.errors.t.size and is_alone:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(source)])
         say(f"LaTeX table, of the plan without the rest after it: {command}")

@@ -118,9 +118,15 @@ def is_export(path: Path) -> bool:
 def read_flown(path: Path) -> Task:
     """Return the task of a plan's directory, or of an export with the times of files and script.
 
-    Raises FileError and InputError as ``read_task`` and ``read_exported`` do.
+    Raises FileError as ``read_task`` and ``read_exported`` do, and for an export without a copy of
+    its plan.
     """
-    return read_exported(path).task if is_export(path) else read_task(path)
+    if not is_export(path):
+        return read_task(path)
+    if not (path / PLAN_COPY).is_file():
+        remedy = "name the directory of the plan that was exported"
+        raise FileError(f"{path}: holds no copy of the plan; {remedy}")
+    return read_exported(path).task
 
 
 def team_task(plan: TeamTask | Plan | Path | str, feature: str) -> TeamTask:
