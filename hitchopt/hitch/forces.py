@@ -354,6 +354,10 @@ def _check_balance(
     )
 
 
+BALANCE_RESERVE = 1e-6
+"""Reserve of tensions over those at which a clasp loses its balance."""
+
+
 def _unbalanced(
     point: str, edge_pull: Array, load: Array, pull_behind: float, pull_ahead: float
 ) -> InfeasibleError:
@@ -376,7 +380,7 @@ def _unbalanced(
     limit = _bearable_load(edge_pull, load, leg_pull)
     remedy = "lower team.load or team.cable_density"
     if limit > 0.0:
-        factor = rounded_up(size / limit, 3)
+        factor = rounded_up(size / limit * (1.0 + BALANCE_RESERVE), 3)
         remedy = f"multiply team.tension by {factor:.3g} or more, or {remedy}"
     return InfeasibleError([Violation("load", size, limit, "max", "N", (point,), "", remedy)])
 

@@ -121,7 +121,7 @@ def test_the_largest_weight_of_regular_hitches(n: int) -> None:
         tied(1.25)
     (violation,) = told.value.violations
     assert (violation.value, violation.limit) == pytest.approx((1.25 * most, most), rel=1e-9)
-    assert "multiply team.tension by 1.25" in violation.remedy
+    assert "multiply team.tension by 1.26 or more" in violation.remedy
     tied(1.25, 0.6 * 1.26)
 
 
