@@ -24,6 +24,7 @@ from hitchopt.lab.simulation.exported import (
     read_exported,
     read_flown,
 )
+from hitchopt.lab.simulation.judgement import warnings
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.storage.archive import PLAN
@@ -95,6 +96,8 @@ def test_gains_and_filter_are_those_of_the_files(plan: ho.Plan, tmp_path: Path) 
     for loop, kind in zip(flown.task.received.loops, kinds, strict=True):
         np.testing.assert_allclose([loop.kp, loop.kd], [kind.loop.kp, kind.loop.kd], rtol=1e-5)
     assert flown.task.received.estimator == HELD
+    flown_with = resolved(flown.task, Settings())
+    assert warnings(flown.task, flown_with) == warnings(flown.task, Settings())
     settings = folder / "crazyflies.yaml"
     text = settings.read_text(encoding="utf-8")
     settings.write_text(text.replace('"pNAcc_xy": 20.0', '"pNAcc_xy": 7.0'), encoding="utf-8")

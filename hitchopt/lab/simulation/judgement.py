@@ -15,7 +15,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
-from hitchopt.lab.simulation.commands import named_controllers, resolved
+from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.planned_rests import (
@@ -23,7 +23,7 @@ from hitchopt.lab.simulation.planned_rests import (
     resting_samples,
 )
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
-from hitchopt.lab.simulation.settings import IDEAL, Settings
+from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.motion.states import TAUT_RATIO
@@ -563,7 +563,9 @@ def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
         density = max(each)
         messages.append(WEIGHTLESS.format(1e3 * density, settings.preset.name))
     controllers = sorted(name or "none" for name in named_controllers(task))
-    if resolved(task, settings).controller == IDEAL != settings.controller and len(controllers) > 1:
+    has_loops = task.received is not None and bool(task.received.loops)
+    is_open = settings.controller is None and settings.drones is None and not has_loops
+    if is_open and len(controllers) > 1:
         messages.append(f"{', '.join(controllers)}: {SEVERAL}")
     if task.passing.names:
         names = dict.fromkeys(map(team_of, task.passing.names))
