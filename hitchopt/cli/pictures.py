@@ -81,7 +81,8 @@ def view(
     if is_flight:
         path = recording.resolve().parent.parent
         if not (path / PLAN).is_file():
-            raise FileError(f"{recording}: its plan is not in {path}; keep the two together")
+            remedy = f"keep the two together, or show the plan with --ghost {recording}"
+            raise FileError(f"{recording}: its plan is not in {path}; {remedy}")
     if save is not None:
         if ghost is not None:
             bound = "no ghost when a plan is written to a file"
