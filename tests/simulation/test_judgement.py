@@ -294,6 +294,13 @@ def test_contacts_after_a_loss_are_those_of_survivors() -> None:
     assert (outcome.among, outcome.others) == ((("q1", "r2"),), (("q0", "r2"), ("r1", "cable 0")))
     assert (outcome.linked, outcome.peak_tension) == (("p0", "p1", "p2"), 2.0)
     assert outcome.moved == pytest.approx(0.05)
+    assert np.max(judgement.tracking_errors(flight)) == pytest.approx(0.05)
+    planned = flight_of(Task.of(ho.hold(hitch, 0.3).flight), hitch, t, settings=Settings(lost=loss))
+    planned = replace(planned, record=flight.record)
+    assert "up to 0.05 m horizontally, 0 m vertically" in judgement.tracking_verdict(planned)
+    assert np.max(judgement.vertex_errors(flight).t) <= loss.time
+    assert Simulation.judged(flight).rests == ()
+    assert len(Simulation.judged(flight_of(task, hitch, t, rested=0.3)).rests) == 1
     assert outcome.hangs == pytest.approx((11 * hitch.drones[0, 2] + 20 * 0.5) / 31 - 0.03)
     assert judgement.loss_outcome(flight_of(task, hitch, t)) is None
     contacts = [failure.where for failure in judge(flight).failures]

@@ -284,8 +284,8 @@ def _report(simulation: Simulation, folder: Path, source: Path) -> None:
         if test.error is not None:
             say(f"note: not pulled at t = {time:.2f} s: {test.error}")
     plan = simulation.flight.task.flight
-    is_alone = plan is not None and len(plan.teams) == 1
-    if simulation.errors.t.size and is_alone:
+    is_comparable = plan is not None and len(plan.teams) == 1 and simulation.loss is None
+    if simulation.errors.t.size and is_comparable:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(source)])
         say(f"LaTeX table, of the plan without the rest after it: {command}")
     for failure in simulation.outcome.failures:

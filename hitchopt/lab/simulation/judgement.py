@@ -105,7 +105,8 @@ class VertexErrors:
 def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     """Return the errors at the samples of a flight, without the pull test.
 
-    The first sample is excluded, as no contact forces precede it.
+    The first sample is excluded, as no contact forces precede it, and so are those after the loss
+    of a drone.
     """
     task, record = flight.task, flight.record
     taut, moves = list[NDArray[np.bool_]](), np.zeros(len(task.states.t), np.bool_)
@@ -115,6 +116,8 @@ def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
         moves[1:] |= ~resting_samples(part)[1:] & formed[1:] & formed[:-1]
     clasp_is_taut = task.clasped(taut)
     end = np.fmax(task.duration, flight.rested) + ROUNDING
+    if (lost := flight.settings.lost) is not None:
+        end = min(end, lost.time)
     rows = np.flatnonzero(
         (record.t > ROUNDING) & (record.t <= end) & clasp_is_taut[record.index].any(axis=-1)
     )
@@ -136,11 +139,13 @@ def tension_ratios(flight: SimulatedFlight, rows: NDArray[np.int64]) -> Array:
 def tracking_verdict(flight: SimulatedFlight) -> str:
     """Return in words the largest errors of drones, and what the plan allows for; empty without.
 
-    Errors are distances from the planned positions, horizontal and vertical.
+    Errors are distances from the planned positions, horizontal and vertical; a drone that is lost
+    has none.
     """
     record, tube, task = flight.record, allowed_errors(flight), flight.task
     during = record.t <= task.duration + ROUNDING
     errors = record.drones[during] - task.states.positions[record.index[during]]
+    errors = errors[:, _flying(flight)]
     if task.flight is None or errors.size == 0:
         return ""
     level, upright = np.hypot(errors[..., 0], errors[..., 1]), np.abs(errors[..., 2])
@@ -154,10 +159,20 @@ def tracking_verdict(flight: SimulatedFlight) -> str:
 
 
 def tracking_errors(flight: SimulatedFlight) -> Array:
-    """Return distances of drones from their setpoints during the plan (samples, 2n) [m]."""
+    """Return distances of drones from their setpoints during the plan (samples, drones) [m].
+
+    They are those of all drones, or of those that survive.
+    """
     record = flight.record
     during = record.t <= flight.task.duration + ROUNDING
-    return length(record.drones[during] - record.commanded[during])
+    return length(record.drones[during] - record.commanded[during])[:, _flying(flight)]
+
+
+def _flying(flight: SimulatedFlight) -> NDArray[np.bool_]:
+    """Return whether drones (2n,) fly to the end; False for one that is lost."""
+    lost = flight.settings.lost
+    names = np.array(flight.task.team.drone_names)
+    return np.asarray(names != ("" if lost is None else lost.drone))
 
 
 @dataclass(frozen=True)
@@ -480,7 +495,7 @@ def loss_outcome(flight: SimulatedFlight) -> LossOutcome | None:
     if loss is None:
         return None
     after = record.t >= min(loss.time - 1e-9, record.t[-1])
-    survivors = np.array(team.drone_names) != loss.drone
+    survivors = _flying(flight)
     names = set(team.drone_names) - {loss.drone}
     late = [p for p, t in flight.touches.items() if t >= loss.time - 1e-9 and set(p) & names]
     end = record.drones[record.t > record.t[-1] - HANG_TIME][:, ~survivors, 2]

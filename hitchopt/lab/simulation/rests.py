@@ -88,8 +88,12 @@ class Rest(OneLine):
 
 
 def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
-    """Return all rests of a flight with a taut hitch, by time; ``outcome`` judges the last one."""
+    """Return all rests of a flight with a taut hitch, by time; ``outcome`` judges the last one.
+
+    Nothing rests after the loss of a drone.
+    """
     task, found = flight.task, list[Rest]()
+    end = np.inf if flight.settings.lost is None else flight.settings.lost.time
     after = {clasp.name: clasp for clasp in outcome.clasps}
     valid = {
         time: vertices_of(test) for time, test in flight.pull_tests.items() if test.error is None
@@ -108,7 +112,8 @@ def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
             rows = np.flatnonzero(
                 (flight.record.t > rest.start + ROUNDING) & (flight.record.t <= rest.end + ROUNDING)
             )
-            if rows.size and flight.record.t[-1] >= rest.end - ROUNDING:
+            is_flown = flight.record.t[-1] >= rest.end - ROUNDING
+            if rows.size and is_flown and rest.end <= end:
                 vertices = _vertices(flight, rows, rest.end, clasps, tests.get(rest.end, {}))
                 errors, allowed = _drone_errors(flight, rows, drones), allowed_errors(flight)
                 level = float(np.max(np.hypot(errors[..., 0], errors[..., 1])))
