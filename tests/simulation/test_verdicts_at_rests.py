@@ -13,7 +13,7 @@ import hitchopt as ho
 from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import Outcome, judge, vertex_errors
 from hitchopt.lab.simulation.planned_rests import PullTest, pull_tests
-from hitchopt.lab.simulation.report import Simulation, summary
+from hitchopt.lab.simulation.report import Simulation, ending, summary
 from hitchopt.lab.simulation.rests import AFTER, rests
 from hitchopt.lab.simulation.settings import INDOOR, Settings
 from hitchopt.lab.simulation.task import Task
@@ -83,6 +83,7 @@ def test_a_vertex_that_slips_where_it_is_pulled_does_not_hold(plan: ho.Plan) -> 
     (failure,) = outcome.failures
     assert (failure.kind, failure.where, failure.time) == ("slipped", ("p1",), end)
     assert f"at rest at t = {end:.2f} s" in failure.words
+    assert ending(Simulation.judged(whole)).endswith(f", but {failure.words}")
     found = rests(whole, outcome)
     assert [vertex.holds for vertex in found[0].vertices.values()] == [True, False, True]
     assert found[0].vertices["p1"].moved > 0.1

@@ -442,11 +442,16 @@ def ending(simulation: Simulation) -> str:
     if flight.linking is None:
         return "not simulated to its end"
     ends, parts = [part.states.formed[-1] for part in flight.task.teams], list[str]()
+    failures = simulation.outcome.failures
+    at_end = {each.kind for each in failures if each.time >= flight.task.duration}
     if any(ends):
         parts.append("every vertex holds" if simulation.outcome.hitched else "not hitched")
     if not all(ends):
-        tangled = any(failure.kind == "tangled" for failure in simulation.outcome.failures)
-        parts.append("not untied" if tangled else "untied, as planned")
+        parts.append("not untied" if "tangled" in at_end else "untied, as planned")
     words = " and ".join(parts)
-    failures = [one.words for one in simulation.outcome.failures if one.kind in OTHER_FAILURES]
-    return f"{words}, but {failures[0]}" if failures else words
+    others = [
+        each.words
+        for each in failures
+        if each.kind in OTHER_FAILURES or each.time < flight.task.duration
+    ]
+    return f"{words}, but {others[0]}" if others else words
