@@ -74,7 +74,8 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     projected = camera.project(np.concatenate(points, axis=1))[..., :2]
     even = np.linspace(0.0, scene.t[-1], max(2, int(10.0 * scene.t[-1])))
     ends = np.stack([np.min(projected, axis=1), np.max(projected, axis=1)], axis=-1)
-    corners, sigma = interp1d(scene.t, ends, axis=0)(even), SMOOTHING_TIME / even[1]
+    recorded = np.maximum(even, scene.t[0])  # the first frame of a flight is later than its start
+    corners, sigma = interp1d(scene.t, ends, axis=0)(recorded), SMOOTHING_TIME / even[1]
     middles = gaussian_filter1d(np.mean(corners, axis=-1), sigma, axis=0, mode="nearest")
     reach = np.max(np.abs(corners - middles[..., None]), axis=(0, 2)) + MARGIN
     height = 2.0 * max(reach[1], reach[0] * FRAME_SIZE[1] / FRAME_SIZE[0]) / (1.0 - HEADER_SHARE)

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -216,6 +217,15 @@ def test_a_film_is_in_real_time_and_shows_the_motion(tmp_path: Path) -> None:
     first, again, last = frames(short_scene(), np.array([0.0, 0.0, 0.2]), "")
     np.testing.assert_array_equal(first, again)
     assert 0.001 < np.mean(np.any(first != last, axis=-1)) < 0.3
+
+
+def test_films_begin_before_the_first_frame_of_a_flight() -> None:
+    """Flights are recorded every 40 ms from the middle of their settling, not at their start."""
+    late = short_scene()
+    late = replace(late, t=late.t + 0.02)
+    first, recorded, last = frames(late, np.array([0.0, 0.02, 0.2]), "")
+    changed = [np.mean(np.any(first != other, axis=-1)) for other in (recorded, last)]
+    assert changed[0] < changed[1]
 
 
 @pytest.mark.parametrize("times", [0, 2])
