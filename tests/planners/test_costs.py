@@ -102,7 +102,7 @@ def test_derivatives_are_those_of_finite_differences(roll: float) -> None:
             shape = moved.table[2, by][None]
             rolled = None if path.roll is None else path.roll[2:3]
             expansion = cost.expand(shape, np.ones((1, 4)), rolled, np.array([0.5]))
-            values.append(expansion[0][0])
+            values.append(expansion.values[0])
         numeric = (values[0] - values[1]) / (2.0 * step) / path.steps
         exact = terms.gradient[(2 - 1) * columns.size + column]
         assert exact == pytest.approx(numeric, rel=1e-5, abs=1e-8)

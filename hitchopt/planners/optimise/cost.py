@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,7 +13,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch import Team
 from hitchopt.hitch.casadi_model import CostFunction, model
 from hitchopt.planners.morph.path import Path
-from hitchopt.planners.optimise.knots import CostTerms, KnotPath
+from hitchopt.planners.optimise.knots import KnotPath, QuadraticTerms
 from hitchopt.values import Array
 
 if TYPE_CHECKING:
@@ -26,6 +26,19 @@ COST_SAMPLES = 65
 """Number of samples of a path by which the integral of its cost is computed."""
 
 
+class Expansion(NamedTuple):
+    """Second-order expansions of a cost around J shapes (J, 4n)."""
+
+    values: Array
+    """(J,) [s]"""
+
+    gradients: Array
+    """(J, 4n)"""
+
+    hessians: Array
+    """(J, 4n, 4n)"""
+
+
 @dataclass(frozen=True, eq=False)
 class ShapeCost:
     """The integral over s of a cost [s] of a closed hitch's shapes.
@@ -35,7 +48,10 @@ class ShapeCost:
     """
 
     team: Team
+    """The team of the hitch."""
+
     function: CostFunction
+    """Function of the model's outputs by name, and of s."""
 
     def __post_init__(self) -> None:
         if not callable(self.function):
@@ -79,20 +95,21 @@ class ShapeCost:
         if not ca.depends_on(value, symbols):
             raise self._refusal("it depends on no shape")
         function = ca.Function("cost", [symbols, s], [value])
-        steps = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_SIGN: "sign", ca.OP_FMOD: "fmod"}
-        used = {function.instruction_id(k) for k in range(function.n_instructions())}
-        for operation in sorted(used & steps.keys()):
-            raise self._refusal(f"{steps[operation]} has no useful derivative")
+        step_functions = _step_functions(function)
+        if step_functions:
+            raise self._refusal(f"{step_functions[0]} has no useful derivative")
         if gradient.is_zero():
             raise self._refusal("its derivative is zero for all shapes")
         return function
 
     @cached_property
-    def _of_level(self) -> ca.Function:
+    def _level_expansion(self) -> ca.Function:
+        """The expansion of hitches without roll."""
         return self._expansion(rolled=False)
 
     @cached_property
-    def _of_rolled(self) -> ca.Function:
+    def _rolled_expansion(self) -> ca.Function:
+        """The expansion of hitches with roll."""
         return self._expansion(rolled=True)
 
     def _expansion(self, *, rolled: bool) -> ca.Function:
@@ -111,8 +128,9 @@ class ShapeCost:
         plan_view, q_legs, tensions = ca.vertsplit(shape, [0, 2 * n, 3 * n, 4 * n])
         vertices = ca.vec(ca.vertcat(ca.reshape(plan_view, 2, n), height.T))
         inputs = {"vertices": vertices, "q_legs": q_legs, "tensions": tensions}
-        hitch = model(self.team, roll=rolled, tensions=True)
-        results = hitch(**inputs, **({"roll": roll} if rolled else {}))
+        if rolled:
+            inputs["roll"] = roll
+        results = model(self.team, roll=rolled, tensions=True)(**inputs)
         outputs = ca.vertcat(*(results[name] for name in OUTPUTS), vertices, q_legs, tensions)
         value = self._integrand(outputs, s)
         hessian, gradient = ca.hessian(value, shape)
@@ -125,9 +143,15 @@ class ShapeCost:
             {"cse": True},
         )
 
-    def expand(self, shapes: Array, heights: Array, roll: Array | None, s: Array) -> list[Array]:
-        """Return values (J,), gradients (J, 4n) and Hessians (J, 4n, 4n) of shapes (J, 4n)."""
-        function = self._of_level if roll is None else self._of_rolled
+    def expand(self, shapes: Array, heights: Array, roll: Array | None, s: Array) -> Expansion:
+        """Return the cost of shapes (J, 4n) at s (J,), and its derivatives by them.
+
+        Parameters
+        ----------
+        heights: (J, n) [m], of vertices.
+        roll: (J, n) [rad], or None.
+        """
+        function = self._level_expansion if roll is None else self._rolled_expansion
         angles = np.zeros((len(s), self.team.robots)) if roll is None else roll
         results = function.map(len(s))(shape=shapes.T, height=heights.T, roll=angles.T, s=s[None])
         values = np.asarray(results["value"])
@@ -136,7 +160,7 @@ class ShapeCost:
         if not all(np.all(np.isfinite(part)) for part in (values, gradients, hessians)):
             raise self._refusal("its value or derivative is not finite on the route")
         size = shapes.shape[1]
-        return [values[0], gradients.T, hessians.T.reshape(len(s), size, size)]
+        return Expansion(values[0], gradients.T, hessians.T.reshape(len(s), size, size))
 
     def integral(self, path: Path) -> float:
         """Return the integral over s of the cost [s] on a path, by the trapezoidal rule."""
@@ -146,27 +170,43 @@ class ShapeCost:
         plan_view = places[..., :2].reshape(len(s), -1)
         shapes = np.concatenate([plan_view, flat.q_legs[..., 0], flat.tensions[..., 0]], axis=1)
         roll = None if flat.roll is None else flat.roll[..., 0]
-        values = self.expand(shapes, places[..., 2], roll, s)[0]
+        values = self.expand(shapes, places[..., 2], roll, s).values
         return float(np.sum(values[1:] + values[:-1]) / (2.0 * (len(s) - 1)))
 
-    def terms(self, path: KnotPath) -> CostTerms:
+    def terms(self, path: KnotPath) -> QuadraticTerms:
         """Return the expansion of the integral around a path, convex by clipped eigenvalues."""
         columns = path.columns
         inner = path.table[1:-1]
         steps = path.steps
-        of_shape = np.concatenate([columns.vertices.ravel(), columns.q_legs, columns.tensions])
+        shape_columns = np.concatenate([columns.vertices.ravel(), columns.q_legs, columns.tensions])
         roll = None if path.roll is None else path.roll[1:-1]
         heights = np.full((len(inner), self.team.robots), path.altitude)
         s = np.arange(1, steps) / steps
-        _, gradients, hessians = self.expand(inner[:, of_shape], heights, roll, s)
-        eigenvalues, vectors = np.linalg.eigh(hessians)
-        convex = (vectors * np.maximum(eigenvalues, 0.0)[:, None]) @ vectors.swapaxes(1, 2)
+        expansion = self.expand(inner[:, shape_columns], heights, roll, s)
         gradient = np.zeros(inner.shape)
-        gradient[:, of_shape] = gradients / steps
-        places = columns.size * np.arange(len(inner))[:, None] + of_shape
-        row = np.broadcast_to(places[..., None], convex.shape)
-        column = np.broadcast_to(places[:, None], convex.shape)
-        entries = (convex / steps).ravel()
+        gradient[:, shape_columns] = expansion.gradients / steps
+        convex = _convex_parts(expansion.hessians)
+        entries = columns.flat_index(np.arange(len(inner))[:, None], shape_columns)
+        row = np.broadcast_to(entries[..., None], convex.shape)
+        column = np.broadcast_to(entries[:, None], convex.shape)
         indices = (row.ravel(), column.ravel())
-        hessian = sp.csr_array(sp.coo_array((entries, indices), (inner.size, inner.size)))
-        return CostTerms(hessian, gradient.ravel())
+        weighted = (convex / steps).ravel()
+        hessian = sp.csr_array(sp.coo_array((weighted, indices), (inner.size, inner.size)))
+        return QuadraticTerms(hessian, gradient.ravel())
+
+
+def _step_functions(function: ca.Function) -> list[str]:
+    """Return the names of step functions that a function uses; it has no derivative at steps."""
+    import casadi as ca
+
+    names = {ca.OP_FLOOR: "floor", ca.OP_CEIL: "ceil", ca.OP_SIGN: "sign", ca.OP_FMOD: "fmod"}
+    used = {function.instruction_id(k) for k in range(function.n_instructions())}
+    return [names[operation] for operation in sorted(used & names.keys())]
+
+
+def _convex_parts(hessians: Array) -> Array:
+    """Return symmetric matrices (J, m, m) with negative eigenvalues replaced by zero."""
+    eigenvalues, eigenvectors = np.linalg.eigh(hessians)
+    clipped = np.maximum(eigenvalues, 0.0)[:, None]
+    convex: Array = (eigenvectors * clipped) @ eigenvectors.swapaxes(1, 2)
+    return convex

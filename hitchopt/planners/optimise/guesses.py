@@ -12,6 +12,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -64,29 +66,39 @@ ROLL_COST = 0.3
 TURN_COST = 0.3
 """[1/rad] Penalty of the turns of a guess, in units of its margin."""
 
+EVENNESS = (0.0, 1.0)
+"""Changes of fractions of legs midway toward equal ones, over the whole change."""
 
 DETOURS = (0.15, 0.3, 0.6, 1.0, 1.5)
 """Offsets midway on detours, over the reach of the hitch from its middle."""
 
-MIN_WAY = 1e-3
-"""[m] Shortest way of the middle across which detours lead; on shorter ones they lead north."""
+MIN_DISPLACEMENT = 1e-3
+"""[m] Smallest displacement of the middle across which detours lead; for smaller ones they lead
+north and south."""
 
 
 def polygon_guesses(first: Outline, last: Outline, count: int) -> dict[str, Array]:
     """Return the outlines (count, points, 2) [m] of guesses by name."""
     s = np.linspace(0.0, 1.0, count)
-    guesses = {STRAIGHT: _line(first.vertices, last.vertices, s)}
-    if first.closed:
-        middle = guesses[STRAIGHT].mean(axis=1, keepdims=True)
-        scale = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
-        guesses[WIDENED] = middle + scale * (guesses[STRAIGHT] - middle)
-        for turn in turns(first, last):
-            name = _turn_name(turn)
-            guesses[name] = _turning_shapes(first, last, turn, s)
-            edges = turning_edges(first, last, turn, s)
-            if edges is not None:
-                guesses[f"edges {name}"] = edges
+    straight = _line(first.vertices, last.vertices, s)
+    if not first.closed:
+        return {STRAIGHT: straight}
+    guesses = {STRAIGHT: straight, WIDENED: _widened(straight, s)}
+    for turn in turns(first, last):
+        name = _turn_name(turn)
+        guesses[name] = _turning_shapes(first, last, turn, s)
+        outlines = turning_edges(first, last, turn, s)
+        if outlines is not None:
+            guesses[f"edges {name}"] = outlines
     return guesses
+
+
+def _widened(polygons: Array, s: Array) -> Array:
+    """Return polygons (J, n, 2) [m] at s (J,) scaled about their middles, most halfway."""
+    middles = polygons.mean(axis=1, keepdims=True)
+    scales = 1.0 + (WIDENING - 1.0) * np.sin(math.pi * s)[:, None, None]
+    widened: Array = middles + scales * (polygons - middles)
+    return widened
 
 
 def _turn_name(turn: float) -> str:
@@ -97,7 +109,7 @@ def _turn_name(turn: float) -> str:
 def turns(first: Outline, last: Outline) -> tuple[float, ...]:
     """Return the mean turn of the edges [rad], and the opposite one if both are about as large."""
     # The turns of edges differ by less than a full turn and are unwrapped together.
-    mean = float(np.mean(_directions(last) - _directions(first)))
+    mean = float(np.mean(_edge_angles(last) - _edge_angles(first)))
     turn = mean - 2.0 * math.pi * math.ceil((mean - math.pi) / (2.0 * math.pi))
     other = turn - math.copysign(2.0 * math.pi, turn)
     return (turn, other) if abs(turn) > MIN_OTHER_TURN else (turn,)
@@ -111,54 +123,76 @@ def turning_edges(first: Outline, last: Outline, turn: float, s: Array) -> Array
     turn: mean turn of the edges [rad].
     s: (J,), path parameters.
     """
-    start, goal = _directions(first), _directions(last)
-    angles = _line(start, goal + turn - np.mean(goal - start), s)
-    sides = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    linear = _line(first.edge_lengths, last.edge_lengths, s)
-    shortest = MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)
-    lengths = _closing_lengths(sides, linear, shortest) if first.closed else linear
-    if lengths is None:
-        return None
-    edges = lengths[..., None] * sides
+    first_angles = _edge_angles(first)
+    last_angles = _edge_angles(last)
+    angles = _line(first_angles, last_angles + turn - np.mean(last_angles - first_angles), s)
+    directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    lengths = _line(first.edge_lengths, last.edge_lengths, s)
     if first.closed:
-        corners = np.cumsum(edges, axis=1) - edges
-        own, ends = centroids(corners), (first.centroid, last.centroid)
+        shortest = MIN_EDGE_SHARE * np.minimum(first.edge_lengths, last.edge_lengths)
+        closing_lengths = _closing_lengths(directions, lengths, shortest)
+        if closing_lengths is None:
+            return None
+        lengths = closing_lengths
+    edges = lengths[..., None] * directions
+    edge_ends = np.cumsum(edges, axis=1)
+    if first.closed:
+        corners = edge_ends - edges
+        middles = centroids(corners)
+        required_middles = _line(first.centroid, last.centroid, s)
     else:
-        corners = np.concatenate([np.zeros_like(edges[:, :1]), np.cumsum(edges, axis=1)], axis=1)
-        own, ends = corners.mean(axis=1), (first.vertices.mean(axis=0), last.vertices.mean(axis=0))
-    outlines: Array = corners + (_line(*ends, s) - own)[:, None]
+        corners = np.concatenate([np.zeros_like(edges[:, :1]), edge_ends], axis=1)
+        middles = corners.mean(axis=1)
+        required_middles = _line(first.vertices.mean(axis=0), last.vertices.mean(axis=0), s)
+    outlines: Array = corners + (required_middles - middles)[:, None]
     return outlines
 
 
-def _closing_lengths(sides: Array, lengths: Array, shortest: Array) -> Array | None:
+def _closing_lengths(directions: Array, lengths: Array, shortest: Array) -> Array | None:
     """Return the edges' lengths (J, n) [m] nearest to given ones that close polygons.
 
     Parameters
     ----------
-    sides: (J, n, 2), unit vectors along edges.
+    directions: (J, n, 2), unit vectors along edges.
     lengths: (J, n) [m], which close the first and the last polygon.
     shortest: (n,) [m], smallest lengths; None is returned if no polygon has them.
     """
-    across = np.swapaxes(sides, 1, 2)
-    gap = across @ lengths[..., None]
-    nearest: Array = lengths - (sides @ np.linalg.solve(across @ sides, gap))[..., 0]
+    gap_by_lengths = np.swapaxes(directions, 1, 2)
+    gaps = gap_by_lengths @ lengths[..., None]
+    multipliers = np.linalg.solve(gap_by_lengths @ directions, gaps)
+    nearest: Array = lengths - (directions @ multipliers)[..., 0]
     if np.all(nearest >= shortest):
         return nearest
-    inner, size = sp.block_diag([sp.csc_array(each) for each in across[1:-1]]), lengths[1:-1].size
-    closed = np.zeros(inner.shape[0])
-    program = QuadraticProgram(
-        sp.csc_array(sp.eye_array(size)),
-        -lengths[1:-1].ravel(),
-        sp.csc_array(inner),
-        closed,
-        closed,
-        np.tile(shortest, len(lengths) - 2),
-    )
-    found = solve_qp(program)
-    if found is None:
+    inner_lengths = _bounded_closing_lengths(directions[1:-1], lengths[1:-1], shortest)
+    if inner_lengths is None:
         return None
-    nearest[1:-1] = found.reshape(-1, lengths.shape[1])
+    nearest[1:-1] = inner_lengths
     return nearest
+
+
+def _bounded_closing_lengths(directions: Array, lengths: Array, shortest: Array) -> Array | None:
+    """Return the edges' lengths (J, n) [m] nearest to given ones that close polygons, or None.
+
+    Parameters
+    ----------
+    directions: (J, n, 2), unit vectors along edges.
+    lengths: (J, n) [m], which need not close.
+    shortest: (n,) [m], smallest lengths.
+    """
+    gaps_by_lengths = sp.block_diag([sp.csc_array(edges.T) for edges in directions])
+    no_gaps = np.zeros(gaps_by_lengths.shape[0])
+    program = QuadraticProgram(
+        P=sp.csc_array(sp.eye_array(lengths.size)),
+        q=-lengths.ravel(),
+        A=sp.csc_array(gaps_by_lengths),
+        lower=no_gaps,
+        upper=no_gaps,
+        x_min=np.tile(shortest, len(lengths)),
+    )
+    solution = solve_qp(program)
+    if solution is None:
+        return None
+    return solution.reshape(lengths.shape)
 
 
 def rolled_guesses(start: Hitch, end: Hitch, requirements: Requirements) -> list[KnotPath]:
@@ -167,31 +201,57 @@ def rolled_guesses(start: Hitch, end: Hitch, requirements: Requirements) -> list
     The roll of all legs rises from that of the start, and sinks to that of the end. Fractions are
     linear, or equal midway.
     """
-    first, last = start.polygon, end.polygon
+    first = start.polygon
+    last = end.polygon
     s = np.linspace(0.0, 1.0, ROLLED_STEPS + 1)
-    sign = -1.0 if np.sum(start.roll) + np.sum(end.roll) < 0.0 else 1.0
-    ramp = np.minimum(1.0, np.minimum(s, 1.0 - s) / ROLL_RAMP)
-    midway = (ramp * ramp * (3.0 - 2.0 * ramp))[:, None]
-    ranked: list[tuple[float, KnotPath]] = []
+    side = -1.0 if np.sum(start.roll) + np.sum(end.roll) < 0.0 else 1.0
+    ranked: list[RankedGuess] = []
     for turn in turns(first, last):
         polygons = turning_edges(first, last, turn, s)
         if polygons is None:
             continue
         path = KnotPath.through(f"edges {_turn_name(turn)}", start, end, polygons)
-        if not is_hitch(path):
-            continue
-        shapes = [(roll, evenness) for roll in ROLLS for evenness in (0.0, 1.0)]
-        guesses = [_rolled(path, sign * roll, midway, evenness) for roll, evenness in shapes]
-        margins = np.min(distance_margins(guesses, requirements)[:, 1:-1], axis=1)
-        for guess, (roll, _), margin in zip(guesses, shapes, margins, strict=True):
-            cost = ROLL_COST * roll + TURN_COST * abs(turn) - min(float(margin), 1.0)
-            ranked.append((cost, guess))
-    ranked.sort(key=lambda item: item[0])
-    return [guess for _, guess in ranked]
+        if is_hitch(path):
+            ranked += _ranked_rolls(path, turn, side, requirements)
+    ranked.sort(key=lambda guess: guess.cost)
+    return [guess.path for guess in ranked]
+
+
+class RankedGuess(NamedTuple):
+    """A guess and what it is ranked by."""
+
+    cost: float
+    """Penalties of roll and turn minus the margin of distances; the smallest is tried first."""
+
+    path: KnotPath
+    """The guess."""
+
+
+def _ranked_rolls(
+    path: KnotPath, turn: float, side: float, requirements: Requirements
+) -> list[RankedGuess]:
+    """Return guesses with the polygons of a path, and with all ROLLS and EVENNESS.
+
+    Parameters
+    ----------
+    turn: of the edges on the path [rad].
+    side: sign of the roll.
+    """
+    s = np.linspace(0.0, 1.0, path.steps + 1)
+    ramp = np.minimum(1.0, np.minimum(s, 1.0 - s) / ROLL_RAMP)
+    midway = (ramp * ramp * (3.0 - 2.0 * ramp))[:, None]
+    variants = list(product(ROLLS, EVENNESS))
+    paths = [_rolled(path, side * roll, midway, evenness) for roll, evenness in variants]
+    margins = np.min(distance_margins(paths, requirements)[:, 1:-1], axis=1)
+    ranked: list[RankedGuess] = []
+    for rolled, (roll, _), margin in zip(paths, variants, margins.tolist(), strict=True):
+        cost = ROLL_COST * roll + TURN_COST * abs(turn) - min(margin, 1.0)
+        ranked.append(RankedGuess(cost, rolled))
+    return ranked
 
 
 def _rolled(path: KnotPath, roll: float, midway: Array, evenness: float) -> KnotPath:
-    """Return a path whose legs have a roll [rad] midway, or its own one for 0.
+    """Return a path whose legs have a roll [rad] midway; 0 keeps that of the path.
 
     Parameters
     ----------
@@ -214,7 +274,7 @@ def detours(path: KnotPath) -> Iterator[KnotPath]:
     middles = path.polygons.mean(axis=1)
     arms = length(path.polygons - middles[:, None])
     reach = float(np.max(arms) + np.max(path.slack))
-    aside = left_of(unit(middles[-1] - middles[0], EAST[:2], MIN_WAY))
+    aside = left_of(unit(middles[-1] - middles[0], EAST[:2], MIN_DISPLACEMENT))
     bump = np.sin(math.pi * np.linspace(0.0, 1.0, len(middles))) ** 2
     for share in DETOURS:
         for side in (aside, -aside):
@@ -260,19 +320,19 @@ def _degenerates(values: Array) -> bool:
     return bool(np.min(values) <= MIN_SHAPE_SHARE * np.min(values[[0, -1]]))
 
 
-def _directions(outline: Outline) -> Array:
-    """Return the edges' directions (n,) [rad], decreasing by the exterior angles."""
-    u = outline.edge_directions[0]
-    start = math.atan2(u[1], u[0])
+def _edge_angles(outline: Outline) -> Array:
+    """Return the angles (n,) [rad] of the edges from east, decreasing by the exterior angles."""
+    east, north = outline.edge_directions[0]
+    first_angle = math.atan2(north, east)
     after_first = outline.exterior_angles[1:] if outline.closed else outline.exterior_angles
-    return start - np.append(0.0, np.cumsum(after_first))
+    return first_angle - np.append(0.0, np.cumsum(after_first))
 
 
 def _turning_shapes(first: Outline, last: Outline, turn: float, s: Array) -> Array:
     """Return polygons (J, n, 2) [m] that turn by an angle [rad] while their shape changes."""
     centres = _line(first.centroid, last.centroid, s)[:, None]
-    goal = _rotated(last.vertices - last.centroid, np.array([-turn]))[0]
-    shapes = _line(first.vertices - first.centroid, goal, s)
+    unturned_last = _rotated(last.vertices - last.centroid, np.array([-turn]))[0]
+    shapes = _line(first.vertices - first.centroid, unturned_last, s)
     return centres + _rotated(shapes, turn * s)
 
 
@@ -283,6 +343,8 @@ def _line(first: Array, last: Array, s: Array) -> Array:
 
 def _rotated(points: Array, angles: Array) -> Array:
     """Return points (n, 2) or (J, n, 2) rotated by angles (J,), as (J, n, 2)."""
-    c, s = np.cos(angles), np.sin(angles)
-    rotated: Array = points @ np.moveaxis(np.array([[c, s], [-s, c]]), -1, 0)
+    cosines = np.cos(angles)
+    sines = np.sin(angles)
+    transposed_rotations = np.array([[cosines, sines], [-sines, cosines]])
+    rotated: Array = points @ np.moveaxis(transposed_rotations, -1, 0)
     return rotated

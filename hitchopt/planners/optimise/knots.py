@@ -61,6 +61,10 @@ class Columns:
         """(3n, 2): vertices, then drones, as in ``hitch.pairs``."""
         return np.concatenate([self.vertices, self.drones])
 
+    def flat_index(self, row: Indices, column: Indices) -> Indices:
+        """Return the index of entries of a table, flattened row by row; arguments broadcast."""
+        return self.size * row + column
+
 
 @lru_cache(maxsize=64)
 def columns_of(robots: int) -> Columns:
@@ -113,7 +117,7 @@ class KnotPath:
         return len(self.polygons) - 1
 
     @property
-    def size(self) -> int:
+    def robot_knots(self) -> int:
         """Number of robots times that of inner knots."""
         return self.team.robots * (self.steps - 1)
 
@@ -250,7 +254,7 @@ class SolverStep:
     """Number of parts of every step between knots, at whose ends distances are enforced."""
 
     fastest: bool = False
-    """Whether to minimize time instead of energy."""
+    """Whether to minimise time instead of energy."""
 
     @property
     def reach(self) -> float:
@@ -277,13 +281,19 @@ class Effort:
         return self.spent <= self.limit
 
 
-class CostTerms(NamedTuple):
-    """Second-order expansion of a cost by the inner rows of a path's table."""
+class QuadraticTerms(NamedTuple):
+    """A convex quadratic function of the changes of the inner rows of a path's table."""
 
     hessian: sp.csr_array[np.float64]
-    """Positive semidefinite matrix."""
+    """(inner knots · size, inner knots · size), of which the symmetric part counts."""
 
     gradient: Array
+    """(inner knots · size,)"""
+
+    def plus(self, other: QuadraticTerms) -> QuadraticTerms:
+        """Return the sum of two functions."""
+        hessian = sp.csr_array(self.hessian + other.hessian)
+        return QuadraticTerms(hessian, self.gradient + other.gradient)
 
 
 class PathCost(Protocol):
@@ -292,8 +302,8 @@ class PathCost(Protocol):
     def integral(self, path: Path) -> float:
         """Return the cost of a path [s]."""
 
-    def terms(self, path: KnotPath) -> CostTerms:
-        """Return the expansion around a path."""
+    def terms(self, path: KnotPath) -> QuadraticTerms:
+        """Return a convex second-order expansion of the cost around a path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +332,7 @@ class SearchLimits:
     """Refined paths that break a limit, for the diagnosis."""
 
     cost: PathCost | None = None
-    """Custom cost, to be minimized with the duration."""
+    """Custom cost, to be minimised with the duration."""
 
     def cost_of(self, path: Path) -> float:
         """Return the cost of a path [s]; 0 without one."""

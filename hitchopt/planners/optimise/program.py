@@ -31,6 +31,7 @@ from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (
     Effort,
     KnotPath,
+    QuadraticTerms,
     SearchLimits,
     SolverStep,
     variable_bounds,
@@ -185,44 +186,27 @@ class RowBlock:
     """Entries of the steps' times; None if the rows do not depend on them."""
 
 
-class Objective(NamedTuple):
-    """A quadratic function of the table's inner rows."""
-
-    hessian: sp.csr_array[np.float64]
-    """(inner knots · size, inner knots · size), of which the symmetric part counts."""
-
-    gradient: Array
-    """(inner knots · size,)"""
-
-
 def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> MorphProgram:
     """Return the program around a path, with near pairs and normals of that path."""
-    inner_size = path.table[1:-1].size
-    derivatives, turns = _derivatives(path, search.tension is not None)
-    tangent = derivatives[:inner_size]
+    linear = _linearised(path, free_tensions=search.tension is not None)
     blocks = [
-        _bound_rows(path, search, step, tangent),
-        _turn_rows(path, derivatives[inner_size:], turns),
-        _distance_rows(path, search, step, tangent),
+        _bound_rows(path, search, step, linear.tangent),
+        _turn_rows(path, linear),
+        _distance_rows(path, search, step, linear.tangent),
     ]
-    objective = _energy(path, search, step.fastest)
+    objective = _energy(path, search, fastest=step.fastest)
     times = np.zeros(0)
     if step.fastest:
         if search.cost is not None:
-            terms = search.cost.terms(path)
-            hessian = objective.hessian + terms.hessian
-            objective = Objective(hessian, objective.gradient + terms.gradient)
+            objective = objective.plus(search.cost.terms(path))
         limits = search.requirements.limits
         times = step_times(path, limits)
         blocks += [
-            _timed_block(timed, path, tangent)
-            for timed in (
-                speed_rows(path, limits, times),
-                acceleration_rows(path, limits, times),
-            )
+            _timed_block(speed_rows(path, limits, times), path, linear.tangent),
+            _timed_block(acceleration_rows(path, limits, times), path, linear.tangent),
         ]
-    program = _assembled(blocks, objective, tangent, times, step.stride)
-    return MorphProgram(path, step.stride, tangent, program)
+    program = _assembled(blocks, objective, linear.tangent, times, step.stride)
+    return MorphProgram(path, step.stride, linear.tangent, program)
 
 
 def _bound_rows(
@@ -239,19 +223,21 @@ def _bound_rows(
     return RowBlock(tangent[bounded], lower[bounded], upper[bounded])
 
 
-def _turn_rows(path: KnotPath, by_changes: sp.csr_array[np.float64], turns: Array) -> RowBlock:
-    """Return the rows of ``turns``, the sines of exterior angles at inner knots."""
+def _turn_rows(path: KnotPath, linear: Linearisation) -> RowBlock:
+    """Return the rows of the sines of exterior angles at inner knots."""
     smallest = float(np.min(exterior_angles(path.team.layout, path.edges[[0, -1]])))
     min_sine = math.sin(min(MIN_ANGLE, 0.5 * smallest))
-    return RowBlock(by_changes, min_sine - turns, np.full(len(turns), np.inf))
+    no_upper = np.full(len(linear.turns), np.inf)
+    return RowBlock(linear.turn_slopes, min_sine - linear.turns, no_upper)
 
 
 def _distance_rows(
     path: KnotPath, search: SearchLimits, step: SolverStep, tangent: sp.csr_array[np.float64]
 ) -> RowBlock:
     """Return the rows of the distances of near pairs."""
-    distances, needed = _near_rows(path, search, step)
-    return RowBlock(distances @ tangent, needed, np.full(len(needed), np.inf))
+    distances_by_table, smallest_changes = _near_rows(path, search, step)
+    no_upper = np.full(len(smallest_changes), np.inf)
+    return RowBlock(distances_by_table @ tangent, smallest_changes, no_upper)
 
 
 def _timed_block(timed: TimedRows, path: KnotPath, tangent: sp.csr_array[np.float64]) -> RowBlock:
@@ -263,7 +249,7 @@ def _timed_block(timed: TimedRows, path: KnotPath, tangent: sp.csr_array[np.floa
 
 def _assembled(
     blocks: Sequence[RowBlock],
-    objective: Objective,
+    objective: QuadraticTerms,
     tangent: sp.csr_array[np.float64],
     times: Array,
     stride: float,
@@ -271,44 +257,156 @@ def _assembled(
     """Return the program of changes, then of the ``times`` (J,) [s], then of slacks.
 
     Violated rows have slacks, so that the program is always feasible. Without times the duration is
-    not minimized.
+    not minimised.
     """
     lower = np.concatenate([block.lower for block in blocks])
     upper = np.concatenate([block.upper for block in blocks])
     changes = tangent.shape[1]
     violated = np.flatnonzero((lower > 0.0) | (upper < 0.0))
-    variables = changes + len(times) + len(violated)
+    slack_entries = np.where(lower[violated] > 0.0, SLACK_SCALE, -SLACK_SCALE)
+    slacks = len(violated)
+    variables = changes + len(times) + slacks
 
+    gradient_by_changes = np.asarray(tangent.T @ objective.gradient)
+    penalties = np.full(slacks, PENALTY_WEIGHT * SLACK_SCALE)
+    gradient = np.concatenate([gradient_by_changes, np.ones(len(times)), penalties])
+    half_hessian = 0.5 * stride**2 * (tangent.T @ (objective.hessian @ tangent))
+    hessian = sp.coo_array(half_hessian + half_hessian.T)  # whose pattern is symmetric too
+    smallest_changes = np.full(changes, -np.inf)
+    smallest_time_changes = -MAX_TIME_SAVED / stride * times
+    return QuadraticProgram(
+        P=sp.csc_array((hessian.data, (hessian.row, hessian.col)), (variables, variables)),
+        q=stride * gradient,
+        A=_row_matrix(blocks, violated, slack_entries, first_time=changes, variables=variables),
+        lower=lower / stride,
+        upper=upper / stride,
+        x_min=np.concatenate([smallest_changes, smallest_time_changes, np.zeros(slacks)]),
+    )
+
+
+def _row_matrix(
+    blocks: Sequence[RowBlock],
+    violated: Indices,
+    slack_entries: Array,
+    *,
+    first_time: int,
+    variables: int,
+) -> sp.csc_array[np.float64]:
+    """Return the matrix (rows, variables) of all blocks.
+
+    Parameters
+    ----------
+    violated: (slacks,), rows with slacks, which are the last variables.
+    slack_entries: (slacks,), derivatives of these rows by their slacks.
+    first_time: index of the first variable that is a time.
+    variables: their number.
+    """
     by_changes = sp.coo_array(sp.vstack([block.by_changes for block in blocks]))
     rows: list[Indices] = [np.asarray(by_changes.row, dtype=np.intp)]
     columns: list[Indices] = [np.asarray(by_changes.col, dtype=np.intp)]
     entries = [by_changes.data]
-    first_rows = np.cumsum([0, *(len(block.lower) for block in blocks)])
-    for block, first_row in zip(blocks, first_rows.tolist(), strict=False):
+    first_row = 0
+    for block in blocks:
         if block.by_times is not None:
             rows.append(first_row + block.by_times.row)
-            columns.append(changes + block.by_times.step)
+            columns.append(first_time + block.by_times.step)
             entries.append(block.by_times.entry)
+        first_row += len(block.lower)
     rows.append(violated)
-    columns.append(changes + len(times) + np.arange(len(violated)))
-    entries.append(np.where(lower[violated] > 0.0, SLACK_SCALE, -SLACK_SCALE))
-    places = (np.concatenate(rows), np.concatenate(columns))
-    A = sp.csc_array((np.concatenate(entries), places), (len(lower), variables))
+    columns.append(np.arange(variables - len(violated), variables))
+    entries.append(slack_entries)
+    indices = (np.concatenate(rows), np.concatenate(columns))
+    return sp.csc_array((np.concatenate(entries), indices), (first_row, variables))
 
-    by_free = tangent.T @ objective.gradient
-    penalties = np.full(len(violated), PENALTY_WEIGHT * SLACK_SCALE)
-    costs = np.concatenate([np.asarray(by_free), np.ones(len(times)), penalties])
-    half = 0.5 * stride**2 * (tangent.T @ (objective.hessian @ tangent))
-    whole = sp.coo_array(half + half.T)  # whose pattern is symmetric too
-    P = sp.csc_array((whole.data, (whole.row, whole.col)), (variables, variables))
-    smallest = np.concatenate(
-        [
-            np.full(changes, -np.inf),
-            -MAX_TIME_SAVED / stride * times,
-            np.zeros(len(violated)),
-        ]
+
+class Linearisation(NamedTuple):
+    """Derivatives by the changes of the free columns at the inner knots."""
+
+    tangent: sp.csr_array[np.float64]
+    """(inner knots · size, changes): derivatives of the table's inner rows."""
+
+    turn_slopes: sp.csr_array[np.float64]
+    """(inner knots · n, changes): derivatives of ``turns``."""
+
+    turns: Array
+    """(inner knots · n,): sines of exterior angles."""
+
+
+def _linearised(path: KnotPath, *, free_tensions: bool) -> Linearisation:
+    """Return the derivatives at a path, whose free columns are vertices and q-legs.
+
+    With ``free_tensions`` tensions are free too.
+    """
+    columns = path.columns
+    arguments = ClaspColumns.of(path)
+    clasps = _clasp_derivatives(path, arguments)
+    count = len(clasps.turns)
+    knot = np.arange(path.steps - 1)
+    inner_size = columns.size * len(knot)
+
+    free_columns = [columns.vertices.ravel(), columns.q_legs]
+    if free_tensions:
+        free_columns.append(columns.tensions)
+    free = columns.flat_index(knot[:, None], np.concatenate(free_columns)).ravel()
+    change_of_entry = np.full(inner_size, -1)
+    change_of_entry[free] = np.arange(len(free))
+
+    # Every clasp has rows in the table, and one of its turn after the table
+    in_table = columns.flat_index(knot[:, None, None], arguments.results).reshape(count, -1)
+    in_turns = inner_size + np.arange(count)
+    result_rows = np.column_stack([in_table, in_turns])
+    argument_entries = columns.flat_index(knot[:, None, None], arguments.all).reshape(count, -1)
+    argument_changes = change_of_entry[argument_entries]
+    rows, changes = np.broadcast_arrays(result_rows[:, :, None], argument_changes[:, None, :])
+    is_free = changes >= 0
+    all_rows = np.append(rows[is_free], free)
+    all_changes = np.append(changes[is_free], np.arange(len(free)))
+    entries = np.append(clasps.slopes[is_free], np.ones(len(free)))
+    shape = (inner_size + count, len(free))
+    slopes = sp.csr_array((entries, (all_rows, all_changes)), shape)
+    return Linearisation(slopes[:inner_size], slopes[inner_size:], clasps.turns)
+
+
+class ClaspDerivatives(NamedTuple):
+    """Derivatives of the model of a clasp at all inner knots and clasps."""
+
+    slopes: Array
+    """(inner knots · n, 6, 10), as of ``_slopes_function``."""
+
+    turns: Array
+    """(inner knots · n,): sines of exterior angles."""
+
+
+def _clasp_derivatives(path: KnotPath, arguments: ClaspColumns) -> ClaspDerivatives:
+    """Return the derivatives of the model of all clasps at the inner knots of a path."""
+    team = path.team
+    n = team.robots
+    knots = path.table[1:-1]
+    count = n * len(knots)
+
+    def of_all(values: Array) -> Array:
+        """Return values (knots, n, rows) or (n, rows) as columns (rows, knots · n)."""
+        rows = values.shape[-1]
+        return np.broadcast_to(values, (len(knots), n, rows)).reshape(count, rows).T
+
+    roll = np.zeros((n, 1)) if path.roll is None else path.roll[1:-1, :, None]
+    function = _slopes_function(
+        weighted=team.cable_density > 0.0,
+        loaded=bool(np.any(team.load)),
+        rolled=path.roll is not None,
+        equal=bool(np.ptp(team.tension) == 0.0),
     )
-    return QuadraticProgram(P, stride * costs, A, lower / stride, upper / stride, smallest)
+    outputs = function.map(count)(
+        points=of_all(knots[:, arguments.points]),
+        q_legs=of_all(knots[:, arguments.q_legs]),
+        tensions=of_all(knots[:, arguments.tensions]),
+        roll=of_all(roll),
+        cable_length=of_all(team.cable_length[team.layout.behind, None]),
+        load=of_all(GRAVITY * team.load[:, None]),
+        weight=GRAVITY * team.cable_density,
+    )
+    slopes = np.asarray(outputs["slopes"]).reshape(6, count, -1).transpose(1, 0, 2)
+    return ClaspDerivatives(slopes, np.asarray(outputs["turn"]).ravel())
 
 
 PLAN_VIEW = [0, 1, 3, 4, 6, 7]
@@ -316,7 +414,7 @@ PLAN_VIEW = [0, 1, 3, 4, 6, 7]
 
 
 @lru_cache
-def _clasp_derivatives(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -> ca.Function:
+def _slopes_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -> ca.Function:
     """Return the function of the derivatives of a clasp of a level hitch in plan view.
 
     Its inputs are those of ``clasp_function`` with points (6, 1) in plan view. Its outputs are
@@ -343,67 +441,6 @@ def _clasp_derivatives(*, weighted: bool, loaded: bool, rolled: bool, equal: boo
         ["slopes", "turn"],
         {"cse": True},
     )
-
-
-def _derivatives(path: KnotPath, free_tensions: bool) -> tuple[sp.csr_array[np.float64], Array]:
-    """Return derivatives by the free columns, of the table's inner rows and then of all turns.
-
-    Turns (inner knots · n,), sines of exterior angles, are returned as well.
-    """
-    columns = path.columns
-    team = path.team
-    behind = team.layout.behind
-    n = team.robots
-    knots = path.table[1:-1]
-    size = columns.size
-    count = n * len(knots)
-    arguments = ClaspColumns.of(path)
-
-    def of_all(values: Array) -> Array:
-        """Return values (knots, n, rows) or (n, rows) as columns (rows, knots · n)."""
-        rows = values.shape[-1]
-        return np.broadcast_to(values, (len(knots), n, rows)).reshape(count, rows).T
-
-    roll = np.zeros((n, 1)) if path.roll is None else path.roll[1:-1, :, None]
-    clasp_derivatives = _clasp_derivatives(
-        weighted=team.cable_density > 0.0,
-        loaded=bool(np.any(team.load)),
-        rolled=path.roll is not None,
-        equal=bool(np.ptp(team.tension) == 0.0),
-    )
-    derivatives = clasp_derivatives.map(count)(
-        points=of_all(knots[:, arguments.points]),
-        q_legs=of_all(knots[:, arguments.q_legs]),
-        tensions=of_all(knots[:, arguments.tensions]),
-        roll=of_all(roll),
-        cable_length=of_all(team.cable_length[behind, None]),
-        load=of_all(GRAVITY * team.load[:, None]),
-        weight=GRAVITY * team.cable_density,
-    )
-    turns = np.asarray(derivatives["turn"]).ravel()
-    slopes = np.asarray(derivatives["slopes"]).reshape(6, count, -1).transpose(1, 0, 2)
-
-    # Rows of drones and r-legs in the table, and of turns after it
-    first_columns = size * np.arange(len(knots))[:, None, None]
-    in_table = (first_columns + arguments.results).reshape(count, 5)
-    in_turns = size * len(knots) + np.arange(count)
-    rows_of_results = np.column_stack([in_table, in_turns])
-
-    changing = [columns.vertices.ravel(), columns.q_legs]
-    if free_tensions:
-        changing.append(columns.tensions)
-    free = (first_columns[..., 0] + np.concatenate(changing)).ravel()
-    variable_of = np.full(knots.size, -1)
-    variable_of[free] = np.arange(len(free))
-    variables = variable_of[(first_columns + arguments.all).reshape(count, -1)]
-
-    rows, changes = np.broadcast_arrays(rows_of_results[:, :, None], variables[:, None, :])
-    is_free = changes >= 0
-    all_rows = np.append(rows[is_free], free)
-    all_changes = np.append(changes[is_free], np.arange(len(free)))
-    entries = np.append(slopes[is_free], np.ones(len(free)))
-    shape = (knots.size + count, len(free))
-    return sp.csr_array((entries, (all_rows, all_changes)), shape), turns
 
 
 class ClaspColumns(NamedTuple):
@@ -446,38 +483,67 @@ class ClaspColumns(NamedTuple):
         return np.concatenate([self.points, self.q_legs, self.tensions], axis=1)
 
 
-def _energy(path: KnotPath, search: SearchLimits, fastest: bool) -> Objective:
-    """Return the energy of the path by the table's inner rows."""
+def _energy(path: KnotPath, search: SearchLimits, *, fastest: bool) -> QuadraticTerms:
+    """Return the energy of the path, with its small weight if the path is to be ``fastest``."""
     columns = path.columns
-    table = path.table
-    steps = path.steps
-    robots = path.team.robots
     limits = search.requirements.limits
-    difference = np.diff(np.eye(steps + 1), axis=0)
-    second_difference = np.diff(difference, axis=0)
-    squares = steps * (difference.T @ difference)
-    bends = steps**3 * (second_difference.T @ second_difference)
+    forms = _difference_forms(path.steps)
     energy_weight = 1.0
     bend_weight = BEND_WEIGHT
     if fastest:
         time = float(np.sum(np.max(segment_times(path, limits), axis=1)))
         energy_weight = TIME_ENERGY_WEIGHT
         bend_weight = TIME_BEND_WEIGHT / time
-    scale = np.zeros(columns.size)  # units of time
+    scale = np.zeros(columns.size)  # to units of time
     scale[columns.vertices] = 1.0 / limits.vertex_speed
     scale[columns.drones] = 1.0 / limits.speed
-    of_nodes = 2.0 / robots * (energy_weight * squares + bend_weight * bends)
-    hessian = _blockwise(of_nodes[1:-1, 1:-1], scale**2)
-    gradient = of_nodes[1:-1] @ table * scale**2
-    if search.tension is not None:
-        scale = np.zeros(columns.size)  # fractions of the team's tensions
-        scale[columns.tensions] = 1.0 / path.team.tension
-        evenness = TENSION_CHANGE_WEIGHT * (squares + BEND_WEIGHT * bends)
-        sizes = np.eye(steps + 1) / steps
-        of_tensions = 2.0 / robots * TENSION_WEIGHT * (sizes + evenness)
-        hessian = hessian + _blockwise(of_tensions[1:-1, 1:-1], scale**2)
-        gradient += of_tensions[1:-1] @ table * scale**2
-    return Objective(hessian, gradient.ravel())
+    robots = path.team.robots
+    motion_form = 2.0 / robots * (energy_weight * forms.slopes + bend_weight * forms.bends)
+    energy = _quadratic(path, motion_form, scale)
+    if search.tension is None:
+        return energy
+    scale = np.zeros(columns.size)  # to fractions of the team's tensions
+    scale[columns.tensions] = 1.0 / path.team.tension
+    changes = TENSION_CHANGE_WEIGHT * (forms.slopes + BEND_WEIGHT * forms.bends)
+    tension_form = 2.0 / robots * TENSION_WEIGHT * (forms.values + changes)
+    return energy.plus(_quadratic(path, tension_form, scale))
+
+
+class DifferenceForms(NamedTuple):
+    """Integrals over s of squares of a function, as quadratic forms of its values at J + 1 knots.
+
+    All are (J + 1, J + 1).
+    """
+
+    values: Array
+    """Of the function."""
+
+    slopes: Array
+    """Of its first derivative by s, by differences."""
+
+    bends: Array
+    """Of its second derivative by s, by differences."""
+
+
+def _difference_forms(steps: int) -> DifferenceForms:
+    """Return the forms for a number J of steps."""
+    difference = np.diff(np.eye(steps + 1), axis=0)
+    second_difference = np.diff(difference, axis=0)
+    return DifferenceForms(
+        values=np.eye(steps + 1) / steps,
+        slopes=steps * (difference.T @ difference),
+        bends=steps**3 * (second_difference.T @ second_difference),
+    )
+
+
+def _quadratic(path: KnotPath, form: Array, scale: Array) -> QuadraticTerms:
+    """Return the terms of half a form (J + 1, J + 1) of every column, scaled by ``scale`` (size,).
+
+    The ends of the path are constant.
+    """
+    hessian = _blockwise(form[1:-1, 1:-1], scale**2)
+    gradient = form[1:-1] @ path.table * scale**2
+    return QuadraticTerms(hessian, gradient.ravel())
 
 
 def _blockwise(matrix: Array, weights: Array) -> sp.csr_array[np.float64]:
@@ -557,33 +623,56 @@ def _near_rows(
     of two knots and a constant deviation.
     """
     columns = path.columns
-    parts = step.parts
-    indices = np.arange(1, parts * path.steps) / parts  # of frames, in steps between knots
-    if parts == 1:
-        table = path.table[1:-1]
-        heights = path.node_heights[1:-1]
-    else:
-        frames = path.at(indices / path.steps)
-        table = frames.table
-        heights = frames.node_heights
-    nodes = np.concatenate([table[:, columns.nodes], heights[..., None]], axis=-1)
-    margins = search.margins(path.steps, indices)
-    reach = np.where(indices % 1.0 == 0.0, 1.0, BETWEEN_KNOTS_SHARE) * step.reach
+    frames = _frames(path, step.parts)
+    places = frames.table[:, columns.nodes]
+    nodes = np.concatenate([places, frames.heights[..., None]], axis=-1)
+    margins = search.margins(path.steps, frames.indices)
+    is_knot = frames.indices % 1.0 == 0.0
+    reach = np.where(is_knot, 1.0, BETWEEN_KNOTS_SHARE) * step.reach
     pairs = _near_pairs(nodes, search.requirements, margins, reach)
 
     pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)
     frame = pairs.frame[pair]
     gradient = pairs.gradient[pair]
-    places = np.concatenate([columns.nodes[first], columns.nodes[second]], axis=1)
+    columns_of_ends = np.concatenate([columns.nodes[first], columns.nodes[second]], axis=1)
     slopes = np.concatenate([gradient[:, :2], -gradient[:, :2]], axis=1)
-    in_table = columns.size * frame[:, None] + places
+    entries = columns.flat_index(frame[:, None], columns_of_ends)
     row_starts = slopes.shape[1] * np.arange(len(pair) + 1)
-    shape = (len(pair), table.size)
-    rows = sp.csr_array((slopes.ravel(), in_table.ravel(), row_starts), shape)
-    rise = heights[frame, first] - heights[frame, second]
-    needed = pairs.enforced[pair] - gradient[:, 2] * rise - rows @ table.ravel()
-    if parts > 1:
-        inner_knots = np.arange(1.0, path.steps)
-        shares = np.maximum(1.0 - np.abs(indices[:, None] - inner_knots), 0.0)
-        rows = sp.csr_array(rows @ _blockwise(shares, np.ones(columns.size)))
-    return rows, needed
+    shape = (len(pair), frames.table.size)
+    by_frames = sp.csr_array((slopes.ravel(), entries.ravel(), row_starts), shape)
+    rise = frames.heights[frame, first] - frames.heights[frame, second]
+    distances_in_plan = by_frames @ frames.table.ravel()
+    smallest_changes = pairs.enforced[pair] - gradient[:, 2] * rise - distances_in_plan
+    if step.parts == 1:
+        return by_frames, smallest_changes
+    by_knots = _blockwise(_knot_shares(path, frames.indices), np.ones(columns.size))
+    return sp.csr_array(by_frames @ by_knots), smallest_changes
+
+
+class Frames(NamedTuple):
+    """K hitches on a path at which distances are enforced."""
+
+    indices: Array
+    """(K,): places on the path, in steps between knots."""
+
+    table: Array
+    """(K, size): their table."""
+
+    heights: Array
+    """(K, 3n) [m]: heights of the nodes over the plane."""
+
+
+def _frames(path: KnotPath, parts: int) -> Frames:
+    """Return the inner knots of a path, or the inner ends of ``parts`` of every step."""
+    indices = np.arange(1, parts * path.steps) / parts
+    if parts == 1:
+        return Frames(indices, path.table[1:-1], path.node_heights[1:-1])
+    hitches = path.at(indices / path.steps)
+    return Frames(indices, hitches.table, hitches.node_heights)
+
+
+def _knot_shares(path: KnotPath, indices: Array) -> Array:
+    """Return the shares (K, inner knots) of knots in chords at fractional indices (K,)."""
+    inner_knots = np.arange(1.0, path.steps)
+    shares: Array = np.maximum(1.0 - np.abs(indices[:, None] - inner_knots), 0.0)
+    return shares

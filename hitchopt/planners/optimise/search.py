@@ -48,20 +48,23 @@ from hitchopt.values import Array
 class Refinement(NamedTuple):
     """A round of refinement."""
 
-    knots: int
-    """Factor of the number of steps between knots."""
+    steps_factor: int
+    """Number of steps between knots, over that of the path of minimum energy."""
 
     margin: float
-    """Margin of distances."""
+    """Enforced distances over their limits."""
 
 
-REFINEMENTS = (Refinement(1, 1.03), Refinement(2, 1.05))
+REFINEMENTS = (
+    Refinement(steps_factor=1, margin=1.03),
+    Refinement(steps_factor=2, margin=1.05),
+)
 """Rounds of refinement until the judge accepts a path."""
 
 REFINED_PARTS = 8
 """Number of parts of every step, at whose ends refinement enforces distances."""
 
-INITIAL_STEP = SolverStep(0.17)
+INITIAL_STEP = SolverStep(stride=0.17)
 """Step of the optimiser from a guess."""
 
 REFINED_STRIDE = 0.12
@@ -90,8 +93,8 @@ MAX_COST_STEPS = 36
 """Maximum number of steps from a feasible path to better ones by a custom cost."""
 
 MAX_JUDGED = 4
-"""Maximum number of faster paths that are judged, which samples found feasible: distances between
-samples may fall short by a thousandth."""
+"""Maximum number of faster paths that are judged. They are feasible at samples, but distances
+between samples may fall short by a thousandth."""
 
 LEG_PERTURBATION = 0.05
 """Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
@@ -137,7 +140,7 @@ MIN_STEP_GAIN = 5e-4
 one is tried."""
 
 MIN_GUESS_MARGIN = 0.3
-"""Smallest margin of distances of a preferred guess."""
+"""Smallest margin of distances of a promising guess."""
 
 MAX_ROLLED = 8
 """Maximum number of guesses with roll that are tried."""
@@ -155,18 +158,24 @@ PATH_TOLERANCE = 0.05
 
 def min_duration(start: Hitch, end: Hitch, limits: Limits) -> float:
     """Return a lower bound of a morph's duration [s]: that of each drone and vertex on a line."""
-    drones = length(end.drones - start.drones)
-    durations, _ = fastest_ramps(drones, limits.speed, limits.acceleration, limits.jerk)
-    vertices = length(end.vertices - start.vertices) / limits.vertex_speed
-    return float(max(np.max(durations), np.max(vertices)))
+    drone_distances = length(end.drones - start.drones)
+    drone_durations, _ = fastest_ramps(
+        drone_distances, limits.speed, limits.acceleration, limits.jerk
+    )
+    vertex_durations = length(end.vertices - start.vertices) / limits.vertex_speed
+    return float(max(np.max(drone_durations), np.max(vertex_durations)))
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A motion that the judge accepted, and the name of its guess; "" for the straight path."""
+    """A motion that the judge accepted."""
 
     name: str
+    """Name of its initial guess; empty for the straight path."""
+
     motion: Motion
+    """The motion along its path."""
+
     cost: float = 0.0
     """[s] Integral of a custom cost on its path."""
 
@@ -211,37 +220,12 @@ class OptimisedMorph:
     """Path with straight vertices; None if it is infeasible."""
 
     cost: ShapeCost | None = None
-    """Custom cost; with one all guesses are optimized, whatever their durations."""
+    """Custom cost; with one all guesses are optimised, whatever their durations."""
 
     @property
     def min_duration(self) -> float:
         """Lower bound of the duration [s]."""
         return min_duration(self.start, self.end, self.requirements.limits)
-
-    def margins(self, *, straight: bool = True) -> dict[KnotPath, Array]:
-        """Return initial guesses that are hitches at all knots, and their margins of distances.
-
-        Each differs from all others, and without ``straight`` from the straight path.
-        """
-        named = polygon_guesses(self.start.polygon, self.end.polygon, MIN_STEPS + 1)
-        line, distinct = named[STRAIGHT], dict[str, Array]()
-        for name, polygons in reversed(named.items()):
-            others = [*distinct.values()] if straight else [line, *distinct.values()]
-            if not any(np.max(np.abs(polygons - other)) < PATH_TOLERANCE for other in others):
-                distinct[name] = polygons
-        paths = [KnotPath.through(name, self.start, self.end, p) for name, p in distinct.items()]
-        paths = [path for path in paths if is_hitch(path)]
-        if not paths:
-            return {}
-        margins = dict(zip(paths, distance_margins(paths, self.requirements), strict=True))
-        # Legs that pass each other on straight lines need no widened ones.
-        lines_clear = not straight or any(
-            path.name == STRAIGHT and np.min(each) >= MIN_GUESS_MARGIN
-            for path, each in margins.items()
-        )
-        if lines_clear:
-            margins = {path: each for path, each in margins.items() if path.name != WIDENED}
-        return margins
 
     def solve(self) -> list[Candidate]:
         """Return the motions along feasible paths, the fastest, or cheapest with a cost, first.
@@ -250,13 +234,13 @@ class OptimisedMorph:
         precede turning polygons. Optimised paths that equal earlier ones are skipped, and the
         search ends if no path can be faster by MIN_GAIN. Raises NoRouteError if there is none.
         """
-        motion = None if self.straight is None else _judged(self.straight, self.judge)
         candidates = list[Candidate]()
-        if self.straight is not None and motion is not None:
-            candidates.append(Candidate("", motion, self._cost_of(self.straight)))
+        straight_motion = None if self.straight is None else _judged(self.straight, self.judge)
+        if self.straight is not None and straight_motion is not None:
+            candidates.append(Candidate("", straight_motion, self._cost_of(self.straight)))
         rejected: list[KnotPath] = []
         if self.start.team.layout.closed:
-            candidates += self._optimised(motion, rejected)
+            candidates += self._optimised(straight_motion, rejected)
         if not candidates:
             candidates += self._rolled(rejected)
         if not candidates and rejected:
@@ -270,56 +254,96 @@ class OptimisedMorph:
         """Return the integral of the cost on a path [s]; 0 without a cost."""
         return 0.0 if self.cost is None else self.cost.integral(path)
 
-    def _optimised(self, straight: Motion | None, rejected: list[KnotPath]) -> list[Candidate]:
+    def _optimised(
+        self, straight_motion: Motion | None, rejected: list[KnotPath]
+    ) -> list[Candidate]:
         """Return the motions along optimised guesses that may be faster than the straight one."""
-        fastest = math.inf if straight is None else straight.duration
+        fastest = math.inf if straight_motion is None else straight_motion.duration
         if self.cost is None and self.min_duration > (1.0 - MIN_GAIN) * fastest:
             return []
         # Tensions may vary on the straight path too, and a cost may bend it.
-        bends = self.tension is not None or self.cost is not None
-        margins = self.margins(straight=straight is None or bends)
-        paths = [path for path, each in margins.items() if np.min(each) >= MIN_GUESS_MARGIN]
-        if straight is None:
-            paths = paths or list(margins)
+        can_improve_straight = self.tension is not None or self.cost is not None
+        margins = self._guess_margins(with_straight=straight_motion is None or can_improve_straight)
+        paths = [path for path in margins if _is_promising(margins[path])]
+        if not paths and straight_motion is None:
+            paths = list(margins)
         if not paths:
             return []
         paths = [path.resampled(_steps(path)) for path in paths]
-        max_effort = max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
-        if straight is None or self.cost is not None:
-            max_effort = MAX_EFFORT * max(path.size for path in paths)
-        if self.cost is not None:
-            max_effort *= len(paths)  # all of them are optimised
         estimates = np.zeros(len(paths))
-        if len(paths) > 1 or straight is not None:
-            smooth = [path.path for path in paths]
-            estimates = np.array(flight_estimates(smooth, self.requirements.limits))
+        if len(paths) > 1 or straight_motion is not None:
+            smooth_paths = [path.path for path in paths]
+            estimates = np.array(flight_estimates(smooth_paths, self.requirements.limits))
         order = np.argsort(estimates, kind="stable")
-        guesses = [paths[k].with_perturbed_legs(LEG_PERTURBATION) for k in order]
-        search = self._limits(max_effort, rejected)
-        return self._near(guesses, estimates[order], search, fastest)
+        guesses = [paths[index].with_perturbed_legs(LEG_PERTURBATION) for index in order]
+        max_effort = self._max_effort(paths, has_motion=straight_motion is not None)
+        search = self._search_limits(max_effort, rejected)
+        return self._candidates_near(guesses, estimates[order], search, fastest)
 
-    def _limits(self, max_effort: float, rejected: list[KnotPath]) -> SearchLimits:
+    def _guess_margins(self, *, with_straight: bool) -> dict[KnotPath, Array]:
+        """Return initial guesses that are hitches at all knots, and their margins of distances.
+
+        Guesses differ from each other, and without ``with_straight`` from the straight path.
+        """
+        guesses = self._distinct_guesses(with_straight=with_straight)
+        paths = [path for path in guesses if is_hitch(path)]
+        if not paths:
+            return {}
+        margins = dict(zip(paths, distance_margins(paths, self.requirements), strict=True))
+        # Legs that pass each other on straight lines need no widened ones.
+        legs_pass = not with_straight or any(
+            path.name == STRAIGHT and _is_promising(margins[path]) for path in paths
+        )
+        if legs_pass:
+            return {path: margins[path] for path in paths if path.name != WIDENED}
+        return margins
+
+    def _distinct_guesses(self, *, with_straight: bool) -> list[KnotPath]:
+        """Return initial guesses, those on turning edges first.
+
+        Guesses differ from each other, and without ``with_straight`` from the straight path.
+        """
+        polygons_by_name = polygon_guesses(self.start.polygon, self.end.polygon, MIN_STEPS + 1)
+        excluded = [] if with_straight else [polygons_by_name[STRAIGHT]]
+        guesses: list[KnotPath] = []
+        for name, polygons in reversed(polygons_by_name.items()):
+            if any(_coincide(polygons, others) for others in excluded):
+                continue
+            excluded.append(polygons)
+            guesses.append(KnotPath.through(name, self.start, self.end, polygons))
+        return guesses
+
+    def _max_effort(self, paths: list[KnotPath], *, has_motion: bool) -> float:
+        """Return the limit of the effort to optimise paths.
+
+        Parameters
+        ----------
+        has_motion: whether there is a motion along the straight path.
+        """
+        most_robot_knots = max(path.robot_knots for path in paths)
+        if self.cost is not None:
+            return MAX_EFFORT * most_robot_knots * len(paths)  # all of them are optimised
+        if not has_motion:
+            return MAX_EFFORT * most_robot_knots
+        return max(MIN_EFFORT, EFFORT_PER_ROBOT * self.start.team.robots)
+
+    def _search_limits(self, max_effort: float, rejected: list[KnotPath]) -> SearchLimits:
         """Return the constraints of a search with a limit of its effort."""
-        ends = KnotPath.through("", self.start, self.end, self._end_polygons)
+        end_polygons = np.stack([self.start.polygon.vertices, self.end.polygon.vertices])
+        ends = KnotPath.through("", self.start, self.end, end_polygons)
         margins = END_MARGIN_FACTOR * distance_margins([ends], self.requirements)[0]
-        first, last = margins.tolist()
-        effort = Effort(max_effort)
+        first_margin, last_margin = margins.tolist()
         return SearchLimits(
             self.requirements,
             self.judge,
             self.tension,
-            (first, last),
-            effort=effort,
+            end_margins=(first_margin, last_margin),
+            effort=Effort(max_effort),
             rejected=rejected,
             cost=self.cost,
         )
 
-    @property
-    def _end_polygons(self) -> Array:
-        """(2, points, 2) [m]: outlines of both ends."""
-        return np.stack([self.start.polygon.vertices, self.end.polygon.vertices])
-
-    def _near(
+    def _candidates_near(
         self, guesses: list[KnotPath], estimates: Array, search: SearchLimits, fastest: float
     ) -> list[Candidate]:
         """Return the motions along optimised guesses, in the order of their estimates [s].
@@ -328,25 +352,25 @@ class OptimisedMorph:
         """
         candidates: list[Candidate] = []
         visited: list[KnotPath] = []
-        shortest = math.inf  # estimate of the last optimised path with a motion [s]
+        last_estimate = math.inf  # of the last optimised path with a motion [s]
         only_time = self.cost is None
-        for guess, estimate in zip(guesses, estimates, strict=True):
-            if only_time and estimate > MAX_GUESS_RATIO * fastest:
+        for guess, guess_estimate in zip(guesses, estimates, strict=True):
+            if only_time and guess_estimate > MAX_GUESS_RATIO * fastest:
                 break
-            path = _optimized(guess, search, visited)
+            path = _optimised_path(guess, search, visited)
             visited.append(guess)
             if path is None:
                 continue
             visited.append(path)
-            optimised = _estimate(path, self.requirements)
-            longest = min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * shortest)
-            if only_time and optimised > longest:
+            estimate = _estimate(path, self.requirements)
+            max_estimate = min(MAX_ESTIMATE_RATIO * fastest, (1.0 - MIN_GAIN) * last_estimate)
+            if only_time and estimate > max_estimate:
                 continue
             candidate = _refined(path, search)
             if candidate is None:
                 continue
             candidates.append(candidate)
-            shortest = optimised
+            last_estimate = estimate
             fastest = min(fastest, candidate.motion.duration)
             if only_time and self.min_duration > (1.0 - MIN_GAIN) * fastest:
                 break
@@ -355,26 +379,27 @@ class OptimisedMorph:
     def _rolled(self, rejected: list[KnotPath]) -> list[Candidate]:
         """Return the motion along the first feasible guess with roll, optimised or as it is."""
         guesses = rolled_guesses(self.start, self.end, self.requirements)[:MAX_ROLLED]
-        as_it_is: list[Candidate] = []
+        unoptimised: list[Candidate] = []
         spent = 0.0
         for guess in guesses:
-            max_effort = MAX_EFFORT * guess.size
+            max_effort = MAX_EFFORT * guess.robot_knots
             if spent > MAX_ROLLED_EFFORT * max_effort:
                 break
-            search = self._limits(max_effort, rejected)
+            search = self._search_limits(max_effort, rejected)
             if self.start.team.layout.closed:
-                path = _optimized(guess.with_perturbed_legs(LEG_PERTURBATION), search, [])
+                perturbed = guess.with_perturbed_legs(LEG_PERTURBATION)
+                path = _optimised_path(perturbed, search, visited=[])
                 candidate = None if path is None else _refined(path, search)
                 if candidate is not None:
                     return [candidate]
                 spent += search.effort.spent
-            if not as_it_is:
+            if not unoptimised:
                 motion = self._flown_as_it_is(guess)
                 if motion is None:
                     rejected.append(guess)
                 else:
-                    as_it_is = [Candidate(guess.name, motion, self._cost_of(guess.path))]
-        return as_it_is
+                    unoptimised = [Candidate(guess.name, motion, self._cost_of(guess.path))]
+        return unoptimised
 
     def _around_obstacles(self, path: KnotPath) -> list[Candidate]:
         """Return the motion on the first detour of a path that passes all prisms and objects."""
@@ -397,6 +422,11 @@ class OptimisedMorph:
         return _judged(path, self.judge) if legs_clear(path, self.requirements) else None
 
 
+def _is_promising(margins: Array) -> bool:
+    """Return whether a guess with margins (J + 1,) of distances is optimised before others."""
+    return bool(np.min(margins) >= MIN_GUESS_MARGIN)
+
+
 def _steps(path: KnotPath) -> int:
     """Return the number of steps between knots for the longest vertex path."""
     longest = float(np.max(np.sum(length(np.diff(path.polygons, axis=0)), axis=0)))
@@ -417,16 +447,23 @@ def _equal(path: KnotPath, other: KnotPath) -> bool:
     """Return whether two paths are equal up to PATH_TOLERANCE."""
     if path.steps != other.steps:
         other = other.resampled(path.steps)
-    differences = (path.polygons - other.polygons, path.q_legs - other.q_legs)
-    return max(float(np.max(np.abs(each))) for each in differences) < PATH_TOLERANCE
+    return _coincide(path.polygons, other.polygons) and _coincide(path.q_legs, other.q_legs)
 
 
-def _optimized(guess: KnotPath, search: SearchLimits, visited: list[KnotPath]) -> KnotPath | None:
+def _coincide(values: Array, others: Array) -> bool:
+    """Return whether two arrays of coordinates or lengths [m] are equal up to PATH_TOLERANCE."""
+    return bool(np.max(np.abs(values - others)) < PATH_TOLERANCE)
+
+
+def _optimised_path(
+    guess: KnotPath, search: SearchLimits, visited: list[KnotPath]
+) -> KnotPath | None:
     """Return the path of minimum energy near a guess; None if it reaches a visited path."""
     path: KnotPath | None = None
-    for path in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
-        if any(_equal(path, other) for other in visited):
+    for iterate in iterates(guess, search, INITIAL_STEP, MAX_INITIAL_STEPS):
+        if any(_equal(iterate, other) for other in visited):
             return None
+        path = iterate
     return path
 
 
@@ -436,30 +473,29 @@ def _refined(path: KnotPath, search: SearchLimits) -> Candidate | None:
     Refinement enforces distances between the knots, then adds knots, up to a feasible path. With a
     cost, further knots then improve this path.
     """
-    steps = path.steps
+    initial_steps = path.steps
     best: Candidate | None = None
-    for factor, margin in REFINEMENTS:
-        tight = replace(search, margin=margin)
-        if factor > 1:
-            path = path.resampled(factor * steps)
-        restored = factor > 1 and search.cost is None
-        if restored or not _is_feasible(path, search):
+    for refinement in REFINEMENTS:
+        tight = replace(search, margin=refinement.margin)
+        adds_knots = refinement.steps_factor > 1
+        if adds_knots:
+            path = path.resampled(refinement.steps_factor * initial_steps)
+        if (adds_knots and search.cost is None) or not _is_feasible(path, search):
             path, feasible = _feasible_near(path, tight)
             if not feasible:
                 if _worst_margin(path, search.requirements) < HOPEFUL_MARGIN:
                     break
                 continue
-        shorter = _shortened(path, tight)
-        tried = [path, *shorter[-MAX_JUDGED:]]
-        for feasible_path in reversed(tried):
-            motion = _judged(feasible_path.path, search.judge)
-            if motion is not None:
-                candidate = Candidate(path.name, motion, search.cost_of(feasible_path.path))
-                if search.cost is None:
-                    return candidate
-                if best is None or candidate.objective < best.objective:
-                    best, path = candidate, feasible_path
-                break
+        better_paths = _better_paths(path, tight)
+        accepted = _last_accepted([path, *better_paths[-MAX_JUDGED:]], search)
+        if accepted is None:
+            continue
+        accepted_path, candidate = accepted
+        if search.cost is None:
+            return candidate
+        if best is None or candidate.objective < best.objective:
+            best = candidate
+            path = accepted_path
     if best is None:
         search.rejected.append(path)
     return best
@@ -468,46 +504,66 @@ def _refined(path: KnotPath, search: SearchLimits) -> Candidate | None:
 def _feasible_near(path: KnotPath, search: SearchLimits) -> tuple[KnotPath, bool]:
     """Return the first feasible path on the way to minimum energy, or the last one and False."""
     step = SolverStep(REFINED_STRIDE, REFINED_PARTS)
-    moved, margin = path, -math.inf
-    for moved in iterates(path, search, step, MAX_REFINED_STEPS, MIN_REFINED_PROGRESS):
-        if _is_feasible(moved, search):
-            return moved, True
-        before, margin = margin, _worst_margin(moved, search.requirements)
-        if margin < min(HOPEFUL_MARGIN, before + MIN_MARGIN_GAIN):
+    last_path = path
+    last_margin = -math.inf
+    for iterate in iterates(path, search, step, MAX_REFINED_STEPS, MIN_REFINED_PROGRESS):
+        if _is_feasible(iterate, search):
+            return iterate, True
+        last_path = iterate
+        margin = _worst_margin(iterate, search.requirements)
+        if margin < min(HOPEFUL_MARGIN, last_margin + MIN_MARGIN_GAIN):
             break
-    return moved, False
+        last_margin = margin
+    return last_path, False
 
 
-def _shortened(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
+def _better_paths(path: KnotPath, search: SearchLimits) -> list[KnotPath]:
     """Return the feasible paths of repeated steps from a feasible one, each better than the last.
 
     A path is better if it takes less time, with a cost less time and cost together.
     Steps go on from infeasible paths too, whose distances the next step restores. When they gain no
-    more, the last feasible path is kept, and the stride is halved.
+    more, they start again from the best feasible path with half the stride.
     """
-    step = SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True)
-    best, shortest, programs = path, _objective(path, search), 0
     max_programs = MAX_FASTEST_STEPS if search.cost is None else MAX_COST_STEPS
-    faster = list[KnotPath]()
+    step = SolverStep(REFINED_STRIDE, REFINED_PARTS, fastest=True)
+    best = path
+    best_objective = _objective(path, search)
+    better = list[KnotPath]()
+    programs = 0
     while step.stride >= MIN_STRIDE:
-        faster_but_infeasible, last = False, math.inf
-        for moved in iterates(best, search, step, max_programs, MIN_REFINED_PROGRESS):
+        better_but_infeasible = False
+        last_objective = math.inf
+        for iterate in iterates(best, search, step, max_programs, MIN_REFINED_PROGRESS):
             programs += 1
-            estimate = _objective(moved, search)
-            if estimate < shortest:
-                feasible = _is_feasible(moved, search)
-                faster_but_infeasible = not feasible
+            objective = _objective(iterate, search)
+            if objective < best_objective:
+                feasible = _is_feasible(iterate, search)
+                better_but_infeasible = not feasible
                 if feasible:
-                    best, shortest = moved, estimate
-                    faster.append(moved)
-            if estimate > last - MIN_STEP_GAIN * abs(last) or programs >= max_programs:
+                    best = iterate
+                    best_objective = objective
+                    better.append(iterate)
+            min_gain = MIN_STEP_GAIN * abs(last_objective)
+            if objective > last_objective - min_gain or programs >= max_programs:
                 break
-            last = estimate
+            last_objective = objective
         # Steps may pass the minimum of a cost: shorter ones follow.
-        if programs >= max_programs or not (faster_but_infeasible or search.cost is not None):
+        can_improve = better_but_infeasible or search.cost is not None
+        if programs >= max_programs or not can_improve:
             break
         step = replace(step, stride=0.5 * step.stride)
-    return faster
+    return better
+
+
+def _last_accepted(
+    paths: list[KnotPath], search: SearchLimits
+) -> tuple[KnotPath, Candidate] | None:
+    """Return the last of several paths that the judge accepts, and its motion; None without one."""
+    for path in reversed(paths):
+        motion = _judged(path.path, search.judge)
+        if motion is not None:
+            return path, Candidate(path.name, motion, search.cost_of(path.path))
+    return None
 
 
 def _most_feasible(paths: list[KnotPath], requirements: Requirements) -> KnotPath:
@@ -517,9 +573,9 @@ def _most_feasible(paths: list[KnotPath], requirements: Requirements) -> KnotPat
 
 
 def _worst_margin(path: KnotPath, requirements: Requirements) -> float:
-    """Return the smallest margin of distances between the knots as well."""
-    between = path.resampled(REFINED_PARTS * path.steps)
-    return float(np.min(distance_margins([between], requirements)))
+    """Return the smallest margin of distances at the knots and between them."""
+    refined = path.resampled(REFINED_PARTS * path.steps)
+    return float(np.min(distance_margins([refined], requirements)))
 
 
 def _judged(path: Path, judge: Judge) -> Motion | None:
@@ -532,7 +588,8 @@ def _judged(path: Path, judge: Judge) -> Motion | None:
 
 def _is_feasible(knots: KnotPath, search: SearchLimits) -> bool:
     """Return whether a path satisfies its limits at samples, before the judge's decision."""
-    path, requirements = knots.path, search.requirements
+    path = knots.path
+    requirements = search.requirements
     try:
         check_shapes(path)
     except InfeasibleError:
@@ -542,5 +599,8 @@ def _is_feasible(knots: KnotPath, search: SearchLimits) -> bool:
     demands = demands_along(path, requirements.limits)
     if np.max(rest_ratios(path.team, requirements.limits, demands.loads)) >= LIMIT_SHARE:
         return False
-    arena, drones = requirements.arena, demands.drones[..., 0]
-    return arena is None or bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))
+    arena = requirements.arena
+    if arena is None:
+        return True
+    drones = demands.drones[..., 0]
+    return bool(np.all((drones >= arena.lower) & (drones <= arena.upper)))

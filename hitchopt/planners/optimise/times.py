@@ -67,12 +67,12 @@ class TimedRows(NamedTuple):
         """Return the derivatives by the table's inner rows."""
         columns = path.columns
         inner_knots = path.steps - 1
-        first_columns = columns.size * (self.knots - 1)[..., None]
-        places = first_columns + columns.nodes[self.node][:, None]
-        row = np.broadcast_to(np.arange(len(self.node))[:, None, None], places.shape)
+        nodes = columns.nodes[self.node]
+        column = columns.flat_index(self.knots[..., None] - 1, nodes[:, None])  # (m, k, 2)
+        row = np.broadcast_to(np.arange(len(self.node))[:, None, None], column.shape)
         is_inner = (self.knots >= 1) & (self.knots <= inner_knots)
         entries = self.by_place[is_inner].ravel()
-        indices = (row[is_inner].ravel(), places[is_inner].ravel())
+        indices = (row[is_inner].ravel(), column[is_inner].ravel())
         return sp.csr_array((entries, indices), (len(self.node), columns.size * inner_knots))
 
     def by_times(self, steps: int) -> TimeEntries:
