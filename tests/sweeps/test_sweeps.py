@@ -21,7 +21,15 @@ import hitchopt as ho
 from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.hitch.flight_controller import Gains
-from hitchopt.lab.simulation.settings import ESTIMATORS, flight_keys, settings_of
+from hitchopt.lab.simulation.settings import (
+    CALM,
+    DRONES,
+    ESTIMATORS,
+    INDOOR,
+    Perturbations,
+    flight_keys,
+    settings_of,
+)
 from hitchopt.lab.sweeps.study import Case, ParameterKeys, points, study_from_dict, with_values
 from hitchopt.lab.sweeps.sweep import (
     PICTURE,
@@ -123,6 +131,19 @@ def test_studies_take_all_settings_of_simulated_flights() -> None:
         record = settings.perturbations if hasattr(settings.perturbations, name) else settings
         expected = {"gains": Gains(3.0), "estimator": ESTIMATORS["crazyflie"]}.get(name, value)
         assert getattr(record, name) == expected, name
+
+
+def test_drones_of_a_study_have_their_own_perturbations_unless_others_are_stated() -> None:
+    parameters = {"simulate.drones": [None, "crazyflie"]}
+
+    def perturbations(simulate: dict[str, Any]) -> list[Perturbations]:
+        study = {"problem": PROBLEM, "simulate": simulate, "parameters": parameters}
+        cases = study_from_dict(study).cases()
+        return [settings_of(**case.simulate).perturbations for case in cases if case.simulate]
+
+    assert perturbations({}) == [INDOOR, DRONES["crazyflie"].perturbations]
+    assert perturbations({"perturbed": True}) == [INDOOR, INDOOR]
+    assert perturbations({"perturbed": False}) == [CALM, DRONES["crazyflie"].perturbations]
 
 
 @pytest.mark.parametrize("name", sorted(FLIGHT.keys() - {"seed"}))

@@ -151,7 +151,9 @@ class SimulateKeys:
     seeds: Annotated[int, Key(integers(1, 100_000), "Flights per plan")] = 1
     seed: Annotated[int, Key(integers(0, MAX_SEED), "Seed of the first flight")] = 0
     preset: Annotated[str, Key(words(*PRESETS), "Resolution of ropes")] = "fast"
-    perturbed: Annotated[bool, Key(FLAGS, "The usual perturbations")] = True
+    perturbed: Annotated[
+        bool, Key(FLAGS, "The usual perturbations; false if omitted with drones, which have theirs")
+    ] = True
 
 
 def simulate_keys() -> dict[str, Key]:
@@ -217,11 +219,14 @@ class Study(OneLine):
     def _cases_at(self, points: list[Point]) -> Iterator[Case]:
         """Yield the cases of all problems at some points, without seeds."""
         options = self.keys.simulate
+        stated = {f"simulate.{name}" for name in options or ()}
         sections = {} if options is None else {"simulate": vars(SimulateKeys()) | options}
         outlines: dict[Path, Plain] = {}
         for (name, folder, base), point in itertools.product(self.problems, points):
             keys = with_values(base | sections, point)
             simulate: Any = keys.pop("simulate", None)
+            if simulate and "simulate.perturbed" not in stated | point.keys():
+                simulate["perturbed"] = simulate.get("drones") is None
             problem = _with_outlines(keys, folder, outlines)
             yield Case(name, point, problem, simulate, None, self.keys.limit)
 
