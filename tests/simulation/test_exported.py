@@ -60,6 +60,9 @@ def test_streamed_setpoints_are_those_of_the_file_as_packets_hold_them(
     for name in ("positions", "velocities", "accelerations"):
         ours, theirs = own.arrays[name], files.commands.arrays[name]
         np.testing.assert_allclose(theirs[: len(ours)], ours, atol=1.001 * QUANTUM)
+    ours, theirs = own.rates, files.commands.rates
+    assert np.max(np.abs(ours)) > 0.1
+    np.testing.assert_allclose(theirs[: len(ours)], ours, atol=0.02 * np.max(np.abs(ours)))
 
 
 @pytest.mark.parametrize("kind", ["crazyswarm2", "compressed"])

@@ -33,6 +33,7 @@ from hitchopt.lab.simulation.commands import (
     CURVE_RATES,
     PACKET_RATES,
     body_rates,
+    named_controllers,
     packets,
 )
 from hitchopt.lab.simulation.task import RATE, Commands, Received, Task, TeamTask, read_task
@@ -306,8 +307,9 @@ def _take_off(jets: Array, t: Array, first: Array, floor: float) -> None:
 
 def _commands(kind: Format, jets: Array, trims: Array, task: Task, part: ExportedPart) -> Commands:
     """Return what controllers receive, without the trims that simulated drones add."""
-    name = _controller(part)
-    follows = name in (PACKET_RATES if kind.flown_by == "stream" else CURVE_RATES)
+    names = {_controller(part)} if _controller(part) else named_controllers(task)
+    followers = PACKET_RATES if kind.flown_by == "stream" else CURVE_RATES
+    follows = names <= {*followers}
     mass = task.team.mass[:, None]
     rates = body_rates(mass, jets[2], task.states.t, follows=follows)
     commands = Commands(jets[0] - trims, jets[1], jets[2], rates)
