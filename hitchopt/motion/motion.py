@@ -429,7 +429,8 @@ class Motion(OneLine):
         """Return the hold at a time [s]; None if nothing is held then."""
         piece = int(np.searchsorted(self.drones.breaks, time, side="right")) - 1
         piece = min(max(piece, 0), self.drones.pieces - 1)
-        return self.phases[self.phase_of_piece[piece]].hold
+        hold: PhaseHold | None = self.phases[self.phase_of_piece[piece]].hold
+        return hold
 
     @property
     def phase_of_piece(self) -> NDArray[np.intp]:

@@ -109,9 +109,9 @@ def test_gains_and_filter_are_those_of_the_files(plan: ho.Plan, tmp_path: Path) 
     assert edited.task.received is not None
     assert edited.task.received.estimator is not None
     assert edited.task.received.estimator.level_noise == 7.0
-    for stated in ({"controller": "lee"}, {"stiffness": 1.0}, {"upload": False}):
+    for stated in (Settings(controller="lee"), Settings(stiffness=1.0), Settings(upload=False)):
         with pytest.raises(InputError, match="its files state it"):
-            resolved(edited.task, Settings(**stated))
+            resolved(edited.task, stated)
 
 
 def px4_plan(**kind: Any) -> ho.Plan:

@@ -221,8 +221,9 @@ def test_what_the_plan_leaves_open_is_warned_of() -> None:
     task = resting_task(regular_hitch(3, quadrotor=kinds), 0.1)
     (words,) = judgement.warnings(task, Settings())
     assert words.startswith("lee, none, pid: controllers are replaced by the ideal one")
-    for stated in ({"controller": "lee"}, {"controller": "ideal"}, {"drones": "crazyflie"}):
-        assert judgement.warnings(task, Settings(**stated)) == ()
+    named = Settings(controller="lee"), Settings(controller="ideal"), Settings(drones="crazyflie")
+    for settings in named:
+        assert judgement.warnings(task, settings) == ()
 
 
 def test_separation_and_tension_are_measured_before_the_pull_test() -> None:

@@ -510,7 +510,7 @@ def test_pictures_draw_the_edges_of_rings_and_chains(topology: str) -> None:
     rest = ho.equilibrium(resting_motion(random_hitch(9, 3, topology)), [1.0])
     figure = draw_statics(rest, None)
     _, from_above = figure.axes
-    edges = from_above.lines[0].get_xydata()
+    edges = np.array(from_above.lines[0].get_xydata())
     layout = rest.team.layout
     np.testing.assert_allclose(edges[:-1], rest.vertices[0, layout.starts, :2])
     np.testing.assert_allclose(edges[1:], rest.vertices[0, layout.ends, :2])

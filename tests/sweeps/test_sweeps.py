@@ -138,8 +138,8 @@ def test_drones_of_a_study_have_their_own_perturbations_unless_others_are_stated
 
     def perturbations(simulate: dict[str, Any]) -> list[Perturbations]:
         study = {"problem": PROBLEM, "simulate": simulate, "parameters": parameters}
-        cases = study_from_dict(study).cases()
-        return [settings_of(**case.simulate).perturbations for case in cases if case.simulate]
+        keys: list[Any] = [case.simulate for case in study_from_dict(study).cases()]
+        return [settings_of(**each).perturbations for each in keys]
 
     assert perturbations({}) == [INDOOR, DRONES["crazyflie"].perturbations]
     assert perturbations({"perturbed": True}) == [INDOOR, INDOOR]

@@ -120,7 +120,7 @@ class Ropes:
         """Raise InputError if ropes are too light for a plan's largest tension [N]."""
         needed = TENSION_RESERVE * tension
         if self.largest_tension < needed:
-            needed_density = self.density * needed / self.largest_tension
+            needed_density = float(np.max(self.density)) * needed / self.largest_tension
             bound = f"at least {rounded_up(needed_density, 3):.3g} kg/m to bear {needed:.3g} N"
             raise InputError("density", self.density, bound, "simulate heavier cables (density=)")
 
