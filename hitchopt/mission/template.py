@@ -90,7 +90,7 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
     separation = Separation(*drone.separation)
     required = Requirements(separation=separation).flown_by(team).with_reserve
     edge, polygons, lengths = next(_fitting_polygons(team, required))
-    length = round(ROUND * math.ceil((lengths[0] + SPARE) / ROUND), 2)
+    length = round(ROUND * math.ceil((lengths.smallest + SPARE) / ROUND), 2)
     sized = replace(team, cable_length=np.full(robots, length))
     tensions = fitting_tensions(polygons, required, sized)
     altitude, (q, r) = round(HEIGHT * length, 1), _starts(robots, length)
@@ -137,7 +137,7 @@ def _fitting_polygons(
         pulled = tied + np.outer(np.arange(len(tied)) == 0, [0.0, round(PULL * edge, 2)])
         polygons = [ConvexPolygon(tied), ConvexPolygon(pulled)]
         lengths = fitting_lengths(polygons, required, team)
-        if lengths is not None and lengths[1] >= lengths[0] + 2.0 * SPARE:
+        if lengths is not None and lengths.largest >= lengths.smallest + 2.0 * SPARE:
             yield edge, polygons, lengths
 
 

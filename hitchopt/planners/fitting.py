@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
@@ -50,14 +52,17 @@ MIN_EDGE = 0.5
 ROUNDING = 1e-9
 """Tolerance within which lengths or margins are equal."""
 
+MARGIN_DIGITS = 9
+"""Number of decimal places to which margins of cables are compared."""
+
 CENTIMETRE = 0.01
 """[m] Step of cable lengths."""
 
-STRIDE = 20
-"""Stride of candidates with unbalanced legs, in these steps."""
+UNBALANCED_STRIDE = 20
+"""Distance of cable lengths with unbalanced legs that are tried, in steps of CENTIMETRE."""
 
 RANGE_STRIDE = 5
-"""Stride of ranges, in these steps."""
+"""Distance of cable lengths that are tried for a range, in steps of CENTIMETRE."""
 
 MAX_EXTRA_LENGTH = 1.0
 """[m] Largest length beyond the one that legs need."""
@@ -76,7 +81,15 @@ MAX_TENSION_RATIO = 30.0
 TENSIONS = 60
 """Number of tensions of the search."""
 
-Range = tuple[float, float]  # Smallest and largest value
+
+class Range(NamedTuple):
+    """An interval of cable lengths [m] or tensions [N]."""
+
+    smallest: float
+    """Smallest value."""
+
+    largest: float
+    """Largest value; infinite without a bound."""
 
 
 def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolygon:
@@ -86,33 +99,76 @@ def enclosing_polygon(section: Section, n: int, clearance: float) -> ConvexPolyg
     the section's widths. The one with the least sum of squared edge lengths is taken.
     InfeasibleError: all have flat corners or short edges, as around a narrow section.
     """
-    sides = np.roll(section.core, -1, axis=0) - section.core
-    angles = np.append(math.pi * np.arange(AXES) / AXES, np.arctan2(sides[:, 1], sides[:, 0]))
-    cosines, sines = np.cos(angles), np.sin(angles)
-    axes = np.stack([cosines, sines, -sines, cosines], axis=-1).reshape(-1, 2, 2)
-    widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
-    ratios = np.column_stack([np.sqrt(ASPECT_RATIOS), 1.0 / np.sqrt(ASPECT_RATIOS)])
-    turns = 2.0 * math.pi / n * (np.arange(ROTATIONS)[:, None] / ROTATIONS - np.arange(n))
-    regular = np.stack([np.cos(turns), np.sin(turns)], axis=-1)
-    shapes = np.einsum("aj,kj,tnj,aji->aktni", widths, ratios, regular, axes).reshape(-1, n, 2)
-    edges = unit(np.roll(shapes, -1, axis=-2) - shapes)
-    outward = left_of(edges)
+    directions = _candidate_edge_directions(section, n, clearance)
+    outward = left_of(directions)
     distances = section.support(outward) + clearance
-    pairs = np.stack([np.roll(outward, 1, axis=-2), outward], axis=-2)
-    reaches = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)
-    corners = np.linalg.solve(pairs, reaches[..., None])[..., 0]
-    onward = np.roll(corners, -1, axis=-2) - corners
-    sizes = length(onward)
-    right_turns = turn(onward, np.roll(onward, 1, axis=-2))
-    feasible = np.isclose(np.sum(right_turns, axis=-1), 2.0 * math.pi)
-    feasible &= np.all(right_turns >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
-    feasible &= np.min(sizes, axis=-1) >= MIN_EDGE * np.mean(sizes, axis=-1)
-    feasible &= np.all(dot(onward, edges) > 0.0, axis=-1)
+    corners = _corners_of_lines(outward, distances)
+    edges = np.roll(corners, -1, axis=-2) - corners
+    feasible = _are_well_shaped(edges, directions)
     if not np.any(feasible):
         violation = Violation("convexity", n, n - 1, "max", "edges", (), "", "use fewer robots")
         raise InfeasibleError([violation], "the section is too narrow for so many edges around it")
-    squares = np.where(feasible, np.sum(onward**2, axis=(-2, -1)), np.inf)
-    return ConvexPolygon(corners[np.argmax(squares <= (1.0 + ROUNDING) * np.min(squares))])
+    sums_of_squares = np.where(feasible, np.sum(edges**2, axis=(-2, -1)), np.inf)
+    is_best = sums_of_squares <= (1.0 + ROUNDING) * np.min(sums_of_squares)
+    return ConvexPolygon(corners[np.argmax(is_best)])  # the first one
+
+
+def _candidate_edge_directions(section: Section, n: int, clearance: float) -> Array:
+    """Return unit vectors (candidates, n, 2) along the edges of clockwise candidates.
+
+    They are those of regular polygons, rotated and stretched along all axes by all aspect ratios.
+    """
+    axes = _stretch_axes(section)
+    half_widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
+    roots = np.sqrt(ASPECT_RATIOS)
+    stretches = np.column_stack([roots, 1.0 / roots])
+    rotations = np.arange(ROTATIONS)[:, None] / ROTATIONS
+    angles = 2.0 * math.pi / n * (rotations - np.arange(n))
+    regular = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    # Axes a, ratios k, rotations t, corners n; coordinates j along the axes and i in the plane
+    shapes = np.einsum("aj,kj,tnj,aji->aktni", half_widths, stretches, regular, axes)
+    shapes = shapes.reshape(-1, n, 2)
+    return unit(np.roll(shapes, -1, axis=-2) - shapes)
+
+
+def _stretch_axes(section: Section) -> Array:
+    """Return pairs of orthogonal unit vectors (axes, 2, 2) along which polygons are stretched."""
+    sides = np.roll(section.core, -1, axis=0) - section.core
+    even_angles = math.pi * np.arange(AXES) / AXES
+    side_angles = np.arctan2(sides[:, 1], sides[:, 0])
+    angles = np.append(even_angles, side_angles)
+    cosines = np.cos(angles)
+    sines = np.sin(angles)
+    return np.stack([cosines, sines, -sines, cosines], axis=-1).reshape(-1, 2, 2)
+
+
+def _corners_of_lines(normals: Array, distances: Array) -> Array:
+    """Return the intersections (…, n, 2) [m] of each line with the one before it.
+
+    Parameters
+    ----------
+    normals: (…, n, 2), unit normals of lines.
+    distances: (…, n) [m], of the lines from the origin.
+    """
+    normal_pairs = np.stack([np.roll(normals, 1, axis=-2), normals], axis=-2)
+    distance_pairs = np.stack([np.roll(distances, 1, axis=-1), distances], axis=-1)
+    corners: Array = np.linalg.solve(normal_pairs, distance_pairs[..., None])[..., 0]
+    return corners
+
+
+def _are_well_shaped(edges: Array, directions: Array) -> NDArray[np.bool_]:
+    """Return whether polygons (…) with edges (…, n, 2) [m] are convex, without flat or short parts.
+
+    Edges have to point along their ``directions`` (…, n, 2).
+    """
+    n = edges.shape[-2]
+    lengths = length(edges)
+    right_turns = turn(edges, np.roll(edges, 1, axis=-2))
+    turns_once = np.isclose(np.sum(right_turns, axis=-1), 2.0 * math.pi)
+    has_corners = np.all(right_turns >= MIN_TURN * 2.0 * math.pi / n, axis=-1)
+    has_edges = np.min(lengths, axis=-1) >= MIN_EDGE * np.mean(lengths, axis=-1)
+    keeps_directions = np.all(dot(edges, directions) > 0.0, axis=-1)
+    return np.asarray(turns_once & has_corners & has_edges & keeps_directions)
 
 
 def shortest_cable(polygons: Sequence[Outline], requirements: Requirements) -> float:
@@ -124,16 +180,18 @@ def shortest_cable(polygons: Sequence[Outline], requirements: Requirements) -> f
     """
     team = Team(len(polygons[0]), 1.0)
     for balanced in (True, False):
-        best, shortest = 0.0, 0.0
-        for cable, margin in _margins(polygons, requirements, team, balanced=balanced):
-            if margin > best + ROUNDING:
-                best, shortest = margin, cable
-            if best >= SPREAD_MARGIN:
+        best = CableMargin(cable_length=0.0, margin=0.0)
+        for candidate in _cable_margins(polygons, requirements, team, balanced=balanced):
+            if candidate.margin > best.margin + ROUNDING:
+                best = candidate
+            if best.margin >= SPREAD_MARGIN:
                 break
-        if best >= LIMIT_MARGIN:
-            return shortest
-    remedy = f"{'use fewer robots, or ' if len(polygons[0]) > 3 else ''}change the clearance"
-    violation = Violation("separation", best, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
+        if best.margin >= LIMIT_MARGIN:
+            return best.cable_length
+    remedy = "change the clearance"
+    if len(polygons[0]) > 3:
+        remedy = f"use fewer robots, or {remedy}"
+    violation = Violation("separation", best.margin, LIMIT_MARGIN, "min", "ratio", (), "", remedy)
     raise InfeasibleError([violation], "no cable length separates the drones around the object")
 
 
@@ -145,15 +203,19 @@ def separating_cables(
     They are the shortest and longest whose balanced legs keep the limits, and the shortest whose
     legs are well separated; of all slack splits if balanced legs never suffice.
     """
-    lengths: list[float] = []
     for balanced in (True, False):
-        pairs = list(_margins(polygons, requirements, team, balanced=balanced))
-        feasible = [pair for pair in pairs if pair[1] >= LIMIT_MARGIN]
+        candidates = _cable_margins(polygons, requirements, team, balanced=balanced)
+        feasible = [candidate for candidate in candidates if candidate.margin >= LIMIT_MARGIN]
         if feasible:
-            best = max(feasible, key=lambda pair: (round(pair[1], 9), -pair[0]))
-            lengths = [feasible[0][0], best[0], feasible[-1][0]]
-            break
-    return list(dict.fromkeys(lengths))
+            best = max(feasible, key=_margin_then_shortness)
+            chosen = (feasible[0], best, feasible[-1])
+            return list(dict.fromkeys(candidate.cable_length for candidate in chosen))
+    return []
+
+
+def _margin_then_shortness(candidate: CableMargin) -> tuple[float, float]:
+    """Return the key by which cables are compared: the margin, then the shorter length."""
+    return round(candidate.margin, MARGIN_DIGITS), -candidate.cable_length
 
 
 def fitting_lengths(
@@ -165,13 +227,13 @@ def fitting_lengths(
     infinite if none up to MAX_EXTRA_LENGTH beyond the one that legs need is too long. None if no
     length fits.
     """
-    first = last = 0.0
-    for cable, margin in _margins(polygons, requirements, team, stride=RANGE_STRIDE):
-        if margin >= LIMIT_MARGIN:
-            first, last = first or cable, cable
-        elif first:
-            return first, last
-    return (first, math.inf) if first else None
+    fitting: list[float] = []
+    for candidate in _cable_margins(polygons, requirements, team, stride=RANGE_STRIDE):
+        if candidate.margin >= LIMIT_MARGIN:
+            fitting.append(candidate.cable_length)
+        elif fitting:
+            return Range(fitting[0], fitting[-1])
+    return Range(fitting[0], math.inf) if fitting else None
 
 
 def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, team: Team) -> Range:
@@ -181,40 +243,60 @@ def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, te
     from which on heavy cables with balanced legs keep all distances on all polygons, and at least
     that of edges of MAX_EDGE_WEIGHT; zero without weight. Tensions of the team do not matter.
     """
-    smallest = largest = min(x.level_pull(requirements.limits.tilt)[0] for x in team.quadrotor)
+    tilt = requirements.limits.tilt
+    largest = min(quadrotor.level_pull(tilt)[0] for quadrotor in team.quadrotor)
     if team.cable_density == 0.0:
-        return 0.0, largest
-    vertices = np.stack([each.vertices for each in polygons])
+        return Range(0.0, largest)
+    vertices = np.stack([polygon.vertices for polygon in polygons])
+    balancing = largest
     for tension in np.geomspace(largest, largest / MAX_TENSION_RATIO, TENSIONS).tolist():
-        stretched = with_fields(team, tension=np.full(team.robots, tension))
-        if _margin(stretched, vertices, requirements) < LIMIT_MARGIN:
+        tensioned = with_fields(team, tension=np.full(team.robots, tension))
+        if _margin(tensioned, vertices, requirements) < LIMIT_MARGIN:
             break
-        smallest = tension
-    longest_edge = max(float(np.max(each.edge_lengths)) for each in polygons)
+        balancing = tension
+    longest_edge = max(float(np.max(polygon.edge_lengths)) for polygon in polygons)
     half_weight = 0.5 * GRAVITY * team.cable_density * longest_edge
-    smallest = max(WEIGHT_SAFETY * smallest, half_weight / MAX_EDGE_WEIGHT)
-    return min(smallest, largest), largest
+    smallest = max(WEIGHT_SAFETY * balancing, half_weight / MAX_EDGE_WEIGHT)
+    return Range(min(smallest, largest), largest)
 
 
-def _margins(
+class CableMargin(NamedTuple):
+    """A cable length that is tried."""
+
+    cable_length: float
+    """[m] Length of the longest cable of the team."""
+
+    margin: float
+    """Smallest margin of legs, as of ``_margin``."""
+
+
+def _cable_margins(
     polygons: Sequence[Outline],
     requirements: Requirements,
     team: Team,
     *,
     balanced: bool = True,
     stride: int = 1,
-) -> Iterator[tuple[float, float]]:
-    """Yield lengths [m] of the longest cable with the margins of all legs (``_margin``)."""
-    leg = requirements.limits.leg
+) -> Iterator[CableMargin]:
+    """Yield the margins of lengths from the one that legs need on, in the ratios of the team.
+
+    Parameters
+    ----------
+    balanced: whether legs are balanced, or else those of the best slack split.
+    stride: distance of lengths with balanced legs, in steps of CENTIMETRE.
+    """
     ratios = team.cable_length / np.max(team.cable_length)
     vertices = np.stack([polygon.vertices for polygon in polygons])
     edge_lengths = np.stack([polygon.edge_lengths for polygon in polygons])
-    needed = np.max(edge_lengths / ratios)
-    first = math.ceil((float(needed) + 2.0 * LIMIT_MARGIN * leg) / CENTIMETRE)
-    lengths = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE)) / 100.0
-    for cable in lengths[:: stride if balanced else STRIDE].tolist():
-        cut = with_fields(team, cable_length=cable * ratios)
-        yield cable, _margin(cut, vertices, requirements, balanced=balanced)
+    needed_by_edges = float(np.max(edge_lengths / ratios))
+    needed_by_legs = 2.0 * LIMIT_MARGIN * requirements.limits.leg
+    first = math.ceil((needed_by_edges + needed_by_legs) / CENTIMETRE)
+    centimetres = np.arange(first, first + round(MAX_EXTRA_LENGTH / CENTIMETRE))
+    lengths = centimetres[:: stride if balanced else UNBALANCED_STRIDE] / 100.0
+    for cable_length in lengths.tolist():
+        sized = with_fields(team, cable_length=cable_length * ratios)
+        margin = _margin(sized, vertices, requirements, balanced=balanced)
+        yield CableMargin(cable_length, margin)
 
 
 def _margin(
@@ -270,9 +352,8 @@ def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
     gap = clearance + EDGE_MARGIN
     centre = task.section.centroid
     polygons = HoldPolygons.about(grip.vertices, centre, (task.section,), gap, GRIP_STRETCHES)
-    around = polygons.around
     try:
-        needed = shortest_cable([ConvexPolygon(around)], task.requirements)
+        needed = shortest_cable([ConvexPolygon(polygons.around)], task.requirements)
         if needed > task.cable_length:
             return best_grip(replace(task, cable_length=needed)), needed
     except InfeasibleError:  # the shorter cable grips, but may not enclose
