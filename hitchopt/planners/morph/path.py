@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,12 +40,28 @@ def drones_along(path: FlatPath, s: Array) -> DroneJets:
     return drone_jets(path.team, path.flat(s))
 
 
-def path_jets(path: FlatPath, s: Array) -> tuple[Array, Array, Array, Array]:
-    """Return jets (J, *shape, 4) in s of drones, vertices, legs and tensions at s (J,)."""
+class PathJets(NamedTuple):
+    """Jets in s of the curves of a motion, at J points of a path."""
+
+    drones: Array
+    """(J, 2n, 3, 4) [m]: positions of drones."""
+
+    vertices: Array
+    """(J, points, 3, 4) [m]"""
+
+    legs: Array
+    """(J, n, 2, 4) [m]: ``d`` and ``e`` as cable lengths; exactly zero at a chain's ends."""
+
+    tensions: Array
+    """(J, n, 4) [N]"""
+
+
+def path_jets(path: FlatPath, s: Array) -> PathJets:
+    """Return the jets in s of a path's curves at s (J,)."""
     flat = path.flat(s)
     drones = drone_jets(path.team, flat)
-    legs = drones.legs * path.team.layout.has_leg[..., None]  # without rounding errors
-    return drones.positions, flat.vertices, legs, flat.tensions
+    legs = drones.legs * path.team.layout.has_leg[..., None]
+    return PathJets(drones.positions, flat.vertices, legs, flat.tensions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,24 +81,33 @@ class LegLaw:
     @classmethod
     def of_fractions(cls, fractions: PiecewisePolynomial) -> LegLaw:
         """Return the law with prescribed fractions ``d_k / (d_k + e_k)``, (n,) over s."""
-        zero = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
-        return cls(zero, fractions)
+        no_length = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(fractions.shape))
+        return cls(no_length, fractions)
+
+    @classmethod
+    def of_lengths(cls, lengths: PiecewisePolynomial) -> LegLaw:
+        """Return the law with prescribed q-legs ``d_k`` [m], (n,) over s."""
+        no_share = PiecewisePolynomial.constant([0.0, 1.0], np.zeros(lengths.shape))
+        return cls(lengths, no_share)
 
     def q_legs(self, s: Array, slack: Array) -> Array:
         """Return the jets (J, n, m) of ``d`` from those of the slack."""
         count = slack.shape[-1]
-        part = product(self.share.jet(s, count), slack)
-        return self.length.jet(s, count) + part if np.any(self.length.coefficients) else part
+        part_of_slack = product(self.share.jet(s, count), slack)
+        if not np.any(self.length.coefficients):
+            return part_of_slack
+        return self.length.jet(s, count) + part_of_slack
 
 
-FUNCTION_SAMPLES = 65, 129, 257, 513
+FUNCTION_SAMPLES = (65, 129, 257, 513)
 """Numbers of samples of a function of s, tried until the spline fits between them."""
 
 FIT_TOLERANCE = 1e-4
 """Largest difference of a spline from its function between samples [m or rad]."""
 
-FIT_SHARES = 0.382, 0.618
-"""Where a fit is tested between two samples: whole turns between them are noticed, too."""
+FIT_SHARES = (0.382, 0.618)
+"""Where a fit is tested between two samples, as fractions of their distance: uneven, so that whole
+turns between samples are noticed, too."""
 
 MIN_KNOTS = 3
 """Smallest number of knots of a natural quintic spline."""
@@ -93,7 +118,7 @@ PLOTTED_SHAPES = 7
 PLOTTED_SAMPLES = 201
 """Number of samples of the drones in a picture of a path."""
 
-Samples = Points | Callable[[float], Points]
+FunctionOrKnots = Points | Callable[[float], Points]
 """Values over s: a function of s from 0 to 1, or knots (J, …) at evenly spaced s."""
 
 
@@ -122,9 +147,9 @@ class Path(OneLine):
     def of(
         cls,
         team: Team,
-        vertices: Samples,
-        legs: Samples | None = None,
-        roll: Samples | None = None,
+        vertices: FunctionOrKnots,
+        legs: FunctionOrKnots | None = None,
+        roll: FunctionOrKnots | None = None,
         altitude: float = 1.0,
     ) -> Path:
         """Return a custom path.
@@ -149,21 +174,23 @@ class Path(OneLine):
             turns too often for 513 samples.
         """
         check_instance("team", team, Team)
-        points, height = team.layout.points, coordinate("altitude", altitude)
-        places = _sampled("vertices", vertices, ((points, 2), (points, 3)))
-        places = replace(places, values=bounded_points("vertices", places.values))
-        if places.values.shape[-1] == 2:
-            heights = np.full((*places.values.shape[:2], 1), height)
-            places = replace(places, values=np.concatenate([places.values, heights], axis=-1))
-        even = PiecewisePolynomial.constant([0.0, 1.0], np.full(team.robots, 0.5))
-        law = LegLaw.of_fractions(even)
-        if legs is not None:
-            q_legs = _sampled("legs", legs, ((team.robots,),)).spline
-            law = LegLaw(q_legs, PiecewisePolynomial.constant([0.0, 1.0], np.zeros(team.robots)))
-        rolled = None
+        points = team.layout.points
+        height = coordinate("altitude", altitude)
+        samples = _sampled("vertices", vertices, ((points, 2), (points, 3)))
+        positions = bounded_points("vertices", samples.values)
+        if positions.shape[-1] == 2:
+            heights = np.full((*positions.shape[:2], 1), height)
+            positions = np.concatenate([positions, heights], axis=-1)
+        spline = replace(samples, values=positions).spline
+        if legs is None:
+            halves = PiecewisePolynomial.constant([0.0, 1.0], np.full(team.robots, 0.5))
+            law = LegLaw.of_fractions(halves)
+        else:
+            law = LegLaw.of_lengths(_sampled("legs", legs, ((team.robots,),)).spline)
+        roll_spline = None
         if roll is not None:
-            rolled = _sampled("roll", roll, ((len(team.layout.clasps),),)).spline
-        return cls(team, places.spline, law, roll=rolled)
+            roll_spline = _sampled("roll", roll, ((len(team.layout.clasps),),)).spline
+        return cls(team, spline, law, roll=roll_spline)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.drones} drones"
@@ -218,11 +245,12 @@ class Path(OneLine):
 
     def climbing(self, by: float) -> Path:
         """Return the path with a climb of the hitch's plane [m], linear in s."""
-        breaks, heights = self.vertices.breaks, self.vertices.coefficients.copy()
-        shares = np.linspace(0.0, 1.0, heights.shape[-1])
+        breaks = self.vertices.breaks
+        coefficients = self.vertices.coefficients.copy()
+        shares = np.linspace(0.0, 1.0, coefficients.shape[-1])
         s = breaks[:-1, None] + np.diff(breaks)[:, None] * shares  # Bernstein coefficients of s
-        heights[:, :, 2] += by * s[:, None]
-        return replace(self, vertices=PiecewisePolynomial(breaks, heights))
+        coefficients[:, :, 2] += by * s[:, None]
+        return replace(self, vertices=PiecewisePolynomial(breaks, coefficients))
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
@@ -259,16 +287,18 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
     Tensions have jets (J, k, m) [N].
     """
     weight = GRAVITY * team.cable_density or None
-    with np.errstate(all="ignore"):
-        spans = Series.of_jet(chords), Series.of_jet(tensions[..., None, :])
-        cable = cable_of_span(*spans, weight)[0].jet[..., 0, :]
-    stretched = chords[..., 0].any(axis=-1, keepdims=True)  # others are legs at a chain's ends
-    return np.where(stretched, cable, 0.0)
+    with np.errstate(all="ignore"):  # chords of zero length are left out below
+        chord = Series.of_jet(chords)
+        tension = Series.of_jet(tensions[..., None, :])
+        cable, _, _ = cable_of_span(chord, tension, weight)
+        cable_jets = cable.jet[..., 0, :]
+    has_chord = chords[..., 0].any(axis=-1, keepdims=True)  # false for legs at a chain's ends
+    return np.where(has_chord, cable_jets, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class _Samples:
-    """Values over evenly spaced s."""
+class EvenSamples:
+    """Values at evenly spaced s from 0 to 1."""
 
     values: Array
     """(J, *shape)"""
@@ -285,53 +315,63 @@ class _Samples:
         return interpolated(s, self.values, zero_orders=(3, 4))
 
 
-def _sampled(key: str, given: Samples, shapes: tuple[tuple[int, ...], ...]) -> _Samples:
+ValueShape = tuple[int, ...]
+"""Shape of the value of a function of s, or of a knot."""
+
+
+def _sampled(key: str, given: FunctionOrKnots, shapes: tuple[ValueShape, ...]) -> EvenSamples:
     """Return samples of a function of s, or knots, whose values have one of the shapes."""
-    words = " or ".join(map(str, shapes))
     if callable(given):
         return _fitted(key, given, shapes)
     values = as_array(given)
     if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
-        bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {words}"
+        bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {_words(shapes)}"
         remedy = "give a knot for each of evenly spaced s from 0 to 1"
         raise InputError(key, given, bound, remedy)
-    return _Samples(_finite(key, values), smooth=False)
+    return EvenSamples(_finite(key, values), smooth=False)
 
 
 def _fitted(
-    key: str, function: Callable[[float], Points], shapes: tuple[tuple[int, ...], ...]
-) -> _Samples:
+    key: str, function: Callable[[float], Points], shapes: tuple[ValueShape, ...]
+) -> EvenSamples:
     """Return as many samples of a function of s as its spline needs to fit between them."""
     for count in FUNCTION_SAMPLES:
         s = np.linspace(0.0, 1.0, count)
-        samples = _Samples(_values(key, function, shapes, s), smooth=True)
+        samples = EvenSamples(_values(key, function, shapes, s), smooth=True)
         between = np.concatenate([s[:-1] + share / (count - 1) for share in FIT_SHARES])
         expected = _values(key, function, shapes, between)
-        misfits = np.abs(samples.spline.at(between) - expected).reshape(len(between), -1)
+        differences = np.abs(samples.spline.at(between) - expected)
+        misfits = np.max(differences.reshape(len(between), -1), axis=1)
         if np.max(misfits) <= FIT_TOLERANCE:
             return samples
-    worst = int(np.argmax(np.max(misfits, axis=1)))
-    found = f"off by {np.max(misfits):.2g} between {count} samples near s = {between[worst]:.3g}"
+    worst = int(np.argmax(misfits))
+    misfit = f"off by {misfits[worst]:.2g} between {count} samples near s = {between[worst]:.3g}"
     bound = f"smooth, within {FIT_TOLERANCE:g} of its spline"
-    raise InputError(key, found, bound, "make it smoother or split the path")
+    raise InputError(key, misfit, bound, "make it smoother or split the path")
 
 
 def _values(
-    key: str, function: Callable[[float], Points], shapes: tuple[tuple[int, ...], ...], s: Array
+    key: str, function: Callable[[float], Points], shapes: tuple[ValueShape, ...], s: Array
 ) -> Array:
     """Return the finite values (J, *shape) of a function at s (J,)."""
-    words = " or ".join(map(str, shapes))
-    bound = f"a function of s to shape {words}"
+    bound = f"a function of s to shape {_words(shapes)}"
     try:
-        rows = [as_array(function(float(each))) for each in s]
+        values = [as_array(function(parameter)) for parameter in s.tolist()]
     except (TypeError, ValueError) as error:
         raise InputError(key, function, bound, f"it raises {error}") from error
-    wrong = next((row for row in rows if row.shape not in shapes), None)
-    if wrong is not None or len({row.shape for row in rows}) > 1:
-        found = rows[0].shape if wrong is None else wrong.shape
+    value_shapes = [value.shape for value in values]
+    wrong_shape = next((shape for shape in value_shapes if shape not in shapes), None)
+    if wrong_shape is None and len(set(value_shapes)) > 1:
+        wrong_shape = value_shapes[0]
+    if wrong_shape is not None:
         remedy = "return a row per point or robot, as numbers"
-        raise InputError(key, f"shape {found}", bound, remedy)
-    return _finite(key, np.stack(rows))
+        raise InputError(key, f"shape {wrong_shape}", bound, remedy)
+    return _finite(key, np.stack(values))
+
+
+def _words(shapes: tuple[ValueShape, ...]) -> str:
+    """Return shapes in words, such as ``(3, 2) or (3, 3)``."""
+    return " or ".join(map(str, shapes))
 
 
 def _finite(key: str, values: Array) -> Array:
@@ -417,17 +457,23 @@ class RigidPath:
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
         hitch = self.start
+        # Rotations of the plane are products of complex numbers x + iy
         arms = (hitch.vertices[:, :2] - self.centroid[:2]) @ [1.0, 1.0j]
         rotated = np.exp(1.0j * self.yaw * s)[:, None] * arms
-        rotated = rotated[..., None] * (1.0j * self.yaw) ** np.arange(count)
+        rotated_jets = rotated[..., None] * (1.0j * self.yaw) ** np.arange(count)
         vertices = np.zeros((len(s), len(arms), 3, count))
-        vertices[:, :, 0], vertices[:, :, 1] = rotated.real, rotated.imag
+        vertices[:, :, 0] = rotated_jets.real
+        vertices[:, :, 1] = rotated_jets.imag
         offset = self.to - self.centroid
         vertices[..., 0] += (self.centroid + s[:, None] * offset)[:, None]
-        vertices[..., 1:2] += offset[:, None]
-        constants = hitch.q_legs, hitch.team.tension, hitch.roll
-        q_legs, tensions, roll = (_constant_jets(values, len(s), count) for values in constants)
-        return FlatJets(vertices, q_legs, tensions, roll if np.any(hitch.roll) else None)
+        vertices[..., 1:2] += offset[:, None]  # there is none for a single coefficient
+        roll = _constant_jets(hitch.roll, len(s), count) if np.any(hitch.roll) else None
+        return FlatJets(
+            vertices,
+            _constant_jets(hitch.q_legs, len(s), count),
+            _constant_jets(hitch.team.tension, len(s), count),
+            roll,
+        )
 
 
 def _constant_jets(values: Array, points: int, count: int) -> Array:
