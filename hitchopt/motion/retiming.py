@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from hitchopt.errors import InputError
+from hitchopt.hitch.series import JET, chained
 from hitchopt.motion.motion import JOINT, WAIT, CableState, Motion, Phase, concatenated
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.clock_phases import ClockPhases, advance
@@ -24,26 +27,26 @@ def cut(motion: Motion, first: int, last: int) -> Motion:
 def slice_time(motion: Motion, start: float, end: float) -> Motion:
     """Return the motion between two times [s], at its times; ``padded`` outside its own time."""
     motion = padded(motion, start, end)
-    inner = motion.drones.breaks
-    inner = inner[(inner > start + BREAK_TOLERANCE) & (inner < end - BREAK_TOLERANCE)]
-    breaks = np.concatenate([[start], inner, [end]])
+    old_breaks = motion.drones.breaks
+    is_inner = (old_breaks > start + BREAK_TOLERANCE) & (old_breaks < end - BREAK_TOLERANCE)
+    breaks = np.concatenate([[start], old_breaks[is_inner], [end]])
     phases = [
         phase.retimed(max(phase.start, start), min(phase.end, end))
         for phase in motion.overlapping(start, end)
     ]
-    return motion.map_curves(lambda part: on_breaks(part, breaks), phases)
+    return motion.map_curves(lambda curve: on_breaks(curve, breaks), phases)
 
 
 def shifted(motion: Motion, by: float) -> Motion:
     """Return the same motion, delayed by a time [s]."""
     breaks = motion.drones.breaks + by
     phases = [phase.retimed(phase.start + by, phase.end + by) for phase in motion.phases]
-    return motion.map_curves(lambda part: part.replaced(part.coefficients, breaks), phases)
+    return motion.map_curves(lambda curve: curve.replaced(curve.coefficients, breaks), phases)
 
 
 def on_breaks_of(motion: Motion, breaks: Array) -> Motion:
     """Return the motion on other breaks that include its own, as ``on_breaks``."""
-    return motion.map_curves(lambda part: on_breaks(part, breaks), motion.phases)
+    return motion.map_curves(lambda curve: on_breaks(curve, breaks), motion.phases)
 
 
 def padded(motion: Motion, start: float, end: float) -> Motion:
@@ -84,9 +87,6 @@ MIN_SPACING = 4e-3
 """[s] Minimum distance of the plan's breaks from the clock's: derivatives on short pieces suffer
 from rounding."""
 
-ORDERS = 4
-"""Number of derivatives, the zeroth included, interpolated at both ends of every piece."""
-
 INWARD = 1e-12
 """[s] Distance from a break at which the cell of the clock on one side of it is sought."""
 
@@ -98,73 +98,91 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
     """
     cells, pieces = clock.cut(motion.drones.breaks)
     pieces = np.clip(pieces, 0, motion.drones.pieces - 1)
-    times = np.concatenate([[0.0], np.cumsum(cells.duration)])
-    phase_ends = np.concatenate([[0.0], np.cumsum(clock.duration)])
-    breaks = _subdivide(times, phase_ends)
+    cell_times = np.concatenate([[0.0], np.cumsum(cells.duration)])
+    phase_times = np.concatenate([[0.0], np.cumsum(clock.duration)])
+    breaks = _subdivide(cell_times, phase_times)
 
-    def clock_at(ends: Array, inward: float) -> tuple[Indices, Array]:
-        """Return the plan's pieces at ends of pieces [s], and jets (ends, 4) of the clock there."""
-        cell = np.clip(np.searchsorted(times, ends + inward) - 1, 0, len(cells) - 1)
-        return pieces[cell], advance(cells.jets[cell], ends - times[cell])
+    def clock_at(times: Array, inward: float) -> ClockPlaces:
+        """Return where the clock is at times [s], in the cells that contain times + inward."""
+        cell = np.clip(np.searchsorted(cell_times, times + inward) - 1, 0, len(cells) - 1)
+        return ClockPlaces(pieces[cell], advance(cells.jets[cell], times - cell_times[cell]))
 
-    at_starts = clock_at(breaks[:-1], INWARD)
-    at_ends = clock_at(breaks[1:], -INWARD)
+    starts = clock_at(breaks[:-1], INWARD)
+    ends = clock_at(breaks[1:], -INWARD)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
-    phase_index = motion.phase_of_piece[pieces[np.searchsorted(times, middles) - 1]]
+    cell_of_middle = np.searchsorted(cell_times, middles) - 1
+    phase_index = motion.phase_of_piece[pieces[cell_of_middle]]
     states = np.array([phase.state for phase in motion.phases])[phase_index]
     smooth = np.flatnonzero(states[1:] == states[:-1])  # else legs and tensions may jump
-    runs = pairwise(np.flatnonzero(np.diff(phase_index, prepend=-1, append=-1)).tolist())
-    phases = [
-        motion.phases[phase_index[first]].retimed(float(breaks[first]), float(breaks[last]))
-        for first, last in runs
-    ]
 
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        left = _jets(whole, *at_starts)
-        right = _jets(whole, *at_ends)
+    def retimed(curve: PiecewisePolynomial) -> PiecewisePolynomial:
+        """Return a curve on the clock."""
+        left = _derivatives_on_clock(curve, starts)
+        right = _derivatives_on_clock(curve, ends)
         left[:3, smooth + 1] = right[:3, smooth]
         fitted = PiecewisePolynomial.hermite(breaks, left, right)
-        if whole is motion.load_share:  # its second derivatives may jump; it stays within [0, 1]
+        if curve is motion.load_share:  # its second derivatives may jump; it stays within [0, 1]
             fitted = PiecewisePolynomial(breaks, np.clip(fitted.coefficients, 0.0, 1.0))
         return fitted
 
-    return motion.map_curves(part, phases)
+    return motion.map_curves(retimed, _phases_on(motion, phase_index, breaks))
+
+
+class ClockPlaces(NamedTuple):
+    """Where a clock is in a plan at K times."""
+
+    pieces: Indices
+    """(K,): pieces of the plan."""
+
+    jets: Array
+    """(K, 4): plan time [s] and its derivatives by time."""
 
 
 def _subdivide(times: Array, edges: Array) -> Array:
     """Return edges, and times not within MIN_SPACING of them, with pieces split at MAX_PIECE."""
-    near = np.min(np.abs(times[:, None] - edges), axis=1)
-    breaks = np.union1d(edges, times[near > MIN_SPACING])
-    parts = [
-        np.linspace(first, last, max(1, int(np.ceil((last - first) / MAX_PIECE))) + 1)[:-1]
-        for first, last in pairwise(breaks)
-    ]
+    distances = np.min(np.abs(times[:, None] - edges), axis=1)
+    breaks = np.union1d(edges, times[distances > MIN_SPACING])
+    parts = list[Array]()
+    for first, last in pairwise(breaks.tolist()):
+        count = max(1, math.ceil((last - first) / MAX_PIECE))
+        parts.append(np.linspace(first, last, count + 1)[:-1])
     return np.concatenate([*parts, breaks[-1:]])
 
 
-def _jets(part: PiecewisePolynomial, pieces: Indices, clock: Array) -> Array:
-    """Return time derivatives (ORDERS, ends, *shape) at jets (ends, 4) of a clock.
+def _phases_on(motion: Motion, phase_index: Indices, breaks: Array) -> list[Phase]:
+    """Return the phases of pieces between breaks (pieces + 1,) [s] by their indices (pieces,)."""
+    run_breaks = np.flatnonzero(np.diff(phase_index, prepend=-1, append=-1))
+    return [
+        motion.phases[phase_index[first]].retimed(float(breaks[first]), float(breaks[last]))
+        for first, last in pairwise(run_breaks.tolist())
+    ]
+
+
+def _derivatives_on_clock(curve: PiecewisePolynomial, clock: ClockPlaces) -> Array:
+    """Return the derivatives (4, K, *shape) of a curve by time, the zeroth first."""
+    by_plan_time = _exact_jets(curve, clock.pieces, clock.jets[:, 0])
+    clock_jets = clock.jets.reshape(-1, *(1,) * len(curve.shape), JET)
+    return np.moveaxis(chained(by_plan_time, clock_jets), -1, 0)
+
+
+def _exact_jets(curve: PiecewisePolynomial, pieces: Indices, times: Array) -> Array:
+    """Return the jets (K, *shape, 4) of a curve's pieces (K,) at times (K,) [s].
 
     At the ends of pieces they are exact: tensions that vanish there stay zero.
     """
-    axes = (-1, *(1,) * len(part.shape))
-    durations = part.durations[pieces]
-    since_start = clock[:, 0] - part.breaks[pieces]
-    until_end = part.breaks[pieces + 1] - clock[:, 0]
+    column = (-1, *(1,) * len(curve.shape))  # of numbers (K,) next to values
+    durations = curve.durations[pieces].reshape(column)
+    since_start = (times - curve.breaks[pieces]).reshape(column)
+    until_end = (curve.breaks[pieces + 1] - times).reshape(column)
     place = since_start / durations
     place = np.where(until_end <= BREAK_TOLERANCE, 1.0, place)
-    place = np.where(since_start <= BREAK_TOLERANCE, 0.0, place).reshape(axes)
-    coefficients = part.coefficients[pieces]
-    derivatives = []
-    for order in range(ORDERS):
-        values = bernstein.evaluate(coefficients, place)
-        derivatives.append(values / durations.reshape(axes) ** order)
+    place = np.where(since_start <= BREAK_TOLERANCE, 0.0, place)
+    coefficients = curve.coefficients[pieces]
+    jets = np.empty((len(pieces), *curve.shape, JET))
+    for order in range(JET):
+        jets[..., order] = bernstein.evaluate(coefficients, place) / durations**order
         coefficients = bernstein.differentiate(coefficients)
-    value, first, second, third = derivatives
-    rate, slope, curvature = (clock[:, order].reshape(axes) for order in (1, 2, 3))
-    acceleration = rate**2 * second + slope * first
-    jerk = rate**3 * third + 3.0 * rate * slope * second + curvature * first
-    return np.stack([value, rate * first, acceleration, jerk])
+    return jets
 
 
 def truncated(motion: Motion, time: float) -> Motion:
@@ -194,13 +212,14 @@ def resting(
     """
     end = (0, ..., 0) if first else (-1, ..., -1)
 
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[end])
+    def constant(curve: PiecewisePolynomial) -> PiecewisePolynomial:
+        return PiecewisePolynomial.constant([0.0, seconds], curve.coefficients[end])
 
-    rest_phase = motion.phases[0 if first else -1] if phase is None else phase
-    if rest_phase.state is CableState.CLASPING:
-        rest_phase = replace(rest_phase, state=CableState.FREE)
-    return motion.map_curves(part, [rest_phase.retimed(0.0, seconds)])
+    if phase is None:
+        phase = motion.phases[0 if first else -1]
+    if phase.state is CableState.CLASPING:
+        phase = replace(phase, state=CableState.FREE)
+    return motion.map_curves(constant, [phase.retimed(0.0, seconds)])
 
 
 def prolonged(motion: Motion, seconds: float) -> Motion:
@@ -208,10 +227,10 @@ def prolonged(motion: Motion, seconds: float) -> Motion:
     if seconds == 0.0:
         return motion
 
-    def part(whole: PiecewisePolynomial) -> PiecewisePolynomial:
-        return PiecewisePolynomial.constant([0.0, seconds], whole.coefficients[-1, ..., -1])
+    def constant(curve: PiecewisePolynomial) -> PiecewisePolynomial:
+        return PiecewisePolynomial.constant([0.0, seconds], curve.coefficients[-1, ..., -1])
 
-    rest = motion.map_curves(part, [motion.phases[-1].retimed(0.0, seconds)])
+    rest = motion.map_curves(constant, [motion.phases[-1].retimed(0.0, seconds)])
     return append_motion(motion, rest)
 
 
