@@ -16,9 +16,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
 from hitchopt.errors import check_time
@@ -29,7 +31,9 @@ from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.splines import bspline, extraction, interpolated, knots_through
 from hitchopt.values import Array, Indices
 
-DemandsAt = Callable[[Array], Demands]  # Function from path parameters s to the path's demands
+DemandsAt = Callable[[Array], Demands]
+"""Function of path parameters s (J,), with the demands of the path there."""
+
 SAMPLES = 5
 """Number of samples per piece at which limits are evaluated."""
 
@@ -41,6 +45,9 @@ MAX_ROW_ROUNDS = 6
 
 LIMIT_TOLERANCE = 0.2 * (1.0 - LIMIT_SHARE)
 """Relative tolerance of the limits, within the reserve of LIMIT_SHARE."""
+
+SQUARED_SHARE = LIMIT_SHARE**2
+"""Enforced fraction of squared limits."""
 
 MIN_PROGRESS_RATE = 1e-12
 """[1/s] Smallest rate of the first clock by which bounds of speed are divided."""
@@ -57,14 +64,11 @@ INTERIOR_SHARE = 0.97
 NODES, WEIGHTS = leggauss(SAMPLES)
 """Gauss nodes in [-1, 1] of the samples in a piece, and their weights."""
 
-TIME_NODES, TIME_WEIGHTS = leggauss(8)
-"""Gauss nodes and weights of the integrals of time over pieces."""
+TIME_SAMPLES = 8
+"""Number of samples per piece at which time is integrated."""
 
-
-def _inside(knots: Array, nodes: Array) -> Array:
-    """Return the places (K · m,) of nodes (m,) in [-1, 1] within all pieces between knots."""
-    half = 0.5 * (knots[1:] - knots[:-1])[:, None]
-    return (knots[:-1, None] + half * (1.0 + nodes)).ravel()
+TIME_NODES, TIME_WEIGHTS = leggauss(TIME_SAMPLES)
+"""Gauss nodes in [-1, 1] of these samples, and their weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +87,11 @@ class Clock:
     @property
     def breaks(self) -> Array:
         """(K + 1,) [s]: t at the knots."""
-        rate = self.squared_rate.at(_inside(self.knots, TIME_NODES)).reshape(-1, len(TIME_NODES))
-        steps = 0.5 * (self.knots[1:] - self.knots[:-1]) * (rate**-0.5 @ TIME_WEIGHTS)
-        return np.append(0.0, steps.cumsum())
+        tau = _inside(self.knots, TIME_NODES)
+        squared_rates = self.squared_rate.at(tau).reshape(-1, TIME_SAMPLES)
+        half_steps = 0.5 * (self.knots[1:] - self.knots[:-1])
+        durations = half_steps * (squared_rates**-0.5 @ TIME_WEIGHTS)
+        return np.append(0.0, durations.cumsum())
 
     def jets(self) -> Array:
         """Return (K + 1, 4): s and its derivatives by t at the knots."""
@@ -95,13 +101,20 @@ class Clock:
         return chained(self.progress.jet(self.knots, 4), by_t)
 
 
+def _inside(knots: Array, nodes: Array) -> Array:
+    """Return the places (K · m,) of nodes (m,) in [-1, 1] within all pieces between knots."""
+    half = 0.5 * (knots[1:] - knots[:-1])[:, None]
+    return (knots[:-1, None] + half * (1.0 + nodes)).ravel()
+
+
 def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
     """Return the profile's moving average over ``ramp`` [s], with x = 1.
 
     The average turns jumps of the acceleration into ramps.
     """
     at_knots = profile.mean(knots, ramp)
-    at_knots[0], at_knots[-1] = 0.0, 1.0
+    at_knots[0] = 0.0
+    at_knots[-1] = 1.0
     progress = interpolated(knots, at_knots, zero_orders=(1, 2))
     return Clock(knots, progress, PiecewisePolynomial.constant(knots, 1.0))
 
@@ -122,9 +135,9 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     bound = demands.speed_bound / np.maximum(progress[:, 1], MIN_PROGRESS_RATE) ** 2
     path = ClockedPath(demands, first, second, third, bound)
     guess = np.full(basis.count, _feasible_rate(path))
-    ratios = -path.ratios(basis.at(np.ones(basis.count)))
-    count = min(INITIAL_ROWS, ratios.shape[-1])
-    drones = ratios.argpartition(count - 1, axis=-1)[..., :count]
+    initial_ratios = path.ratios(basis.at(np.ones(basis.count)))
+    count = min(INITIAL_ROWS, initial_ratios.shape[-1])
+    drones = (-initial_ratios).argpartition(count - 1, axis=-1)[..., :count]
     for _ in range(MAX_ROW_ROUNDS):
         program = RateProgram(basis, RateRows.of(path, drones), weights)
         rate = fastest_rate(program, guess)
@@ -166,6 +179,27 @@ class ClockedPath:
 
     rate_bound: Array
     """(M,): upper bound of x by the speed limits."""
+
+    def accelerations(self, drones: Indices) -> Array:
+        """Return the accelerations (M, R', 3, 3) of drones (M, R'), by p = (x, x', x'')."""
+        samples = np.arange(len(drones))[:, None]
+        first = self.first[samples, drones]
+        second = self.second[samples, drones]
+        return np.stack([second, 0.5 * first, 0.0 * first], axis=-1)
+
+    def jerks(self, drones: Indices) -> Array:
+        """Return the jerks over √x (M, R', 3, 3) of drones (M, R'), by p = (x, x', x'')."""
+        samples = np.arange(len(drones))[:, None]
+        first = self.first[samples, drones]
+        second = self.second[samples, drones]
+        third = self.third[samples, drones]
+        return np.stack([third, 1.5 * second, 0.5 * first], axis=-1)
+
+    def loads(self, drones: Indices) -> Array:
+        """Return the thrusts at rest (M, R', 3) [N] of drones (M, R')."""
+        samples = np.arange(len(drones))[:, None]
+        loads: Array = self.demands.loads[samples, drones]
+        return loads
 
     def ratios(self, p: Array) -> Array:
         """Return (4, M, 2n): acceleration, jerk, thrust and tilt over their limits.
@@ -227,61 +261,23 @@ class RateRows:
         ----------
         drones: (4, M, R'), those with rows of acceleration, jerk, thrust and tilt.
         """
-        demands = path.demands
-        limits = demands.limits
-        team = demands.team
-        share = LIMIT_SHARE**2
-        samples = np.arange(len(path.rate_bound))[:, None]
-        # Derivatives of drones by the path parameter (4, M, R', 3)
-        first = path.first[samples, drones]
-        second = path.second[samples, drones]
-        third = path.third[samples, drones]
-        # Accelerations and jerks / √x, by p (4, M, R', 3, 3)
-        accelerations = np.stack([second, 0.5 * first, 0.0 * first], axis=-1)
-        jerks = np.stack([third, 1.5 * second, 0.5 * first], axis=-1)
-        acceleration = accelerations[0] / limits.acceleration
-        jerk = jerks[1] / limits.jerk
-        # Forces by p and at rest: of thrust over its limit, of tilt over the force at rest
-        loads = demands.loads[samples, drones]
-        mass = team.mass[drones]
-        thrust_scale = team.max_thrust[drones[2]][..., None]
-        thrust = (mass[2, ..., None] / thrust_scale)[..., None] * accelerations[2]
-        thrust_at_rest = loads[2] / thrust_scale
-        tilt_scale = length(loads[3])[..., None]
-        pull = (mass[3, ..., None] / tilt_scale)[..., None] * accelerations[3]
-        pull_at_rest = loads[3] / tilt_scale
-        # Tilt: level forces are at most ``slope`` times the upward one
-        slope = np.tan(LIMIT_SHARE * limits.tilt)
-        level = pull[..., :2, :]
-        level_at_rest = pull_at_rest[..., :2]
-        upward = slope * pull[..., 2:, :]
-        upward_at_rest = slope * pull_at_rest[..., 2:]
-        tilt_at_rest = dot(level_at_rest, level_at_rest) - dot(upward_at_rest, upward_at_rest)
-        tilt_slope = _double(level, level_at_rest) - _double(upward, upward_at_rest)
-        speed = np.zeros((len(samples), 1, 3))
-        speed[:, 0, 0] = 1.0 / path.rate_bound
-
-        no_matrix = np.zeros(acceleration.shape)
-        no_number = np.zeros(no_matrix.shape[:2])
-        no_vector = np.zeros((*no_number.shape, 3))
-        shares = no_number + share
-        thrust_bound = dot(thrust_at_rest, thrust_at_rest) - share
-        rows = (  # Q, C, b, c and e of speed, acceleration, jerk, thrust and tilt
-            (no_matrix[:, :1], no_matrix[:, :1], speed, no_number[:, :1] - 1.0, no_number[:, :1]),
-            (_square(acceleration), no_matrix, no_vector, -shares, no_number),
-            (_square(jerk), no_matrix, no_vector, no_number, shares),
-            (_square(thrust), no_matrix, _double(thrust, thrust_at_rest), thrust_bound, no_number),
-            (_square(level), _square(upward), tilt_slope, tilt_at_rest, no_number),
+        acceleration_drones, jerk_drones, thrust_drones, tilt_drones = drones
+        limits = (
+            _speed_rows(path),
+            _acceleration_rows(path, acceleration_drones),
+            _jerk_rows(path, jerk_drones),
+            _thrust_rows(path, thrust_drones),
+            _tilt_rows(path, tilt_drones),
         )
-        parts = (np.concatenate(part, axis=1).T for part in zip(*rows, strict=True))
-        Q, C, b, c, e = (np.ascontiguousarray(part) for part in parts)
+        all_parts = (np.concatenate(parts, axis=1) for parts in zip(*limits, strict=True))
+        Q, C, b, c, e = (np.ascontiguousarray(part.T) for part in all_parts)
         return cls(Q - C, C, b, c, e)
 
     def at(self, p: Array) -> tuple[Array, Array]:
         """Return the rows' left sides (R, M) and their derivatives by p (3, R, M) for p (3, M)."""
-        form_times_p = np.add.reduce(self.forms * p[:, None], axis=1)
+        form_times_p = np.sum(self.forms * p[:, None], axis=1)
         inverse = self.e / p[0]
-        values = np.add.reduce((form_times_p + self.b) * p[:, None], axis=0) + self.c - inverse
+        values = np.sum((form_times_p + self.b) * p[:, None], axis=0) + self.c - inverse
         gradients = 2.0 * form_times_p + self.b
         gradients[0] += inverse / p[0]
         return values, gradients
@@ -294,10 +290,108 @@ class RateRows:
         convex: whether to omit the concave parts.
         """
         forms = self.forms + self.C if convex else self.forms
-        total: Array = 2.0 * np.add.reduce(forms * weights, axis=2)
+        total: Array = 2.0 * np.sum(forms * weights, axis=2)
         if not convex:
-            total[0, 0] -= 2.0 * np.add.reduce(weights * self.e, axis=0) / p[0] ** 3
+            total[0, 0] -= 2.0 * np.sum(weights * self.e, axis=0) / p[0] ** 3
         return total
+
+
+class LimitRows(NamedTuple):
+    """Rows of one limit, of R' drones at each of M samples, in the form of ``RateRows``."""
+
+    Q: Array
+    """(M, R', 3, 3): the convex quadratic parts."""
+
+    C: Array
+    """(M, R', 3, 3): the concave quadratic parts."""
+
+    b: Array
+    """(M, R', 3): the linear parts."""
+
+    c: Array
+    """(M, R'): the constant parts."""
+
+    e: Array
+    """(M, R'): the factors of 1 / x."""
+
+    @classmethod
+    def of(
+        cls,
+        shape: tuple[int, int],
+        Q: ArrayLike = 0.0,
+        C: ArrayLike = 0.0,
+        b: ArrayLike = 0.0,
+        c: ArrayLike = 0.0,
+        e: ArrayLike = 0.0,
+    ) -> LimitRows:
+        """Return rows of a shape (M, R'), whose parts are zero if they are omitted."""
+        return cls(
+            np.broadcast_to(Q, (*shape, 3, 3)),
+            np.broadcast_to(C, (*shape, 3, 3)),
+            np.broadcast_to(b, (*shape, 3)),
+            np.broadcast_to(c, shape),
+            np.broadcast_to(e, shape),
+        )
+
+
+def _speed_rows(path: ClockedPath) -> LimitRows:
+    """Return the row of x at each sample, over its bound by the speed limits."""
+    linear = np.zeros((len(path.rate_bound), 1, 3))
+    linear[:, 0, 0] = 1.0 / path.rate_bound
+    return LimitRows.of((len(path.rate_bound), 1), b=linear, c=-1.0)
+
+
+def _acceleration_rows(path: ClockedPath, drones: Indices) -> LimitRows:
+    """Return the rows of squared accelerations of drones (M, R') over their limit."""
+    ratios = path.accelerations(drones) / path.demands.limits.acceleration
+    return LimitRows.of(drones.shape, Q=_square(ratios), c=-SQUARED_SHARE)
+
+
+def _jerk_rows(path: ClockedPath, drones: Indices) -> LimitRows:
+    """Return the rows of squared jerks over x of drones (M, R') over their limit."""
+    ratios = path.jerks(drones) / path.demands.limits.jerk
+    return LimitRows.of(drones.shape, Q=_square(ratios), e=SQUARED_SHARE)
+
+
+def _thrust_rows(path: ClockedPath, drones: Indices) -> LimitRows:
+    """Return the rows of squared thrusts of drones (M, R') over their limits."""
+    team = path.demands.team
+    max_thrust = team.max_thrust[drones][..., None]
+    mass = team.mass[drones][..., None]
+    ratios = (mass / max_thrust)[..., None] * path.accelerations(drones)
+    ratios_at_rest = path.loads(drones) / max_thrust
+    return LimitRows.of(
+        drones.shape,
+        Q=_square(ratios),
+        b=_double(ratios, ratios_at_rest),
+        c=dot(ratios_at_rest, ratios_at_rest) - SQUARED_SHARE,
+    )
+
+
+def _tilt_rows(path: ClockedPath, drones: Indices) -> LimitRows:
+    """Return the rows of the tilt of drones (M, R').
+
+    The level part of the thrust is at most the tangent of the tilt times the upward part. Thrusts
+    are over those at rest.
+    """
+    demands = path.demands
+    loads = path.loads(drones)
+    scale = length(loads)[..., None]
+    mass = demands.team.mass[drones][..., None]
+    thrust = (mass / scale)[..., None] * path.accelerations(drones)
+    thrust_at_rest = loads / scale
+    tangent = np.tan(LIMIT_SHARE * demands.limits.tilt)
+    level = thrust[..., :2, :]
+    level_at_rest = thrust_at_rest[..., :2]
+    upward = tangent * thrust[..., 2:, :]
+    upward_at_rest = tangent * thrust_at_rest[..., 2:]
+    return LimitRows.of(
+        drones.shape,
+        Q=_square(level),
+        C=_square(upward),
+        b=_double(level, level_at_rest) - _double(upward, upward_at_rest),
+        c=dot(level_at_rest, level_at_rest) - dot(upward_at_rest, upward_at_rest),
+    )
 
 
 def _square(A: Array) -> Array:
@@ -362,17 +456,19 @@ class SplineBasis:
     def of(cls, places: Array, at: Array) -> SplineBasis:
         """Return the basis of a spline through values at places (K + 1,), at samples (M,)."""
         knots = knots_through(places, DEGREE)
-        breaks, columns, maps = extraction(knots, DEGREE)
+        breaks, columns_of_piece, maps = extraction(knots, DEGREE)
         piece = breaks[1:-1].searchsorted(at, side="right")
-        h = breaks[piece + 1] - breaks[piece]
-        jets = bernstein.jet_basis((at - breaks[piece]) / h, DEGREE, 3)
-        jets /= h[:, None, None] ** np.arange(3)
+        durations = breaks[piece + 1] - breaks[piece]
+        jets = bernstein.jet_basis((at - breaks[piece]) / durations, DEGREE, 3)
+        jets /= durations[:, None, None] ** np.arange(3)
         local = np.ascontiguousarray((jets.swapaxes(1, 2) @ maps[piece]).transpose(1, 2, 0))
-        index = np.ascontiguousarray(columns[piece].T)
+        columns = np.ascontiguousarray(columns_of_piece[piece].T)
+        # Pairs of coefficients i ≥ j are in row i - j and column j of the band
         i, j = np.tril_indices(DEGREE + 1)
         pairs = (local[:, None, i] * local[None, :, j]).reshape(9, len(i), -1)
         count = len(knots) - DEGREE - 1
-        return cls(knots, index, local, pairs, (i - j)[:, None] * count + index[j])
+        band = (i - j)[:, None] * count + columns[j]
+        return cls(knots, columns, local, pairs, band)
 
     @property
     def count(self) -> int:
@@ -381,20 +477,33 @@ class SplineBasis:
 
     def at(self, coefficients: Array) -> Array:
         """Return value and derivatives (3, M)."""
-        values: Array = np.add.reduce(self.local * coefficients[self.columns], axis=1)
+        values: Array = np.sum(self.local * coefficients[self.columns], axis=1)
         return values
 
     def transposed(self, gradient: Array) -> Array:
         """Return the gradient by coefficients (count,) from that by the values (3, M)."""
-        shares = np.add.reduce(self.local * gradient[:, None], axis=0)
+        shares = np.sum(self.local * gradient[:, None], axis=0)
         total = np.bincount(self.columns.ravel(), shares.ravel(), self.count)
         return np.asarray(total, dtype=np.float64)
 
     def banded(self, forms: Array) -> Array:
         """Return the lower band (4, count) of the sum of quadratic forms (3, 3, M) of values."""
-        shares = np.add.reduce(self.pairs * forms.reshape(9, 1, -1), axis=0)
+        shares = np.sum(self.pairs * forms.reshape(9, 1, -1), axis=0)
         band = np.bincount(self.band.ravel(), shares.ravel(), (DEGREE + 1) * self.count)
         return np.asarray(band, dtype=np.float64).reshape(DEGREE + 1, -1)
+
+
+class RatePoint(NamedTuple):
+    """A strictly feasible point of a ``RateProgram``."""
+
+    p: Array
+    """(3, M): x and its derivatives at the samples."""
+
+    gradients: Array
+    """(3, R, M): derivatives of the rows by p."""
+
+    slack: Array
+    """(R · M + count,): slacks of rows, then of coefficients."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -414,18 +523,15 @@ class RateProgram:
         """Return Σ w / √x [s] for x and its derivatives p (3, M) at the samples."""
         return float(self.weights @ (1.0 / np.sqrt(p[0])))
 
-    def at(self, coefficients: Array) -> tuple[Array, Array, Array] | None:
-        """Return p (3, M), the rows' derivatives by it, and the slack of rows and coefficients.
-
-        The slack is (R · M + count,); the result is None if one is negative.
-        """
+    def at(self, coefficients: Array) -> RatePoint | None:
+        """Return the point of coefficients (count,), or None if it is not strictly feasible."""
         p = self.basis.at(coefficients)
         coefficient_slack = coefficients - MIN_COEFFICIENT
-        if np.minimum.reduce(coefficient_slack) <= 0.0 or np.minimum.reduce(p[0]) <= 0.0:
+        if np.min(coefficient_slack) <= 0.0 or np.min(p[0]) <= 0.0:
             return None
         values, gradients = self.rows.at(p)
         slack = np.concatenate([-values.ravel(), coefficient_slack])
-        return (p, gradients, slack) if np.minimum.reduce(slack) > 0.0 else None
+        return RatePoint(p, gradients, slack) if np.min(slack) > 0.0 else None
 
 
 def fastest_rate(program: RateProgram, guess: Array) -> Array:
@@ -442,64 +548,85 @@ def fastest_rate(program: RateProgram, guess: Array) -> Array:
     basis = program.basis
     shape = program.rows.c.shape
     size = program.rows.c.size
-    p, gradients, slack = point
-    dual = CENTRING * program.duration(p) / len(slack) / slack
+    dual = CENTRING * program.duration(point.p) / len(point.slack) / point.slack
     for _ in range(MAX_NEWTON_STEPS):
         check_time()
+        slack = point.slack
         gap = float(dual @ slack)
-        tolerance = GAP_TOLERANCE * program.duration(p)
-        residual, factor = _newton(program, p, gradients, dual, slack)
-        if factor is None or (gap < tolerance and np.maximum.reduce(np.abs(residual)) < tolerance):
+        tolerance = GAP_TOLERANCE * program.duration(point.p)
+        newton = _newton_system(program, point, dual)
+        is_optimal = gap < tolerance and np.max(np.abs(newton.residual)) < tolerance
+        if newton.factor is None or is_optimal:
             break
-        # Toward equal products of slacks and duals.
-        change = max(CENTRING * gap, 0.1 * tolerance) / len(slack) / slack - dual
-        of_rows = np.add.reduce(change[:size].reshape(shape) * gradients, axis=1)
-        right_side = change[size:] - residual - basis.transposed(of_rows)
-        step: Array = dpbtrs(factor, right_side, lower=True)[0]
-        row_step = np.add.reduce(gradients * basis.at(step)[:, None], axis=0)
+        # Toward equal products of slacks and duals
+        dual_change = max(CENTRING * gap, 0.1 * tolerance) / len(slack) / slack - dual
+        of_rows = np.sum(dual_change[:size].reshape(shape) * point.gradients, axis=1)
+        right_side = dual_change[size:] - newton.residual - basis.transposed(of_rows)
+        step: Array = dpbtrs(newton.factor, right_side, lower=True)[0]
+        row_step = np.sum(point.gradients * basis.at(step)[:, None], axis=0)
         slack_step = np.concatenate([-row_step.ravel(), step])
-        dual_step = change - dual / slack * slack_step
+        dual_step = dual_change - dual / slack * slack_step
         share = _step_share(slack, slack_step)
-        smallest_slack = MIN_SLACK_SHARE * slack
-        point = program.at(coefficients + share * step)
-        while point is None or np.logical_or.reduce(point[2] < smallest_slack):
-            share *= BACKTRACK_FACTOR
-            if share < MIN_STEP_SHARE:
-                return coefficients
-            point = program.at(coefficients + share * step)
-        coefficients = coefficients + share * step
-        p, gradients, slack = point
+        moved = _feasible_step(program, coefficients, step, share, MIN_SLACK_SHARE * slack)
+        if moved is None:
+            break
+        coefficients, point = moved
         dual = dual + _step_share(dual, dual_step) * dual_step
     return coefficients
 
 
-def _newton(
-    program: RateProgram, p: Array, gradients: Array, dual: Array, slack: Array
-) -> tuple[Array, Array | None]:
-    """Return the dual residual (count,) at p (3, M), and the factor of Newton's matrix.
+def _feasible_step(
+    program: RateProgram, coefficients: Array, step: Array, share: float, min_slack: Array
+) -> tuple[Array, RatePoint] | None:
+    """Return the coefficients after a feasible part of a step, and their point; None if it is tiny.
 
-    An indefinite matrix is replaced by one of the rows' convex parts; the factor may be None.
+    The part is at most ``share``, and leaves every slack at least ``min_slack``.
     """
+    while True:
+        moved = coefficients + share * step
+        point = program.at(moved)
+        if point is not None and not np.any(point.slack < min_slack):
+            return moved, point
+        share *= BACKTRACK_FACTOR
+        if share < MIN_STEP_SHARE:
+            return None
+
+
+class NewtonSystem(NamedTuple):
+    """Newton's equations of a ``RateProgram`` at a point."""
+
+    residual: Array
+    """(count,): gradient of the Lagrangian by the coefficients."""
+
+    factor: Array | None
+    """(4, count): Cholesky factor of the matrix, a lower band; None if it is not definite."""
+
+
+def _newton_system(program: RateProgram, point: RatePoint, dual: Array) -> NewtonSystem:
+    """Return Newton's equations; an indefinite matrix is replaced by that of convex parts."""
     rows = program.rows
     shape = rows.c.shape
     size = rows.c.size
+    p = point.p
     row_dual = dual[:size].reshape(shape)
-    stiffness = (dual[:size] / slack[:size]).reshape(shape)
-    gradient = np.add.reduce(row_dual * gradients, axis=1)
+    stiffness = (dual[:size] / point.slack[:size]).reshape(shape)
+    gradient = np.sum(row_dual * point.gradients, axis=1)
     gradient[0] -= 0.5 * program.weights * p[0] ** -1.5
     residual = program.basis.transposed(gradient) - dual[size:]
-    forms = np.add.reduce((stiffness * gradients)[:, None] * gradients, axis=2)
+    forms = np.sum((stiffness * point.gradients)[:, None] * point.gradients, axis=2)
     forms[0, 0] += 0.75 * program.weights * p[0] ** -2.5
     for convex in (False, True):
         band = program.basis.banded(forms + rows.curvature(p, row_dual, convex=convex))
-        band[0] += dual[size:] / slack[size:]
+        band[0] += dual[size:] / point.slack[size:]
         factor, failed = dpbtrf(band, lower=True)
         if not failed:
-            return residual, factor
-    return residual, None
+            return NewtonSystem(residual, factor)
+    return NewtonSystem(residual, None)
 
 
 def _step_share(values: Array, steps: Array) -> float:
     """Return the fraction of steps, at most 1, that keeps positive values positive."""
-    fastest = float(np.minimum.reduce(steps / values))
-    return min(1.0, BOUNDARY_SHARE / -fastest) if fastest < 0.0 else 1.0
+    fastest_decrease = float(np.min(steps / values))
+    if fastest_decrease >= 0.0:
+        return 1.0
+    return min(1.0, BOUNDARY_SHARE / -fastest_decrease)

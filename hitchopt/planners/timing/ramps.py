@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,10 +27,20 @@ LIMIT_FACTORS = (1.0, 0.98, 0.96)
 """Factors of limits that avoid shorter phases, in the order of the search."""
 
 
+class RampTimes(NamedTuple):
+    """Times of N straight flights from rest to rest."""
+
+    durations: Array
+    """(N,) [s]"""
+
+    rises: Array
+    """(N,) [s]: times in which the speed rises to its peak, and in which it falls."""
+
+
 def fastest_ramps(
     distance: ArrayLike, speed: float, acceleration: ArrayLike, jerk: float
-) -> tuple[Array, Array]:
-    """Return durations and rise times (N,) [s] of the fastest straight flights from rest to rest.
+) -> RampTimes:
+    """Return the times of the fastest straight flights from rest to rest.
 
     The durations are lower bounds for all flights between two points at that distance, since the
     component along their line satisfies the same limits.
@@ -39,16 +50,21 @@ def fastest_ramps(
     distance: (N,) [m]
     speed, acceleration, jerk: limits; acceleration may be (N,).
     """
-    d = np.asarray(distance, dtype=np.float64)
-    a = np.broadcast_to(np.asarray(acceleration, dtype=np.float64), d.shape)
-    # Peak speeds without cruise: with and without a plateau of the acceleration.
-    corner = a * a / jerk
-    with_plateau = 0.5 * (np.sqrt(corner * corner + 4.0 * a * d) - corner)
-    without = np.cbrt(0.25 * d * d * jerk)
-    peak = np.minimum(np.where(with_plateau >= corner, with_plateau, without), speed)
-    rise = np.where(peak >= corner, peak / a + a / jerk, 2.0 * np.sqrt(peak / jerk))
-    cruise = np.divide(d, peak, out=np.zeros_like(d), where=peak > 0.0) - rise
-    return 2.0 * rise + np.maximum(cruise, 0.0), rise
+    distances = np.asarray(distance, dtype=np.float64)
+    accelerations = np.broadcast_to(np.asarray(acceleration, np.float64), distances.shape)
+    # Peak speeds without cruise: with and without a plateau of the acceleration
+    plateau_speeds = accelerations * accelerations / jerk  # from which on there is a plateau
+    roots = np.sqrt(plateau_speeds * plateau_speeds + 4.0 * accelerations * distances)
+    peaks_with_plateau = 0.5 * (roots - plateau_speeds)
+    peaks_without = np.cbrt(0.25 * distances * distances * jerk)
+    has_plateau = peaks_with_plateau >= plateau_speeds
+    peaks = np.minimum(np.where(has_plateau, peaks_with_plateau, peaks_without), speed)
+    rises_with_plateau = peaks / accelerations + accelerations / jerk
+    rises_without = 2.0 * np.sqrt(peaks / jerk)
+    rises = np.where(peaks >= plateau_speeds, rises_with_plateau, rises_without)
+    times_at_peaks = np.divide(distances, peaks, out=np.zeros_like(distances), where=peaks > 0.0)
+    cruises = times_at_peaks - rises
+    return RampTimes(2.0 * rises + np.maximum(cruises, 0.0), rises)
 
 
 def fastest_clock(
@@ -67,27 +83,31 @@ def fastest_clock(
     from ruckig import InputParameter, Result, Ruckig, Trajectory
 
     task = InputParameter(1)
-    task.current_position, task.target_position = [0.0], [goal]
+    task.current_position = [0.0]
+    task.target_position = [goal]
     for factor in LIMIT_FACTORS:
-        limits = factor * speed, factor * acceleration, jerk
-        task.max_velocity, task.max_acceleration, task.max_jerk = ([limit] for limit in limits)
+        task.max_velocity = [factor * speed]
+        task.max_acceleration = [factor * acceleration]
+        task.max_jerk = [jerk]
         trajectory = Trajectory(1)
         result = Ruckig(1).calculate(task, trajectory)
         if result not in {Result.Working, Result.Finished}:
             raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
         profile = trajectory.profiles[0][0]
-        seconds, jerks = np.array([profile.t, profile.j], dtype=np.float64)
-        present = seconds > PHASE_TOLERANCE
-        if np.min(seconds[present]) >= MIN_PHASE:
+        durations = np.array(profile.t, dtype=np.float64)
+        is_phase = durations > PHASE_TOLERANCE
+        if np.min(durations[is_phase]) >= MIN_PHASE:
             break
+    durations = durations[is_phase]
+    jerks = np.array(profile.j, dtype=np.float64)[is_phase]
     jets = [np.zeros(4)]
-    for each, constant in zip(seconds[present], jerks[present], strict=True):
-        jets[-1][3] = constant
-        jets.append(advance(jets[-1], each))
-    x = np.stack(jets, axis=1)[:3]
-    x[:, -1] = goal, 0.0, 0.0  # the last phase absorbs rounding
-    breaks = np.append(0.0, np.cumsum(seconds[present]))
-    return PiecewisePolynomial.hermite(breaks, x[:, :-1], x[:, 1:])
+    for duration, constant_jerk in zip(durations, jerks, strict=True):
+        jets[-1][3] = constant_jerk
+        jets.append(advance(jets[-1], duration))
+    orders = np.stack(jets, axis=1)[:3]
+    orders[:, -1] = [goal, 0.0, 0.0]  # the last phase absorbs rounding
+    breaks = np.append(0.0, np.cumsum(durations))
+    return PiecewisePolynomial.hermite(breaks, orders[:, :-1], orders[:, 1:])
 
 
 Curve = Callable[[Array, int], Array]
@@ -115,20 +135,31 @@ def timed_curve(
     counts = np.maximum(1, np.ceil(advances / max_advance).astype(np.intp))
     breaks = divided(clock.breaks, counts)
     middles = 0.5 * (breaks[1:] + breaks[:-1])
-    rates = np.stack([clock.differentiated(k).at(middles) for k in range(4)], axis=-1)
-    ends = []
-    for times in (breaks[:-1], breaks[1:]):
-        # Extrapolated from the middle of the piece, since jerk jumps between phases.
-        inner = advance(rates, times - middles)
-        outer = np.stack([curve(inner[:, 0], k) for k in range(4)], axis=-1)
-        ends.append(np.moveaxis(chained(outer, inner[:, None, None, :]), -1, 0))
-    left, right = ends
-    left[0, 0], right[0, -1] = curve(clock.at(clock.breaks[[0, -1]]), 0)
-    left[1:3, 0] = right[1:3, -1] = 0.0
+    # Jets at the ends are extrapolated from the middle of a piece, since jerk jumps between phases
+    middle_jets = np.stack([clock.at(middles, order) for order in range(4)], axis=-1)
+    left = _orders_on_clock(curve, advance(middle_jets, breaks[:-1] - middles))
+    right = _orders_on_clock(curve, advance(middle_jets, breaks[1:] - middles))
+    start, end = curve(clock.at(clock.breaks[[0, -1]]), 0)
+    left[0, 0] = start
+    right[0, -1] = end
+    left[1:3, 0] = 0.0
+    right[1:3, -1] = 0.0
     left[:3, 1:] = right[:3, :-1]
     drones = PiecewisePolynomial.hermite(breaks, left, right)
     factors = []
     for order, limit in ((1, limits.speed), (2, acceleration), (3, limits.jerk)):
-        largest = np.max(np.linalg.norm(drones.differentiated(order).coefficients, axis=-2))
-        factors.append((float(largest) / (LIMIT_SHARE * limit)) ** (1.0 / order))
+        coefficients = drones.differentiated(order).coefficients
+        largest = float(np.max(np.linalg.norm(coefficients, axis=-2)))
+        factors.append((largest / (LIMIT_SHARE * limit)) ** (1.0 / order))
     return drones.stretched(max(factors))
+
+
+def _orders_on_clock(curve: Curve, clock_jets: Array) -> Array:
+    """Return derivatives (4, J, drones, 3) of a curve by time, the zeroth first.
+
+    Parameters
+    ----------
+    clock_jets: (J, 4), parameters of the curve and their derivatives by time.
+    """
+    by_parameter = np.stack([curve(clock_jets[:, 0], order) for order in range(4)], axis=-1)
+    return np.moveaxis(chained(by_parameter, clock_jets[:, None, None, :]), -1, 0)

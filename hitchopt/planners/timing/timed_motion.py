@@ -118,13 +118,13 @@ def _motion(path: FlatPath, requirements: Requirements, clock: Clock) -> Motion:
     s = np.clip(progress[:, 0], 0.0, 1.0)
     s[0] = 0.0
     s[-1] = 1.0
-    parts = path_jets(path, s)
-    rows = np.concatenate([part.reshape(len(s), -1, 4) for part in parts], axis=1)
+    jets = path_jets(path, s)
+    rows = np.concatenate([jet.reshape(len(s), -1, 4) for jet in jets], axis=1)
     curves = PiecewisePolynomial.through_jets(breaks, chained(rows, progress[:, None]))
-    drones, vertices, legs, tensions = curves.split([part.shape[1:-1] for part in parts])
-    tension_jets = parts[-1]
-    if not tension_jets[..., 1:].any() and (tension_jets == tension_jets[0]).all():
-        tensions = PiecewisePolynomial.constant(breaks, tension_jets[0, :, 0])
+    drones, vertices, legs, tensions = curves.split([jet.shape[1:-1] for jet in jets])
+    is_constant = not jets.tensions[..., 1:].any() and (jets.tensions == jets.tensions[0]).all()
+    if is_constant:
+        tensions = PiecewisePolynomial.constant(breaks, jets.tensions[0, :, 0])
     return Motion(path.team, requirements, drones, vertices, legs, tensions, phases=())
 
 
@@ -414,15 +414,16 @@ def _on_spans(part: PiecewisePolynomial, pieces: Indices, order: int = 0) -> Arr
 @lru_cache
 def _span_rows(degree: int, order: int) -> Array:
     """Return the map (SPANS · SPAN_COEFFICIENTS, degree + 1) from a piece to its spans."""
-    c = np.eye(degree + 1)
+    derivatives = np.eye(degree + 1)
     for _ in range(order):
-        c = bernstein.differentiate(c)
+        derivatives = bernstein.differentiate(derivatives)
     starts = np.arange(SPANS) / SPANS
-    if order == 0 or bernstein.degree(c) >= SPAN_COEFFICIENTS:
+    if order == 0 or bernstein.degree(derivatives) >= SPAN_COEFFICIENTS:
         samples = starts[:, None] + np.linspace(0.0, 1.0 / SPANS, SPAN_COEFFICIENTS)
-        rows = (c @ bernstein.basis(samples.ravel(), bernstein.degree(c)).T).T
+        basis = bernstein.basis(samples.ravel(), bernstein.degree(derivatives))
+        rows = (derivatives @ basis.T).T
     else:
-        elevated = bernstein.elevate(c, SPAN_COEFFICIENTS - 1)[:, None]
+        elevated = bernstein.elevate(derivatives, SPAN_COEFFICIENTS - 1)[:, None]
         rows = bernstein.restrict(elevated, starts, starts + 1.0 / SPANS)
         rows = rows.reshape(degree + 1, -1).T
     rows.setflags(write=False)
