@@ -168,8 +168,8 @@ class _Item:
 
 def _heights(track: SampledPath) -> tuple[float, float]:
     """Return the lowest and the highest place [m] of all bodies of a team at any time."""
-    lower, upper = track.box
-    return float(np.min(lower[:, 2])), float(np.max(upper[:, 2]))
+    boxes = track.boxes
+    return float(np.min(boxes.lower[:, 2])), float(np.max(boxes.upper[:, 2]))
 
 
 def _merge_waits(motion: Motion) -> Motion:

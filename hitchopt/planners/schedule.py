@@ -33,7 +33,7 @@ STEP = 0.1
 """[s] Spacing of samples."""
 
 TIME_ROUNDING = 1e-9
-"""[s] Distance of the last sample before the end from the end, at least."""
+"""[s] Smallest distance of the end from the last sample before it."""
 
 MAX_ORDERS = 60
 """Maximum number of orders of priority."""
@@ -49,19 +49,30 @@ REACH = 0.25
 
 
 class SampledBodies(NamedTuple):
-    """Segments, or upright hulls of corners in plan view, with extents at sampled times."""
+    """Segments, or upright hulls of corners in plan view, at sampled times."""
 
     corners: Array
     """(samples, bodies, k, 3) [m]: segments end at the first and the last one."""
 
     heights: Array
-    """(samples, bodies, 2) [m]: lowest and highest ones."""
+    """(samples, bodies, 2) [m]: lowest and highest points."""
 
     radii: Array
     """(bodies,) [m]: radii about the corners."""
 
     upright: NDArray[np.bool_]
-    """(samples,): distances are those in plan view, or of heights if larger."""
+    """(samples,): whether bodies are upright hulls, whose distances are those in plan view, or of
+    heights if larger."""
+
+
+class Boxes(NamedTuple):
+    """Boxes around all bodies of a team at sampled times."""
+
+    lower: Array
+    """(samples, 3) [m]"""
+
+    upper: Array
+    """(samples, 3) [m]"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +155,12 @@ class SampledPath:
         motion = self.flown.motion
         objects = motion.requirements.objects
         indices = [k for k, name in enumerate(objects) if name in self.owned]
-        bodies = [body for name, body in objects.items() if name in self.owned]
+        slabs_of_bodies = [body.slabs for name, body in objects.items() if name in self.owned]
         bases = np.repeat(motion.poses.at(self.times)[:, indices, None, :3], 2, axis=2)
-        ends = [
-            [min(slab.lower for slab in body.slabs), max(slab.upper for slab in body.slabs)]
-            for body in bodies
-        ]
-        radii = [max(slab.section.circumradius for slab in body.slabs) for body in bodies]
-        heights = bases[..., 2] + np.array(ends).reshape(-1, 2)
+        lowest = [min(slab.lower for slab in slabs) for slabs in slabs_of_bodies]
+        highest = [max(slab.upper for slab in slabs) for slabs in slabs_of_bodies]
+        radii = [max(slab.section.circumradius for slab in slabs) for slabs in slabs_of_bodies]
+        heights = bases[..., 2] + np.column_stack([lowest, highest])
         return SampledBodies(bases, heights, np.array(radii), np.ones(len(self), np.bool_))
 
     @property
@@ -160,8 +169,8 @@ class SampledPath:
         return self.objects
 
     @cached_property
-    def box(self) -> tuple[Array, Array]:
-        """Corners (samples, 3) [m] of boxes around all bodies."""
+    def boxes(self) -> Boxes:
+        """Boxes around all bodies."""
         lower = np.full((len(self), 3), np.inf)
         upper = np.full((len(self), 3), -np.inf)
         for bodies in (self.drones, self.cables, self.objects):
@@ -175,7 +184,7 @@ class SampledPath:
             high = np.column_stack([level_high, np.max(bodies.heights, (1, 2))])
             lower = np.minimum(lower, low)
             upper = np.maximum(upper, high)
-        return lower, upper
+        return Boxes(lower, upper)
 
 
 class BodyPairs(NamedTuple):
@@ -215,7 +224,9 @@ def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:
     """Return the smallest slack (samples of a, samples of b) [m], infinite beyond REACH."""
     separated = 2.0 * max(separation.radius, separation.height)
     reach = max(separated, separation.cable, separation.crossing, separation.object) + REACH
-    gaps = np.maximum(a.box[0][:, None] - b.box[1], b.box[0] - a.box[1][:, None])
+    gaps_below = a.boxes.lower[:, None] - b.boxes.upper
+    gaps_above = b.boxes.lower - a.boxes.upper[:, None]
+    gaps = np.maximum(gaps_below, gaps_above)
     i, j = np.nonzero(np.sum(np.maximum(gaps, 0.0) ** 2, axis=-1) < reach**2)
     table = np.full((len(a), len(b)), np.inf)
     for slacks_of_check in _slacks_by_check(a, b, separation, i, j):
@@ -277,15 +288,15 @@ def _slack(
     near = vertical < reach[..., 2]
     for axis in range(2):
         near &= _gaps(first_boxes[:, :, axis], second_boxes[:, :, axis]) < reach[..., axis]
-    pair, one, other = np.nonzero(near)
-    first_corners = first.corners[i[pair], one]
-    second_corners = second.corners[j[pair], other]
+    pair, first_body, second_body = np.nonzero(near)
+    first_corners = first.corners[i[pair], first_body]
+    second_corners = second.corners[j[pair], second_body]
     first_ends = first_corners[:, [0, -1]] / axes
     second_ends = second_corners[:, [0, -1]] / axes
     slack = length(shortest_offset(differences(first_ends, second_ends)))
     upright = (first.upright[i] | second.upright[j])[pair]
     slack[upright] = hull_distance(first_corners[upright, :, :2], second_corners[upright, :, :2])
-    slack -= required[one, other]
+    slack -= required[first_body, second_body]
     slack = np.where(upright, np.maximum(slack, vertical[near] - limit), slack)
     slack[slack * np.min(axes) > REACH] = np.inf
     np.minimum.at(smallest, pair, slack)
@@ -312,9 +323,9 @@ def _downwash_slack(
         place = points[..., axis]
         low, high = np.moveaxis(boxes[:, None, :, axis], -1, 0)
         near &= np.maximum(low - place, place - high) < reach
-    pair, one, other = np.nonzero(near)
-    level = hull_distance(points[pair, one, :, :2], hulls[pair, other, :, :2])
-    level = np.maximum(level - others.radii[other], 0.0)
+    pair, drone, other = np.nonzero(near)
+    distance = hull_distance(points[pair, drone, :, :2], hulls[pair, other, :, :2])
+    level = np.maximum(distance - others.radii[other], 0.0)
     ratio = np.hypot(level / across, np.maximum(rise[near], 0.0) / upward)
     np.minimum.at(smallest, pair, ratio - limit)
     return smallest
@@ -327,9 +338,10 @@ def _boxes(corners: Array) -> Array:
 
 def _gaps(first: Array, second: Array) -> Array:
     """Return gaps (m, bodies, bodies) between intervals (m, bodies, 2), negative on overlap."""
-    one = first[:, :, None]
-    other = second[:, None]
-    return np.maximum(one[..., 0] - other[..., 1], other[..., 0] - one[..., 1])
+    first_low, first_high = np.moveaxis(first[:, :, None], -1, 0)
+    second_low, second_high = np.moveaxis(second[:, None], -1, 0)
+    gaps: Array = np.maximum(first_low - second_high, second_low - first_high)
+    return gaps
 
 
 @dataclass(eq=False)
@@ -348,7 +360,7 @@ class Blocked:
     """The conflict of two teams without a feasible start."""
 
     names: tuple[str, str]
-    """Names of both teams."""
+    """Names of the team without a start, and of the one placed before that it meets."""
 
     check: str
     """Name of the check of the violated distance."""
@@ -379,10 +391,10 @@ class Schedule:
     separation: Separation
     """Limits of distances."""
 
-    alternative: Callable[[int, int], SampledPath | None] = lambda *_: None
+    alternative: Callable[[int, int], SampledPath | None]
     """Returns another path of a team by index and layer from 1 on, or None."""
 
-    numbers_of_layers: Sequence[int] = (1, 3)
+    numbers_of_layers: Sequence[int]
     """Numbers of layers of every team, tried in turn."""
 
     tables: dict[tuple[SampledPath, SampledPath], Array] = field(default_factory=dict)
@@ -403,47 +415,66 @@ class Schedule:
         pad: increase of all distances [m].
         """
         conflicts = list[Blocked]()
-        names = [track.flown.name for track in self.tracks]
         for layers in self.numbers_of_layers:
-            orders = permutations(range(len(names)))
             evaluated = set[tuple[int, ...]]()
-            promoted: tuple[int, ...] | None = None
-            for _ in range(MAX_ORDERS):
-                order = promoted or next((new for new in orders if new not in evaluated), None)
-                if order is None:
-                    break
-                evaluated.add(order)
+            all_orders = permutations(range(len(self.tracks)))
+            order: tuple[int, ...] | None = next(all_orders)
+            while order is not None and len(evaluated) < MAX_ORDERS:
                 placed = self._placed(fixed, order, layers, pad)
                 if not isinstance(placed, Blocked):
-                    return [placed[k] for k in range(len(self.tracks))]
+                    return [placed[team] for team in range(len(self.tracks))]
                 conflicts.append(placed)
-                promoted = None
-                if placed.names[1] in names:  # not a fixed track
-                    late, early = map(names.index, placed.names)
-                    rest = [k for k in order if k != late]
-                    index = rest.index(early)
-                    moved = (*rest[:index], late, *rest[index:])
-                    promoted = None if moved in evaluated else moved
+                evaluated.add(order)
+                order = self._promoted(order, placed)
+                if order is None or order in evaluated:
+                    order = next((new for new in all_orders if new not in evaluated), None)
         return conflicts[0]
+
+    def _promoted(self, order: tuple[int, ...], conflict: Blocked) -> tuple[int, ...] | None:
+        """Return the order with the later team of a conflict before the other one.
+
+        None if the other track is fixed.
+        """
+        names = [track.flown.name for track in self.tracks]
+        late_name, early_name = conflict.names
+        if early_name not in names:
+            return None
+        late = names.index(late_name)
+        others = [team for team in order if team != late]
+        position = others.index(names.index(early_name))
+        return (*others[:position], late, *others[position:])
 
     def _placed(
         self, fixed: Sequence[Placed], order: Sequence[int], layers: int, pad: float
     ) -> dict[int, Placed] | Blocked:
         """Return the placed tracks by team index for an order of priority, or a conflict."""
         placed = dict[int, Placed]()
-        for k in order:
-            blocked = None
+        for team in order:
             others = [*fixed, *placed.values()]
-            for track, earlier in self._options(k, layers, earlier=layers > 1 and not fixed):
-                start = self._earliest(track, others, pad, earlier=earlier)
-                if isinstance(start, int):
-                    placed[k] = Placed(track, start)
-                    break
-                blocked = blocked or start
-            if k not in placed and blocked is not None:
-                return blocked
-        first = min([0, *(one.start for one in placed.values())])
-        return {k: Placed(one.track, one.start - first) for k, one in placed.items()}
+            placement = self._placement(team, others, layers, pad, earlier=layers > 1 and not fixed)
+            if isinstance(placement, Blocked):
+                return placement
+            placed[team] = placement
+        first = min([0, *(placement.start for placement in placed.values())])
+        return {
+            team: Placed(placement.track, placement.start - first)
+            for team, placement in placed.items()
+        }
+
+    def _placement(
+        self, team: int, placed: Sequence[Placed], layers: int, pad: float, *, earlier: bool
+    ) -> Placed | Blocked:
+        """Return a team on its first path with a feasible start, or the conflict on its own path.
+
+        With ``earlier`` it may also start before the teams placed already.
+        """
+        conflicts = list[Blocked]()
+        for track, starts_before in self._options(team, layers, earlier=earlier):
+            start = self._earliest(track, placed, pad, earlier=starts_before)
+            if not isinstance(start, Blocked):
+                return Placed(track, start)
+            conflicts.append(start)
+        return conflicts[0]
 
     def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[SampledPath, bool]]:
         """Yield the paths of a team, and whether it starts before the teams placed already."""
@@ -470,23 +501,18 @@ class Schedule:
         With ``earlier`` it is the latest feasible start below 0, for which all others wait.
         """
         last = max([0, *(other.start + len(other.track) for other in placed)])
-        if len(track) == 1:  # at rest: all starts are alike
-            starts = np.zeros(1, np.intp)
-        elif earlier:
-            starts = -np.arange(1, len(track) + 1)
-        else:
-            starts = np.arange(last + 1)
+        starts = _candidate_starts(len(track), last, earlier=earlier)
         first = min([0, int(np.min(starts)), *(other.start for other in placed)])
         clock = np.arange(first, last + len(track) + 1)
         samples = track.samples(clock - starts[:, None])  # (starts, clock)
         feasible = np.ones(len(starts), np.bool_)
         for other in placed:
-            slack = self._table(track, other.track)
-            at_rests = slack[np.ix_([0, -1], [0, -1])]
+            table = self._table(track, other.track)
+            at_rests = table[np.ix_([0, -1], [0, -1])]
             # Rests that are closer than the pad cannot be moved apart, and need no pad
             needed = np.clip(np.min(at_rests), 0.0, pad)
             samples_of_other = other.track.samples(clock - other.start)
-            too_close = slack[samples, samples_of_other] < needed
+            too_close = table[samples, samples_of_other] < needed
             remaining = feasible & ~np.any(too_close, axis=1)
             if not np.any(remaining):
                 last_feasible = int(np.flatnonzero(feasible)[-1])
@@ -511,26 +537,46 @@ class Schedule:
 
         The limit includes the ``needed`` slack [m], such as errors of position.
         """
-        a = track
-        b = other.track
-        i = int(np.clip(sample - start, 0, len(a) - 1))
-        j = int(np.clip(sample - other.start, 0, len(b) - 1))
-        table = self._table(a, b)
+        table = self._table(track, other.track)
+        i = int(np.clip(sample - start, 0, len(track) - 1))
+        j = int(np.clip(sample - other.start, 0, len(other.track) - 1))
         at = ""
         if table[-1, -1] <= table[i, j]:
-            i, j, at = len(a) - 1, len(b) - 1, "goals"
+            i = len(track) - 1
+            j = len(other.track) - 1
+            at = "goals"
         if table[0, 0] <= table[i, j]:
-            i, j, at = 0, 0, "starts"
-        by_check = _slacks_by_check(a, b, self.separation, np.array([i]), np.array([j]))
-        tightest = min(by_check, key=lambda one: (one.unit * one.values[0], one.check))
-        centre_of_a = np.mean(a.drones.corners[i], axis=(0, 1))
-        centre_of_b = np.mean(b.drones.corners[j], axis=(0, 1))
+            i = 0
+            j = 0
+            at = "starts"
+        by_check = _slacks_by_check(
+            track, other.track, self.separation, np.array([i]), np.array([j])
+        )
+        tightest = min(by_check, key=lambda slack: (slack.unit * slack.values[0], slack.check))
+        centre = np.mean(track.drones.corners[i], axis=(0, 1))
+        centre_of_other = np.mean(other.track.drones.corners[j], axis=(0, 1))
         return Blocked(
-            names=(a.flown.name, b.flown.name),
+            names=(track.flown.name, other.track.flown.name),
             check=tightest.check,
             value=float(tightest.values[0]) + tightest.limit,
             limit=tightest.limit + needed / tightest.unit,
             time=STEP * sample,
-            place=tuple(np.round(0.5 * (centre_of_a + centre_of_b), 3).tolist()),
+            place=tuple(np.round(0.5 * (centre + centre_of_other), 3).tolist()),
             at=at,
         )
+
+
+def _candidate_starts(samples: int, last: int, *, earlier: bool) -> Indices:
+    """Return the starts of a track in the order of preference, in samples of the common clock.
+
+    Parameters
+    ----------
+    samples: number of samples of the track.
+    last: sample at which all tracks placed before have ended.
+    earlier: whether the track starts before 0, as late as possible.
+    """
+    if samples == 1:  # at rest: all starts are alike
+        return np.zeros(1, np.intp)
+    if earlier:
+        return -np.arange(1, samples + 1)
+    return np.arange(last + 1)
