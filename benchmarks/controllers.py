@@ -65,7 +65,7 @@ class FlightFigures:
 
     formed: bool
     failure: str
-    vertex: float = np.nan  # mean distance of mean places at rest [cm]
+    vertex: float = np.nan  # mean distance of mean positions at rest [cm]
     drone: float = np.nan  # mean distance at rest [cm]
     tension: float = np.nan  # mean at rest, over the planned one
     tilt: float = np.nan  # largest [°]

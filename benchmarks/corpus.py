@@ -193,7 +193,7 @@ def compared(a: Path, b: Path, tolerance: float) -> tuple[str, list[str]]:
 
 
 Difference = tuple[str, float]
-"""What differs, in words, and by how much: inf where it cannot be measured."""
+"""Differences in words, with their sizes: inf where they cannot be measured."""
 
 
 def data_differences(key: str, a: Any, b: Any) -> Iterator[Difference]:

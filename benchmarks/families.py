@@ -145,7 +145,7 @@ def _team(cables: Array) -> dict[str, Any]:
 def _certified_start(
     cables: Array, on_ground: bool, rng: np.random.Generator
 ) -> dict[str, Any] | None:
-    """Return places of drones at which robots with cables (n,) [m] are certified at rest."""
+    """Return positions of drones at which robots with cables (n,) [m] are certified at rest."""
     for _ in range(START_TRIES):
         start = _scattered(cables, on_ground, rng)
         if is_certified(_team(cables), {"drones": start}):
@@ -154,7 +154,7 @@ def _certified_start(
 
 
 def _scattered(cables: Array, on_ground: bool, rng: np.random.Generator) -> dict[str, Any]:
-    """Return random places of drones in a square, with hanging cables (n,) [m]."""
+    """Return random positions of drones in a square, with hanging cables (n,) [m]."""
     n, reach = len(cables), MIN_REACH * math.sqrt(len(cables))
     while True:
         middles = rng.uniform(-reach, reach, (n, 2))
@@ -215,7 +215,7 @@ PLACES = (1.2, 2.2)
 
 
 TURNS = 12
-"""Number of turns of the hitch around the object, one of which is certified at both places."""
+"""Number of turns of the hitch around the object, one of which is certified at both positions."""
 
 LIMITS = {"tilt_deg": 60}
 """Limits of teams that carry."""
@@ -224,8 +224,8 @@ LIMITS = {"tilt_deg": 60}
 def wild_carry(seed: int) -> dict[str, Any]:
     """Return a problem in which a hitch takes an object and sets it down elsewhere.
 
-    The hitch is certified at the start, and around the object at both places by some turn. Cables
-    are such that a polygon holds the object by its rim, or a grip of its section exists.
+    The hitch is certified at the start, and around the object at both positions by some turn.
+    Cables are such that a polygon holds the object by its rim, or a grip of its section exists.
     """
     n = _robots(seed, CARRY_ROBOTS)
     rng = np.random.default_rng([n, seed, 2])
@@ -316,7 +316,7 @@ def _carrying(n: int, seed: int, rng: np.random.Generator) -> tuple[dict[str, An
 
 
 def _table(at: Array, corner: float, direction: float, rng: np.random.Generator) -> dict[str, Any]:
-    """Return a table beside an object at a place (2,) [m], whose corners are that far away [m]."""
+    """Return a table next to an object at (2,) [m], whose corners are that far away [m]."""
     side = np.array([math.cos(direction), math.sin(direction)])
     centre = at + (corner + float(rng.uniform(*BESIDE)) + 0.5 * TABLE_DEPTH) * side
     return {
@@ -421,7 +421,7 @@ def past_team(seed: int) -> dict[str, Any]:
 
 
 def wild_tube(seed: int) -> dict[str, Any]:
-    """Return a wild morph of drones that track their places within a tube."""
+    """Return a wild morph of drones that track their positions within a tube."""
     rng = np.random.default_rng([seed, 4])
     level = round(float(rng.uniform(*LEVEL_ERRORS)), 3)
     height = round(max(level, float(rng.uniform(*HEIGHT_ERRORS))), 3)
@@ -510,7 +510,7 @@ FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
 
 
 class Outcome(NamedTuple):
-    """What became of one problem."""
+    """The outcome of one problem."""
 
     seed: int
     size: int  # number of robots, or of single drones

@@ -94,19 +94,24 @@ MAX_SIZES = 8
 SHOWN_FAMILIES = ("form", "carry", "morph", "heavy_morph", "box", "door", "corridor")
 
 LIMITS = (
-    "Limits and tolerances are the defaults; plans are certified for all times. Rivals have no jerk limits or cable clearances, exceed "
-    "limits between their samples by up to {excess:.1f} %, and get {limit:g} s per pair, their programs built before. Failures have no times."
+    "Limits and tolerances are the defaults; plans are certified for all times. Rivals have no "
+    "jerk limits or cable clearances, exceed "
+    "limits between their samples by up to {excess:.1f} %, and get {limit:g} s per pair, excluding "
+    "setup. Failures have no times."
 )
 
 FAMILIES_TEXT = (
-    "Both ends of each problem are certified before it is planned, and none is omitted. `form` ties irregular hitches of scattered robots, "
-    "`carry` holds objects by rims or grips, `box`, `door` and `corridor` move single drones; `python -m benchmarks families` draws more."
+    "Start and goal of each problem are certified before it is planned, and none is omitted. "
+    "`form` "
+    "ties irregular hitches of scattered robots, "
+    "`carry` holds objects by rims or grips, `box`, `door` and `corridor` move single drones; "
+    "`python -m benchmarks families` draws more."
 )
 
 
 @dataclass(frozen=True)
 class Result:
-    """What became of one problem by one method."""
+    """The outcome of one method on one problem."""
 
     group: str  # "morph" or "family"
     method: str  # method, or name of the family
@@ -331,16 +336,19 @@ def page(store: Store, limit: float) -> str:
         [
             "# Benchmarks",
             "",
-            f"`python -m benchmarks page` wrote this page on {datetime.date.today()}: {environment(['rockit-meco'])}.",
+            f"`python -m benchmarks page` wrote this page on {datetime.date.today()}: "
+            f"{environment(['rockit-meco'])}.",
             LIMITS.format(limit=limit, excess=100.0 * max(excesses, default=0.0)),
             "",
             "## Morphs of irregular pairs",
             "",
-            "Solved pairs/all pairs: median–95th percentile of processor time over the solved pairs [s].",
+            "Solved pairs/all pairs: median–95th percentile of processor time over the solved "
+            "pairs [s].",
             *table(["method \\ n", *heads, "all"], morph_rows(store)),
-            "![Processor time and share of solved pairs over the number of robots, by method](solve_times.png)",
+            "![Processor time and share of solved pairs over the number of robots, by "
+            "method](solve_times.png)",
             "",
-            "Processor time of proofs of these plans, median–95th percentile [s].",
+            "Processor time to prove these plans, median–95th percentile [s].",
             *table(["proof \\ n", *heads, "all"], proof_rows(store)),
             "(success-rates)=",
             "## Success rates",

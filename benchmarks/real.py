@@ -195,7 +195,7 @@ def _level_fit(values: Array, *parts: Array) -> list[float]:
 
 
 def _drag(flight: RecordedFlight, drone: str, series: Series, pull: Array, mass: float) -> float:
-    """Return the rotor drag [N s/m]: the level specific force of the body over its velocity."""
+    """Return the rotor drag [N s/m]: horizontal specific force of the body over its velocity."""
     own, logged = flight.signals[drone], series.logged
     if "specific_force" not in own or logged is None:
         return math.nan

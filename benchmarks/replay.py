@@ -188,7 +188,7 @@ class Series:
 
     @property
     def used(self) -> NDArray[np.bool_]:
-        """Whether samples (m,) are compared."""
+        """Return whether samples (m,) are compared."""
         return np.asarray((self.t > self.t[0] + SETTLING) & (self.t < self.t[-1] - END))
 
     def replayed(self, drone: str, label: str, parameters: EstimatorParameters) -> ReplayedFilter:

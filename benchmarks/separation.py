@@ -3,7 +3,7 @@
 Usage: python -m benchmarks separation [circles] [random] [crowds] [rival]
 
 ``circles``: every drone flies to the opposite point; ``random``: 100 seeded teams of 10 to 30
-drones; ``crowds``: random places, as dense as 1000 drones in 20 × 20 × 10 m; ``rival``: small
+drones; ``crowds``: random positions, as dense as 1000 drones in 20 × 20 × 10 m; ``rival``: small
 circles by IPOPT, ellipsoids and limits kept at knots alone.
 """
 
@@ -88,7 +88,7 @@ def random(table: Table) -> None:
 
 def crowds(table: Table) -> None:
     """Add the crowds."""
-    table.section("Crowds between random places", "N", *COLUMNS)
+    table.section("Crowds between random positions", "N", *COLUMNS)
     for n in CROWDS:
         table.row(n, *cells(ho.problem_from_dict(random_crowd(n))))
 

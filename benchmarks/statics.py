@@ -108,7 +108,7 @@ def effective_lengths(flight: SimulatedFlight) -> Array:
 
 
 def mean_noise(simulation: Simulation) -> Array:
-    """Return the mean error of measured places (2n, 3) [m] over the averaging time."""
+    """Return the mean error of measured positions (2n, 3) [m] over the averaging time."""
     flight, settings = simulation.flight, simulation.settings
     end, preset = flight.task.duration, settings.preset
     period = preset.time_step * max(1, round(CONTROL_PERIOD / preset.time_step))

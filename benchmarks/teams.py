@@ -40,7 +40,7 @@ def crossing(*entries: Entry, size: float) -> ho.Problem:
 
 
 def places(rng: np.random.Generator, count: int, size: float, min_distance: float) -> list[Array]:
-    """Return random places [x, y] within ±size [m] with a minimum distance [m]."""
+    """Return random positions [x, y] within ±size [m] with a minimum distance [m]."""
     result = list[Array]()
     while len(result) < count:
         place = rng.uniform(-size, size, 2)

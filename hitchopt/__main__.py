@@ -1,4 +1,4 @@
-"""``python -m hitchopt`` is ``hitchopt``."""
+"""Run ``hitchopt`` as ``python -m hitchopt``."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hitchopt.storage.interrupts import exit_on_signals
 
 
 def run() -> None:
-    """Run the command line; Ctrl-C ends it quietly also while it is being imported."""
+    """Run the command line; Ctrl-C ends it quietly even during imports."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads only wait for small matrices
     with exit_on_signals(final=True):
         from hitchopt.cli import main

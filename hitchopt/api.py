@@ -408,7 +408,7 @@ class Mission(Problem):
     def settle(self, seconds: float | Literal["auto"] = "auto") -> Self:
         """Swing the drones to remove friction hysteresis at the clasps.
 
-        Drones swing about their places with decreasing amplitude; planned vertices do not move.
+        Drones swing about their positions with decreasing amplitude; planned vertices do not move.
 
         Parameters
         ----------
@@ -431,7 +431,7 @@ class Mission(Problem):
     ) -> Self:
         """Tie a hitch from hanging cables, then raise the tension to the team's.
 
-        Without ``legs`` they are spread, with a margin to the cables where drones stand close to
+        Without ``legs`` they are spread, with a margin to the cables where drones are close to
         them.
 
         Parameters
@@ -445,7 +445,7 @@ class Mission(Problem):
         swap: how drones turn in pairs.
         settle: duration of the swings that end the step where cables slid against friction, added
             to its duration [s]; auto: as far as limits allow; or false.
-        by: swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and
+        by: swaps: pairs of drones swap positions; laying: taut cables are laid on one another, and
             every pair rolls by half a turn.
         order: order of laying, robots from bottom to top; auto: alternating levels.
         duration: exact duration [s]; default: as fast as the limits allow.
@@ -611,7 +611,7 @@ class Mission(Problem):
         lift: float = 0.3,
         via: Points | None = None,
     ) -> Self:
-        """Carry an object to another place, in seven steps, or more with ``via``.
+        """Carry an object to a new position, in seven steps, or more with ``via``.
 
         Two robots tie their cables around it, and untie them.
 
@@ -623,8 +623,8 @@ class Mission(Problem):
             it has a rim.
         tension: tension of all cables while it is held [N]; default: the team's.
         yaw: rotation, counter-clockwise [rad].
-        lift: height above the higher of the two places [m].
-        via: intermediate places of its base, at rest there.
+        lift: height above the higher of start and goal [m].
+        via: intermediate positions of its base, where it stops.
         """
         return self.then(
             new_step(
@@ -649,8 +649,8 @@ class Mission(Problem):
     ) -> Self:
         """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
-        The cables are lowered beside the object and bent around it, and each pair of drones makes a
-        full turn. They then grip the object with the team's tension.
+        The cables are lowered next to the object and bent around it, and each pair of drones makes
+        a full turn. They then grip the object with the team's tension.
 
         Parameters
         ----------
@@ -665,7 +665,7 @@ class Mission(Problem):
 
     @suggest_keywords
     def untie(self, duration: float | None = None) -> Self:
-        """Untie the cables in the reverse order of tying, until they hang beside the object.
+        """Untie the cables in the reverse order of tying, until they hang next to the object.
 
         Parameters
         ----------

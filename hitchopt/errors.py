@@ -97,7 +97,7 @@ def _unpickled(kind: type[HitchoptError], args: tuple[object, ...], attributes: 
 
 
 class Place(NamedTuple):
-    """A place in a file; line and column are counted from 1."""
+    """A position in a file; line and column are counted from 1."""
 
     file: str
     line: int
@@ -141,7 +141,7 @@ class InputError(HitchoptError, ValueError):
         return self.renamed(lambda key: _nested_key(parent, key))
 
     def located(self, place_of: Callable[[str], Place | None]) -> InputError:
-        """Return the error with the place of its key in a file."""
+        """Return the error with the position of its key in a file."""
         return InputError(self.key, self.value, self.bound, self.remedy, place_of(self.key))
 
 
@@ -166,7 +166,7 @@ class JointInputError(InputError):
         return JointInputError([error.renamed(rename) for error in self.errors])
 
     def located(self, place_of: Callable[[str], Place | None]) -> JointInputError:
-        """Return the errors with the places of their keys in a file."""
+        """Return the errors with the positions of their keys in a file."""
         return JointInputError([error.located(place_of) for error in self.errors])
 
 
@@ -303,8 +303,8 @@ def broken_limit(
 
 
 def distinct(value: float, other: float, digits: int) -> tuple[str, str]:
-    """Format two numbers in significant digits, in as many as distinguish them."""
-    if abs(value) >= sys.float_info.max:  # a contradiction; files hold no infinity
+    """Format two numbers with as many significant digits as distinguish them."""
+    if abs(value) >= sys.float_info.max:  # a contradiction; files have no infinity
         value = math.copysign(math.inf, value)
     texts = "", ""
     for precision in (digits, 6, 9, 12, 17):
@@ -347,7 +347,7 @@ def _truncated(value: object) -> str:
     try:
         text = repr(value) if isinstance(value, str) else " ".join(repr(value).split())
     except ValueError:  # Python formats no integer of more than 4300 digits
-        text = f"a {type(value).__name__} too long to write"
+        text = f"a {type(value).__name__} too long to print"
     return text if len(text) <= 80 else f"{text[:77]}..."
 
 

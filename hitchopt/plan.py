@@ -72,7 +72,7 @@ class Plan(OneLine):
 
     @property
     def stated_rules(self) -> tuple[StatedRule, ...]:
-        """Custom rules that were certified, as the plan's file states them."""
+        """Custom rules that were certified, in the form of the plan's file."""
         return self.certificate.stated_rules
 
     @property
@@ -296,7 +296,7 @@ class Plan(OneLine):
         if save is not None:
             if ghost is not None:
                 bound = "None when a plan is written to a file"
-                raise InputError("ghost", str(ghost), bound, "omit save: it is shown live")
+                raise InputError("ghost", str(ghost), bound, "omit save: ghosts are shown live")
             from hitchopt.view.report import save_view
 
             content = self.flight, self.certificate, self.title, self.problem

@@ -54,7 +54,7 @@ def morph(
     limit: float | None = None,
     cost: CostFunction | None = None,
 ) -> Plan:
-    """Return the certified plan of a change of the polygon: every vertex moves to its place.
+    """Return the certified plan of a change of the polygon: every vertex moves to its goal.
 
     Parameters
     ----------
@@ -355,7 +355,7 @@ def form(
 ) -> Plan:
     """Return the certified plan of tying a hitch from drones with hanging cables.
 
-    Without ``legs`` they are spread, with a margin to the cables where drones stand close to them.
+    Without ``legs`` they are spread, with a margin to the cables where drones are close to them.
 
     Parameters
     ----------
@@ -370,7 +370,7 @@ def form(
     swap: how drones turn in pairs.
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
-    by: swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and
+    by: swaps: pairs of drones swap positions; laying: taut cables are laid on one another, and
         every pair rolls by half a turn.
     order: order of laying, robots from bottom to top; auto: alternating levels.
     duration: exact duration [s]; default: as fast as the limits allow.
@@ -411,7 +411,7 @@ def settle(
 ) -> Plan:
     """Return the certified plan of swings that remove friction hysteresis at the clasps.
 
-    Drones swing about their places with decreasing amplitude; planned vertices do not move.
+    Drones swing about their positions with decreasing amplitude; planned vertices do not move.
 
     Parameters
     ----------

@@ -44,8 +44,9 @@ def route(
 
     Vertices move straight, with the leg lengths nearest to linear ones that keep all distances. If
     that path is infeasible or slow, a sequence of sparse quadratic programs moves vertices and legs
-    at the knots of a spline, with exact derivatives by casadi; PIQP solves them (``casadi.conic``).
-    A path is accepted if its motion, by ``time``, is certified: routing takes as long as planning.
+    at the knots of a spline, with exact derivatives from casadi; PIQP solves them
+    (``casadi.conic``). A path is accepted if its motion, by ``time``, is certified: routing takes
+    as long as planning.
 
     Parameters
     ----------
@@ -72,7 +73,7 @@ def route(
     with step_errors(step), time_limit(required.limit):
         path = route_of(problem)
     if path is None:
-        raise InputError("polygon", polygon, "another one than the start's", "nothing moves")
+        raise InputError("polygon", polygon, "different from the start's", "nothing moves")
     return path
 
 
@@ -130,7 +131,7 @@ def time(
     return motion.replaced(phases=(phase,), requirements=requirements)
 
 
-MOVING_SAMPLES = 257  # Number of places of a path at which drones are compared
+MOVING_SAMPLES = 257  # Number of points of a path at which drones are compared
 
 MIN_MOVE = 1e-9  # [m] Smallest motion of some drone between two of these
 

@@ -45,7 +45,7 @@ def antipodal_circle(n: int) -> dict[str, Any]:
 
 
 def swapping_grids(side: int) -> dict[str, Any]:
-    """Return two square grids of side² drones each that trade places."""
+    """Return two square grids of side² drones each that swap positions."""
     step = 2.0 * Separation().radius * SPACING
     steps = step * np.arange(side)
     grid = np.stack(np.meshgrid(steps, steps, [1.2], indexing="ij"), axis=-1).reshape(-1, 3)
@@ -57,7 +57,7 @@ def swapping_grids(side: int) -> dict[str, Any]:
 
 
 def through_a_door(width: float, n: int) -> dict[str, Any]:
-    """Return two rows of n drones on both sides of a wall that trade places through its door."""
+    """Return two rows of n drones on both sides of a wall that swap positions through its door."""
     y = 0.5 * (np.arange(n) - 0.5 * (n - 1))
     row = np.column_stack([np.full(n, -2.0), y, np.full(n, 1.2)])
     other = row * np.array([-1.0, 1.0, 1.0])
@@ -84,14 +84,14 @@ def reversed_stack(n: int) -> dict[str, Any]:
 
 
 def random_team(seed: int) -> dict[str, Any]:
-    """Return 10 to 30 drones between random places in a box of 4 by 4 by 2 m."""
+    """Return 10 to 30 drones between random positions in a box of 4 by 4 by 2 m."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(10, 31))
     return problem(f"Random team {seed}", _apart(rng, n), _apart(rng, n))
 
 
 def random_crowd(n: int, seed: int = 0) -> dict[str, Any]:
-    """Return n drones between random places, as dense as 1000 of them in 20 by 20 by 10 m."""
+    """Return n drones between random positions, as dense as 1000 of them in 20 by 20 by 10 m."""
     rng = np.random.default_rng(seed)
     size = 10.0 * (n / 1000.0) ** (1.0 / 3.0)
     box = ((-size, -size, 0.3), (size, size, 0.3 + size))
@@ -162,7 +162,7 @@ def random_corridor(seed: int) -> dict[str, Any]:
 
 
 def random_box(seed: int) -> dict[str, Any]:
-    """Return 8 to 40 drones between random places in a tight box with up to three pillars."""
+    """Return 8 to 40 drones between random positions in a tight box with up to three pillars."""
     rng = np.random.default_rng(seed)
     n, separation = int(rng.integers(8, 41)), Separation()
     flat = bool(rng.random() < 0.4)

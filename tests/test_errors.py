@@ -43,7 +43,7 @@ def refusal(check: Callable[..., object], *arguments: object) -> str:
 
 @given(st.floats(0.1, 1e3))
 def test_the_duration_that_a_refusal_names_is_long_enough(fastest: float) -> None:
-    named = number_in(refusal(check_duration, 0.05, fastest), r"give it (\S+) s")
+    named = number_in(refusal(check_duration, 0.05, fastest), r"allow (\S+) s")
     check_duration(named, fastest)
 
 

@@ -254,7 +254,7 @@ REFUSED: list[Refusal] = [
     (lambda: Transport(ORIGIN, 90), "yaw", "if degrees were meant, 1.57"),
     (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
     (lambda: parse_problem(written("0.1, gains: {kp: 1}")), "team.quadrotor.gains", "= {'kp': [1"),
-    (lambda: ho.Team(3, "2.4 m"), "cable_length", "(one per robot); give a plain number in SI"),
+    (lambda: ho.Team(3, "2.4 m"), "cable_length", "(one per robot); use a plain number in SI"),
     (lambda: ho.solve({}), "problem", "convert a dict with problem_from_dict"),  # type: ignore[arg-type]
     (lambda: ho.form(TEAM, Q[:2], R, TRIANGLE), "q", "2 points"),
     (lambda: CRATE.enclose("crat"), "mission[0].enclose.object", "did you mean crate?"),
@@ -305,7 +305,7 @@ def test_copies_warn_where_a_user_makes_them_only() -> None:
 def test_a_polygon_in_millimetres_says_so() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"if millimetres were meant, 1\.55 m"):
         ho.Hitch.balanced(ho.Team(3, 2.4), [[1e3 * x for x in point] for point in TRIANGLE])
-    with pytest.raises(ho.InputError, match="if these are millimetres, give metres"):
+    with pytest.raises(ho.InputError, match="if these are millimetres, use metres"):
         ho.Hitch.balanced(ho.Team(3, 2.4), [[2e3 * x for x in point] for point in TRIANGLE])
 
 

@@ -1,4 +1,4 @@
-"""The certificate, from polynomials alone: a module a family of checks, no planner."""
+"""The certificate, computed from polynomials alone: one module per family of checks, no planner."""
 
 from hitchopt.checks.certificate import Certificate, CertificateError, Check
 from hitchopt.checks.registry import certify, merged

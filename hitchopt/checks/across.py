@@ -6,11 +6,11 @@ checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``obj
 breaks, in runs of pieces on which neither ties nor unties its hitch; they are at rest before and
 after their motions.
 
-Cables without a hitch stay within upright regions (``checks.bodies``). The distance of such a
+Cables without a hitch stay within vertical regions (``checks.bodies``). The distance of such a
 region is the larger of its horizontal distance and its difference in height.
 
-Where tracking errors are larger upright than level, all heights are divided by their ratio
-(``Requirements.height_ratio``): errors are then within a ball, and no distance is longer.
+Where tracking errors are larger vertically than horizontally, all heights are divided by their
+ratio (``Requirements.height_ratio``): errors are then within a ball, and no distance is longer.
 """
 
 from __future__ import annotations

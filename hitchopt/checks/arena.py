@@ -87,7 +87,7 @@ def _wall_gap(
 def drone_wall_gap(spans: Drones, *, on_floor: bool = True) -> Bound:
     """Return the minimum distance of drones to a wall [m].
 
-    With ``on_floor``, the floor also counts for drones that rest there, take off or land.
+    With ``on_floor``, the floor also applies to drones that rest there, take off or land.
     """
     points = spans.read(spans.source.drones.coefficients)[:, None]
     raised: Any = 0.0

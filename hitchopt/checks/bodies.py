@@ -3,14 +3,14 @@
 Checks within a team and between teams compare them (``checks.distances``).
 
 - Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
-- A cable that hangs, or lies on the ground (CableState.GROUND), is in the upright sheet below its
-  chord, no deeper than a cable that leads straight down and up again.
+- A cable that hangs, or lies on the ground (CableState.GROUND), is in the vertical sheet below its
+chord, no deeper than a cable that leads straight down and up again.
 - A laid cable (CableState.LAYING) is in the air, too: its drones hold it taut and lay it across its
   neighbours. It is in the sheet from its chord down to its largest sag.
 - A cable that is clasped or tightened, or the reverse, is somewhere between its chord and its route
-  over the clasps, as far out as its slack allows: in the upright region below the hull of both. Its
-  clasps are near the middles of the pairs of drones that turn about each other, or near the plan's
-  vertices while drones move out, and as taut as those of the hitch before or after.
+  over the clasps, as far out as its slack allows: in the vertical region below the hull of both.
+  Its clasps are near the middles of the pairs of drones that turn about each other, or near the
+  plan's vertices while drones move out, and as taut as those of the hitch before or after.
 
 At a joint of phases both regions contain the cable, and one contains the other one or both contain
 the chord, so no body passes from one side of a cable to the other.
@@ -49,10 +49,10 @@ class Bodies:
     """(bodies,), names of the bodies, or of the cables to which they belong."""
 
     outline: int = 0
-    """Number of corners that span upright regions in plan view; 0 for other bodies."""
+    """Number of corners that span vertical regions in plan view; 0 for other bodies."""
 
     pieces: Flags | None = None
-    """(pieces,), on which the bodies count; None for all."""
+    """(pieces,), on which the bodies are compared; None for all."""
 
     part: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     """(bodies,), numbers of parts of taut cables as in ``Layout.parts``; empty for other bodies."""
@@ -103,7 +103,7 @@ def clasped_cables(motion: Motion) -> Bodies:
 
 @dataclass(frozen=True, eq=False)
 class CableSheets:
-    """Upright regions that contain cables without a hitch.
+    """Vertical regions that contain cables without a hitch.
 
     The first ``outline`` of the corners span a region in plan view, and its top; the last two are
     at its bottom.

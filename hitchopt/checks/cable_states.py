@@ -1,7 +1,7 @@
-"""What contradicts the states of cables: on the ground, drawn, laid, rolling, being clasped.
+"""Contradictions of the states of cables: on the ground, drawn, laid, rolling, being clasped.
 
-States claim that cables are free, at rest or slack. That is derived from the curves alone: names of
-phases are not believed.
+States claim that cables are free, at rest or slack. The checks derive this from the curves alone
+and do not trust the names of phases.
 """
 
 from __future__ import annotations

@@ -121,7 +121,7 @@ class Check(OneLine):
 
     @property
     def title(self) -> str:
-        """The name in tables, which says whether the quantity is an error."""
+        """The name in tables, which states whether the quantity is an error."""
         return f"{self.name} error" if self.name in ERRORS else self.name
 
     @property
@@ -180,7 +180,7 @@ class Check(OneLine):
 
     @property
     def is_evaluated(self) -> bool:
-        """Whether anything was evaluated."""
+        """Return whether anything was evaluated."""
         return math.isfinite(self.worst)
 
     @property
@@ -295,7 +295,7 @@ class Certificate(OneLine):
 
     @property
     def certified(self) -> bool:
-        """Whether every check holds."""
+        """Return whether every check holds."""
         return all(check.holds for check in self.limited)
 
     @property

@@ -245,7 +245,7 @@ def _outside_sheet(spans: PairSpans) -> Flags:
 
 
 class CrossingHeight(NamedTuple):
-    """Where two chords cross, seen from above."""
+    """The point at which two chords cross, seen from above."""
 
     crosses: Flags
     """(spans,), whether they certainly cross."""

@@ -370,7 +370,7 @@ def _opening(spans: Clasps) -> Bound:
     A clasp is closed where ``C·q̂_k < 0``, ``C·u_k < 0``, ``C·r̂_{k-1} > 0`` and ``C·u_{k-1} < 0``.
     Friction tilts C along the cables: with it, the mean of each cable's two products counts.
     Without a load, each is ``-2 T cos²(φ/2) cos²(ψ/2)`` for a roll ψ and an exterior angle φ. Its
-    magnitude at OPEN_ROLL is added, so clasps count as open from there on.
+    magnitude at OPEN_ROLL is added, so clasps count as open beyond it.
     """
     along = spans.along.reduced(ROUGH_ORDER)
     contact = spans.contact.reduced(ROUGH_ORDER)
@@ -513,9 +513,9 @@ def _kink(spans: LegEnds) -> Bound:
     """Return the force that is missing where a leg meets its edge, over the tension.
 
     Leg and edge pull on the point between them, which carries half of their weights. Both are
-    chords of one sagging cable: level forces of the second order, the square of half of the cable's
-    weight over its tension, are not counted, nor is PASSED_SHARE of the weight on the point, which
-    the other cable of a clasp may bear.
+    chords of one sagging cable: horizontal forces of second order, the square of half of the
+    cable's weight over its tension, are not counted, nor is PASSED_SHARE of the weight on the
+    point, which the other cable of a clasp may bear.
     """
     motion = spans.source
     cable, end = np.divmod(spans.item, 2)

@@ -130,6 +130,6 @@ CROSSING = CheckRule(
 )
 """Cable parts that share no clasp keep a distance.
 
-Laid neighbours may be above each other; as they come down on each other, the check ``interlacing``
-compares them.
+Laid neighbours may be above each other; while they come down on each other, the check
+``interlacing`` compares them.
 """

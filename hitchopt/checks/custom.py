@@ -123,7 +123,7 @@ class Rule(ByValue, Generic[S]):
 
     Attributes
     ----------
-    name: lower-case letters, digits and _, such as ``leg_angle``; no name of another check.
+    name: lower-case letters, digits and _, such as ``leg_angle``; not that of a check.
     unit: such as ``deg``; ``1`` for ratios.
     sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
     limit: in that unit.
@@ -186,7 +186,7 @@ class Rule(ByValue, Generic[S]):
             raise InputError(f"{self.name}.formula", error, "a formula", remedy) from error
         scalar: Any = quantity.cosine if isinstance(quantity, Angle) else quantity
         if not isinstance(scalar, Enclosed):
-            remedy = "compute with the values of the spans, without taking numbers out of them"
+            remedy = "use arithmetic on the values of the spans; do not extract plain numbers"
             raise InputError(f"{self.name}.formula", quantity, "an enclosed scalar", remedy)
         if scalar.c.shape[:-1] != (len(spans), 1):
             bound = f"({len(spans)}, 1), one number for each span"
@@ -203,7 +203,7 @@ def checked_rules(rules: Iterable[Rule[Any]], taken: Sequence[str]) -> tuple[Rul
     for index, rule in enumerate(entries):
         check_instance(f"rules[{index}]", rule, Rule)
         if rule.name in names:
-            bound = "no name of another check"
+            bound = "different from the names of other checks"
             raise InputError(f"rules[{index}].name", rule.name, bound, "rename the rule")
         names.append(rule.name)
     return entries

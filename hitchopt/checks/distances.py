@@ -213,16 +213,16 @@ class Moving:
     """[m] Rounding error, which is subtracted from distances."""
 
     allowed: Callable[[Indices, Indices], Flags] | None = None
-    """Predicate of pairs (first, second) that count; None for all."""
+    """Predicate of pairs (first, second) that are compared; None for all."""
 
     matched: bool = False
-    """Whether only pairs of bodies with the same number count."""
+    """True if only pairs of bodies with the same number are compared."""
 
     shape: Shape = ORIGIN
     """The body from which differences of two positions keep a distance."""
 
     active: Flags | None = None
-    """(pieces, bodies), whether bodies of the first group count on a piece; None for all."""
+    """(pieces, bodies), whether bodies of the first group are compared on a piece; None for all."""
 
     lengths: Array | None = None
     """(bodies,) [m], lengths of cables that hang between both corners of the first group."""
@@ -251,7 +251,7 @@ class Moving:
     ) -> Moving:
         """Return the pairs of bodies of two kinds on the pieces of a motion, or of one kind.
 
-        Upright regions are compared by ``upright_distance``. The default rounding error is that of
+        Vertical regions are compared by ``upright_distance``. The default rounding error is that of
         the motion.
         """
         other = second or first
@@ -307,7 +307,7 @@ class Moving:
 
     @property
     def pairs(self) -> Pairs | None:
-        """All pairs that count; None if there are too many to list."""
+        """All pairs to compare; None if there are too many to list."""
         if self.matched:
             bodies = np.arange(self.count)
             return self.select(bodies, bodies)
@@ -318,7 +318,7 @@ class Moving:
         return self.select(first, second)
 
     def select(self, first: Indices, second: Indices) -> Pairs:
-        """Return the pairs that count."""
+        """Return the pairs to compare."""
         counts = np.ones(len(first), dtype=np.bool_)
         if self.second is None:
             counts = first < second
@@ -452,7 +452,7 @@ class Listed(NamedTuple):
     """The pairs; None if there are too many."""
 
     move_far: bool
-    """Whether bodies move far in comparison with the reach, so that halves have fewer pairs."""
+    """True if bodies move far in comparison with the reach, so that halves have fewer pairs."""
 
 
 def _listed(moving: Moving, reach: float, depth: int | None = None) -> Listed:
@@ -512,7 +512,7 @@ def _nearest_neighbours(moving: Moving, attained: Callable[[], float]) -> Iterat
 
 
 def smallest(moving: Moving, **options: float) -> Extremum:
-    """Return the minimum distance of all pairs that count, with options of ``BranchAndBound``.
+    """Return the minimum distance of all compared pairs, with options of ``BranchAndBound``.
 
     Without a pair, it is infinite and the item is -1.
     """

@@ -1,14 +1,13 @@
 """Check ``downwash``: bodies below a drone that its downwash would move are outside its ellipsoid.
 
 Between drones, ``separation`` keeps two ellipsoids apart. The lower half of a drone's ellipsoid,
-with the semi-axes ``radius`` and ``height``, also keeps off taut cables of other teams, and off
+with the semi-axes ``radius`` and ``height``, also keeps clear of taut cables of other teams, and of
 objects that they carry or that the drone's downwash would move. In coordinates scaled by these
 semi-axes, the minimum distance is 1.
 
 The momentum of a rotor's wake per time is its thrust (momentum theory: Leishman, Principles of
-Helicopter Aerodynamics, 2006, section 2.2), so the wake pushes a body by no more. An object that
-stands free would slide if the largest thrust exceeds its friction. Heavier and fixed ones do not
-move.
+Helicopter Aerodynamics, 2006, section 2.2), so the wake pushes a body by no more. A free-standing
+object would slide if the largest thrust exceeds its friction. Heavier and fixed ones do not move.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ def half_axes(separation: Separation) -> Array:
 
 
 def moves(body: SolidObject, team: Team) -> bool:
-    """Return whether the downwash of a team's drones would move an object that stands free."""
+    """Return whether the downwash of a team's drones would move a free-standing object."""
     grip = body.friction * body.mass * GRAVITY
     return not body.fixed and grip < float(np.max(team.max_thrust))
 
@@ -117,7 +116,7 @@ def pairs_with_object(
 
 
 def drones_above_objects(motion: Motion, scale: Array, **options: Any) -> Iterator[Moving]:
-    """Yield pairs of single drones and objects that stand in their way, in scaled coordinates.
+    """Yield pairs of single drones and objects in their path, in scaled coordinates.
 
     ``options`` are those of ``pairs_with_slab``.
     """

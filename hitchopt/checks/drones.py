@@ -163,12 +163,12 @@ class Drones(MotionSpans):
 
     @property
     def has_weight(self) -> bool:
-        """Whether cables have weight."""
+        """Return whether cables have weight."""
         return self.source.team.cable_density > 0.0
 
     @property
     def has_hanging(self) -> bool:
-        """Whether any cable hangs at any time."""
+        """Return whether any cable hangs at any time."""
         return self.has_weight and bool(np.any(taut_shares(self.source) != 1.0))
 
     @property
@@ -396,8 +396,8 @@ THRUST = CheckRule(
     "max",
     lambda motion: float(np.max(motion.team.max_thrust)),
     (Evaluator(THRUST_SHARE, exported=True, formulas=(Drones.thrust, Drones.load)),),
-    "give the drone more thrust, or lower team.tension",
-    "give the drone more thrust, or lower team.cable_density",
+    "use a drone with more thrust, or lower team.tension",
+    "use a drone with more thrust, or lower team.cable_density",
     "tension",
     derivative=2,
 )

@@ -386,7 +386,8 @@ HINGE = CheckRule(
     (Evaluator(_lowest_hinge, HITCHED_STATE, formulas=(hinge_height,)),),
     "tie higher above the centre of mass",
 )
-"""Two clasps are a hinge: an object hangs upright from them, but falls over above them."""
+"""Two clasps are a hinge: an object hangs upright from them, but falls over if its centre of mass
+is above them."""
 
 
 @cached

@@ -53,12 +53,12 @@ MAX_REACH = 0.25
 """[m] Pieces on which a drone may move farther are split."""
 
 OWN_DISTANCES = 2.0
-"""Distance along a cable from its drone, over ``separation.cable``, from which on it counts there
-where it rises again. Errors of drones add to that limit."""
+"""Distance along a cable from its drone, over ``separation.cable``, beyond which it is checked
+there where it rises again. Errors of drones add to that limit."""
 
 OWN_SHARE = 0.75
-"""End of the last link that does not count for the cable's own drone, over the distance along the
-cable from which on it counts."""
+"""End of the last link that is ignored for the cable's own drone, over the distance along the
+cable beyond which it is checked."""
 
 ROUNDING_SHARE = 1e-9
 """Rounding of the end of that link, over the same distance."""
@@ -215,7 +215,7 @@ def cables_and_drones(motion: Motion) -> Moving:
 
 
 def own_cable_distance(motion: Motion) -> float:
-    """Return the distance along cables from which on they count for their own drones [m]."""
+    """Return the distance along cables beyond which they are checked for their own drones [m]."""
     requirements = motion.requirements
     limit = DISTANCES["cable_clearance"].limit(requirements.separation)
     return OWN_DISTANCES * (limit + 2.0 * requirements.limits.tube.level)
@@ -265,8 +265,8 @@ def cables_and_ground(motion: Motion) -> Moving:
 def chain_distance(spans: PairSpans, shape: Shape | None = None, beyond: float = 0.0) -> Bound:
     """Return the distances of hanging cables from points, or from a half-space [m].
 
-    With ``beyond``, points are the cables' own starts, and only links count that rise beyond that
-    distance [m] along them.
+    With ``beyond``, points are the cables' own starts, and only links that rise are checked, beyond
+    that distance [m] along them.
     """
     ends, point = spans.ends
     shape = shape or spans.source.shape

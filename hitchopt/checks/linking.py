@@ -389,8 +389,8 @@ class Ties:
 
         Before they roll, or after that, both cables of a clasp cross beyond the object, seen from
         above. Since they began to cross, one is above the other, and they come to lie on each
-        other. At all other times they keep apart, as their arcs and their ends at different clasps
-        do always.
+        other. At all other times they stay apart; their arcs and their ends at different clasps
+        always do.
         """
         after_rolling = before is CableState.ROLLING
         before_rolling = after is CableState.ROLLING
@@ -466,7 +466,7 @@ class LyingRun(NamedTuple):
     """1 if the cable ahead is above the one behind, -1 if below, 0 if neither is certain."""
 
     valid: bool
-    """Whether they lie on each other next to rolling, and never pass each other."""
+    """True if the cables lie on each other next to rolling, and never pass each other."""
 
     @classmethod
     def followed(cls, heights: Array, contact_column: int) -> LyingRun:
@@ -474,7 +474,7 @@ class LyingRun(NamedTuple):
 
         Parameters
         ----------
-        heights: (spans, 4) of ``heights_beyond``, from the span next to rolling on.
+        heights: (spans, 4) of ``heights_beyond``, starting at the span next to rolling.
         contact_column: index of the height at that end of a span which is next to rolling.
         """
         crosses = ~np.isnan(heights[:, 0])

@@ -131,7 +131,7 @@ def certify(
     ----------
     flight: a plan, its flight, or the motion of a team that flies alone.
     progress: called with the name of every check at its start, and the number of finished ones.
-        With it, reports are evaluated at once, otherwise when they are first read.
+        With it, reports are evaluated immediately, otherwise when they are first read.
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
     reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
         ``merged`` computes the others.

@@ -185,7 +185,7 @@ class CheckRule:
     is undefined where the next lower derivative jumps, and decreases in slow motion."""
 
     whole: bool = False
-    """Whether a joined motion is checked as a whole, as its parts do not cover the joints."""
+    """True if a joined motion is checked as a whole, since its parts do not cover the joints."""
 
     exported_limit: float | None = None
     """The limit for exported curves, if different."""

@@ -44,8 +44,8 @@ def leg_remedy(motion: Motion, check: Check, distance: str) -> str:
     exterior angle τ at both ends of an edge e and a cable of length L, the drones of that cable are
     ``e (1 + cos τ) - L cos τ`` apart: always farther on a larger polygon; on a shorter cable where
     their legs converge (τ < 90°: polygons of five vertices or more), on a longer one where they
-    diverge (triangles). From the edges that meet at its vertex, and from the other drone there, a
-    drone is the farther the longer the legs are.
+    diverge (triangles). The longer its leg, the farther a drone is from the edges at its vertex and
+    from the other drone there.
     """
     change = _leg_change(motion, check)
     return change and f"{change}, or allow a smaller {distance}"

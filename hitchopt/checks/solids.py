@@ -33,7 +33,7 @@ class Subdivision(NamedTuple):
 
 
 MANY_SEGMENTS = 256
-"""Number of segments from which on each is divided into few parts per round."""
+"""Number of segments above which each is divided into few parts per round."""
 
 FEW_LARGE_DIVISIONS = Subdivision(rounds=5, parts=32)
 """Division of few segments, to find nearest points to 3e-8 of their length."""
@@ -44,7 +44,7 @@ MANY_SMALL_DIVISIONS = Subdivision(rounds=25, parts=2)
 
 @dataclass(frozen=True, eq=False)
 class Solid(Shape):
-    """A slab, as an obstacle for points, segments and other upright slabs.
+    """A slab, as an obstacle for points, segments and other slabs.
 
     Another slab is represented by the corners of its core, those of its floor first; its
     ``rounding`` is added to this slab.

@@ -47,7 +47,7 @@ _CACHE: ContextVar[dict[Any, Any] | None] = ContextVar("cache", default=None)
 
 @contextmanager
 def value_cache() -> Iterator[None]:
-    """Cache values within the outermost context, as they take more memory than the motion."""
+    """Cache values within the outermost context, since they take more memory than the motion."""
     cache = _CACHE.get()
     token = _CACHE.set({} if cache is None else cache)
     try:

@@ -1,9 +1,9 @@
 """Stops of the common clock, and the report ``stoppable``: the longest time to rest.
 
-With x(τ) the plan, D its derivatives by plan time and s = dτ/dt, the acceleration on a clock is
-``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these, the formulas of the checks
-apply to drones on that clock. Forces on carried objects match the plan's own rate: ``(s² - 1) D²x +
-ṡ Dx`` times their mass is unbalanced.
+With x(τ) the plan, D its derivatives with respect to plan time and s = dτ/dt, the acceleration on a
+clock is ``s² D²x + ṡ Dx`` and the jerk ``s³ D³x + 3 s ṡ D²x + s̈ Dx``: with these, the formulas of
+the checks apply to drones on that clock. Forces on carried objects match the plan's own rate: ``(s²
+- 1) D²x + ṡ Dx`` times their mass is unbalanced.
 
 A cell is a phase of constant s̈ within one piece. If norms on whole pieces do not prove that it
 keeps all limits, the formulas are enclosed on it, s and ṡ by lines over plan time. It is halved
@@ -184,7 +184,7 @@ class OnClock(MotionSpans):
         )
 
     def accelerated(self, velocity: Enclosed, acceleration: Enclosed) -> Enclosed:
-        """Return the acceleration from derivatives by plan time."""
+        """Return the acceleration from derivatives with respect to plan time."""
         rate, slope, _ = self.clock
         return rate * rate * acceleration + slope * velocity
 
@@ -238,7 +238,7 @@ class ClockLimit:
 
     @lazy
     def sizes(self) -> Array:
-        """(orders, pieces, items): bounds of the norms of derivatives by plan time."""
+        """(orders, pieces, items): bounds of the norms of derivatives with respect to plan time."""
         bounds = []
         for order in range(1, self.orders + 1):
             norms = column_lengths(derivative(self.path, order))

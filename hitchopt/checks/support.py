@@ -80,8 +80,8 @@ def force_line(spans: Resting) -> Bound:
 def foot(spans: Gripped) -> Bound:
     """Return how far within its foot a standing object is pressed on its support [m].
 
-    Edges pull with a moment about the point below the centre of mass. The support's force is that
-    moment over the weight beside it.
+    Edges pull with a moment about the point below the centre of mass. The support's force acts at a
+    distance of that moment over the weight.
     """
     body = spans.body
     height = np.array([0.0, 0.0, body.centre_of_mass[2] - body.lower])
@@ -119,7 +119,7 @@ def _force_lines(motion: Motion, _: float) -> WorstCase:
 
 @dataclass(frozen=True, eq=False)
 class _ObjectSupport:
-    """How an object is supported, on all pieces of a motion."""
+    """The supports of an object, on all pieces of a motion."""
 
     motion: Motion
     """The motion."""
@@ -200,7 +200,7 @@ def _floating(motion: Motion, index: int, name: str, at_rest: Mask) -> Mask:
 def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
     """Return on which spans clasps are above a rim, or did not surround the body at the start.
 
-    If the object is ``carried`` (spans,), clasps must also keep their places below the rim, and
+    If the object is ``carried`` (spans,), clasps must also keep their positions below the rim, and
     friction must prevent sliding.
     """
     body = spans.body
@@ -215,7 +215,7 @@ def _misplaced_clasps(spans: Resting, carried: Mask) -> Mask:
 
 
 def _left_places(spans: Resting) -> Mask:
-    """Return which clasps (spans, n) may have left their places since the start of the hold.
+    """Return which clasps (spans, n) may have left their positions since the start of the hold.
 
     Under the full weight, they are ``rim_drop`` below the rim, before that no lower.
     """
@@ -234,7 +234,7 @@ def _left_places(spans: Resting) -> Mask:
 
 
 def _off_rim(body: SolidObject, places: Array) -> Mask:
-    """Return which clasps at places (spans, n, 2) [m] are not below a rim, or cut its stem."""
+    """Return which clasps at positions (spans, n, 2) [m] are not below a rim, or cut its stem."""
     rim = known(body.rim)
     is_off_rim = rim.section.clearance(places)[0] >= -PLACE_TOLERANCE
     if body.stem is None:
@@ -257,6 +257,6 @@ SUPPORT = CheckRule(
     "min",
     lambda motion: 0.0 if motion.requirements.objects else None,
     (Evaluator(_force_lines, TAUT_STATES | FREE_STATES, formulas=(force_line,)),),
-    "carry it more gently, or hold it farther out or closer below its centre of mass",
+    "carry it more slowly, or hold it farther out or closer to its centre of mass",
     whole=True,
 )

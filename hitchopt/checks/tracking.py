@@ -7,12 +7,12 @@ their ellipsoids touch; for other bodies, the slack of checks divided by the app
 hanging cable moves with its ends, and its depth changes. A cable that is drawn taut hangs no lower
 than before; its drones' errors along it change the tension at which it is straight.
 
-If ``limits.tracking`` has a larger height than level, errors are within an ellipsoid with radius r
-and the same ratio of height and radius. Heights are divided by this ratio in all distances. That
-makes the ellipsoid a ball and lengthens no distance, so all of the above applies.
+If ``limits.tracking`` is larger vertically than horizontally, errors are within an ellipsoid with
+radius r and the same ratio of height and radius. Heights are divided by this ratio in all
+distances. That makes the ellipsoid a ball and lengthens no distance, so all of the above applies.
 
 ``limits.tracking``, if stated, is the limit; then the distances of cables and carried objects from
-other objects count, too.
+other objects are included.
 
 It follows from the bounds of the checks, which hold for all t, and the ``approach`` of each rule.
 Only pairs of drones at different heights, spans of free cables, hanging cables, and what is below
@@ -291,7 +291,7 @@ class Ellipsoid(Shape):
 
 @dataclass(frozen=True, eq=False)
 class Wash(Shape):
-    """A drone's ellipsoid and a slab, or none: their sum, from which drones keep off.
+    """A drone's ellipsoid and a slab, or none: their sum, from which drones keep clear.
 
     Semi-axes of the ellipsoid are ``axes`` (3,) [m], the first two equal.
     """
@@ -307,7 +307,7 @@ class Wash(Shape):
         return np.asarray(reach + self.slab.support(directions))
 
     def normals(self, corners: Array) -> Array:
-        """Return outward normals (…, 3) nearest to hulls (…, corners, 3), by projections in turn.
+        """Return outward normals (…, 3) nearest to hulls (…, corners, 3), by alternate projections.
 
         With a slab, hulls are points.
         """
@@ -348,7 +348,7 @@ def _error(spans: PairSpans, floor: float | None = None) -> Bound:
 def downwash_radius(
     pairs: Callable[..., Iterable[Moving]], requirements: Requirements, approach: float
 ) -> WorstCase:
-    """Return the largest error [m] with which drones keep off what their downwash would move.
+    """Return the largest error [m] with which drones keep clear of what their downwash would move.
 
     ``pairs`` yields the pairs of bodies for a scale of coordinates, a formula and a shape. These
     approach each other by ``approach`` times the error.
@@ -368,8 +368,8 @@ TRACKING_RADIUS = ReportRule(
     "min",
     _radius,
     limit=lambda requirements: requirements.limits.tube.level or None,
-    remedy="give cables or polygons more room or stiffer gains, or state limits.tracking as "
-    "measured, if that is less",
-    free_remedy="place the robots farther apart and farther from objects, give stiffer gains, or "
-    "state limits.tracking as measured, if that is less",
+    remedy="use longer cables, larger polygons or stiffer gains, or set limits.tracking to a "
+    "smaller measured error",
+    free_remedy="place the robots farther apart and farther from objects, use stiffer gains, or "
+    "set limits.tracking to a smaller measured error",
 )

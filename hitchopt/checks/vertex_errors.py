@@ -38,17 +38,17 @@ class RestErrors(NamedTuple):
     """[s] Time of the rest."""
 
     radii: Array
-    """(points,) [m], largest distances of vertices from their planned places."""
+    """(points,) [m], largest distances of vertices from their planned positions."""
 
     parts: Array
     """(points, 3) [m], contributions of cables, drones and friction, to first order."""
 
 
 def states_at_rests(motion: Motion) -> States | None:
-    """Return the states at all rests of a hitch that holds nothing, one for each of its places.
+    """Return the states at all rests of a hitch that holds nothing, one for each position.
 
     Rests are sought at the ends of pieces: motions from rest to rest are joined there. None without
-    a rest; times count from the motion's start.
+    a rest; times start at the motion's start.
     """
     if not motion.team.has_cables:
         return None
@@ -131,7 +131,7 @@ def error_in_words(motion: Motion) -> str:
     name = motion.team.point_names[vertex]
     radius = 100.0 * float(rest.radii[vertex])  # [cm]
     if not np.isfinite(radius):
-        return f"{name}: no rest is found with errors as large as team.errors"
+        return f"{name}: no equilibrium was found for errors as large as team.errors"
     parts = zip(KINDS, (100.0 * rest.parts[vertex]).tolist(), strict=True)
     causes = ", ".join(f"{part:.2g} cm by {kind}" for kind, part in parts if part > 0.0)
     return f"vertex error: at most {radius:.3g} cm, of {name} at t = {rest.time:.4g} s: {causes}"

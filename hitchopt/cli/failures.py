@@ -136,7 +136,7 @@ def report_error(error: HitchoptError) -> None:
 
 
 def _entries(error: HitchoptError) -> list[dict[str, Any]]:
-    """Return an error as plain data: keys and places of invalid values, or violated limits."""
+    """Return an error as plain data: keys and positions of invalid values, or violated limits."""
     if isinstance(error, InputError):
         parts = getattr(error, "errors", (error,))
         places = [part.place._asdict() if part.place else {} for part in parts]

@@ -40,7 +40,7 @@ PORT = {"json": 14600, "mavlink": 14580}
 
 
 def _placement_options() -> Sequence[click.Option]:
-    """Return the options for the place of a plan in the frame of files or of drones."""
+    """Return the options that place a plan in the frame of files or of drones."""
     from hitchopt.exports.options import ExportOptions
     from hitchopt.values.fields import keys_of
 
@@ -308,7 +308,7 @@ def _default_abort(flight: ho.Flight) -> str:
     ),
     option(
         "--listen",
-        "Local address that sends setpoints and receives measurements; give this machine's "
+        "Local address that sends setpoints and receives measurements; use this machine's "
         "address on the drones' network.",
         "127.0.0.1:0",
         "HOST:PORT",
@@ -318,14 +318,14 @@ def _default_abort(flight: ho.Flight) -> str:
     option("--rate", "Setpoints per second for each drone.", 50.0, "HZ"),
     option(
         "--how",
-        "What key a does; default: release_and_land, or land without cables.",
+        "Action of key a; default: release_and_land, or land without cables.",
         None,
         choices=HOWS[2:],
     ),
     option("--patience", "Time from a lost link to landing.", 5.0, "SECONDS"),
     option(
         "--measurements/--no-measurements",
-        "Whether 0.5 s without measurements counts as a lost link.",
+        "Treat 0.5 s without measurements as a lost link.",
         True,
     ),
 )

@@ -202,7 +202,7 @@ def show_plan(title: str, flight: ho.Flight, certificate: ho.Certificate) -> Non
     low = below_ground(flight)
     if low is not None:
         depth = f"{', '.join(low.where)} is {-low.worst:.4g} m below z = 0 at t = {low.time:.4g} s"
-        say(f"warning: {depth}; give an arena, whose floor is the ground", err=True)
+        say(f"warning: {depth}; add an arena, whose floor is the ground", err=True)
 
 
 def show_notes(plan: ho.Plan) -> None:
@@ -212,7 +212,7 @@ def show_notes(plan: ho.Plan) -> None:
     record(notes=plan.notes)
 
 
-MAX_PLACES = 40  # Drones whose places are printed; all are in the JSON output
+MAX_PLACES = 40  # Drones whose positions are printed; all are in the JSON output
 
 
 def show_places(flight: ho.Flight, addresses: Mapping[str, str] | None = None) -> None:
@@ -233,7 +233,7 @@ def show_places(flight: ho.Flight, addresses: Mapping[str, str] | None = None) -
         rows = [{**row, "address": addresses[row["drone"]]} for row in rows]
     if rows:
         more = f"… and {len(rows) - MAX_PLACES} more\n" if len(rows) > MAX_PLACES else ""
-        say(f"{table('Places of drones', rows[:MAX_PLACES])}\n{more}", places=rows)
+        say(f"{table('Positions on the hitch', rows[:MAX_PLACES])}\n{more}", places=rows)
 
 
 def phase_table(phases: Sequence[Phase]) -> str:

@@ -53,7 +53,7 @@ def report(directory: Path, ghost: Path | None) -> None:
     width_option("a saved picture"),
     option("--host", "Address to listen on; by default this machine.", "127.0.0.1", "TEXT"),
     option("--port", "Port to listen on, or the next free one.", 8080, "INTEGER"),
-    option("--browser/--no-browser", "Whether to open the browser.", True),
+    option("--browser/--no-browser", "Open the browser.", True),
 )
 def view(
     path: Path,
@@ -85,8 +85,8 @@ def view(
             raise FileError(f"{recording}: its plan is not in {path}; {remedy}")
     if save is not None:
         if ghost is not None:
-            bound = "no ghost when a plan is written to a file"
-            raise InputError("ghost", str(ghost), bound, "omit --save: it is shown live")
+            bound = "omitted when a plan is written to a file"
+            raise InputError("ghost", str(ghost), bound, "omit --save: ghosts are shown live")
         _save(save, path, recording if is_flight else None, width)
         return
     from hitchopt.storage.interrupts import how_to_end

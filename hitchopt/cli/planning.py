@@ -159,7 +159,7 @@ def _output(option: Path | None, file: Path) -> Path:
         raise InputError("output", str(option), "a separate directory", "name one, such as out")
     home = next(each for each in (folder, *folder.absolute().parents) if each.exists())
     if not (home.is_dir() and os.access(home, os.W_OK)):
-        reason = "is not a directory that may be written to; choose another one with -o"
+        reason = "is not a writable directory; choose another one with -o"
         raise FileError(f"{folder}: {home} {reason}")
     return folder
 
@@ -483,7 +483,7 @@ def init(
 
         text = json.dumps(problem_schema(), indent=2, ensure_ascii=False)
         Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
-        hint = "keep it next to your problem files: editors find it by their first line"
+        hint = "keep it next to your problem files: their first line points editors to it"
         say(f"wrote {SCHEMA}; {hint}", file=SCHEMA)
         return
     from hitchopt.values import closest_word
@@ -500,7 +500,7 @@ def init(
     first, *others = [key for key, value in options.items() if value is not None] or [""]
     if others and first != "drone":
         bound = f"omitted with --{first}"
-        raise InputError(f"--{others[0]}", options[others[0]], bound, "give one of the two")
+        raise InputError(f"--{others[0]}", options[others[0]], bound, "use only one of the two")
     template = PACKAGE / (KINDS[kind] if kind else "mission/template.yaml")
     source = files[example] if example else template
     text, study, fitted = problem_text(source), kind == STUDY, None
@@ -519,7 +519,7 @@ def init(
     flight = source.with_suffix(".csv")
     if flight.is_file():
         copy = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
-        say(f"wrote {copy}: a flight of it, simulated and recorded", recording=str(copy))
+        say(f"wrote {copy}: a recording of its simulated flight", recording=str(copy))
 
 
 def _range_text(ends: tuple[float, float], unit: str) -> str:
@@ -550,11 +550,11 @@ def _write_new(name: str, text: str | None, suffixes: tuple[str, ...] = SUFFIXES
     """Write text, if any, to a new file with one of the suffixes; raises FileError if it exists."""
     path = Path(name)
     if not path.name.strip("."):
-        raise FileError(f"{name!r}: is not a file name; give one, such as problem.yaml")
+        raise FileError(f"{name!r}: is not a file name; use one, such as problem.yaml")
     if path.suffix not in suffixes:
         path = path.with_name(path.name + suffixes[0])
     if os.path.lexists(path):
-        raise FileError(f"{path}: exists already; give another name, or remove it")
+        raise FileError(f"{path}: exists already; use another name, or remove it")
     if text is not None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -122,7 +122,7 @@ class FileContents:
         spans = len(np.unique(np.rint(np.concatenate(times) / BREAK_TOLERANCE))) - 1
         if spans * len(curves) > MAX_SPANS:
             reason = f"{len(curves)} drones with {spans} spans of time are too many to be read"
-            raise FileError(f"{reason}; give all drones the same times, or fewer points")
+            raise FileError(f"{reason}; use the same times for all drones, or fewer points")
         breaks, size = merged_breaks(times), max(1, WINDOW // len(curves))
 
         def windows() -> Iterator[PiecewisePolynomial]:
@@ -149,7 +149,7 @@ class FileContents:
         """
         check_times(t)
         if len(t) < 2:
-            raise FileError("has fewer than two samples; nothing moves between them")
+            raise FileError("has fewer than two samples")
         jet = np.moveaxis(values.reshape(len(t), len(names), -1, 3), 2, 0)
         if len(jet) > 1:
             _check_units(t, jet[0], jet[1])

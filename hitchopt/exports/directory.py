@@ -108,7 +108,7 @@ def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Pa
         content = _recomputed(parsed_json(file_bytes(path))) if path.is_file() else {}
         if any(content.get(key) != value for key, value in expected.items()):
             raise FileError(
-                f"{directory / SUMMARY}: is not written: another plan, or none, is there"
+                f"{directory / SUMMARY}: is not written: the directory has another plan, or none"
             )
 
     return replace_files(directory, {SUMMARY: write}, (SUMMARY,), SUMMARY, check=check) / SUMMARY
@@ -138,7 +138,7 @@ def refuse_mixture(directory: Path) -> None:
         expected = parsed_json(file_bytes(path)).get("plan")
         actual = digest(directory / PLAN)
     except (OSError, ValueError, AttributeError) as error:
-        reason = f"{path}: cannot be read: {error}; was a save killed? solve again"
+        reason = f"{path}: cannot be read: {error}; a save may have been interrupted; solve again"
         raise FileError(reason) from error
     if expected != actual:
         raise FileError(

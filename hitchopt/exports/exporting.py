@@ -65,15 +65,15 @@ STREAM = "Stream it with format=ros2bag or hitchopt fly"  # Remedy if setpoints 
 TUNED = {name for name, stock in STOCK.items() if math.isfinite(stock.stiffest[0])}
 """Controllers whose stiffest gains are known."""
 OFFSETS_HOLD_TENSION = "none: the setpoint offsets hold the tension; feed nothing forward"
-NO_CABLE_FORCE = "none: files with accelerations hold those of the drones"
+NO_CABLE_FORCE = "none: files with accelerations contain those of the drones"
 
-TRAILING_REMEDY = "fly it slower, give cables or polygons more room, or fly full setpoints"
+TRAILING_REMEDY = "fly more slowly, use longer cables or larger polygons, or fly full setpoints"
 """Remedy for drones that trail positions."""
 
-ROUNDING_REASON = "rounding or refitting costs more than the plan's margins"
+ROUNDING_REASON = "rounding or refitting errors exceed the plan's margins"
 OFFSET_REASON = (
     "setpoints that hold the tension exceed the plan's margins: use stiffer position loops or a "
-    "lower tension, stream it, or add allow_slack=True"
+    "lower tension, stream the plan, or add allow_slack=True"
 )
 """Reasons for violations, without and with setpoints that hold the tension."""
 

@@ -91,7 +91,7 @@ def _stated_gains(kind: Quadrotor, stiffness: float | None, damping: float | Non
 def firmware_parameters(kind: Quadrotor, loop: FlightController | None) -> Parameters:
     """Return the Crazyflie's parameters for a drone and its loop; without one, of the filter alone.
 
-    They have six digits, as single precision holds. The controller is one of CONTROLLERS.
+    They have the six digits of single precision. The controller is one of CONTROLLERS.
     """
     name = "mellinger" if loop is None else loop.name
     parameters: Parameters = {"stabilizer": {"estimator": KALMAN, "controller": CONTROLLERS[name]}}
@@ -213,7 +213,7 @@ def settings_findings(
 
         expected = by_robot.get(str(name)) or HELD.firmware_params
         if differences := describe_differences(expected, value_of):
-            level, effect = warning, "a cable's pull makes the filter blind"
+            level, effect = warning, "a cable's pull misleads the filter"
             if exported:
                 level, effect = error, "fly.py refuses to arm"
             yield level("parameters", str(name), f"{differences}: {effect}")

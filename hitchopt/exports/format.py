@@ -40,7 +40,7 @@ FLIPPED = np.array([1.0, -1.0, -1.0])  # Signs of axes after a rotation by 180°
 class ExportTask:
     """A plan or a part of it, and all options of its files.
 
-    Drones are in the order of the problem, but those of the flight in the order of their places.
+    Drones are in the order of the problem, but those of the flight are in order along the hitch.
     """
 
     flight: Flight  # starts at t = 0; with setpoints as drones if offsets hold the tension
@@ -65,13 +65,13 @@ class ExportTask:
 
     @property
     def trims(self) -> Array:
-        """Setpoints minus planned places (D, 3) [m] in the plan, in which drones' yaw is 0."""
+        """Setpoints minus planned positions (D, 3) [m] in the plan, in which drones' yaw is 0."""
         trims: Array = np.insert(self.flight.team.trim[self.order], 2, 0.0, axis=1)
         return trims if self.has_trims else 0.0 * trims
 
     @property
     def order(self) -> Indices:
-        """(D,): places of the drones in the flight."""
+        """(D,): indices of the drones in the flight."""
         return self.flight.team.listed
 
     @property
@@ -91,7 +91,7 @@ class ExportTask:
 
     @property
     def holds_tension(self) -> bool:
-        """Whether the flight has offsets to hold its tension."""
+        """Return whether the flight has offsets to hold its tension."""
         return self.without_offsets is not None
 
     @property
@@ -101,7 +101,7 @@ class ExportTask:
 
     @property
     def rests_longer(self) -> bool:
-        """Whether parts rest longer at their ends than the plan, until offsets are at rest."""
+        """Return whether parts end with longer rests than the plan, until offsets are at rest."""
         is_alone = self.flight.alone is not None
         return self.options.longer_rests and self.holds_tension and is_alone
 
@@ -311,7 +311,7 @@ def _check_format(kind: Format, name: str) -> None:
         if not isinstance(getattr(kind, key), tuple):
             raise TypeError(f"{key} = {getattr(kind, key)!r} is no tuple")
     if unknown := [frame for frame in kind.frames if frame not in AXES]:
-        raise ValueError(f"frame {unknown[0]} is none of {', '.join(AXES)}")
+        raise ValueError(f"frame {unknown[0]} is not one of {', '.join(AXES)}")
     if kind.name != name:
         raise ValueError(f"is registered as {name}, and its name is {kind.name}")
     re.compile(kind.header)

@@ -66,7 +66,7 @@ class HeldTension:
 def is_overridden(team: Team) -> bool:
     """Return whether integral gains would pull drones to moved setpoints, at any tension.
 
-    The vertical integral that PX4 always has is not counted: it only bears vertical forces.
+    PX4's permanent vertical integral is ignored: it only compensates vertical forces.
     """
     level = np.array([True, True, False])
     return bool(np.any((team.integral > 0.0) & (level | np.isfinite(team.integral))))
@@ -82,7 +82,7 @@ def held_tension(
     too fast.
     """
     if not flight.has_cables:
-        raise UnsupportedError("hold_tension=True: single drones carry no cables that could pull")
+        raise UnsupportedError("hold_tension=True: single drones have no cables")
     held = {
         each.name: _team_setpoints(each.motion, stiffness, damping)
         for each in flight.teams
@@ -113,7 +113,7 @@ def loop_gains(
         c = 2.0 * DAMPING_RATIO * np.sqrt(k * team.mass[:, None])
     if not np.all(np.isfinite(k)):
         bound = f"the position loop's [N/m], with {option}"
-        remedy = "give stiffness=, or team.quadrotor.stiffness in the problem"
+        remedy = "pass stiffness=, or team.quadrotor.stiffness in the problem"
         raise InputError("stiffness", None, bound, remedy)
     if damping is not None:
         c = np.full_like(k, positive("damping", damping))
@@ -175,9 +175,9 @@ def _team_setpoints(
         if (error := gain * residual) <= MAX_ERROR:
             break
     else:
-        remedy = "fly it slower with stretch="
+        remedy = "fly it more slowly with stretch="
         violation = Violation("held_tension", error, MAX_ERROR, "max", "m", (), "", remedy)
-        raise InfeasibleError([violation], "setpoints that hold the tension are not found")
+        raise InfeasibleError([violation], "no setpoints that hold the tension were found")
     split = whole.map_curves(lambda part: on_breaks(part, breaks), whole.phases)
     degree = max(split.drones.degree, DEGREE)
     positions = bernstein.elevate(split.drones.coefficients, degree)

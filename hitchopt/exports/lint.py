@@ -117,7 +117,7 @@ class Report:
 
     @property
     def sound(self) -> bool:
-        """Whether there are no errors; warnings are for the pilot to assess."""
+        """Return whether there are no errors; warnings are for the pilot to assess."""
         return all(finding.level != ERROR for finding in self.findings)
 
 
@@ -212,7 +212,7 @@ def load(path: Path) -> tuple[Format, FileContents]:
     is_one_flight = len(files) == 1 or all(f.suffix.lower() in first.several for f in files)
     if len(kinds) > 1 or not is_one_flight:
         counts = ", ".join(f"{number} of {kind.name}" for kind, number in kinds.items())
-        raise FileError(f"{path}: holds files of more than one flight ({counts}); name one")
+        raise FileError(f"{path}: contains files of more than one flight ({counts}); name one")
     return first, first.load(files)
 
 
@@ -230,7 +230,7 @@ def _trajectory_files(path: Path, formats: Sequence[Format]) -> list[Path]:
             return files
     suffixes = sorted({file.suffix.lower() or file.name for file in content}) or ["nothing"]
     read = ", ".join(dict.fromkeys((*ENDINGS, *others)))
-    raise FileError(f"{path}: files of {read} are read; it holds {', '.join(suffixes)}")
+    raise FileError(f"{path}: only files of {read} are read; it contains {', '.join(suffixes)}")
 
 
 def _is_of_all_formats(name: str) -> bool:
@@ -253,7 +253,7 @@ def _kind(path: Path, formats: Sequence[Format], exported_as: str) -> Format:
     with reading(path, "text file"):
         lines = list(headings(lambda: text_lines(path)))
     for line in lines:
-        for kind in reversed(candidates):  # polynomials last, as they may have no header
+        for kind in reversed(candidates):  # polynomials last, since they may have no header
             if re.match(kind.header, line):
                 return kind
     first, columns = next(filter(None, lines), "")[:60], "duration, t,drone, idx,t,px"
@@ -316,11 +316,11 @@ def _joint_flight(
         findings.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
     if is_relative:
         reason = "not checked: all begin at one point, as relative trajectories do"
-        findings.append(warning("separation", "", f"{reason}; give their starts"))
+        findings.append(warning("separation", "", f"{reason}; specify their starts"))
     elif kind.several:
         findings += _sequence_findings(names, first, last.coefficients[-1, ..., -1])
     if {DISTANCE, LOWEST} <= set(own):
-        reason = f"counts above {own[LOWEST]:g} m, where both drones are"
+        reason = f"applies where both drones are above {own[LOWEST]:g} m"
         findings.append(note(DISTANCE, "", reason))
     return flight, findings
 
@@ -422,7 +422,7 @@ def _time_findings(kind: Format, contents: FileContents, longest: float) -> Iter
     facts = sorted(contents.facts, key=lambda fact: fact.duration)
     if facts[0].duration < facts[-1].duration - DURATION_TOLERANCE:
         reason = f"lasts {facts[0].duration:.6g} s, another {facts[-1].duration:.6g} s"
-        yield warning("duration", facts[0].name, f"{reason}; let all end together")
+        yield warning("duration", facts[0].name, f"{reason}; end all at the same time")
 
 
 def _sequence_findings(names: Sequence[str], starts: Array, ends: Array) -> Iterator[Finding]:
@@ -484,9 +484,9 @@ def _manifest_of(path: Path) -> tuple[dict[str, Any], dict[str, Path]]:
 def _start_findings(
     fleet: Path, contents: FileContents, offsets: Mapping[str, Any]
 ) -> Iterator[Finding]:
-    """Yield errors for drones whose initial positions are not below their first places.
+    """Yield errors for drones whose initial positions are not below their first positions.
 
-    ``offsets`` are the manifest's, of the first points of the files from these places [m].
+    ``offsets`` are the manifest's, of the first points of the files from these positions [m].
     """
     starts, content = next(contents.windows()).coefficients[0, :, :2, 0], read_yaml(fleet)
     robots = mapping_at(content if isinstance(content, Mapping) else {}, "robots")
@@ -495,9 +495,9 @@ def _start_findings(
         start = [first[0] - offset[0], first[1] - offset[1]]
         point = mapping_at(robots, name).get("initial_position")
         if not _is_point(point):
-            yield error("start", name, f"is not in {fleet.name}; give its initial_position")
+            yield error("start", name, f"is not in {fleet.name}; add its initial_position")
         elif (distance := math.dist(point[:2], start)) > START_TOLERANCE:
-            reason = f"{fleet.name} places it {distance:.3g} m from below its first place, "
+            reason = f"{fleet.name} places it {distance:.3g} m from below its first position, "
             yield error("start", name, f"{reason}{start[0]:.4g}, {start[1]:.4g}; correct it")
 
 

@@ -119,6 +119,6 @@ class ExportOptions(Record):
         bool,
         Key(
             FLAGS,
-            "Whether rests where a plan is cut may be extended until setpoints are at rest",
+            "Extend rests at which a plan is cut until setpoints are at rest",
         ),
     ] = True

@@ -25,7 +25,7 @@ Fits = Callable[[ExportTask], bool]  # Whether a part fits in memory
 def cut_into_parts(task: ExportTask, fits: Fits) -> Sequence[ExportTask]:
     """Return the task cut at rests into the fewest parts that fit; empty if none do.
 
-    A plan is not cut if other plans fly at the same time, as they would not wait. No part is a
+    A plan is not cut if other plans fly at the same time, since they would not wait. No part is a
     take-off alone, after which tying would wait for the next upload. Of as many parts, those that
     end with a taut hitch are preferred.
     """

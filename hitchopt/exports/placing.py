@@ -58,7 +58,7 @@ PER_RADIO = 15  # Drones per radio with uploaded trajectories
 
 
 def drone_places(flight: Flight) -> list[dict[str, str]]:
-    """Return a row per drone on a cable, in the problem's order: place on the hitch, and mass."""
+    """Return a row per drone on a cable, in the problem's order: end of an edge, and mass."""
     rows = list[dict[str, str]]()
     for each in flight.teams:
         team = each.motion.team
@@ -80,7 +80,7 @@ def drone_places(flight: Flight) -> list[dict[str, str]]:
 
 
 def places_text(flight: Flight, fleet: Fleet) -> str:
-    """Return the table of drones on cables: names in the files and the problem, and places.
+    """Return the table of drones on cables: names in files and problem, and ends of edges.
 
     Empty without cables.
     """
@@ -179,7 +179,7 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
         member = replace(entry, role=role, name=name, initial_position=[])
         where = f"{root}.{member.name if root == 'robots' else member.role}"
         if member.role in drones:
-            bound = f"of one enabled robot only, and {drones[member.role].name} has it"
+            bound = f"the role of one enabled robot only, and {drones[member.role].name} has it"
             raise InputError(f"{where}.role", member.role, bound, "disable one of them")
         if not NAME.match(member.name) or member.name.lower() in RESERVED:
             bound = "letters, digits and underscores, a letter first, and no word of YAML"
@@ -191,7 +191,9 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
             raise InputError(f"{where}.uri", member.uri, "an address", remedy)
         for key, value in (("name", member.name), ("uri", member.uri)):
             if value.lower() in unique:
-                raise InputError(f"{where}.{key}", value, "of one drone only", "give each its own")
+                raise InputError(
+                    f"{where}.{key}", value, "unique among drones", "use a unique one per drone"
+                )
             unique.add(value.lower())
         drones[member.role] = member
     for role in (*drones, *roles):
@@ -230,7 +232,9 @@ class ReferenceFrame:
             raise InputError("frame", self.name, bound, "enu is the plan's own")
         point = np.array(self.origin, dtype=np.float64)
         if point.shape != (3,) or not np.all(np.isfinite(point)):
-            raise InputError("origin", self.origin, "three finite numbers", "give x y z in metres")
+            raise InputError(
+                "origin", self.origin, "three finite numbers", "specify x y z in metres"
+            )
         point.setflags(write=False)
         object.__setattr__(self, "origin", point)
         object.__setattr__(self, "yaw", finite("yaw", self.yaw))

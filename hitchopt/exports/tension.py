@@ -1,4 +1,4 @@
-"""How drones that fly exported files hold the tension of their cables."""
+"""Policies by which drones that fly exported files hold the tension of their cables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hitchopt.motion.flight import Flight
 
 @dataclass(frozen=True)
 class TensionPolicy:
-    """How the tension of cables is held in flights of a format's files.
+    """The policy that holds the tension of cables in flights of a format's files.
 
     Drones hold it if they get the cable forces and add them, or by offsets of their setpoints,
     which need the stiffness of their position loops.
@@ -26,16 +26,16 @@ class TensionPolicy:
     """Teams that form a hitch."""
 
     is_flown: bool
-    """Whether drones fly the files."""
+    """True if drones fly the files."""
 
     sends_forces: bool
-    """Whether receivers get the cable forces."""
+    """True if receivers get the cable forces."""
 
     needs_stiffness: bool
-    """Whether tensions are lost if the stiffness of position loops is not known."""
+    """True if tensions are lost unless the stiffness of position loops is known."""
 
     wants_offsets: bool
-    """Whether the options ask for offsets in formats that may do without."""
+    """True if the options request offsets in formats that do not require them."""
 
     stiffness: float | None
     """Stiffness of all position loops that the options state [N/m]; None for the teams'."""
@@ -63,13 +63,13 @@ class TensionPolicy:
 
     @property
     def needs_offsets(self) -> bool:
-        """Whether setpoints have to hold the tension."""
+        """Return whether setpoints have to hold the tension."""
         is_taken = all(map(self.takes_force, self.teams))
         return self.wants_offsets or (self.needs_stiffness and not is_taken)
 
     @property
     def is_overridden(self) -> bool:
-        """Whether integral gains would pull drones to moved setpoints, whatever the tension."""
+        """Return whether integral gains would pull drones to moved setpoints at any tension."""
         return any(map(is_overridden, self.teams))
 
     @property

@@ -35,7 +35,7 @@ SETPOINT_RULES = tuple(
 """Rules for setpoints with offsets that hold the tension. Drones fly to their setpoints if their
 cables break or go slack; otherwise the plan's certificate applies."""
 
-SLOWER_REMEDY = "fly it slower with stretch=, plan below the limit, or choose another format"
+SLOWER_REMEDY = "fly it more slowly with stretch=, plan below the limit, or choose another format"
 MARGIN_REMEDY = "plan with a wider margin there, sample at a higher rate=, or choose another format"
 """Remedies for checks of derivatives, and for other checks."""
 
@@ -100,15 +100,15 @@ def verify(
 ) -> Verdict:
     """Return errors and checks of files of the plan ``flight``, from t = 0.
 
-    ``frame`` is that of the files, ``names`` (D,) are their names of the drones, in the order of
-    the problem. Setpoints are off the places by ``trims`` (D, 3) [m] in the plan. Raises FileError
-    for other drones than the plan's, and if the files are too short.
+    ``frame`` is that of the files, ``names`` (D,) are the drones' names in them, in the order of
+    the problem. Setpoints differ from the positions by ``trims`` (D, 3) [m] in the plan. Raises
+    FileError for other drones than the plan's, and if the files are too short.
     """
     missing = [name for name in names if name not in contents.names]
     if missing or len(contents.names) != len(names):
-        reason = f"{missing[0]} is missing" if missing else "there are more of them"
+        reason = f"{missing[0]} is missing" if missing else "there are more drones"
         raise FileError(f"its drones are not those of the plan: {reason}")
-    numbers = np.argsort(flight.team.listed)  # of the drones at the flight's places
+    numbers = np.argsort(flight.team.listed)  # of the drones in the flight's order
     index = [contents.names.index(names[drone]) for drone in numbers]
     offsets = np.broadcast_to(trims, (len(names), 3))[numbers]
     firsts = np.cumsum([len(each.motion.team.drone_names) for each in flight.teams])[:-1]

@@ -98,12 +98,12 @@ def read_drawing(path: str | Path) -> Drawing:
     try:
         require_file(path)
         if path.stat().st_size > MAX_FILE_SIZE:
-            raise FileError(f"{path}: has more than {MAX_FILE_SIZE:.0e} bytes, too many")
+            raise FileError(f"{path}: has more than {MAX_FILE_SIZE:.0e} bytes")
         lines = READERS[suffix](path, notes)
     except HitchoptError:
         raise
     except FileNotFoundError:
-        raise FileError(f"{path}: there is no such file; give a drawing") from None
+        raise FileError(f"{path}: there is no such file; name a drawing") from None
     except Exception as error:  # parsers raise errors of their own, and builtin ones
         reason = str(error).splitlines()
         raise FileError(f"{path}: cannot be read: {reason[0] if reason else error!r}") from None
@@ -193,7 +193,7 @@ def _read_dxf(path: Path, notes: list[str]) -> Lines:
         text[1::2] = map(with_decimal_point, text[1::2])  # a code and its value take a line each
         drawing = ezdxf.read(io.StringIO("\n".join(text)))
     if not 0 <= drawing.units <= max(units.InsertUnits):
-        bound = f"a drawing in a known unit, and not $INSUNITS = {drawing.units}"
+        bound = f"a drawing in a known unit, not $INSUNITS = {drawing.units}"
         raise InputError("outline", path.name, bound, "set it to 4, millimetres, or to 6, metres")
     scale = units.conversion_factor(drawing.units, units.M) if drawing.units else 1.0
     lines: Lines = []
@@ -300,7 +300,7 @@ def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
     outline = np.array(outer.simplify(FLATNESS).exterior.coords, dtype=np.float64)[:-1]
     if len(outlines) > 1:
         sizes = _format_sizes(outlines)
-        notes.append(f"{len(outlines)} outlines apart from each other, {sizes}: their convex hull")
+        notes.append(f"{len(outlines)} separate outlines, {sizes}: their convex hull is used")
     return Drawing(outline, tuple(notes))
 
 
@@ -378,7 +378,7 @@ def _note_holes(outlines: Sequence[Any], faces: Sequence[Any], notes: list[str])
     if len(outlines) == 1 and holes:
         fills_box = outlines[0].area > (1.0 - PAGE_TOLERANCE) * outlines[0].envelope.area
         question = "; if it is a page or a frame around the part, hide it" if fills_box else ""
-        notes.append(f"omitted as holes within it: {_format_sizes(holes)}{question}")
+        notes.append(f"holes within it are omitted: {_format_sizes(holes)}{question}")
 
 
 def _format_sizes(outlines: Sequence[Any]) -> str:

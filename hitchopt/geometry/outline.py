@@ -132,7 +132,7 @@ class Outline(ByValue, ABC):
 
 
 class ConvexArc(Outline):
-    """An open arc of points (n + 1, 2) [m], n ≥ 2, that turns by less than a full turn in all."""
+    """An open arc of points (n + 1, 2) [m], n ≥ 2, that turns by less than a full turn in total."""
 
     closed: ClassVar[bool] = False
 

@@ -59,7 +59,7 @@ def axial_vector(matrices: Array) -> Array:
 
 
 def left_of(a: Array) -> Array:
-    """Return level parts of vectors (…, 2 or 3) turned to the left by a right angle; z is 0."""
+    """Return horizontal parts of vectors (…, 2 or 3) turned left by a right angle; z is 0."""
     turned = np.zeros_like(a)
     turned[..., 0], turned[..., 1] = -a[..., 1], a[..., 0]
     return turned

@@ -60,7 +60,7 @@ def depth_rate(sigma: Array) -> Array:
 
     With ``α = (1+μ)σ/2, β = (1-μ)σ/2`` it is ``(β sinh² α + α sinh² β) / σ sinh² σ``, and
     ``sinh α ≤ e⁻ᵝ sinh σ``. The rate is at most ``(β e⁻²ᵝ + α e⁻²ᵅ)/σ``: the first term is at most
-    1/2e, and the second one, for the larger of both, ``σ e⁻ˢ/2`` with s = σ from 1 on.
+    1/2e, and the second one, for the larger of both, ``σ e⁻ˢ/2`` with s = σ for σ ≥ 1.
     """
     wide = np.maximum(sigma, 1.0)
     rate: Array = np.minimum(0.25, 0.5 * (np.exp(-1.0) / wide + np.exp(-wide)))
@@ -87,7 +87,7 @@ def displacement_bound(
     most 2r. The bound is infinite for cables that may be nearly taut.
 
     With a ``height_ratio``, ends move that many times farther vertically, and heights of
-    displacements are divided by it. A change of σ moves points upright.
+    displacements are divided by it. A change of σ moves points vertically.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def displacement_bound(
 def bounded_radius(
     across: tuple[Array, Array], length: ArrayLike, height_ratio: float = 1.0
 ) -> Array:
-    """Return the radii (…) [m] up to which ``displacement_bound`` is finite for level ends.
+    """Return the radii (…) [m] with finite ``displacement_bound`` for ends at equal heights.
 
     Ends that move by r are up to x = 2r closer or farther apart, and ρ x higher, where ρ is the
     height ratio: cables are taut where (s + x)² + (ρ x)² = L².
@@ -261,12 +261,12 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
         is_within = np.all(np.abs(position) <= MAX_COORDINATE)  # nan is not
         if position.shape[-1:] != (3,) or not is_within:
             bound = f"points [x, y, z] within ±{MAX_COORDINATE:g} m"
-            raise InputError(name, point, bound, "give three numbers in metres")
+            raise InputError(name, point, bound, "specify three numbers in metres")
         ends.append(position)
     try:
         start, end = np.broadcast_arrays(*ends)
     except ValueError:
-        bound = f"of the shape of first, {ends[0].shape}"
+        bound = f"of the same shape as first, {ends[0].shape}"
         raise InputError("second", f"of shape {ends[1].shape}", bound, "pair the ends") from None
     cable_length = positive("length", length)
     count = integer("points", points, 2, 1_000_000)

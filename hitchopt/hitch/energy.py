@@ -4,12 +4,12 @@ Nodes are the drones q0, r0, q1, …, then the clasps. Every cable connects four
 clasp, drone. At the end of a chain without a leg the drone also takes the place of the clasp, and
 the span between the two does not exist.
 
-A hanging span with chord v, chord length s, level length h and tension m at the height of the
+A hanging span with chord v, chord length s, horizontal length h and tension m at the height of the
 chord's midpoint has the energy ``∫ (tension) ds``. To second order in its weight per length w over
-m this is ``E(v, m) = m s - w² s h²/(24 m)``. Its derivative by m is the arc length ``s + w² s
-h²/(24 m²)``, its derivative by v the force on the ends without half of the weight. The tension
-grows with height: ``m = T + w (z - z₀)``, where z is the height of the chord's midpoint and T is
-the same for all spans of a cable. With the cable's length L and its stretch ``a (T - T₀)`` the
+m this is ``E(v, m) = m s - w² s h²/(24 m)``. Its derivative with respect to m is the arc length ``s
++ w² s h²/(24 m²)``, that with respect to v the force on the ends without half of the weight. The
+tension grows with height: ``m = T + w (z - z₀)``, where z is the height of the chord's midpoint and
+T is the same for all spans of a cable. With the cable's length L and its stretch ``a (T - T₀)`` the
 energy of a cable is the maximum over T of ``Σ E(v, m) - T L - a (T - T₀)²/2``, where arcs and
 stretch add up to the length. T is bounded below by the tension at which the cable becomes slack;
 arcs are constant below that tension.
@@ -41,7 +41,7 @@ AXIAL_STIFFNESS = 1e4
 undetermined."""
 
 SAG_RATIO = 4.0
-"""A cable is slack if a level span of its largest length would sag by more than the chord over
+"""A cable is slack if a horizontal span of its largest length would sag by more than the chord over
 this."""
 
 TENSION_TOLERANCE = 1e-10
@@ -135,7 +135,7 @@ class CableForces(NamedTuple):
 
 
 class SpringForces(NamedTuple):
-    """Energies of position loops and their derivatives by positions of drones, (S, 2n, 3) each."""
+    """Energies of position loops, and derivatives in drone positions, (S, 2n, 3) each."""
 
     energies: Array
     """[J]"""
@@ -151,13 +151,14 @@ class CableSlopes(NamedTuple):
     """Derivatives of the cables' forces and tensions."""
 
     forces: Array
-    """(S, n, 12, 13), of forces by a cable's nodes, with T varying, and by T."""
+    """(S, n, 12, 13), derivatives of forces with respect to a cable's nodes, with T varying, and to
+    T."""
 
     tensions: Array
-    """(S, n, 12) [N/m], of T by the nodes."""
+    """(S, n, 12) [N/m], derivative of T with respect to the nodes."""
 
     softness: Array
-    """(S, n) [N/m], minus that of T by the length, zero for slack cables."""
+    """(S, n) [N/m], minus the derivative of T with respect to the length; zero for slack cables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -331,8 +332,8 @@ class HitchEnergy:
     def linear(self, positions: Array, friction: float | Array = 0.0) -> CableSlopes:
         """Return derivatives of the cables' forces and tensions.
 
-        Nodes are at positions (S, nodes, 3) [m].
-        They are complex-step derivatives by the 12 coordinates of a cable's nodes, then by T.
+        Nodes are at positions (S, nodes, 3) [m]. They are complex-step derivatives with respect to
+        the 12 coordinates of a cable's nodes, then to T.
         """
         ends = positions[:, self.nodes]
         T = self.tensions(positions)

@@ -50,11 +50,11 @@ PULL_TIME = 0.0225
 The filter measures what acts along the thrust, and takes a pull across it for an acceleration that
 the drone does not have. A drone of 132 g that leans by 17° under 0.4 N appears to move against the
 pull at 6 cm/s, and down at 2 cm/s. In a bench with the firmware's own filter, tilts of 9 to 35° and
-masses of 39 and 132 g have the same time, within 2 %. It is 18 to 27 ms by the time from
-predictions to frames, which no export knows; this is the mean."""
+masses of 39 and 132 g have the same time, within 2 %. It is 18 to 27 ms, depending on the time from
+predictions to frames, which is unknown on export; this is the mean."""
 
 RECORDED_TUBE = (0.08, 0.20)
-"""[m] Level and height of the tube that recorded drones reached: with full setpoints at rest, and
+"""[m] Horizontal and vertical errors that recorded drones reached: with full setpoints at rest, and
 before their thrust was calibrated."""
 
 TRACKING_EXPONENT = 0.6
@@ -68,7 +68,7 @@ def _pair(quantity: Kind) -> Kind:
     def check(key: str, value: Any) -> Pair:
         if form_of(value) not in both.forms:
             bound = "a number, or [level, upright]"
-            raise InputError(key, value, bound, "give one or two numbers")
+            raise InputError(key, value, bound, "specify one or two numbers")
         gains = both.check(key, value)
         level, upright = gains if isinstance(gains, list) else (gains, gains)
         return level, upright
@@ -79,7 +79,7 @@ def _pair(quantity: Kind) -> Kind:
 @documented
 @dataclass(frozen=True)
 class Tube(Record):
-    """Tracking errors of a drone: it is within an ellipsoid about its planned place.
+    """Tracking errors of a drone: it is within an ellipsoid about its planned position.
 
     The ellipsoid has the semi-axes ``level``, horizontally, and ``height``. A height below
     ``level`` is replaced by ``level``: the ellipsoid is then a ball.
@@ -96,7 +96,7 @@ class Tube(Record):
         super().__post_init__()
         if self.height > 0.0 and self.level == 0.0:
             bound = f"greater than 0 with a height of {self.height:g} m"
-            raise InputError("level", self.level, bound, "give a horizontal error, too")
+            raise InputError("level", self.level, bound, "specify a horizontal error, too")
 
     @classmethod
     def of(cls, tracking: float | Tube | None) -> Tube:
@@ -223,20 +223,20 @@ class StockController:
     """[m s] Largest integral of the position error."""
 
     per_mass: bool = True
-    """Whether gains are per mass."""
+    """True if gains are per mass."""
 
     stiffest: Pair = UNBOUNDED
     """[1/s²], [1/s] Largest horizontal kp and its kd, over mass, that fly at delays up to
     LATENCY."""
 
     feed_forward: bool = True
-    """Whether streamed accelerations are added."""
+    """True if streamed accelerations are added."""
 
     max_tilt: float = 0.5 * math.pi
     """[rad] Largest tilt that it commands."""
 
     filtered: bool = True
-    """Whether the Crazyflie's filter estimates its state."""
+    """True if the Crazyflie's filter estimates its state."""
 
 
 PID_LEVEL = 9.81 * math.radians(1.0)
@@ -511,13 +511,13 @@ GAIN_UNITS = {"kp": ("/s²", "N/m"), "kd": ("/s", "N s/m")}
 def _check_stiffness(
     name: str, mass: float, latency: float | None, key: str, value: float, largest: float
 ) -> None:
-    """Raise InputError if a level gain exceeds ``largest`` times the mass by more than rounding."""
+    """Raise InputError if a horizontal gain exceeds ``largest`` times the mass, up to rounding."""
     if value <= (1.0 + GAIN_ROUNDING) * largest * mass:
         return
     per_mass, unit = GAIN_UNITS[key]
     when = f" at a latency of {1e3 * latency:g} ms" if latency else ""
-    limit = f"{largest * mass:.3g} {unit}, level{when}"
+    limit = f"{largest * mass:.3g} {unit} horizontally{when}"
     bound = f"at most {largest:.4g}{per_mass} times the mass, {limit}"
     stiffest = f"{stiffest_gains(mass, latency, name)}".replace("'", "")
-    remedy = f"stiffer loops of {name} oscillate; gains: {stiffest} fly"
+    remedy = f"stiffer loops of {name} oscillate; the stiffest stable gains are {stiffest}"
     raise InputError(f"gains.{key}", value, bound, remedy)

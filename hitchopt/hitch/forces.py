@@ -373,7 +373,7 @@ def _unbalanced(
             "N",
             (point,),
             "",
-            "make the tensions of the clasp's cables more alike, or turn them by more there",
+            "use more similar tensions for the clasp's cables, or a larger exterior angle",
         )
         return InfeasibleError([violation])
     size = float(length(load))

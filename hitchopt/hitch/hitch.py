@@ -52,8 +52,8 @@ def checked_polygon(team: Team, polygon: Outline | Points) -> Outline:
         polygon = ConvexPolygon(polygon) if closed else ConvexArc(polygon)
     if polygon.closed != closed:
         kind = "ConvexPolygon" if closed else "ConvexArc"
-        bound = f"a {kind}, the team being {team.topology}"
-        remedy = "give its points as such, or change team.topology"
+        bound = f"a {kind}, since the team is {team.topology}"
+        remedy = "list its points accordingly, or change team.topology"
         raise InputError("polygon", polygon.vertices.tolist(), bound, remedy)
     if len(polygon) != points:
         count = "one per robot" if closed else "one more than robots"
@@ -112,7 +112,7 @@ def checked_legs(team: Team, q_legs: Array, slack: Array) -> Array:
     if abs(q_legs[worst] - exact[worst]) > tolerance * team.cable_length[worst]:
         sense = "max" if q_legs[worst] > exact[worst] else "min"
         drone = names[2 * worst + int(layout.has_leg[worst, 0])]
-        place = f"{drone} stands at the chain's end, without a leg"
+        place = f"{drone} is at the chain's end, without a leg"
         remedy = f"{place}: write d_{worst} = {exact[worst]:.9g}"
         raise _refusal(q_legs[worst], exact[worst], sense, names[2 * worst], remedy)
     both_legs = np.stack([exact, slack - exact], axis=1)
@@ -133,9 +133,9 @@ def checked_roll(team: Team, roll: ArrayLike) -> Array:
         angles = np.array(np.broadcast_to(np.asarray(roll, dtype=np.float64), clasps))
     except (TypeError, ValueError):
         bound = f"one angle, or a list of {clasps} (one per clasp)"
-        raise InputError("roll", roll, bound, "give radians") from None
+        raise InputError("roll", roll, bound, "use radians") from None
     if not np.all(np.abs(angles) < 0.5 * np.pi):  # nan too
-        raise InputError("roll", roll, "within ±π/2 rad", "give radians below a right angle")
+        raise InputError("roll", roll, "within ±π/2 rad", "use radians below a right angle")
     angles.setflags(write=False)
     return angles
 
@@ -196,7 +196,7 @@ class Hitch(ByValue):
         d = as_array(q_legs)
         if d.shape != (team.robots,) or not np.all(np.isfinite(d)):
             bound = f"a list of {team.robots} finite lengths d_k"
-            raise InputError("legs", q_legs, bound, "give one per robot")
+            raise InputError("legs", q_legs, bound, "specify one per robot")
         d = checked_legs(team, d, slack)
         d.setflags(write=False)
         height = PLACED_ALTITUDE.check("altitude", altitude)

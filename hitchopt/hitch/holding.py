@@ -462,14 +462,14 @@ SUGGESTIONS = {
     "grip": "raise the tension, or use rougher cables",
     "tilt": "raise limits.tilt_deg",
     "thrust": "use stronger drones, or lower the tension",
-    "separation": "use cables of another length",
+    "separation": "use cables of a different length",
     "cable_clearance": "use longer cables",
     "crossing": "use shorter cables",
     "keep_out": "use longer cables",
     "legs": "use longer cables",
     "equilibrium": "raise the tension",
     "support": "use a wider rim, or lower the centre of mass",
-    "object_clearance": "use another number of robots, or a rounder rim",
+    "object_clearance": "use a different number of robots, or a rounder rim",
     "robots": "use 3 robots or more",
 }
 """Changes that increase the capacity, by binding limit."""
@@ -489,7 +489,7 @@ class Capacity(OneLine):
     def suggested(self) -> str:
         """A change that increases the capacity."""
         if self.mass == 0.0 and self.binding not in SUGGESTIONS:
-            return "use another number of robots, or cables of another length"
+            return "use a different number of robots, or cables of a different length"
         return SUGGESTIONS.get(self.binding, "use longer cables")
 
 

@@ -123,7 +123,7 @@ CLASPS_PER_CHUNK = 4000
 
 @dataclass(frozen=True, eq=False)
 class FlatJets:
-    """Flat outputs at J values of a parameter, with derivatives by it up to the third.
+    """Flat outputs at J values of a parameter, with its derivatives up to the third.
 
     Vertices (J, points, 3, 4) [m], cable lengths of q-legs (J, n, 4) [m], tensions (J, n, 4) [N]
     and roll (J, clasps, 4) [rad], None if there is none.

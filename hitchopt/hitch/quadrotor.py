@@ -134,7 +134,7 @@ class Quadrotor(OneLine):
         bool | None,
         Key(
             FLAGS,
-            "Whether the position loop drives the position error to zero, whatever the force; "
+            "True if the position loop drives the position error to zero at any force; "
             "null: false, or the controller's",
         ),
     ] = None
@@ -142,7 +142,7 @@ class Quadrotor(OneLine):
         bool | None,
         Key(
             FLAGS,
-            "Whether the position loop adds the cable force of the setpoints; null: true, or the "
+            "True if the position loop adds the cable force of the setpoints; null: true, or the "
             "controller's",
         ),
     ] = None
@@ -173,7 +173,7 @@ class Quadrotor(OneLine):
         Pair | None,
         Key(
             TRIM,
-            "Setpoint minus place at rest, [x, y] in the body's frame at yaw 0: not 0 if motion "
+            "Setpoint minus rest position, [x, y] in the body's frame at yaw 0: not 0 if motion "
             "capture defines the rigid body tilted; null: none",
         ),
     ] = None
@@ -204,13 +204,13 @@ class Quadrotor(OneLine):
                 value = getattr(self, name)
                 if value is not None:
                     bound = "omitted without a controller"
-                    raise InputError(name, value, bound, "name one, or give stiffness")
+                    raise InputError(name, value, bound, "name one, or set stiffness")
             return
         for name in ("stiffness", "integral", "feed_forward"):
             value = getattr(self, name)
             if value is not None:
                 bound = f"omitted with controller {self.controller}, from which it follows"
-                raise InputError(name, value, bound, "omit it, or give gains")
+                raise InputError(name, value, bound, "omit it, or set gains")
         _loop(self)
 
     @property
@@ -344,5 +344,5 @@ def kinds_of(
         kinds = kinds[::2]
     if len(kinds) not in (count, len(names) or count):
         bound = f"one kind, or a list of {count}"
-        raise InputError("quadrotor", len(kinds), bound, f"give one per {owner}")
+        raise InputError("quadrotor", len(kinds), bound, f"specify one per {owner}")
     return tuple(kinds)

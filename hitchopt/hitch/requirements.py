@@ -147,7 +147,7 @@ class Separation(Record):
         """Return distances that ensure these if drones and vertices have errors of up to ``off``.
 
         The ellipsoid contains the Minkowski sum of this one and an ellipsoid with semi-axes ``off``
-        and ``ratio`` times as much upright [m]. Its squared semi-axes are a² (1 + off/radius) +
+        and ``ratio`` times as much vertically [m]. Its squared semi-axes are a² (1 + off/radius) +
         b² (1 + radius/off) for semi-axes a and b, so that its radius is radius + off. Other
         distances are between points whose heights are divided by ``ratio``.
         """
@@ -184,7 +184,7 @@ class Arena(ByValue):
                 units.WALL.check(f"{name}[{i}]", number)
         if not np.all(self.lower < self.upper):
             bound = f"greater than lower {self.lower.tolist()} on every axis"
-            remedy = "exchange the corners or move them apart"
+            remedy = "swap the corners or move them apart"
             raise InputError("upper", self.upper.tolist(), bound, remedy)
 
 
@@ -209,7 +209,7 @@ class Prism(ByValue):
         store(self, polygon=outline, lower=lower, upper=upper)
         if self.lower >= self.upper:
             bound = f"greater than lower {self.lower:g}"
-            remedy = "exchange the altitudes or move them apart"
+            remedy = "swap the altitudes or move them apart"
             raise InputError("upper", self.upper, bound, remedy)
 
     @property
@@ -252,7 +252,7 @@ class Requirements(ByValue):
     position_error: of drones [m], which the distances include. Hanging cables can be displaced
         farther and need an additional margin.
     height_ratio: that of ``Tube``, by which heights are divided in distances and legs: errors are
-        this many times larger upright.
+    this many times larger vertically.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -286,7 +286,7 @@ class Requirements(ByValue):
     def with_reserve(self) -> Requirements:
         """Requirements enforced by planners: limits with reserve, distances wider by ``tracking``.
 
-        The arena's floor does not move, since drones stand there.
+        The arena's floor does not move, since drones rest there.
         """
         limits = self.limits.with_reserve
         tube = self.limits.tube

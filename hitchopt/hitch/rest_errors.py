@@ -24,7 +24,7 @@ from hitchopt.hitch.team import Errors, Team
 from hitchopt.values import Array
 
 REMAINDER_FACTOR = 2.0
-"""Factor of the largest difference to first order, as errors are worst cases to first order."""
+"""Factor of the largest difference to first order, since errors are worst cases to first order."""
 
 UNSTATED_ERROR = 0.02
 """[m] Error of drones at rest without controllers, measurements and ``limits.tracking``."""
@@ -34,7 +34,7 @@ MAX_RESIDUAL = 1e-6
 
 
 def responses(energy: HitchEnergy, x: Array) -> Array:
-    """Return derivatives (o, 7n, 3) of tensions and points, o = n + 3 points, by the errors.
+    """Return derivatives (o, 7n, 3) of tensions and points in the errors, o = n + 3 points.
 
     Errors are n lengths, as first components, 2n setpoints, 2n forces on drones, and 2n logarithms
     of a leg's tension over its edge's, as first components. Nodes x (1, nodes, 3) [m] are those of
@@ -49,7 +49,7 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
     seeds = np.zeros((*x.shape, outputs))
     tensions = slopes.tensions[0].reshape(-1, 4, 3)
     tensions[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
-    for k in range(4):  # one by one, as the end of a chain occurs twice
+    for k in range(4):  # one by one, since the end of a chain occurs twice
         seeds[0, nodes[:, k], :, cables] += tensions[:, k]
     for axis in range(3):
         coordinates = np.arange(len(cables) + axis, outputs, 3)
@@ -125,7 +125,7 @@ class VertexErrors:
 
     Attributes
     ----------
-    radii: (S, points) [m], bounds of the distances from the planned places.
+    radii: (S, points) [m], bounds of the distances from the planned positions.
     parts: (S, points, 3) [m], the contributions of cables, drones and friction along the direction
         in which a vertex may be off farthest, to first order.
     """
@@ -142,7 +142,7 @@ def vertex_errors(team: Team, samples: Mapping[str, Array], sizes: ErrorSizes) -
     """Return bounds of the errors of vertices in samples at rest (S, …), see ``planned_rest``.
 
     Position loops hold the planned pulls by their feed-forward. Their stiffness is that of the
-    controllers, of rigid ones the largest that flies. Integrals are not counted.
+    controllers, of rigid ones the largest that flies. Integrals are ignored.
     """
     loops = loops_of(team)
     energy = energy_of(team, loops, samples)
@@ -169,7 +169,7 @@ def vertex_errors(team: Team, samples: Mapping[str, Array], sizes: ErrorSizes) -
 
 @dataclass(frozen=True, eq=False)
 class FirstOrder:
-    """What errors move to first order, in one sample at rest."""
+    """Displacements by errors to first order, in one sample at rest."""
 
     radii: Array
     """(points,) [m], bounds for all vertices."""
@@ -186,7 +186,7 @@ class FirstOrder:
 
     @classmethod
     def of(cls, energy: HitchEnergy, x: Array, sizes: ErrorSizes) -> FirstOrder:
-        """Return what errors move at nodes x (1, nodes, 3) [m]."""
+        """Return the displacements by errors at nodes x (1, nodes, 3) [m]."""
         n = len(energy.nodes)
         drones = energy.drones
         by_errors = responses(energy, x)[n:]  # of points

@@ -86,8 +86,8 @@ COARSE_STEP_TOLERANCE = 1e-5
 margin noticeably."""
 
 MAX_CYCLE = 4
-"""Iterations without improvement of merit after which the search cycles. Level legs that cross each
-other make it cycle."""
+"""Iterations without improvement of merit after which the search cycles. Horizontal legs that cross
+each other make it cycle."""
 
 CYCLE_STEP = 1e-3
 """[m] Smallest step of a search that cycles."""
@@ -185,7 +185,7 @@ class LegTask:
 
     @property
     def level(self) -> bool:
-        """Whether all legs are horizontal: without weight and roll."""
+        """Return whether all legs are horizontal: without weight and roll."""
         return not self.team.loaded and (self.roll is None or not np.any(self.roll))
 
     @cached_property
@@ -255,7 +255,7 @@ class LegTask:
 
     @property
     def _uneven_fractions(self) -> Array:
-        """Fractions (4 or 6, n): equal ones, or alternating ones from the sharpest clasp on.
+        """Fractions (4 or 6, n): equal ones, or alternating ones starting at the sharpest clasp.
 
         Counting from there makes them independent of numbering and mirroring.
         """
@@ -563,7 +563,7 @@ class LegBodies:
     def margins(self, offsets: Array) -> Array:
         """Return the minimum distance over its limit (J,), relative to the margins of the knots.
 
-        Crossings at their margin do not count.
+        Crossings at their margin are ignored.
 
         Parameters
         ----------
@@ -653,7 +653,7 @@ class LegBodies:
         )
 
     def _add_walls(self, rows: Rows, lines: Lines, arena: Arena) -> None:
-        """Add the rows of drones between the upright walls, with the slack of crossings."""
+        """Add the rows of drones between the vertical walls, with the slack of crossings."""
         base = lines.base[self.drones, :2]
         slope = lines.slope[self.drones, :2]
         # By wall, then by drone: the slope toward the inside, and how far the base is outside

@@ -88,7 +88,7 @@ class Layout:
 
     @property
     def closed(self) -> bool:
-        """Whether the last edge ends at the first point."""
+        """Return whether the last edge ends at the first point."""
         return self.points == self.robots
 
     @cached_property
@@ -176,7 +176,7 @@ def layout_of(robots: int, topology: str) -> Layout:
 
 @dataclass(frozen=True)
 class Assignment(OneLine):
-    """The place of every robot of a problem on the hitch: edge k is held by ``robots[k]``.
+    """The robots of a problem on the hitch: edge k is held by ``robots[k]``.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ class Assignment(OneLine):
             raise InputError("assignment.robots", self.robots, bound, remedy)
         if len(self.flipped) != n:
             bound = f"{n} truth values"
-            raise InputError("assignment.flipped", self.flipped, bound, "give one per edge")
+            raise InputError("assignment.flipped", self.flipped, bound, "specify one per edge")
         for edge, is_flipped in enumerate(self.flipped):
             flag(f"assignment.flipped[{edge}]", is_flipped)
 
@@ -216,12 +216,12 @@ class Assignment(OneLine):
 
     @property
     def is_identity(self) -> bool:
-        """Whether every robot holds the edge of its number, unflipped."""
+        """Return whether every robot holds the edge of its number, unflipped."""
         return self == Assignment.fixed(len(self.robots))
 
     @property
     def drones(self) -> Indices:
-        """(2n,): the drone at each place, as an index into q0, r0, q1, …."""
+        """(2n,): the drones in order along the hitch, as indices into q0, r0, q1, …."""
         flipped = np.array(self.flipped, dtype=np.intp)
         first, last = 2 * np.array(self.robots) + [flipped, 1 - flipped]
         return np.column_stack([first, last]).ravel()
@@ -231,7 +231,7 @@ class Assignment(OneLine):
         return {"robots": list(self.robots), "flipped": list(self.flipped)}
 
     def team(self, team: Team) -> Team:
-        """Return a team of the problem with its robots and drones in the order of places."""
+        """Return a team of the problem with its robots and drones in order along the hitch."""
         robots = list(self.robots)
         kinds = team.kinds
         return replace(
@@ -260,7 +260,7 @@ class Errors(Record):
         float | Tube | None,
         Key(
             TRACKING,
-            "Largest error of every drone's place, a number, or level and height; null: "
+            "Largest position error of every drone, a number, or level and height; null: "
             "limits.tracking, or that of the drones, or 0.02",
         ),
     ] = None
@@ -289,7 +289,7 @@ def _checked_assignment(assignment: Assignment | None, robots: int) -> Assignmen
         check_instance("assignment", assignment, Assignment)
         if len(assignment.robots) != robots:
             bound = f"of {robots} robots"
-            raise InputError("assignment", assignment.robots, bound, "give one per edge")
+            raise InputError("assignment", assignment.robots, bound, "specify one per edge")
     return assignment
 
 
@@ -298,9 +298,9 @@ def _checked_assignment(assignment: Assignment | None, robots: int) -> Assignmen
 class Team(ByValue):
     """n catenary robots: two quadrotors each, on the ends of one cable.
 
-    Robots and drones are in the order of their places along the hitch. Their names are those of the
-    problem, whose places are in ``assignment``; None if robot k holds edge k. ``listed`` are
-    the drones in the order of the problem.
+    Robots and drones are in order along the hitch. Their names are those of the problem, which
+    ``assignment`` maps to the hitch; None if robot k holds edge k. ``listed`` are the drones in the
+    order of the problem.
 
     Raises
     ------
@@ -323,7 +323,8 @@ class Team(ByValue):
         NDArray[np.float64],
         Key(
             one_or_each(units.TENSION, 2, MAX_ROBOTS),
-            f"Tensions of cables, {PER_ROBOT}; null: 0.4 N, or of a model 0.31 of its level pull",
+            f"Tensions of cables, {PER_ROBOT}; null: 0.4 N, or 0.31 times the horizontal pull of a "
+            "model",
         ),
     ]
     quadrotor: Annotated[
@@ -387,12 +388,12 @@ class Team(ByValue):
 
     @property
     def has_cables(self) -> bool:
-        """Whether the team has cables; single drones have none."""
+        """Return whether the team has cables; single drones have none."""
         return self.robots > 0
 
     @property
     def loaded(self) -> bool:
-        """Whether clasps carry the weight of cables or a load."""
+        """Return whether clasps carry the weight of cables or a load."""
         return self.cable_density > 0.0 or bool(np.any(self.load))
 
     @property
@@ -460,7 +461,7 @@ class Team(ByValue):
 
     @property
     def trim(self) -> NDArray[np.float64]:
-        """(2n, 2) [m]: setpoint minus place at rest of each drone at yaw 0."""
+        """(2n, 2) [m]: setpoint minus rest position of each drone at yaw 0."""
         return np.array([kind.trim or (0.0, 0.0) for kind in self.kinds])
 
     @property
@@ -496,7 +497,7 @@ class Team(ByValue):
 
     @property
     def drone_names(self) -> tuple[str, ...]:
-        """(2n,): q0, r0, q1, r1, …, the drones at all places by their names in the problem."""
+        """(2n,): the problem's names q0, r0, q1, r1, … of drones in order along the hitch."""
         names = _names("qr", self.robots)
         return names if self.assignment is None else _at_places(names, self.assignment)
 
@@ -507,7 +508,7 @@ class Team(ByValue):
 
     @property
     def leg_names(self) -> tuple[str, ...]:
-        """(2n,): q-leg 0, r-leg 0, …, the legs of the drones at all places."""
+        """(2n,): q-leg 0, r-leg 0, …, the legs of the drones in order along the hitch."""
         return tuple(f"{name[0]}-leg {name[1:]}" for name in self.drone_names)
 
     @property
@@ -517,7 +518,7 @@ class Team(ByValue):
 
     @property
     def listed(self) -> Indices:
-        """(drones,): places of the drones q0, r0, q1, …, in the order of the problem."""
+        """(drones,): indices along the hitch of the problem's drones q0, r0, q1, …."""
         return np.argsort(self.assignment.drones) if self.assignment else np.arange(self.drones)
 
     @property
@@ -546,7 +547,7 @@ class Team(ByValue):
 
 @lru_cache(maxsize=64)
 def _at_places(names: tuple[str, ...], assignment: Assignment) -> tuple[str, ...]:
-    """Return names of drones in the order of their places."""
+    """Return names of drones in order along the hitch."""
     return tuple(names[drone] for drone in assignment.drones)
 
 

@@ -1,1 +1,1 @@
-"""The lab: studies of plans, standing on the core, which imports nothing of it."""
+"""The lab: studies of plans, built on the core, which imports nothing from it."""

@@ -107,7 +107,7 @@ class Feedback(OneLine):
             raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
         motion = flight.of_one_team("feedback")
         if motion.requirements.keep_out or motion.requirements.objects:
-            reason = "feedback keeps no distance to keep-outs and objects: fly without them"
+            reason = "feedback does not support keep-outs and objects: fly without them"
             raise UnsupportedError(reason)
         self.motion, team = motion, motion.team
         self._rate, self._delay = positive("rate", rate), nonnegative("delay", delay)
@@ -257,7 +257,8 @@ class Feedback(OneLine):
 def shorter(one: Array, other: Array) -> Array:
     """Return the shorter vector of each row (k, 3).
 
-    As lead of a vertex that slows down it is the way to its later place, which ends where it stops.
+    For a vertex that slows down, the lead is the path to its later position, which ends where it
+    stops.
     """
     is_shorter = (one * one) @ ONES <= (other * other) @ ONES
     return np.where(is_shorter[:, None], one, other)
@@ -267,7 +268,7 @@ def _checked_array(key: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape, which may contain nan, or raise InputError."""
     if (array := as_array(values)).shape != shape:
         bound = f"numbers of shape {shape}"
-        raise InputError(key, values, bound, "give a row of nan where one is missing")
+        raise InputError(key, values, bound, "pass a row of nan where one is missing")
     return array
 
 

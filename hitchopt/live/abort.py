@@ -2,9 +2,9 @@
 
 A command stops the plan's clock. The abort continues with a hold, with the plan backward, or with a
 landing of its own. If the certificate does not hold, a later stop is tried, up to the plan's next
-rest. Where drones cannot land from any of these, as around an object, they fly on, or back, to one
-of the plan's rests from which they can, whichever is down first. No abort moves an object that
-stands at the command.
+rest. Where drones cannot land from any of these, as around an object, they continue, or fly back,
+to one of the plan's rests from which they can, whichever lands first. No abort moves an object that
+is at rest on its support at the time of the command.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class Aborts:
         found = planned(time, how)
         if isinstance(found, Abort):
             return found
-        when = f"from t = {time:.4g} s: each route moves an object that stands"
+        when = f"from t = {time:.4g} s: every route moves an object at rest on its support"
         raise found or _refusal(when, "abort earlier or later, or choose another abort")
 
     def _in_place(self, time: float, how: str) -> Abort | InfeasibleError | None:
@@ -260,7 +260,7 @@ def _on_clock(flight: Flight, clock: ClockPhases) -> Flight:
 
 
 def moves_standing(flight: Flight, *times: float) -> bool:
-    """Return whether an object that stands at the first plan time [s] moves between them."""
+    """Return whether an object at rest at the first plan time [s] moves between them."""
     first, last = min(times), max(times)
     for flown in flight.teams:
         own = flown.motion
@@ -301,7 +301,7 @@ def _free_before(flown: TeamMotion, time: float) -> Phase:
         if phase.start < time + JOINT and phase.state in HANGING_STATES:
             return phase
     cables = f"cables of {flown.name}" if flown.name else "cables"
-    reason = f"back from t = {time:.4g} s: {cables} have not hung free before"
+    reason = f"back from t = {time:.4g} s: {cables} were never free before"
     raise _refusal(reason, "choose hold, land or release_and_land")
 
 

@@ -62,12 +62,12 @@ class CommandedPlan:
 
     @property
     def resting(self) -> bool:
-        """Whether all drones are at rest and not about to move."""
+        """Return whether all drones are at rest and not about to move."""
         return self._player.resting and self._landing is None
 
     @property
     def landed(self) -> bool:
-        """Whether the plan is completed and the drones are on the ground."""
+        """Return whether the plan is completed and the drones are on the ground."""
         flight = self._player.flight
         if not self._player.resting or self._player.time < flight.duration - JOINT:
             return False
@@ -115,11 +115,12 @@ class CommandedPlan:
     def _land(self, command: str) -> str:
         """Move the clock to the nearest rest with a landing, preferably a later one.
 
-        No object moves that stands now.
+        No object that is now at rest on its support moves.
         """
         if self.descending:
             return f"landing continues, in {self._player.resume():.2f} s"
-        time, refusal = self._player.time, InfeasibleError([], f"{command}: the plan has none")
+        time = self._player.time
+        refusal = InfeasibleError([], f"{command}: the plan has no such landing")
         landings = [
             x for x in self._landings[command] if not moves_standing(self.flight, time, x[0])
         ]

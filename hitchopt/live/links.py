@@ -43,8 +43,8 @@ LANDING_TIME = 1.0  # least time of the firmware's landing [s]
 LANDING_SPEED = 0.4  # mean speed of the firmware's landing [m/s]
 
 LANDINGS = 2
-"""Number of times that Crazyflies are told to land. A setpoint that a drone receives after the
-command takes control from its high-level commander, and half a second later the firmware stops the
+"""Number of landing commands sent to Crazyflies. A setpoint that a drone receives after the command
+takes control from its high-level commander, and half a second later the firmware stops the
 motors: a second command lands it."""
 
 LANDING_PERIOD = 0.2
@@ -374,7 +374,7 @@ class CrazyflieOutlet:
     def close(self, *, landed: bool) -> None:
         """Return control to the drones' high-level commander, which lands them.
 
-        Without a command it would stop the motors of drones in the air at once. Commands are
+        Without a command it would immediately stop the motors of drones in the air. Commands are
         repeated, since setpoints may still be on their way.
         """
         for attempt in range(LANDINGS):

@@ -110,17 +110,21 @@ class Reactions:
             thrust, nearest = 0.0, self._check_fall(descent.drones, time, start, lost)
         thrust = max(largest_at_rest(motion, thrust_share), thrust)
         if thrust > 1.0:
-            raise _no_reaction(time, f"{drone} on its cable takes {thrust:.0%} of a drone's thrust")
+            raise _no_reaction(
+                time, f"holding {drone} on its cable takes {thrust:.0%} of a drone's thrust"
+            )
         if nearest < 1.0:
-            raise _no_reaction(time, f"a survivor comes to {nearest:.3g} of its distance")
+            raise _no_reaction(
+                time, f"a survivor comes as close as {nearest:.3g} of the minimum distance"
+            )
         return Reaction(drone, start, descent, thrust, nearest)
 
     def _certified_motion(self, time: float) -> Motion:
         """Return the certified motion after a loss at a time [s]."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
-            reason = "the team carries objects, or stands among them"
+            reason = "the team carries objects, or is among them"
             if self.motion.team.robots == 2 and self.motion.team.layout.closed:
-                reason += "; two cables need all four drones: what they carry falls"
+                reason += "; two cables need all four drones: their load falls"
             raise _no_reaction(time, reason)
         reasons = list[str]()
         for delay in STOP_DELAYS:

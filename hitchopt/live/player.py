@@ -110,7 +110,7 @@ class Player(OneLine):
 
     @property
     def resting(self) -> bool:
-        """Whether the clock is at rest and not about to start."""
+        """Return whether the clock is at rest and not about to start."""
         return not self._profile.phases and self._profile.rate == 0.0
 
     @property
@@ -242,14 +242,14 @@ class Player(OneLine):
         return run.to(0.0, duration) if duration > 0.0 else run
 
     def _follow(self, profile: ClockProfile | None, goal: str) -> float:
-        """Follow a profile from now on; return its duration [s]."""
+        """Start following a profile; return its duration [s]."""
         if profile is None:
             reason = "no change of the clock was found that keeps all limits"
             if self._shared.limits.carried:
-                reason += "; a held object has inertia, stop where the plan does"
+                reason += "; a held object has inertia: stop where the plan stops"
             if len(self._shared.sliding_spans):
                 reason += "; legs lean against friction, and are not flown backward"
-            remedy = "try later or another rate or time, or plan with limits.reserve below 1"
+            remedy = "try later, use another rate or time, or plan with limits.reserve below 1"
             raise InfeasibleError([], f"{goal} from t = {self.time:.4g} s: {reason}; {remedy}")
         self._profile = self._clamped(profile)
         if profile.phases:  # a held object can start as slowly as it has stopped

@@ -129,7 +129,7 @@ class Replanner(OneLine):
 
     Raises
     ------
-    InputError: the start is of another team, or ends without a hitch.
+    InputError: the start belongs to another team, or ends without a hitch.
     InfeasibleError: the start violates a limit at rest.
     UnsupportedError: several teams, or other plans, fly.
     """
@@ -155,7 +155,7 @@ class Replanner(OneLine):
             motion, goal = rest_motion(start, Requirements(), HOLD, phase), start
         own = motion.team
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
-            raise InputError("start", start, "of the same team", "give the team of the start")
+            raise InputError("start", start, "of the same team", "use the team of the start")
         specified = {key: value for key, value in options.items() if value is not None}
         self.requirements = replace(motion.requirements, **specified)
         self.motion, self._goal = replace(motion, requirements=self.requirements), goal
@@ -233,16 +233,16 @@ class Replanner(OneLine):
         specified = polygon is not None, vertex is not None, to is not None
         kinds = [(True, False, False), (False, True, True), (False, False, True)]
         if specified not in kinds or (yaw != 0.0 and specified != kinds[-1]):
-            remedy = "give a polygon; or a vertex and to; or to alone, (3,), and a yaw"
+            remedy = "specify a polygon; or a vertex and to; or to alone, (3,), and a yaw"
             raise InputError("polygon", polygon, "exactly one goal", remedy)
         if polygon is not None:
             return checked_polygon(team, polygon), goal.altitude, 0.0
         if vertex is not None:
             vertices = own.vertices.copy()
             k = integer("vertex", vertex, 0, len(vertices) - 1)
-            vertices[k] = points("to", [to], (1, 2), "a point [x, y]", "give two numbers [m]")[0]
+            vertices[k] = points("to", [to], (1, 2), "a point [x, y]", "specify two numbers [m]")[0]
             return checked_polygon(team, vertices), goal.altitude, 0.0
-        centroid = points("to", [to], (1, 3), "a point [x, y, z]", "give three numbers [m]")[0]
+        centroid = points("to", [to], (1, 3), "a point [x, y, z]", "specify three numbers [m]")[0]
         vertices = rotated(own.vertices - own.centroid, yaw) + centroid[:2]
         return checked_polygon(team, vertices), float(centroid[2]), yaw
 
@@ -367,7 +367,7 @@ class MovingState:
 
     @property
     def moves(self) -> bool:
-        """Whether anything moves or accelerates."""
+        """Return whether anything moves or accelerates."""
         return bool((np.abs(self.drones[..., 1:]) > 1e-9).any())
 
 
@@ -418,8 +418,8 @@ class RetargetPath:
     def fastest(self, limits: Limits, brake: float) -> list[PiecewisePolynomial] | None:
         """Return the four polynomials of a motion that keeps all limits at samples, or None.
 
-        Its shift is the first of increasing durations with which it does. The model is evaluated
-        once for each: at samples, and at both ends of every piece.
+        The duration of its shift is the first one, in increasing order, with which all limits hold.
+        The model is evaluated once for each: at samples, and at both ends of every piece.
         """
         shift = MIN_SHIFT
         for _ in range(SHIFT_ROUNDS):

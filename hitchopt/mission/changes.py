@@ -380,7 +380,7 @@ def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
 
 
 def retuning_changes(problem: Problem) -> Iterator[Change]:
-    """Yield changes to the controllers' tracking error, and to the stiffest gains."""
+    """Yield the controllers' error as ``limits.tracking``, and the stiffest gains."""
     own = max(MIN_TRACKING, Tube.of(problem.team.tracking).largest)
     if (error := problem.limits.tube.largest) > own:
         edits = (Edit("limits.tracking", own),)

@@ -59,13 +59,11 @@ SWARM_FORM = {
     "team": Key(SWARM_TEAM, "The team", {"drones": 2}, "team"),
     "start": Key(
         SWARM_PLACES,
-        "Where drones are at rest (N, 3) [m], [x, y, z] per drone",
+        "Start positions (N, 3) [m], [x, y, z] per drone, at rest",
         [[-1, 0, 1], [1, 0, 1]],
         "start",
     ),
-    "goal": replace(
-        keys_of(Fly)["goal"], text="Where they come to rest (N, 3) [m], in the same order"
-    ),
+    "goal": replace(keys_of(Fly)["goal"], text="Goal positions (N, 3) [m], in the same order"),
     "limits": replace(HITCH_FORM["limits"], kind=mapping_of(Limits, exclude=HITCH_LIMITS)),
     "separation": replace(
         HITCH_FORM["separation"], kind=mapping_of(Separation, exclude=HITCH_SEPARATION)
@@ -81,7 +79,7 @@ SWARM_FORM = {
     **COMMON,
     "objects": replace(
         HITCH_FORM["objects"],
-        text="Obstacles, by name; they stand where they are, and drones stay off them",
+        text="Fixed obstacles, by name; drones keep clear of them",
     ),
 }
 
@@ -94,7 +92,7 @@ TEAMS_FORM = {
     ),
     "start": Key(
         STARTS,
-        "The start of every team; of single drones their places [x, y, z] [m]",
+        "The start of every team; for single drones, their positions [x, y, z] [m]",
         {
             name: {"hitch": {"polygon": TRIANGLE, "altitude": altitude}}
             for name, altitude in (("a", 1.0), ("b", 2.5))
@@ -113,11 +111,11 @@ TEAMS_FORM = {
 }
 
 FORMS = {
-    "Problem": (HITCH_FORM, "A team of quadrotors, a cable hitch, and what to do with it."),
-    "SwarmProblem": (SWARM_FORM, "Single drones that trade places out of each other's downwash."),
+    "Problem": (HITCH_FORM, "A mission of a team with a hitch."),
+    "SwarmProblem": (SWARM_FORM, "Single drones that swap positions out of each other's downwash."),
     "TeamsProblem": (
         TEAMS_FORM,
-        "Several teams in one arena: teams with a hitch, or single drones, and what each does.",
+        "A mission of several teams, with hitches or of single drones, in one arena.",
     ),
 }
 """Keys of files for a team with cables, for single drones and for several teams, and what their
@@ -154,7 +152,7 @@ def parse_problem(text: str, name: str = "text", directory: Path = Path()) -> Pr
     if not isinstance(data, dict):
         keys = ", ".join(key.name for key in keys_of(Problem).values())
         raise FileError(
-            f"{name}: holds {form_of(data)}, but a problem is a mapping with the keys {keys}; "
+            f"{name}: contains {form_of(data)}, but a problem is a mapping with the keys {keys}; "
             "`hitchopt init` writes one"
         )
     with located(text, name):

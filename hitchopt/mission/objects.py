@@ -73,13 +73,13 @@ class ObjectKeys(SectionKeys):
         float, Key(OBJECT_HEIGHT, "Height of its ceiling above its base", name="to")
     ] = 0.3
     mass: Annotated[float, Key(OBJECT_MASS, "Mass")] = 0.1
-    friction: Annotated[float, Key(FRICTION, "Coefficient of friction, with cables")] = 0.5
+    friction: Annotated[float, Key(FRICTION, "Coefficient of friction with cables")] = 0.5
     at: Annotated[
-        Array, Key(POINT3, "Where the origin of its base stands, [x, y, z] [m]", [1, 0, 0])
+        Array, Key(POINT3, "Position of the origin of its base, [x, y, z] [m]", [1, 0, 0])
     ]
-    yaw: Annotated[float, Key(ANGLE, "By how much it is turned there, counter-clockwise")] = 0.0
+    yaw: Annotated[float, Key(ANGLE, "Yaw of the object, counter-clockwise")] = 0.0
     rim: Annotated[Rim | None, Key(mapping_of(RimKeys, RimKeys.rim), "Rim or tray")] = None
-    fixed: Annotated[bool, Key(FLAGS, "Whether it never moves, as tables do")] = False
+    fixed: Annotated[bool, Key(FLAGS, "True for objects that never move, such as tables")] = False
 
     def body(self) -> SolidObject:
         """Return the object; errors have the keys of files."""

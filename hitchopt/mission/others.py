@@ -54,12 +54,12 @@ class Other(ByValue):
         certificate = certify(Flight(self._teams), reports=())
         if not certificate.certified:
             names = ", ".join(check.name for check in certificate.violated)
-            bound = f"a plan whose own certificate holds, not without {names}"
+            bound = f"a plan whose certificate holds, unlike {names}"
             raise InputError("plan", self.plan, bound, "solve its problem again")
         if (rest := rest_continuity(self._teams)) is not None and not rest.holds:
             names = ", ".join(rest.where)
-            bound = f"a plan at rest as it begins and ends, unlike {names} at t = {rest.time:.4g} s"
-            raise InputError("plan", self.plan, bound, "let it end with hold")
+            bound = f"a plan at rest at its start and end, unlike {names} at t = {rest.time:.4g} s"
+            raise InputError("plan", self.plan, bound, "end it with hold")
 
     @cached_property
     def _teams(self) -> tuple[TeamMotion, ...]:

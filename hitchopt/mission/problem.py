@@ -113,7 +113,8 @@ def _words(team: Team) -> tuple[str, str, str, str, str]:
     if team.has_cables:
         kind, start = "a team of robots", "{hitch: {polygon: [[x, y], …], altitude: 1}}"
         return kind, "a hitch, or drones q and r", start, f"a step of {kind}", "hold: {seconds: 1}"
-    start, step = "a list of places [x, y, z], one per drone", "fly, the only step of single drones"
+    start = "a list of positions [x, y, z], one per drone"
+    step = "fly, the only step of single drones"
     return "single drones", start, "[[x, y, z], …]", step, "fly: {goal: …}"
 
 
@@ -192,16 +193,16 @@ class DronesStart(Record):
     """Drones of a hitch that is to be formed, at rest: hovering, or on the ground."""
 
     q: Annotated[
-        Array, Key(_PLACES, "Places (n, 3) [m], [x, y, z] per robot", [[0, 0, 1], [1, 0, 1]])
+        Array, Key(_PLACES, "Positions (n, 3) [m], [x, y, z] per robot", [[0, 0, 1], [1, 0, 1]])
     ]
     r: Annotated[
-        Array, Key(_PLACES, "Places (n, 3) [m], [x, y, z] per robot", [[0, 1, 1], [1, 1, 1]])
+        Array, Key(_PLACES, "Positions (n, 3) [m], [x, y, z] per robot", [[0, 1, 1], [1, 1, 1]])
     ]
 
     if TYPE_CHECKING:
 
         def __init__(self, q: Points, r: Points) -> None:
-            """Convert places to arrays."""
+            """Convert positions to arrays."""
 
     @property
     def drones(self) -> Array:
@@ -241,7 +242,7 @@ class TeamMission:
 
     name: str  # empty for a team alone
     team: Team
-    start: Any  # Start; the places (N, 3) [m] of single drones
+    start: Any  # Start; the positions (N, 3) [m] of single drones
     steps: tuple[Step, ...]
     requirements: Requirements  # with the objects that it carries, and obstacles
     complete: bool = True  # whether all of its steps are known
@@ -330,7 +331,7 @@ def resolved_start(name: str, team: Team, start: Any) -> Any:
         raise InputError(key, 2, "at least 3 if the start is a hitch", remedy)
     if isinstance(start, Hitch):
         if start.team is not team:
-            raise InputError("start", "a hitch", "a hitch of the problem's team", "give its team")
+            raise InputError("start", "a hitch", "a hitch of the problem's team", "use its team")
         return start
     if isinstance(start, HitchStart):
         try:
@@ -420,8 +421,8 @@ ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_TEAMS), 1
 class Problem(ByValue):
     """Missions of a team with a hitch, of single drones, or of several teams.
 
-    Single drones are a ``Swarm`` that starts at places (N, 3) [m] and whose steps are ``Fly``. If
-    they fly alone, ``keep_out`` has prisms that they stay out of.
+    Single drones are a ``Swarm`` that starts at positions (N, 3) [m] and whose steps are ``Fly``.
+    If they fly alone, ``keep_out`` has prisms that they stay out of.
 
     Several teams are mappings by name: ``team`` has their teams, ``start`` their starts, and items
     of ``mission`` a step, or a sequence of steps, of some of them. The steps of an item begin
@@ -504,7 +505,7 @@ class Problem(ByValue):
 
     @property
     def kind(self) -> Literal["hitch", "swarm", "teams"]:
-        """Whether it is of one team with cables, of single drones, or of several teams."""
+        """Return the kind of problem: one team with cables, single drones, or several teams."""
         if isinstance(self.team, Mapping):
             return "teams"
         return "hitch" if self.team.has_cables else "swarm"

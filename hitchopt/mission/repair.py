@@ -60,7 +60,7 @@ from hitchopt.steps.certified_motions import BEST_ROUTE
 from hitchopt.steps.step import Knob
 
 BUDGET = 18.0
-"""Default time after which no further plan is started [s]: a refusal takes some 20 s."""
+"""Default time after which no further plan is started [s]: a refusal takes about 20 s."""
 
 NO_CHANGE = "no change was found that makes it feasible"  # Message without any suggestion
 
@@ -94,7 +94,9 @@ MAX_CHANGES = 3
 MAX_ROUNDS = 2 * MAX_CHANGES
 """Maximum number of changes in one suggestion if several changes of one quantity count each."""
 
-PULL_SHARE = 0.9  # Largest tension of suggestions over the largest level pull, as motion needs more
+PULL_SHARE = (
+    0.9  # Largest tension of suggestions over the largest horizontal pull, since motion needs more
+)
 
 ROUTE_BUDGET = 12.0  # The same where each plan needs a search for routes [s]
 
@@ -142,10 +144,10 @@ def find_suggestions(
     """Return up to three changes that make a problem feasible, smallest first.
 
     Each has been planned and certified. If no single change is enough, up to MAX_CHANGES are
-    combined. The search is a heuristic: smaller changes may exist, and finding none proves nothing.
-    ``error`` is that of the problem; after ``budget`` [s] no further plan is started. Unusual
-    values that are tried are not warned of. A fault of the search ends it with a warning; what it
-    has found until then is returned.
+    combined. The search is a heuristic: smaller changes may exist, and an empty result does not
+    prove that there are none. ``error`` is that of the problem; after ``budget`` [s] no further
+    plan is started. Unusual values among the trials cause no warnings. A fault of the search ends
+    it with a warning; what it has found until then is returned.
     """
     search = _Search(problem, error, time.monotonic() + budget, progress, MAX_CHANGES)
     with contained("the search for changes"), warnings.catch_warnings():
@@ -191,7 +193,7 @@ class _Search:
 
     @property
     def _succeeded(self) -> bool:
-        """Whether a change has led to a certified plan."""
+        """Return whether a change has led to a certified plan."""
         return any(isinstance(each, Suggestion) for each in self._verdicts.values())
 
     def _quick_verdict_of(self, change: Change | None) -> Verdict | None:
@@ -416,7 +418,7 @@ def _smallest_changes(
 
 
 def _sizes(knob: Knob, *, coarse: bool) -> list[float]:
-    """Return the sizes to try in order, from the minimum size on if it is known."""
+    """Return the sizes to try in order, starting at the minimum size if it is known."""
     raising, lowering = (COARSE_SIZES, COARSE_LOWERING) if coarse else (SIZES, LOWERING_SIZES)
     sizes = raising if knob.sign > 0 or knob.extent else lowering
     larger = [size for size in sizes if size > knob.min_size] or [2.0 * knob.min_size]

@@ -47,7 +47,7 @@ UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were no
 WIDENED = frozenset(
     {"separation", "cable_clearance", "crossing", "legs", "arena", "keep_out", "object_clearance"}
 )
-"""Checks of distances that ``limits.tracking`` widens."""
+"""Checks of distances that ``limits.tracking`` increases."""
 
 
 OF_TWO = frozenset({"hinge", "tracking_radius"})
@@ -57,16 +57,16 @@ OF_TWO = frozenset({"hinge", "tracking_radius"})
 def _with_tracking_advice(
     error: InfeasibleError, requirements: Requirements, team: Team
 ) -> InfeasibleError:
-    """Return an error with advice on distances that tracking errors widen, if they lack no more."""
+    """Return an error with advice on distances that only tracking errors make too short."""
     if not (tube := requirements.limits.tube).level:
         return error
     if tube == Tube.of(team.tracking):
         advice = (
-            f"choose a stiffer controller, since its tracking errors of {tube} widen this "
+            f"choose a stiffer controller, since its tracking errors of {tube} add to this "
             "distance; set limits.tracking only to measured errors"
         )
     else:
-        advice = f"lower limits.tracking, but only to measured errors: {tube} widens this distance"
+        advice = f"lower limits.tracking, but only to measured errors: {tube} adds to this distance"
     of_two = (
         "two cables can rarely be tied if vertical tracking errors exceed horizontal ones, here "
         f"{tube}: set limits.tracking to {tube.level:g} if it was measured"
@@ -90,7 +90,7 @@ def _with_tracking_advice(
 def check_controllers(team: Team) -> None:
     """Raise InfeasibleError unless the flight controllers have the feed-forward to hold tension.
 
-    Without feed-forward drones give way, and an integral term returns them whatever the tension.
+    Without feed-forward drones yield to the pull, and an integral term returns them at any tension.
     """
     kinds = team.quadrotor
     unsuited = [kind.loop for kind in kinds if kind.loop.name and not kind.loop.feed_forward]
@@ -118,8 +118,8 @@ def solve_problem(
 
     ``progress`` is a status callback. With other plans in the air a team may wait before each step.
 
-    Raises InfeasibleError with the violated limits, places and times: a team cannot fly alone, no
-    start time separates it from the others, or the plan violates a custom rule. Raises
+    Raises InfeasibleError with the violated limits, locations and times: a team cannot fly alone,
+    no start time separates it from the others, or the plan violates a custom rule. Raises
     HitchoptError if a planner failed on a problem that may be feasible.
     """
     report = progress or (lambda _: None)

@@ -59,7 +59,7 @@ def schedule_teams(
     ]
     others = [each for name, other in problem.others.items() for each in other.teams(name)]
     for margin in MARGINS:
-        report("finding when each team begins")
+        report("finding the start time of each team")
         tracking_margin = margin + 2.0 * requirements.limits.tube.largest
         flown, clock = {name: list[Motion]() for name in alone}, 0.0
         try:
@@ -126,7 +126,7 @@ class _Item:
         self.schedule = Schedule(self.tracks, separation, self._layer, LAYERS)
 
     def _layer(self, k: int, layer: int) -> SampledPath | None:
-        """Return the path of team ``k`` in a layer from 1 on: higher if it is odd, else lower."""
+        """Return the path of team ``k`` in a layer from 1: higher if it is odd, else lower."""
         track = self.tracks[k]
         name = track.flown.name
         motion = self.row.get(name)
@@ -167,9 +167,15 @@ class _Item:
 
 
 def _heights(track: SampledPath) -> tuple[float, float]:
+<<<<<<< HEAD
     """Return the lowest and the highest place [m] of all bodies of a team at any time."""
     boxes = track.boxes
     return float(np.min(boxes.lower[:, 2])), float(np.max(boxes.upper[:, 2]))
+=======
+    """Return the lowest and the highest point [m] of all bodies of a team at any time."""
+    lower, upper = track.box
+    return float(np.min(lower[:, 2])), float(np.max(upper[:, 2]))
+>>>>>>> 056c6740 (Say messages, help and docstrings in plainer English)
 
 
 def _merge_waits(motion: Motion) -> Motion:
@@ -236,7 +242,7 @@ def _blocked_error(blocked: Blocked, item: int) -> InfeasibleError:
         when = f"between the {blocked.at} of {one} and {other}, {where}"
         remedy = f"move the {blocked.at[:-1]} of {one} or {other}; no delay helps"
     else:
-        when = f"{where}, {blocked.time:.1f} s after it begins, whatever the delay"
+        when = f"{where}, {blocked.time:.1f} s after it begins, at any delay"
         remedy = f"move the goal of {one} or {other}, or let one of them fly in a separate item"
     unit = RULE_OF[blocked.check].unit
     values = blocked.check, blocked.value, blocked.limit, "min", unit, (one, other), when, remedy

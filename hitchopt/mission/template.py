@@ -50,7 +50,7 @@ EDGES = np.linspace(1.0, 2.0, 11) / 0.17
 """Edges of polygons over that radius, in the order of the search: from 1 m for Crazyflies."""
 
 PULL = 0.15
-"""How far a vertex is pulled, over the edge."""
+"""Distance by which a vertex is pulled, over the edge."""
 
 SPARE = 0.15
 """[m] Cable length beyond the shortest, and at least within the longest."""

@@ -93,14 +93,14 @@ class CombinedSwarm(Swarm):
 
     @property
     def listed(self) -> Indices:
-        """(N,): places of the drones a.q0, a.r0, … in the order of the problem."""
+        """(N,): indices of the drones a.q0, a.r0, … in the order of the problem."""
         places: Indices = vars(self)["_listed"]
         return places
 
 
 @dataclass(frozen=True, eq=False)
 class Flight(OneLine):
-    """What flies in one airspace: teams, each with its motion, and external plans.
+    """The contents of one airspace: teams, each with its motion, and external plans.
 
     Parameters
     ----------
@@ -190,12 +190,12 @@ class Flight(OneLine):
 
     @property
     def has_cables(self) -> bool:
-        """Whether any of its teams has cables."""
+        """Return whether any of its teams has cables."""
         return any(flown.motion.team.has_cables for flown in self.teams)
 
     @property
     def _has_bent_cables(self) -> bool:
-        """Whether cables of any team, or external plan, bend around an object on their own."""
+        """Return whether unclasped cables of any team or external plan bend around an object."""
         return any(flown.motion.has_bent_cables for flown in self.all_teams)
 
     @property
@@ -311,7 +311,7 @@ class Flight(OneLine):
 
 
 class JointRequirements(NamedTuple):
-    """What several teams keep between them."""
+    """Requirements between several teams."""
 
     requirements: Requirements
     """Distances, with the objects of all teams."""
@@ -400,7 +400,7 @@ def moved_objects(motion: Motion) -> frozenset[str]:
 
 
 def same_object(one: SolidObject, other: SolidObject) -> bool:
-    """Return whether two objects are equal bodies at the same place."""
+    """Return whether two objects are equal bodies at the same pose."""
     if len(one.slabs) != len(other.slabs) or not np.array_equal(one.pose, other.pose):
         return False
     return all(

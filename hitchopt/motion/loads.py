@@ -5,10 +5,10 @@ the share ``μ_k`` of its mass, with ``Σ μ_k = 1`` and ``Σ μ_k p_k`` below i
 such shares, these have the least sum of squares, as those of equally stiff supports. If the centre
 of mass is h above the clasps, its acceleration a adds the force ``m h G_k·a`` at clasp k.
 
-Clasps are inside the rim, and the rim's edge bends their legs: below the rim they are level, beyond
-it they rise, on average by an angle φ with ``sin φ = W / (2 Σ T_k)``, W the weight of object and
-edges. The rim takes the share ``1 - cos φ`` of edges' pulls. Vertices, where straight legs would
-meet, are below the rim by the mean leg's slope times its distance from the rim's edge.
+Clasps are inside the rim, and the rim's edge bends their legs: below the rim they are horizontal,
+beyond it they rise, on average by an angle φ with ``sin φ = W / (2 Σ T_k)``, W the weight of object
+and edges. The rim takes the share ``1 - cos φ`` of edges' pulls. Vertices, where straight legs
+would meet, are below the rim by the mean leg's slope times its distance from the rim's edge.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def sags(motion: Motion, density: float) -> Array:
     """Return the depth of clasps (pieces, clasps) [m] below a hitch of weightless cables.
 
     Pieces are those on which the hitch exists, at their starts. The weight of half of all parts
-    that end at a clasp bears on its two legs, of lengths d and e; edges stay level:
+    that end at a clasp bears on its two legs, of lengths d and e; edges stay horizontal:
 
         z (T_d / d + T_e / e) = ρ g (d + e + l + l') / 2,
 
@@ -189,8 +189,8 @@ class Supports:
     """(…, clasps), fractions ``μ_k`` of its mass."""
 
     gains: Array
-    """(…, clasps, 2) [1/m], ``G_k``: derivatives of the shares by the point at which the force line
-    meets the clasps' plane, in the object's frame."""
+    """(…, clasps, 2) [1/m], ``G_k``: derivatives of the shares with respect to the point at which
+    the force line meets the clasps' plane, in the object's frame."""
 
     @classmethod
     def at(cls, points: Array, centre: Array) -> Supports:
@@ -385,8 +385,8 @@ def rim_drop(
 def rim_savings(team: Team, body: SolidObject, vertices: Array, tensions: Array) -> Array:
     """Return the excess of straight legs q and r over legs bent by a rim (…, n, 2) [m].
 
-    Under the full weight, cables are level up to the rim's edge and rise beyond it. Parameters are
-    those of ``rim_drop``.
+    Under the full weight, cables are horizontal up to the rim's edge and rise beyond it. Parameters
+    are those of ``rim_drop``.
     """
     distances = _distances_to_rim(body, vertices)
     angle = _rise_angle(team, body.mass, distances.edges, tensions)

@@ -130,7 +130,7 @@ class Phase(OneLine):
 
     @property
     def formed(self) -> bool:
-        """Whether the hitch exists."""
+        """Return whether the hitch exists."""
         return self.state in HITCHED_STATE
 
     def retimed(self, start: float, end: float) -> Phase:
@@ -190,7 +190,7 @@ class Motion(OneLine):
     ----------
     team: the robots.
     requirements: limits, distances, and objects that the motion must respect.
-    drones: shape (2n, 3) [m], in the order of their places on the hitch, as ``team.drone_names``;
+    drones: shape (2n, 3) [m], in order along the hitch, as ``team.drone_names``;
         (N, 3) for single drones. ``Plan.at`` and all files have the order of the problem.
     vertices: shape (points, 3) [m]: n points of a closed hitch, n + 1 of a chain.
     legs: shape (n, 2) [m]: ``d_k``, ``e_k``; zero where a chain's end has no leg.
@@ -252,7 +252,9 @@ class Motion(OneLine):
             if part.shape != shape:
                 raise InputError(name, part.shape, f"of shape {shape}", "one row per robot's parts")
             if part.breaks is not breaks and not np.array_equal(part.breaks, breaks):
-                raise InputError(name, "its breaks", "those of the drones", "split both the same")
+                raise InputError(
+                    name, "its breaks", "those of the drones", "use the same breaks for both"
+                )
         object.__setattr__(self, "load_share", _snapped(self.load_share))
         check_phases(self.phases, float(breaks[0]), float(breaks[-1]))
         if any((phase.state == CableState.NONE) is self.team.has_cables for phase in self.phases):
@@ -309,17 +311,17 @@ class Motion(OneLine):
 
     @lazy
     def leg_tensions_differ(self) -> bool:
-        """Whether any leg's tension differs from its edge's, as where friction bears a part."""
+        """Return whether any leg's tension differs from its edge's, for example by friction."""
         return not self._is_plain("leg_tensions")
 
     @lazy
     def has_wraps(self) -> bool:
-        """Whether any edge has contacts with an object; otherwise all edges are straight."""
+        """Return whether any edge has contacts with an object; otherwise all edges are straight."""
         return self.has_bent_cables or not self._is_plain("contacts")
 
     @lazy
     def has_bent_cables(self) -> bool:
-        """Whether any cable is taut on its own and bent around an object."""
+        """Return whether any cable is taut on its own and bent around an object."""
         return CableState.BENT in self.cable_states
 
     @lazy
@@ -474,7 +476,8 @@ class Motion(OneLine):
     def replaced(self, **values: Any) -> Motion:
         """Return the motion with other values of some fields.
 
-        Curves that follow from their sources alone follow from the new ones. Only phases are
+        Curves that are derived from other fields alone are derived from their new values. Only
+        phases are
         checked: polynomials come from motions that were checked on construction.
         """
         motion = object.__new__(type(self))

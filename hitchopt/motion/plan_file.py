@@ -1,10 +1,10 @@
-"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and the records beside them.
+"""Plan files, plan.npz: piecewise polynomials, exact to the last bit, and their records.
 
 Polynomials are Bernstein coefficients (pieces, *shape, degree + 1) over ``breaks``, in a folder for
 each team and each external plan. Everything else is JSON in ``settings``: the records of motions
 by the names of their fields, and the problem, which states what was requested: its text, and the
 same as data, ``request``, for readers without YAML.
-Constructors check what is read, as they check what a user passes.
+Constructors validate what is read like arguments of a user.
 """
 
 from __future__ import annotations

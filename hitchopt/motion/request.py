@@ -343,7 +343,7 @@ def _unsagged(given: Mapping[str, Any], actual: Mapping[str, Any], motion: Motio
 
 
 def _visited(places: Array, wanted: Sequence[Sequence[float]]) -> list[Array]:
-    """Return those of places (k, 3) that are nearest to the wanted ones (m, 3), in their order."""
+    """Return those of positions (k, 3) that are nearest to others (m, 3), in the latter's order."""
     visited = list[Array]()
     first = 0
     for place in wanted:
@@ -419,7 +419,7 @@ def _is_within_range(used: Sequence[float] | None, requested: Sequence[float] | 
 def _flown_route(
     motion: Motion, phases: Sequence[Phase], route: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return the largest height [m] of a carried object, and the places that it has visited."""
+    """Return the largest height [m] of a carried object, and the positions that it has visited."""
     pieces = _pieces_between(motion, phases[0].start, phases[-1].end)
     index = [*motion.requirements.objects].index(route["object"])
     places = motion.poses.coefficients[pieces, index, :3, -1]

@@ -121,7 +121,7 @@ class States(OneLine):
         return replace(self, **values)
 
     def listed(self, team: Team) -> States:
-        """Return states of a team's places with drones and robots in the order of the problem."""
+        """Return states of a team with drones and robots in the order of the problem."""
         drones = team.listed
         robots = team.edges
         if np.array_equal(drones, np.arange(len(drones))):
@@ -290,7 +290,7 @@ def flight_states_at(flight: Flight, t: ArrayLike) -> States:
     """
     requested = as_array(t)
     if requested.size == 0 or not np.all((requested >= -TIME_TOLERANCE) & np.isfinite(requested)):
-        raise InputError("t", t, "finite times from 0 s on", "pass times from the plan's start")
+        raise InputError("t", t, "finite times of at least 0 s", "pass times from the plan's start")
     times = np.minimum(requested, flight.duration)
     block_size = max(1, BLOCK // (3 * len(flight.team.drone_names)))
     blocks = list(iterate_flight_states(flight, times.ravel(), block_size))

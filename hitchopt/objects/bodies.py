@@ -63,7 +63,7 @@ class Section(ByValue):
 
     def __init__(self, outline: Points | None = None, radius: float | None = None) -> None:
         if (outline is None) == (radius is None):
-            remedy = "give either an outline or a circle's radius"
+            remedy = "specify either an outline or a circle's radius"
             raise InputError("outline", outline, "given if there is no radius", remedy)
         size = None if radius is None else coordinate("radius", positive("radius", radius))
         object.__setattr__(self, "outline", None if outline is None else _clockwise(outline))
@@ -183,13 +183,13 @@ def _clockwise(outline: Points) -> Array:
     try:
         hull = ConvexHull(vertices)
     except QhullError:
-        bound, remedy = "an outline around an area", "give three points that are not in line"
+        bound, remedy = "an outline around an area", "specify three points that are not in line"
         raise InputError("outline", vertices.tolist(), bound, remedy) from None
     depths = np.max(vertices @ hull.equations[:, :2].T + hull.equations[:, 2], axis=1)
     k = int(np.argmin(depths))
     if depths[k] < -CONVEXITY_TOLERANCE * float(np.max(np.ptp(vertices, axis=0))):
-        bound = f"on the convex hull ({-depths[k]:.3g} m inside of it)"
-        remedy = f"give the hull: {vertices[hull.vertices[::-1]].round(4).tolist()}"
+        bound = f"on the convex hull ({-depths[k]:.3g} m inside it)"
+        remedy = f"specify the hull: {vertices[hull.vertices[::-1]].round(4).tolist()}"
         raise InputError(f"outline[{k}]", vertices[k].tolist(), bound, remedy)
     corners = vertices[np.sort(hull.vertices)]
     x, y = corners.T
@@ -318,7 +318,7 @@ class SolidObject(ByValue):
             check_instance("rim", rim, Rim)
         position = as_array(at)
         if position.shape != (3,):
-            raise InputError("at", at, "a point [x, y, z]", "give three numbers in metres")
+            raise InputError("at", at, "a point [x, y, z]", "specify three numbers in metres")
         position = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(position.tolist())])
         position.setflags(write=False)
         _warn_of_units(section, rim)
@@ -370,7 +370,7 @@ class SolidObject(ByValue):
         return np.append(self.at, self.yaw)
 
     def moved_to(self, place: Array) -> SolidObject:
-        """Return the object with its base at a place (4,): x, y, z [m] and yaw [rad]."""
+        """Return the object with its base at a pose (4,): x, y, z [m] and yaw [rad]."""
         return with_fields(self, at=place[:3], yaw=float(place[3]))
 
     @property

@@ -115,7 +115,7 @@ def check_placed(objects: Mapping[str, SolidObject], floor: float) -> None:
         gap, surface, support = _gap_below(objects, name, floor)
         if abs(gap) > CONTACT_GAP:
             words = "the ground" if support is None else f"objects.{support}"
-            heights = f"its floor at {surface:.6g} m not {surface + gap:.6g} m"
+            heights = f"its floor at {surface:.6g} m, not {surface + gap:.6g} m"
             bound = f"such that it stands on {words}, {heights}"
             remedy = f"write {[*each.at[:2].tolist(), round(surface - each.lower, 9)]}"
             raise InputError(f"objects.{name}.at", each.at.tolist(), bound, remedy)

@@ -68,7 +68,7 @@ MAX_EXTRA_LENGTH = 1.0
 """[m] Largest length beyond the one that legs need."""
 
 WEIGHT_SAFETY = 2.0
-"""Smallest tension over the one from which on heavy cables balance."""
+"""Smallest tension over the lowest one at which heavy cables balance."""
 
 MAX_EDGE_WEIGHT = 0.35
 """Largest weight of half an edge over its tension. The sag of second order errs in the balance by
@@ -239,9 +239,10 @@ def fitting_lengths(
 def fitting_tensions(polygons: Sequence[Outline], requirements: Requirements, team: Team) -> Range:
     """Return the smallest and largest tension [N] at which drones and cables hold hitches.
 
-    The largest is the level pull of the weakest drones. The smallest is WEIGHT_SAFETY times the one
-    from which on heavy cables with balanced legs keep all distances on all polygons, and at least
-    that of edges of MAX_EDGE_WEIGHT; zero without weight. Tensions of the team do not matter.
+    The largest is the horizontal pull of the weakest drones. The smallest is WEIGHT_SAFETY times
+    the lowest one at which heavy cables with balanced legs keep all distances on all polygons, and
+    at least that of edges of MAX_EDGE_WEIGHT; zero without weight. Tensions of the team do not
+    matter.
     """
     tilt = requirements.limits.tilt
     largest = min(quadrotor.level_pull(tilt)[0] for quadrotor in team.quadrotor)

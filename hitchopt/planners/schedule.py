@@ -42,7 +42,7 @@ CHUNK = 200_000
 """Number of pairs of bodies per chunk."""
 
 FAR = 1e6
-"""[m] Distance of bodies that do not count."""
+"""[m] Distance of bodies that are ignored."""
 
 REACH = 0.25
 """[m] Distance beyond a limit up to which it is computed."""
@@ -116,7 +116,7 @@ class SampledPath:
 
     @cached_property
     def cables(self) -> SampledBodies:
-        """Parts of taut cables, and the upright regions that contain other cables."""
+        """Parts of taut cables, and the vertical regions that contain other cables."""
         motion = self.flown.motion
         robots = motion.team.robots
         if robots == 0:
@@ -203,7 +203,7 @@ class BodyPairs(NamedTuple):
     """The other bodies."""
 
     swapped: bool
-    """Whether the first ones are bodies of the second track."""
+    """True if the first bodies are those of the second track."""
 
 
 def _pairs(a: SampledPath, b: SampledPath, separation: Separation) -> Iterator[BodyPairs]:

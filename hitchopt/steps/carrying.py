@@ -100,7 +100,7 @@ MIN_FOOTING = 0.02
 position error of objects."""
 
 PLACE_TOLERANCE = 1e-6
-"""[m] Places that differ by less are the same."""
+"""[m] Positions that differ by less are the same."""
 
 MAX_VIA = 100
 """Maximum number of waypoints of one object."""
@@ -113,7 +113,7 @@ LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 
 
 def object_of(task: StepTask, name: str) -> SolidObject:
-    """Return an object at its current place; raise InputError if it cannot be held."""
+    """Return an object at its current pose; raise InputError if it cannot be held."""
     objects, key = task.requirements.objects, f"objects.{name}"
     body = objects[name]
     if not task.before.team.layout.closed:
@@ -131,7 +131,7 @@ def object_of(task: StepTask, name: str) -> SolidObject:
 
 
 def goal_of(step: Step, requirements: Requirements, name: str) -> Array:
-    """Return the place (4,) of a held object's base after a step: x, y, z [m], yaw [rad]."""
+    """Return the pose (4,) of a held object's base after a step: x, y, z [m], yaw [rad]."""
     objects = requirements.objects
     below, _ = surface_below(objects, poses_of(objects), name, requirements.floor)
     goal = step.place_after(objects[name], below)
@@ -181,17 +181,17 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
     hold = planner.hold
     mass = planner.body.mass
     capacity = hold_capacity(planner, task.requirements)
-    hardware = "use more robots, as hitchopt fit counts them"
+    hardware = "use the number of robots that hitchopt fit recommends"
     if any(RIM_EDGE in violation.where for violation in error.violations):
         hardware = _other_robots(planner, task.requirements)
     if hold.by is not HoldBy.REST:
         hardware = "use rougher cables"
         if capacity.rim_mass >= mass:
             two_cables = hold.team.robots == 2
-            rim = "rest it on a rim with three robots" if two_cables else "give it a rim"
+            rim = "rest it on a rim with three robots" if two_cables else "add a rim"
             hardware = f"{hardware}, or {rim}"
     remedy = (
-        f"lower objects.{planner.state.object}.mass, or request another tension, "
+        f"lower objects.{planner.state.object}.mass, or request a different tension, "
         f"or {hardware}{capacity.text}"
     )
     violations = list[Violation]()
@@ -232,7 +232,7 @@ def _other_robots(planner: MovePlanner, requirements: Requirements) -> str:
 
 
 class HoldCapacity(NamedTuple):
-    """What a hold can carry, and what a rim could."""
+    """Masses that a hold, and a rim, can carry."""
 
     text: str
     """Both in words, in parentheses after a space; empty if neither can be computed."""
@@ -355,14 +355,14 @@ class Enclose(Step):
         if height < clearance - CONTACT_GAP:
             name = f"objects.{self.object}"
             when = f"with the hitch around {name}"
-            remedy = f"make {name} or its rim higher, or stand it on something"
+            remedy = f"use a taller {name} or a higher rim, or raise its support"
             violation = Violation(
                 "object_clearance", height, clearance, "min", "m", ("ground",), when, remedy
             )
             raise InfeasibleError([violation])
         radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         size = f"{rounded_up(radius, 2):.2g} m in radius"
-        remedy = f"tie the hitch as large as around objects.{self.object}, {size}"
+        remedy = f"tie the hitch at its size around objects.{self.object}, {size}"
         check_opens(hitch, polygon.vertices, requirements, remedy)
         safe_altitude = altitude_over(task)
         start = np.append(hitch.polygon.centroid, hitch.altitude)
@@ -519,7 +519,7 @@ class Grasp(TensionStep):
             return self._grip(task, body, tension)
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
-            raise InputError(key, None, bound, "give it a rim, or grasp it by: grip")
+            raise InputError(key, None, bound, "add a rim, or grasp it by: grip")
         requirements = requirements_near(task, self.object)
         with_margin = replace(requirements, separation=_wider(requirements.separation))
         closing_task = task.within(requirements, task.before)
@@ -587,7 +587,7 @@ class HoldFailure(NamedTuple):
     """Planner of the moves in which the object is held."""
 
     error: InfeasibleError
-    """What the hold or the closing breaks."""
+    """Limits that the hold or the closing breaks."""
 
 
 def best_hold_error(task: StepTask, failures: Sequence[HoldFailure]) -> InfeasibleError:
@@ -638,7 +638,7 @@ class Lift(Step):
     duration: Seconds = None
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
-        """Return the place above the current one."""
+        """Return the pose above the current one."""
         return np.array([*body.at[:2], body.at[2] + self.by, body.yaw])
 
     def plan(self, task: StepTask) -> StepPlan:
@@ -687,7 +687,7 @@ class SetDown(Step):
     duration: Seconds = None
 
     def place_after(self, body: SolidObject, below: float) -> Array:
-        """Return the place straight below."""
+        """Return the pose straight below."""
         return np.array([*body.at[:2], below - body.lower, body.yaw])
 
     def plan(self, task: StepTask) -> StepPlan:
@@ -703,7 +703,7 @@ class SetDown(Step):
                 f"the edges of what it stands on, not {max(margin, 0.0):.3g} m"
             )
             place = [round(float(coordinate), 9) for coordinate in to[:3]]
-            remedy = "set it down farther in, or on something wider"
+            remedy = "set it down farther from the edge, or on a wider support"
             raise InputError(f"mission[{task.index}]", place, bound, remedy)
         down = planner.carry(to, LIFT_SPEED)
         unloading = replace(planner.transfer(1.0, 0.0), start=to, end=to)
@@ -760,7 +760,7 @@ class Leave(Step):
 @documented
 @dataclass(frozen=True, eq=False)
 class TransportObject(TensionStep):
-    """Carry an object to another place, in seven steps, or more with ``via``.
+    """Carry an object to a new position, in seven steps, or more with ``via``.
 
     Two robots tie their cables around it, and untie them.
     """
@@ -773,12 +773,12 @@ class TransportObject(TensionStep):
     by: Annotated[HoldMethod | None, Key(BY, f"{BY_TEXT}; without it rest if it has a rim")] = None
     tension: HoldTension = None
     yaw: Yaw = 0.0
-    lift: Annotated[float, Key(LENGTH, "Height above the higher of the two places")] = 0.3
+    lift: Annotated[float, Key(LENGTH, "Height above the higher of start and goal")] = 0.3
     via: Annotated[
         Array | None,
         Key(
             points((None, 3), "x, y, z", 1, MAX_VIA),
-            "Intermediate places of its base, at rest there",
+            "Intermediate positions of its base, where it stops",
         ),
     ] = None
 

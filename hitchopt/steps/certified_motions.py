@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -32,8 +31,8 @@ if TYPE_CHECKING:
     from hitchopt.planners.morph.path import Path
 
 LEVEL_TOLERANCE = 1e-3
-"""Difference of heights up to which drones are level [m]: it changes a distance of 0.24 m by less
-than 1e-5 m."""
+"""Difference of heights up to which drones count as being at one height [m]: it changes a distance
+of 0.24 m by less than 1e-5 m."""
 
 MIN_LIMIT = 1e-9
 """Smallest limit by which a violation is divided."""
@@ -315,7 +314,7 @@ FASTER = "faster than the step's own route"
 
 
 class SearchThreshold(NamedTuple):
-    """Where a faster route than the step's own one is searched without a request."""
+    """Conditions under which a route faster than the step's own is searched without a request."""
 
     ratio: float
     """Duration of the step's own route over its lower bound."""
@@ -337,7 +336,7 @@ MAX_SEARCHED = 24
 
 
 def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
-    """Return whether a morph takes so much longer than its lower bound that others may gain."""
+    """Return whether a morph takes so much longer than its bound that others may be faster."""
     from hitchopt.planners.optimise.guesses import turns
     from hitchopt.planners.optimise.search import min_duration
 
@@ -354,7 +353,7 @@ def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
 def plan_along(
     task: StepTask, path: Path, end: Hitch, phase: Phase, duration: float | None = None
 ) -> StepPlan:
-    """Time a path, and return the plan of its motion, which is certified when that is asked for.
+    """Time a path, and return the plan of its motion; reading its certificate certifies it.
 
     Parameters
     ----------
@@ -433,7 +432,7 @@ def optimised_plan(
     certified: dict[Motion, StepPlan] = {}
 
     def climbing(path: Path) -> Path:
-        """Return a path of the search, which is level, with the climb to the end."""
+        """Return a path of the search, which is horizontal, with the climb to the end."""
         return path if path is straight or climb == 0.0 else path.climbing(climb)
 
     def certified_motion(path: Path) -> Motion | None:
@@ -497,7 +496,7 @@ def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: P
         check_loads(path, task.requirements.limits)
     except InfeasibleError as error:
         violations = [
-            replace(violation, when=re.sub(r"of the path( on)?", route, violation.when))
+            replace(violation, when=violation.when.replace("of the path", route))
             for violation in error.violations
         ]
         raise InfeasibleError(violations, error.note) from None
@@ -617,8 +616,8 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
 def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:
     """Return the plan with swings at its end that remove the hysteresis of cables that slid.
 
-    ``settle`` is ``Step.settling`` of its last step. Limits that bind leave automatic swings out;
-    swings of a prescribed duration [s] raise InfeasibleError then.
+    ``settle`` is ``Step.settling`` of its last step. If limits bind, automatic swings are omitted,
+    and swings of a prescribed duration [s] raise InfeasibleError.
     """
     hitch = plan.after.hitch
     if settle is False or hitch is None or hitch.team.cable_friction == 0.0:
@@ -728,5 +727,5 @@ def check_above_ground(motion: Motion) -> None:
     lowest = float(np.min(heights))
     where = (motion.team.drone_names[drone],)
     when = f"above the ground at about t = {motion.drones.breaks[piece]:.4g} s"
-    remedy = "keep altitudes above 0, or give an arena with a lower floor"
+    remedy = "keep altitudes above 0, or add an arena with a lower floor"
     raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", where, when, remedy)])

@@ -1,4 +1,4 @@
-"""The step of single drones: to fly to places out of each other's downwash."""
+"""The step of single drones: to fly to goals out of each other's downwash."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ MIN_PRISM_HEIGHT = 1e-3
 
 
 def check_count(key: str, places: Array, team: Team) -> None:
-    """Raise InputError unless there is one place per drone."""
+    """Raise InputError unless there is one position per drone."""
     if len(places) != team.drones:
         bound = f"{team.drones} points, one per drone"
         raise InputError(key, f"{len(places)} points", bound, "change team.drones, or these")
@@ -78,7 +78,7 @@ class Fly(Step):
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the flight.
 
-        Raises InfeasibleError with the violated limits, places and times.
+        Raises InfeasibleError with the violated limits, locations and times.
         """
         from hitchopt.planners.separation import SeparatedCurves, SeparationTask
 
@@ -177,5 +177,5 @@ def _weight_violation(team: Team, drone: int) -> Violation:
         "N",
         (team.drone_names[drone],),
         "at rest",
-        "give the drone more thrust, or less mass",
+        "use a drone with more thrust or less mass",
     )

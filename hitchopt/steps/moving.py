@@ -116,7 +116,7 @@ class ShapeStep(HitchStep):
 
     blendable: ClassVar[bool] = True
     searches_faster_routes: ClassVar[bool] = False
-    """Whether a route is replaced that takes much longer than the lower bound."""
+    """True if routes that take much longer than the lower bound are replaced."""
 
     legs: SlackSplit | None
 
@@ -208,7 +208,7 @@ class SearchOptions(NamedTuple):
     """Options of the optimiser that a step states."""
 
     allow_slides: bool
-    """Whether legs lead and lag, so that cables slide through their clasps."""
+    """True if legs lead and lag, so that cables slide through their clasps."""
 
     tension: tuple[float, float] | None
     """[N] Range of tensions; None if they are constant."""
@@ -306,7 +306,7 @@ class Hold(HitchStep):
 class Settle(Step):
     """Swing the drones to remove friction hysteresis at the clasps.
 
-    Drones swing about their places with decreasing amplitude; planned vertices do not move.
+    Drones swing about their positions with decreasing amplitude; planned vertices do not move.
     """
 
     time_key: ClassVar[str] = "seconds"
@@ -319,7 +319,7 @@ class Settle(Step):
         """Return the step, or raise InputError for a team whose cables have no friction."""
         if team.cable_friction == 0.0:
             bound = "used with a team whose cables have friction"
-            remedy = "give the team's cable_friction, or omit the step"
+            remedy = "set team.cable_friction, or omit the step"
             raise InputError("", "no friction", bound, remedy)
         return super().resolved_for(team)
 
@@ -421,7 +421,7 @@ class Morph(ShapeStep):
 
 
 class MoveStep(ActionStep):
-    """An action that moves points ``to`` a place or ``by`` an offset."""
+    """An action that moves points ``to`` a position or ``by`` an offset."""
 
     moves_points: ClassVar[bool] = True
     to: Array | None
@@ -432,7 +432,7 @@ class MoveStep(ActionStep):
         if (self.to is None) == (self.by is None):
             value = None if self.to is None else self.to.tolist()
             bound = "given if and only if by is omitted"
-            raise InputError("to", value, bound, "give either to or by")
+            raise InputError("to", value, bound, "specify either to or by")
 
     @abstractmethod
     def moved_points(self, team: Team, count: int) -> list[int]:
@@ -563,7 +563,7 @@ _PLACES = points((None, 2), "x, y")
 
 
 def _vertex_path(key: str, value: object) -> Array:
-    """Return points (J, 3) whose times increase, or places (J, 2); or raise InputError."""
+    """Return points (J, 3) whose times increase, or positions (J, 2); or raise InputError."""
     rows = value.tolist() if isinstance(value, np.ndarray) else value
     if isinstance(rows, list | tuple) and rows and as_array(rows[0]).shape == (2,):
         places: Array = _PLACES.check(key, value)
@@ -613,7 +613,7 @@ class FollowVertex(ActionStep):
 
     @property
     def is_timed(self) -> bool:
-        """Whether its points have times."""
+        """Return whether its points have times."""
         return int(self.path.shape[1]) == 3
 
     @property
@@ -624,7 +624,7 @@ class FollowVertex(ActionStep):
     def advice(self, check: str, key: str) -> str:  # noqa: ARG002
         """Return how to lower a rate."""
         is_rate = check in RULE_OF and RULE_OF[check].derivative > 0
-        return "give the points more time" if is_rate else ""
+        return "allow more time for the points" if is_rate else ""
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
@@ -677,7 +677,7 @@ class FollowVertex(ActionStep):
         motion = plan.motion
         check = VERTEX_SPEED.check(motion)
         if check is not None and not check.holds:  # of points with times
-            remedy = "give the points more time or none, or raise the step's speed"
+            remedy = "allow more time for the points, omit their times, or raise the step's speed"
             raise InfeasibleError([check.violation(f"at t = {check.time:.4g} s, {when}", remedy)])
         return replace(plan, motion=motion.replaced(requirements=task.requirements))
 

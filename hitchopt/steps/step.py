@@ -312,7 +312,7 @@ class RestState:
     """The enclosed or held object; ``hitch`` is then without the object's weight."""
 
     objects: Mapping[str, SolidObject] | None = None
-    """Objects at their current places; None for those of the problem."""
+    """Objects at their current poses; None for those of the problem."""
 
     @property
     def tied(self) -> Hitch:
@@ -389,7 +389,7 @@ class StepTask:
     """Requirements of the plan."""
 
     optimiser: bool = True
-    """Whether the optimiser may be used."""
+    """True if the optimiser may be used."""
 
     progress: Progress | None = None
     """Status callback."""
@@ -442,7 +442,7 @@ def moves_plan(step: Step, task: StepTask, after: GraspState, moves: Sequence[Mo
 def plan_to(
     task: StepTask, after: GraspState, motion: Motion, place: Array, below: float = 0.0
 ) -> StepPlan:
-    """Return the plan of a motion to a state, with the object's base at a place (4,).
+    """Return the plan of a motion to a state, with the object's base at a pose (4,).
 
     The clasps end ``below`` the rim [m].
     """
@@ -474,10 +474,10 @@ class Stage(StrEnum):
 
 @dataclass(frozen=True)
 class RequestedHold:
-    """What a problem requests of an object that cables hold, until they let it go."""
+    """The request for an object that cables hold, until they release it."""
 
     by: HoldBy
-    """How cables hold it."""
+    """Method of holding it."""
 
     tension: tuple[float, float]
     """[N] Range of the tensions of cables."""
@@ -499,7 +499,7 @@ class RequestedHold:
 
 @dataclass(frozen=True, eq=False)
 class RequestedRest:
-    """What a problem requests of the state at rest after a step.
+    """The request for the state at rest after a step.
 
     Planners choose outlines around objects, and their altitudes.
     """
@@ -508,7 +508,7 @@ class RequestedRest:
     """Outline of the hitch; None without one."""
 
     outline_stated: bool
-    """Whether the file states the outline."""
+    """True if the file states the outline."""
 
     altitude: float | None
     """[m] Altitude of the hitch; None if the planner chooses it."""
@@ -520,7 +520,7 @@ class RequestedRest:
     """Holds of held objects, by name."""
 
     objects: Mapping[str, SolidObject]
-    """Objects at their places, by name."""
+    """Objects at their poses, by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,10 +531,10 @@ class Step(Record, ABC):
     """Key in the problem file: the class's name in snake case."""
 
     needs_hitch: ClassVar[bool | None] = True
-    """Whether it must start with a hitch (True), on free cables (False), or with either (None)."""
+    """True if the step starts with a hitch, False if on free cables, None for either."""
 
     blendable: ClassVar[bool] = False
-    """Whether it can precede or follow a step without a stop."""
+    """True if the step can precede or follow another one without a stop."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.FREE, Stage.FREE)
     """Stages at the start and the end; None if the stage does not matter."""
@@ -546,13 +546,14 @@ class Step(Record, ABC):
     """Key in the problem file of the name of its object."""
 
     of_single_drones: ClassVar[bool] = False
-    """Whether single drones do it, which have no cables, in place of robots."""
+    """True if the step is for single drones without cables."""
 
     of_two_robots: ClassVar[bool] = False
-    """Whether two robots can do it, whose cables are a hitch only around an object."""
+    """True if teams of two robots support the step; their cables form a hitch only around an
+    object."""
 
     moves_points: ClassVar[bool] = False
-    """Whether it moves single points of an outline, which the file then has to state."""
+    """True if the step moves single points of an outline, which the file then has to state."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
@@ -566,12 +567,12 @@ class Step(Record, ABC):
 
     @property
     def blends(self) -> bool:
-        """Whether it continues into the next step without a stop."""
+        """Return whether it continues into the next step without a stop."""
         return bool(getattr(self, "blend", False))
 
     @property
     def rolls_pairs(self) -> bool:
-        """Whether pairs of drones roll by half a turn, one above the other."""
+        """Return whether pairs of drones roll by half a turn, one above the other."""
         return False
 
     @property
@@ -618,20 +619,20 @@ class Step(Record, ABC):
         return None
 
     def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return what a motion shows of the step's keys, at its end or on its route.
+        """Return the values of the step's keys that a motion shows, at its end or on its route.
 
         Names and units are those of ``hitchopt.motion.request.mission_of``; the requirements have
-        the objects at their places before the step. A stored plan that contradicts it is not a plan
-        of its problem.
+        the objects at their poses before the step. A stored plan that contradicts them is not a
+        plan of its problem.
         """
         return shown_legs(vars(self).get("legs"))
 
     def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
-        """Return how the step holds its object from then on; None if it does not take hold."""
+        """Return how the step holds its object afterwards; None if it does not take hold."""
         return None
 
     def request(self, after: RequestedRest, shown: Mapping[str, Any]) -> dict[str, Any]:
-        """Return what the plan must show at the step's end.
+        """Return the values that the plan must show at the step's end.
 
         Names and units are those of ``hitchopt.motion.request.mission_of``; ``shown`` is what
         ``shown_at_end`` returns.
@@ -655,7 +656,7 @@ class Step(Record, ABC):
         return request
 
     def advice(self, check: str, key: str) -> str:  # noqa: ARG002
-        """Return advice of its own if its motion violates a check; ``key`` is its key in files."""
+        """Return specific advice if its motion violates a check; ``key`` is its key in files."""
         return ""
 
     def least_increase(
@@ -709,7 +710,7 @@ class Step(Record, ABC):
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edits that scale its geometry about ``centre``, and that of later steps.
 
-        Centres are (2,) [m]: one point until the hitch is carried elsewhere or formed anew.
+        Centres are (2,) [m]: one point until the hitch is carried elsewhere or formed again.
         """
         polygon: Outline | None = vars(self).get("polygon")
         if polygon is None:

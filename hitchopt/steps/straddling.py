@@ -39,7 +39,7 @@ from hitchopt.values.units import LENGTH, TENSION
 
 PREFERRED_HINGE = 0.15
 """[m] Preferred height of clasps above a centre of mass, as far below the top as drones may be off.
-Simulated drums tilted by up to 29° at 10 cm, and by 14° at 15 cm."""
+In simulation drums tilted by up to 29° at 10 cm, and by 14° at 15 cm."""
 
 NO_TURN = math.radians(2.0)
 """[rad] Angle up to which hanging cables need not turn about an object."""
@@ -92,7 +92,7 @@ def check_hinge(planner: MovePlanner) -> None:
             f"drones may be off by {error:.3g} m in height; {allowed}"
         )
     where = (planner.state.object,)
-    when = "above the centre of mass, as it is lifted"
+    when = "above the centre of mass, while it is lifted"
     value = hold.height - centre
     violation = Violation("hinge", value, needed - centre, "min", "m", where, when, remedy)
     raise InfeasibleError([violation])
@@ -118,7 +118,7 @@ def hold_by_tying(team: Team, tension: Array) -> RequestedHold:
 class Tie(Step):
     """Lay two cables past both sides of an object, tie them beyond it, and draw them taut.
 
-    The cables are lowered beside the object and bent around it, and each pair of drones makes a
+    The cables are lowered next to the object and bent around it, and each pair of drones makes a
     full turn. They then grip the object with the team's tension.
     """
 
@@ -282,7 +282,7 @@ def _approach_motions(task: StepTask, goal: Array, body: SolidObject) -> list[Mo
 @documented
 @dataclass(frozen=True)
 class Untie(Step):
-    """Untie the cables in the reverse order of tying, until they hang beside the object."""
+    """Untie the cables in the reverse order of tying, until they hang next to the object."""
 
     needs_hitch: ClassVar[bool | None] = None
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.GRASPED, Stage.FREE)

@@ -71,7 +71,7 @@ CABLE_MARGINS = (1.5, 1.25)
 
 ASSIGN_TEXT = "auto: choose which robot takes which edge, and which end is its q; fixed: in order"
 BY_TEXT = (
-    "swaps: pairs of drones exchange places; laying: taut cables are laid on one another, and "
+    "swaps: pairs of drones swap positions; laying: taut cables are laid on one another, and "
     "every pair rolls by half a turn"
 )
 ORDER_TEXT = "Order of laying, robots from bottom to top; auto: alternating levels"
@@ -82,7 +82,7 @@ ORDER_TEXT = "Order of laying, robots from bottom to top; auto: alternating leve
 class Form(Step):
     """Tie a hitch from hanging cables, then raise the tension to the team's.
 
-    Without ``legs`` they are spread, with a margin to the cables where drones stand close to them.
+    Without ``legs`` they are spread, with a margin to the cables where drones are close to them.
     """
 
     needs_hitch: ClassVar[bool | None] = False
@@ -105,7 +105,7 @@ class Form(Step):
 
     @property
     def rolls_pairs(self) -> bool:
-        """Whether pairs of drones roll: when cables are laid."""
+        """Return whether pairs of drones roll: when cables are laid."""
         return self.by == "laying"
 
     def resolved_for(self, team: Team) -> Self:
@@ -248,7 +248,7 @@ MAX_SHAPES = 3
 
 
 class Attempt(IntEnum):
-    """How far an attempt at tying got."""
+    """The stage that an attempt at tying reached."""
 
     PREHITCH = 0
     """No pre-hitch is feasible."""
@@ -264,14 +264,14 @@ class Failure(NamedTuple):
     """An attempt at tying that failed."""
 
     reached: Attempt
-    """How far it got."""
+    """The stage that it reached."""
 
     error: HitchoptError
     """Its error."""
 
 
 def farthest(failures: Sequence[Failure]) -> HitchoptError:
-    """Return the first error of the attempts that got farthest."""
+    """Return the first error of the attempts that reached the last stage."""
     direct = failures[0]
     best = max(failures, key=lambda failure: failure.reached)  # the first one of several
     if best is direct or not isinstance(best.error, InfeasibleError):
@@ -406,12 +406,12 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
     """
     reasons = {
         "an open chain: laying ties rings; use by: swaps": not team.layout.closed,
-        "cables without weight: give team.cable_density, from which the pull of a taut cable "
+        "cables without weight: set team.cable_density, from which the pull of a taut cable "
         "follows": team.cable_density == 0.0,
-        "unequal tensions: give one team.tension": np.ptp(team.tension) > 0.0,
+        "unequal tensions: set one team.tension": np.ptp(team.tension) > 0.0,
         "loads on clasps, which do not roll: omit team.load": np.any(team.load),
-        "limits.tracking, which taut cables alone do not allow: set limits.tracking: 0, and a "
-        "larger separation.radius for the drones' errors": requirements.limits.tube.level > 0.0,
+        "tracking errors: set limits.tracking: 0, and a larger separation.radius for the drones' "
+        "errors": requirements.limits.tube.level > 0.0,
     }
     for reason, applies in reasons.items():
         if applies:
@@ -455,7 +455,7 @@ class RollStep(Step):
 
     @property
     def rolls_pairs(self) -> bool:
-        """Whether pairs of drones roll: always."""
+        """Return whether pairs of drones roll: always."""
         return True
 
     def resolved_for(self, team: Team) -> Self:

@@ -148,7 +148,7 @@ def _array(name: str, data: bytes) -> NDArray[Any]:
         reason = f"array {name!r} has a header that numpy does not write: {str(error)[:99]}"
         raise FileError(reason) from error
     if dtype.hasobject or dtype.names is not None:
-        raise FileError(f"array {name!r} holds objects, not numbers")
+        raise FileError(f"array {name!r} contains objects, not numbers")
     size, declared = len(data) - stream.tell(), math.prod(shape) * dtype.itemsize
     if any(length < 0 for length in shape) or declared != size:
         raise FileError(f"array {name!r} claims {declared} bytes of numbers and has {size}")

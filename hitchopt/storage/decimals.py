@@ -87,7 +87,7 @@ _FRACTION = [11 - k if k >= FIXED else 11 for k in EXPONENTS]
 _SCALE = np.array([float(f"1e{11 - k}") for k in EXPONENTS])
 _UNIT = np.array([10.0**count for count in _FRACTION])
 _SHIFT = np.array([10.0 ** (16 - count) for count in _FRACTION])
-"""Factors by exponents: to twelve digits before the point, the point's place in these, and to
+"""Factors by exponents: to twelve digits before the point, the point's position in these, and to
 sixteen digits after the point."""
 
 _MASKS = _rows([(b"\xff" * count).ljust(16, b"\0") for count in _FRACTION]).view(np.uint64).T.copy()

@@ -69,7 +69,9 @@ def replace_files(
             raise FileError(f"{folder}: is a file, not a directory; name another one")
         for path in (target / name for name in owned):
             if path.is_dir() and not path.is_symlink():
-                raise FileError(f"{path}: is a directory where a file is to go; move it away")
+                raise FileError(
+                    f"{path}: is a directory; a file of that name is needed; move it away"
+                )
         backup = target / PREVIOUS
         if previous != "leave" and (backup.is_symlink() or backup.is_file()):
             raise FileError(f"{backup}: is where hitchopt keeps the last plan; move it away")
@@ -211,7 +213,7 @@ def require_file(path: Path | str) -> None:
         kind = (
             "a pipe" if stat.S_ISFIFO(mode) else "a socket" if stat.S_ISSOCK(mode) else "a device"
         )
-        raise FileError(f"{path}: is {kind}, not a file; name a file on a disk")
+        raise FileError(f"{path}: is {kind}, not a regular file; name a regular file")
 
 
 def file_bytes(path: Path | str) -> bytes:

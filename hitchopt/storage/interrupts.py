@@ -35,7 +35,7 @@ def exit_on_signals(*, final: bool = False) -> Iterator[None]:
     """Let SIGINT and SIGTERM raise SystemExit with their exit codes within the context.
 
     Only the main thread receives signals. ``final``: the process ends with the context, so that
-    later signals end it at once.
+    later signals end it immediately.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

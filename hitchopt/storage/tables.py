@@ -125,7 +125,7 @@ class Table:
         names = [label.casefold() for label in self.labels]
         for column in columns:
             if isinstance(column, str) and column.casefold() not in names:
-                head = f"line {self.first - 1}, the columns' names, has no {column!r}"
+                head = f"line {self.first - 1}, the column names, has no {column!r}"
                 raise FileError(f"{self.source}: {head}, but {', '.join(self.labels)[:200]}")
         return [names.index(c.casefold()) if isinstance(c, str) else c for c in columns]
 
@@ -158,7 +158,7 @@ def labelled_table(lines: Lines, names: Sequence[str], source: str) -> Table:
             if required <= set(map(str.casefold, labels)):
                 return Table(source, lines, separator, tuple(labels), len(labels), number + 1)
     start = next((line for line in head if line.strip()), "")
-    reason = f"has no line of columns' names with {', '.join(names)}; it begins {start[:60]!r}"
+    reason = f"has no line of column names with {', '.join(names)}; it begins {start[:60]!r}"
     raise FileError(f"{source}: {reason}")
 
 

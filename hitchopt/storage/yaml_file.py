@@ -49,7 +49,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
         lambda text: float(text.replace(".", "")),
     ),
 )
-"""Patterns of plain scalars other than strings, and their parsers; the first match counts."""
+"""Patterns of plain scalars other than strings, and their parsers; the first match is used."""
 
 TEXT_KEYS = "a mapping whose keys are text", "write the key as a name, and decimals with a point"
 """Bound and remedy of keys that are not strings."""
@@ -97,13 +97,13 @@ def read_text(path: str | Path) -> tuple[str, str]:
             raise FileError(f"{name}: no such file; check the path") from None
         except (OSError, ValueError) as error:  # ValueError: a NUL in the path
             reason = getattr(error, "strerror", None) or str(error)
-            raise FileError(f"{name!r}: cannot be read ({reason}); give a readable file") from None
+            raise FileError(f"{name!r}: cannot be read ({reason}); name a readable file") from None
     if len(data) > MAX_BYTES:
         raise FileError(f"{name}: is larger than the {MAX_BYTES} bytes that a problem may have")
     try:
         return data.decode("utf-8-sig"), name
     except UnicodeDecodeError as error:
-        reason = f"is not UTF-8 text (byte {error.start}); give a YAML file, saved as UTF-8"
+        reason = f"is not UTF-8 text (byte {error.start}); name a YAML file, saved as UTF-8"
         raise FileError(f"{name}: {reason}") from None
 
 
@@ -127,7 +127,7 @@ class Node:
         return self.children[part]
 
     def places(self, path: KeyPath = ()) -> Iterator[tuple[str, Place]]:
-        """Yield the keys of this node and all descendants, with their places."""
+        """Yield the keys of this node and all descendants, with their positions."""
         yield key_path(path), self.place
         for part, child in self.children.items():
             yield from child.places([*path, part])
@@ -135,9 +135,9 @@ class Node:
 
 @contextmanager
 def located(text: str, name: str) -> Iterator[None]:
-    """Add places in a YAML text, called ``name``, to InputErrors of the context.
+    """Add positions in a YAML text, called ``name``, to InputErrors of the context.
 
-    The place of a missing key is that of the innermost mapping or list around it.
+    The position of a missing key is that of the innermost mapping or list around it.
     """
     try:
         yield
@@ -249,7 +249,7 @@ class _Reader:
         if len(key) > MAX_TEXT:
             raise self._error(f"a key must have at most {MAX_TEXT} characters; shorten it")
         if key in node.children:
-            remedy = "remove this one, or that before"
+            remedy = "remove one of the two"
             raise InputError(key_path([*path, key]), "(twice)", "given once", remedy)
         return key
 
@@ -310,7 +310,7 @@ def _plain(data: object, path: list[str | int], budget: _Budget) -> Plain:
     if isinstance(data, np.ndarray | np.generic):
         if data.size > MAX_NODES:  # before conversion to a list
             bound = f"within {MAX_NODES} values in all"
-            raise InputError(_path_in_problem(path), f"{data.size} values", bound, "give less")
+            raise InputError(_path_in_problem(path), f"{data.size} values", bound, "reduce it")
         data = data.tolist()
     if data is None or isinstance(data, bool | float):
         return data
@@ -323,7 +323,7 @@ def _plain(data: object, path: list[str | int], budget: _Budget) -> Plain:
         return [_plain(entry, [*path, i], budget) for i, entry in enumerate(data)]
     if not isinstance(data, Mapping):
         bound = "a mapping, list, text, number, boolean or nothing"
-        raise InputError(_path_in_problem(path), type(data).__name__, bound, "give plain data")
+        raise InputError(_path_in_problem(path), type(data).__name__, bound, "use plain data")
     _check_key_count(path, len(data))
     for key in data:
         if not isinstance(key, str):

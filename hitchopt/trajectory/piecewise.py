@@ -39,10 +39,10 @@ class PiecewisePolynomial(OneLine):
     def __post_init__(self) -> None:
         breaks, coefficients = as_array(self.breaks), as_array(self.coefficients)
         if breaks.ndim != 1 or len(breaks) < 2 or coefficients.ndim < 2:
-            raise InputError("breaks", breaks.shape, "(pieces + 1,)", "give at least one piece")
+            raise InputError("breaks", breaks.shape, "(pieces + 1,)", "specify at least one piece")
         if len(coefficients) != len(breaks) - 1 or coefficients.shape[-1] == 0:
             bound = f"({len(breaks) - 1}, …, degree + 1)"
-            remedy = "give one row of coefficients per piece"
+            remedy = "specify one row of coefficients per piece"
             raise InputError("coefficients", coefficients.shape, bound, remedy)
         if not ((breaks[1:] > breaks[:-1]).all() and isfinite(breaks[0]) and isfinite(breaks[-1])):
             raise InputError("breaks", breaks, "finite and strictly increasing", "sort the times")
@@ -82,7 +82,7 @@ class PiecewisePolynomial(OneLine):
         Parameters
         ----------
         breaks: (pieces + 1,) [s]
-        left, right: ``(m, pieces, *shape)``; derivative 0 … m-1 by time at the pieces' ends.
+        left, right: ``(m, pieces, *shape)``; time derivatives 0 … m-1 at the pieces' ends.
 
         Returns
         -------

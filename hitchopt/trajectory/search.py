@@ -34,7 +34,7 @@ MAX_HALVINGS = 40
 """Maximum number of halvings of a piece. Beyond it, bounds are accepted: valid, but less tight."""
 
 MAX_SPANS = 100_000
-"""Maximum number of halves in all, or ten per initial span, likewise."""
+"""Maximum number of halves in total, or ten per initial span, likewise."""
 
 BATCH = 4096  # Number of spans bounded in one call: the arrays of a formula fit into the caches
 

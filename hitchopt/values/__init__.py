@@ -45,7 +45,7 @@ MAX_COORDINATE = 1000.0
 9e-7 m/s² in the problems that hitchopt comes with, at this distance by 4e-7 to more than 2e-6. The
 certificate allows 1e-6."""
 
-TOO_FAR = "if these are millimetres, give metres; otherwise subtract an offset from all coordinates"
+TOO_FAR = "if these are millimetres, use metres; otherwise subtract an offset from all coordinates"
 """Remedy for coordinates that are too large."""
 
 # Forms of values, as messages name them
@@ -57,7 +57,7 @@ MAPPING = "a mapping"
 
 _FORMS = (
     ((bool, np.bool_), FLAG, "write true or false"),
-    ((int, float, np.number), SCALAR, "give a plain number in SI units"),
+    ((int, float, np.number), SCALAR, "use a plain number in SI units"),
     ((list, tuple, np.ndarray), LIST, "write a list in brackets"),
     ((str,), WORD, "put it in quotes if it is meant as text"),
     ((Mapping,), MAPPING, "write {key: value, …}"),
@@ -89,7 +89,7 @@ def form_error(key: str, value: object, *bounds: str) -> InputError:
     remedy = next((remedy for _, form, remedy in _FORMS if form in bounds), "write a list")
     digits = value if SCALAR in bounds and isinstance(value, str) else ""
     if value is None:
-        remedy = "give a value, or omit it"
+        remedy = "set a value, or omit it"
     elif re.fullmatch(r"[-+]?[\d.]+(e-?\d+)?", digits):
         remedy = "remove the quotes"
     elif re.fullmatch(r"[-+]?\d+,\d+", digits):
@@ -98,7 +98,7 @@ def form_error(key: str, value: object, *bounds: str) -> InputError:
 
 
 def check_instance(key: str, value: object, *kinds: type) -> None:
-    """Raise InputError unless ``value`` is of one of the public classes ``kinds``."""
+    """Raise InputError unless ``value`` is an instance of one of the public classes ``kinds``."""
     if not isinstance(value, kinds):
         names = " or ".join(f"hitchopt.{kind.__name__}" for kind in kinds)
         raise InputError(key, value, f"a {names}", f"build one with hitchopt.{kinds[0].__name__}")
@@ -202,11 +202,11 @@ def sequence(key: str, value: object) -> tuple[Any, ...]:
 def integer(key: str, value: object, minimum: int, maximum: int | None = None) -> int:
     """Return ``value``, or raise InputError unless it is an integer in the range."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise InputError(key, value, "an integer", "give a whole number")
+        raise InputError(key, value, "an integer", "use a whole number")
     if value < minimum:
-        raise InputError(key, value, f"at least {minimum}", f"give {minimum} or more")
+        raise InputError(key, value, f"at least {minimum}", f"use {minimum} or more")
     if maximum is not None and value > maximum:
-        raise InputError(key, value, f"at most {maximum}", f"give {maximum} or less")
+        raise InputError(key, value, f"at most {maximum}", f"use {maximum} or less")
     return int(value)
 
 
@@ -214,7 +214,7 @@ def positive(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is finite and above zero."""
     number = finite(key, value)
     if number <= 0.0:
-        raise InputError(key, value, "greater than 0", "give a positive number")
+        raise InputError(key, value, "greater than 0", "use a positive number")
     return number
 
 
@@ -222,7 +222,7 @@ def nonnegative(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is finite and at least zero."""
     number = finite(key, value)
     if number < 0.0:
-        raise InputError(key, value, "at least 0", "give zero or a positive number")
+        raise InputError(key, value, "at least 0", "use zero or a positive number")
     return number
 
 
@@ -311,8 +311,8 @@ def per_robot(
 class ByValue(OneLine):
     """A frozen record that equals others of its type with equal arguments, arrays included.
 
-    Its dataclass is declared with ``eq=False``. Attributes that are derived from arguments do not
-    count. Equal records have equal hashes.
+    Its dataclass is declared with ``eq=False``. Attributes that are derived from arguments are
+    ignored. Equal records have equal hashes.
     """
 
     def __eq__(self, other: object) -> bool:

@@ -166,7 +166,7 @@ def store_degrees(record: object, **degrees: float | None) -> None:
         key = keys[name]
         if getattr(record, name) != key.default:
             bound = f"omitted if {name} is given"
-            raise InputError(key.name, angle, bound, "give one of the two")
+            raise InputError(key.name, angle, bound, "use only one of the two")
         radians = math.radians(key.file_kind.check(key.name, angle))
         object.__setattr__(record, name, radians)
 
@@ -174,7 +174,7 @@ def store_degrees(record: object, **degrees: float | None) -> None:
 def with_fields(record: T, **fields: Any) -> T:
     """Return a copy of a record with other values of some fields, which a computation has found.
 
-    Values are checked, but not warned of: those that remain have been, when the record was made.
+    Values are checked without warnings: unchanged values were checked when the record was made.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UnitWarning)
@@ -441,7 +441,7 @@ def points(
         if not isinstance(value, list | tuple):
             raise form_error(key, value, bound)
         if count is not None and len(value) != count:
-            raise InputError(key, value, bound, f"give {count} entries")
+            raise InputError(key, value, bound, f"specify {count} entries")
         if count is None and len(value) < min_length:
             raise InputError(key, value, bound, "make it longer")
         if count is None and max_length is not None and len(value) > max_length:
@@ -533,7 +533,7 @@ def mapping_of(
 
 
 def plain_mapping_of(name: str, summary: str, keys: Mapping[str, Key]) -> Kind:
-    """Return the kind of mappings of some keys; they stay plain data, as they are in files."""
+    """Return the kind of mappings of some keys; they stay plain data, as in files."""
 
     def check(key: str, value: Any) -> dict[str, Any]:
         arguments_from(keys, key, value)
@@ -569,7 +569,7 @@ def dict_of(kind: Kind, names: Kind, max_length: int | None = None) -> Kind:
 def by_key(kinds: Mapping[str, Kind]) -> Kind:
     """Return the kind of mappings whose kind is that of the first key that they have.
 
-    Mappings without such a key, and other values, are of the first kind.
+    Mappings without such a key, and other values, have the first kind.
     """
     first = next(iter(kinds))
 

@@ -62,17 +62,17 @@ def quantity(
         if plausible and number:
             middle = math.sqrt(max(low, 1e-3) * min(high, 1e3)) if typical is None else typical
             return likely_unit(plausible, middle)
-        return fallback or (f"give it in {unit}" if unit else "give a plain number")
+        return fallback or (f"convert it to {unit}" if unit else "use a plain number")
 
     def check(key: str, value: object) -> float:
         number = finite(key, value)
         if number <= 0.0 < minimum:
-            raise InputError(key, value, "greater than 0", "give a positive number")
+            raise InputError(key, value, "greater than 0", "use a positive number")
         if number < 0.0 == minimum:
-            raise InputError(key, value, "at least 0", "give zero or a positive number")
+            raise InputError(key, value, "at least 0", "use zero or a positive number")
         if number >= below:
             bound = f"below {below:.4g} {unit}"
-            raise InputError(key, value, bound, remedy(number, "give a smaller angle"))
+            raise InputError(key, value, bound, remedy(number, "use a smaller angle"))
         if not minimum <= number <= maximum:
             bound = f"from {minimum:g} to {maximum:g} {unit}".strip()
             raise InputError(key, value, bound, remedy(number))
@@ -200,11 +200,13 @@ def check_lift(mass: float, max_thrust: float, gravity: float) -> None:
         return
     weight = f"{mass:g} kg weigh {mass * gravity:.3g} N"
     if 1.0 < 1e3 * lift < MAX_LIFT:
-        bound = f"in kg, its weight within 100 times of max_thrust {max_thrust:g} N ({weight})"
+        bound = (
+            f"in kg, its weight within a factor of 100 of max_thrust {max_thrust:g} N ({weight})"
+        )
         raise InputError("mass", mass, bound, f"if grams were meant, {1e-3 * mass:g}")
-    bound = f"in N, within 100 times of the weight ({weight})"
+    bound = f"in N, within a factor of 100 of the weight ({weight})"
     grams = GRAMS_OF_FORCE[0][1] * max_thrust
-    remedy = f"if grams of force were meant, {grams:.3g}" if lift > 1.0 else "give it in N"
+    remedy = f"if grams of force were meant, {grams:.3g}" if lift > 1.0 else "convert it to N"
     raise InputError("max_thrust", max_thrust, bound, remedy)
 
 

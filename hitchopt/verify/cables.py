@@ -219,6 +219,6 @@ def exterior_angle(s: Spans, c: Index) -> Line:
 def crossing_parts(s: Spans, c: Index) -> Iterator[tuple[list[Line], list[Line]]]:
     """Yield pairs of straight parts beyond an object on which bent cables of a clasp cross.
 
-    They are of the cable ahead, towards its q, and of the one behind, towards its r.
+    The first belong to the cable ahead, towards its q, the second to the one behind, towards its r.
     """
     yield from product(s.halves(s.plan.clasps[c], 0), s.halves(s.plan.behind[c], 1))

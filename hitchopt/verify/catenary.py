@@ -125,7 +125,7 @@ def own_cable_gap(s: Spans, i: Index, k: Index) -> Line:
     """Return distances of drones i from their hanging cables k, where these rise again.
 
     That is beyond OWN_DISTANCES of the minimum distance along the cable. Slopes are ``sinh(μσ +
-    artanh(h / L))``. Links that lead down, or end nearer, throughout a span do not count.
+    artanh(h / L))``. Links that lead down, or end nearer, throughout a span are ignored.
     """
     nearest = OWN_DISTANCES * s.plan.cable_limit[1]
     links, (span, sigma) = catenary_links(s, k, OWN_LINK * nearest), catenary(s, 2 * k)

@@ -1,4 +1,4 @@
-"""All rows of a file, and what a command line says of them."""
+"""All rows of a file, and their report on the command line."""
 
 from __future__ import annotations
 
@@ -195,7 +195,7 @@ def plan_rows(p: Plan) -> Iterator[Row]:
 
 
 def stated_rules(p: Plan) -> Iterator[Row]:
-    """Yield the rules of the user that a file states; nothing of them is proven."""
+    """Yield the custom rules that a file states; none of them is proven."""
     for rule in p.stated:
         worst = np.nan if rule["worst"] is None else float(rule["worst"])
         values = rule["name"], rule["unit"], STATED, worst, float(rule["limit"]), rule["sense"]

@@ -66,7 +66,7 @@ def thrust(s: Spans, i: Index) -> Line:
 
 
 def moves(p: Plan, body: Body) -> bool:
-    """Return whether the largest thrust of a drone exceeds the friction of a body that stands."""
+    """Return whether the largest thrust of a drone exceeds the friction of a standing body."""
     grip = body.friction * body.mass * G
     return not body.fixed and grip < float(np.max(p.max_thrust))
 

@@ -81,7 +81,7 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
         yield prove(p.arena_row, 0.0, carried, partial(arena_gap, slab=slab))
 
     def inner_gap(s: Spans, _: Index, slab: Slab, o: int, block: Slab) -> Line:
-        """Return the distance to a slightly smaller body, as surfaces may touch."""
+        """Return the distance to a slightly smaller body, since surfaces may touch."""
         core = None if block.round else block.core + 1e-5 * (block.centroid - block.core)
         heights = block.lower + POS_TOL, block.upper - POS_TOL
         inner = Slab(core, (1.0 - 1e-5) * block.radius, *heights)
@@ -152,7 +152,7 @@ def support_below(p: Plan, b: int, poses: Array) -> tuple[float, int]:
 
 
 def resting(p: Plan, b: int) -> Iterator[Row]:
-    """Prove that clasps keep their places, and that friction and support hold the rim."""
+    """Prove that clasps keep their positions, and that friction and support hold the rim."""
     body, on, rim = p.bodies[b], p.rest[b] & p.active[b], p.bodies[b].rim
     if rim is None or not p.closed:
         return

@@ -277,9 +277,10 @@ class Plan:
         )
 
     def _read_places(self, assignment: dict[str, Any] | None) -> None:
-        """Read which robot (n,) and which drone (N,) of the problem is at each place.
+        """Read the problem's robots (n,) and drones (N,) in order along the hitch.
 
-        Robot ``robot[k]`` holds edge k, and cables and drones are in the order of places from here.
+        Robot ``robot[k]`` holds edge k, and cables and drones are in order along the hitch from
+        here.
         """
         n, roles = self.n, assignment or {"robots": [*range(self.n)], "flipped": [False] * self.n}
         if (sorted(roles["robots"]), len(roles["flipped"])) != ([*range(n)], n):
@@ -474,7 +475,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     """Return the plans of a file: those of its teams, and others on the same clock."""
     try:
         if path.exists() and not path.is_file():  # A pipe or a device may never end
-            raise ValueError("it is not a file on a disk")
+            raise ValueError("it is not a regular file")
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
             check_members([x.orig_filename for x in file.zip.infolist()])

@@ -1,4 +1,4 @@
-"""What the problem in a plan file asks for, compared with what the plan shows.
+"""Comparison of a plan with the request of the problem in its file.
 
 A key of a problem file is compared if the file states it and the curves, phases or settings of the
 plan can contradict it: ``STEP_KEYS`` is the table of the keys of steps. Not compared are planners'
@@ -63,7 +63,7 @@ class Step(NamedTuple):
         return str(named or next(x["hold"]["object"] for x in self.phases if x["hold"]))
 
     def samples(self, item: int) -> tuple[Array, Array]:
-        """Return times (k,) from the step's start and places (k, 3) of a point on its pieces."""
+        """Return times (k,) from the step's start and positions (k, 3) of a point on its pieces."""
         p, on = self.p, self.pieces[self.p.breaks[self.pieces] >= self.start - POS_TOL]
         c = p.points.c[0][on, item]
         n = c.shape[-1] - 1
@@ -107,18 +107,18 @@ def unless(wrong: Any) -> float:
 
 
 def angle_between(first: Array, last: Array, turn: float) -> float:
-    """Return by how much more than ``turn`` [rad] a direction (2,) has turned, less whole turns."""
+    """Return the turn of a direction (2,) in excess of ``turn`` [rad], without whole turns."""
     z = complex(*last[:2]) * complex(*first[:2]).conjugate()
     return float(np.angle(z * np.exp(-1j * turn))) if z else math.inf
 
 
 def polygon(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return differences of vertices from their places."""
+    """Return differences of vertices from their goals."""
     return s.vertices()[:, :2] - np.array(value, dtype=float)
 
 
 def moved_to(s: Step, value: Any, step: Mapping[str, Any], key: str, by: float) -> Shown:
-    """Return differences of a vertex, or of both ends of an edge, from places, or from offsets."""
+    """Return differences of a vertex, or of both ends of an edge, from goals, or from offsets."""
     first = int(step[key])
     both = [first, (first + 1) % len(s.vertices())] if key == "edge" else [first]
     return (s.vertices() - by * s.vertices(0))[both, :2] - np.array(value, dtype=float)
@@ -199,9 +199,9 @@ def names_object(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 
 def order(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return no difference if of two cables that cross the later one of an order is above.
+    """Return no difference if, of every two crossing cables, the later one in an order is above.
 
-    They cross, one above the other, as they begin to come straight down.
+    They cross, one above the other, when they begin to descend vertically.
     """
     p, lowered = s.p, s.pieces[((s.p.state == LAID) & s.p.vertical)[s.pieces]][:1]
     places = np.argsort(p.edge[np.array(value, dtype=int)])
@@ -218,7 +218,7 @@ def order(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 
 def assigned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Return no difference if drones take their places in order, where that is asked for."""
+    """Return no difference if robots take edges in order, where that is requested."""
     return unless(value == "fixed" and np.any(s.p.drone != np.arange(s.p.N)))
 
 
@@ -262,9 +262,9 @@ SENSES = {"up": 1, "down": -1, "auto": 0}
 
 
 def swap(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
-    """Yield by how much pairs turn faster [s], or closer [m], or about other axes, than asked for.
+    """Yield by how much pairs turn faster [s], closer [m], or about other axes, than requested.
 
-    The axis of a pair is normal to the chord of its drones, and tilted upward from the level so
+    The axis of a pair is normal to the chord of its drones, and tilted upward from horizontal so
     that the upper drone passes inside.
     """
     p, phases = s.p, [x for x in s.phases if x["state"] == CLASPING]
@@ -298,7 +298,7 @@ def pair(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 
 def placed(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
-    """Return the difference of an object from its place."""
+    """Return the difference of an object from its goal."""
     return s.pose(s.held(step))[:3] - np.array(value, dtype=float)
 
 
@@ -309,7 +309,7 @@ def object_turned(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
 
 
 def via(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
-    """Yield distances of an object from its places on the way, which it visits in order."""
+    """Yield distances of an object from its waypoints, which it visits in order."""
     places = s.p.poses.c[0][s.pieces, s.body(s.held(step)), :3, -1]
     for place in value:
         off = norm(places - np.array(place, dtype=float))
@@ -319,7 +319,7 @@ def via(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
 
 
 def highest(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
-    """Return the difference of the height of an object's flight, over the higher of two places."""
+    """Return the height error of an object's flight, over the higher of start and goal."""
     z = s.p.poses.c[0][s.pieces, s.body(s.held(step)), 2]
     top = max(float(z[0, 0]), float(z[-1, -1])) + value
     asked = max([top, *(float(place[2]) for place in step.get("via") or ())])
@@ -327,7 +327,7 @@ def highest(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
 
 
 def risen(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
-    """Return the difference of an object from its place that much higher."""
+    """Return the difference of an object from its position that much higher."""
     first, last = (s.pose(s.held(step), end)[:3] for end in (0, -1))
     return last - first - np.array([0.0, 0.0, value])
 
@@ -388,7 +388,7 @@ STEP_KEYS: dict[str, Shows] = {
     "goal": flown,
     "on_the_ground": grounded,
 }
-"""By key, or by step and key: how far a plan is from what a key of a step asks for."""
+"""Functions by key, or by step and key, for the difference of a plan from a key's request."""
 
 IMPLIED = {"blend": False}, {"land": {"on_the_ground": True}}
 """Keys that every step has unless it states them, and keys of single steps."""
@@ -502,7 +502,7 @@ def step_faults(p: Plan) -> Iterator[Fault]:
 
 
 def differences(s: Step, name: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
-    """Yield keys of a step, and how far the plan is from them; inf where it shows nothing alike."""
+    """Yield keys of a step with the plan's difference from each; inf without such a value."""
     every, single = IMPLIED
     for key, value in {**every, **single.get(name, {}), **keys}.items():
         shows = STEP_KEYS.get(f"{name}.{key}", STEP_KEYS.get(key))

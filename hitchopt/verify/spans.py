@@ -134,10 +134,10 @@ class Spans:
         return [q, r, q - depth * UP, r - depth * UP]
 
     def hull(self, k: Index, b: int = -1) -> list[Line]:
-        """Return corners of upright regions that contain cables which clasp or are tightened.
+        """Return corners of vertical regions that contain cables being clasped or tightened.
 
-        In plan view they span the hull of chord and route, over the middles of pairs that turn or
-        over the vertices, and over the vertices of the hitch before or after.
+        In plan view they span the hull of the chord and of the route over the middles of turning
+        pairs, or over the vertices, and over the vertices of the hitch before or after.
         """
         p, ends = self.plan, []
         turning = p.state[self.piece] == CLASPING
@@ -153,7 +153,7 @@ class Spans:
         return [q, a, c, e, d, r, (q + r - UP * p.length[k]) * 0.5]
 
     def near_hulls(self, k: Index, x: Line, reach: float) -> Spans:
-        """Return the spans on which points may be within a level reach of the hulls of cables."""
+        """Return the spans on which points may be within a horizontal reach of cables' hulls."""
         if not len(self.x):
             return self
         q, *corners = (corner[:2] for corner in self.hull(k)[:-1])

@@ -52,8 +52,8 @@ def loop_stiffness(kind: dict[str, Any]) -> Array:
 class Rest:
     """A hitch at rest as planned, and its balance with errors.
 
-    Unknowns are the places of drones, then of clasps, then the tensions of cables. Errors are n of
-    lengths [m], 3 N of setpoints [m], and 2 n coefficients μ of friction: a leg pulls ``e^{μθ}``
+    Unknowns are the positions of drones, then of clasps, then the tensions of cables. Errors are n
+    of lengths [m], 3 N of setpoints [m], and 2 n coefficients μ of friction: a leg pulls ``e^{μθ}``
     times as much as its edge, where the cable bends by θ.
     """
 

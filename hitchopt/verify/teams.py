@@ -72,7 +72,7 @@ def solids(p: Plan) -> list[Solid]:
 def between_plans(pair: Pair) -> Iterator[Row]:
     """Prove distances between drones and cables of two plans.
 
-    Upright regions contain cables without a hitch. Distances to them are horizontal or vertical
+    Vertical regions contain cables without a hitch. Distances to them are horizontal or vertical
     ones.
     """
 

@@ -62,8 +62,8 @@ def bent_cables(p: Plan) -> Iterator[Row]:
     def residual(s: Spans, i: Index) -> Line:
         """Return forces where legs meet edges, over the tension.
 
-        Not counted are PASSED of the weight, which the other cable may bear, and level forces of
-        second order, ``(½ ρ g L / T)²``, as both are chords of one sagging cable.
+        Not counted are PASSED of the weight, which the other cable may bear, and horizontal forces
+        of second order, ``(½ ρ g L / T)²``, since both are chords of one sagging cable.
         """
         k, (leaving, arriving) = i // 2, s.edge(i // 2)
         edge = leaving.where(first[i]) - arriving.where(~first[i])

@@ -60,11 +60,11 @@ class Handle:
 
     @property
     def vertical(self) -> bool:
-        """Whether its height can be changed."""
+        """Return whether its height can be changed."""
         return any(axis == 2 for _, axis in self.numbers)
 
     def dragged(self, text: str, place: Array) -> str:
-        """Return the text of a problem file with the handle at another place (3,) [m]."""
+        """Return the text of a problem file with the handle at another position (3,) [m]."""
         by, data = (np.asarray(place, dtype=np.float64) - self.place).tolist(), parse_yaml(text)
         for path, axis in self.numbers:
             if by[axis]:
@@ -177,7 +177,7 @@ class PlanState(StrEnum):
 
     CURRENT = "the plan of this problem"
     PLANNING = "an OLD plan: the changed problem is being planned"
-    REFUSED = "an OLD plan: the changed problem cannot be met"
+    REFUSED = "an OLD plan: the changed problem is infeasible"
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class Editing:
 
     @property
     def saved(self) -> bool:
-        """Whether the file on the disk holds this text."""
+        """Return whether the file on the disk holds this text."""
         return self.text == self._on_disk
 
     def now(self) -> tuple[str, Status, CertifiedFlight]:
@@ -267,7 +267,7 @@ class Editing:
         self.change(with_edits_in(self.text, edits))
 
     def drag(self, index: int, name: str, place: Array) -> None:
-        """Move a handle of a step to a place (3,) [m]; errors as of ``change``."""
+        """Move a handle of a step to a position (3,) [m]; errors as of ``change``."""
         by_name = self.handles(index)
         if name not in by_name:
             raise InputError("handle", name, f"one of {', '.join(by_name)}", "choose another step")
@@ -285,7 +285,7 @@ class Editing:
     def move(self, index: int, to: int) -> None:
         """Move a step to another index in the mission; errors as of ``change``."""
         if not 0 <= to < len(self.problem.mission):
-            raise InputError("mission", to, "the index of a step", "there is no place beyond it")
+            raise InputError("mission", to, "the index of a step", "the mission has no such step")
         self._rearrange(lambda steps: steps.insert(to, steps.pop(index)))
 
     def _rearrange(self, change: Callable[[list[Any]], object]) -> None:
@@ -302,7 +302,7 @@ class Editing:
         with self._lock:
             content = read_text(self.path)[0] if self.path.exists() else None
             if content not in (self._on_disk, self.text):
-                words = "has been changed by someone else; move it away, then save again"
+                words = "was changed by another program; move it away, then save again"
                 raise FileError(f"{self.path}: {words}")
             with atomic_write(self.path.resolve()) as draft:
                 draft.write_bytes(self.text.encode())

@@ -189,7 +189,7 @@ class LiveScene:
     def _batch(
         self, name: str, faces: Array, colours: Any, opacity: float | None = None, count: int = 0
     ) -> Any:
-        """Add a shape at the places of all drones, or of the first ``count``."""
+        """Add a shape at the positions of all drones, or of the first ``count``."""
         places = self._moment.drones[: count or None]
         return self._api.add_batched_meshes_simple(
             f"{self._name}{name}", *mesh(faces), _identities(len(places)), _float32(places),
@@ -221,7 +221,7 @@ def _float32(values: Array) -> NDArray[np.float32]:
 
 
 def _identities(count: int) -> NDArray[np.float32]:
-    """Return upright attitudes (count, 4)."""
+    """Return level attitudes (count, 4)."""
     return np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1))
 
 

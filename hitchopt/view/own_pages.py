@@ -1,8 +1,8 @@
 """Pages that may connect to the live view: those that its own server has sent.
 
-Browsers let every page open a WebSocket to any address, also to this machine's. They say in
-``Origin`` which server a page is from, and in ``Host`` by which name it addresses this one. A name
-of somebody else's may lead here, too, so it has to be an address or a name of this machine.
+Browsers let every page open a WebSocket to any address, including this machine's. ``Origin`` states
+which server a page comes from, and ``Host`` the name by which it addresses this one. Names of other
+domains may resolve to this machine, so the name must be an address or a name of this machine.
 """
 
 from __future__ import annotations
@@ -67,4 +67,6 @@ def own_pages_only(host: str) -> Iterator[None]:
     finally:
         module.serve = serve
     if not started:
-        raise UnsupportedError("this version of viser would let all pages in; install viser 1.1")
+        raise UnsupportedError(
+            "this version of viser would accept connections from all pages; install viser 1.1"
+        )

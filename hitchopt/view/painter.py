@@ -260,7 +260,7 @@ def draw_storyboard(
 ) -> None:
     """Draw the panels of a scene, whose samples include the times of all shots.
 
-    ``flown`` are the paths: times (samples,) [s], including the shots', and places of the drones
+    ``flown`` are the paths: times (samples,) [s], including the shots', and positions of the drones
     (samples, drones, 3) [m].
     """
     radius = scene.flight.requirements.separation.radius
@@ -341,7 +341,7 @@ def draw_painting(axes: Axes, painting: Painting) -> PolyCollection:
 def write_labels(axes: Axes, labels: Sequence[TeamLabel], drones: Array, radius: float) -> None:
     """Write the names of teams above or below one of their drones, off all other drones.
 
-    ``drones`` (N, 2) are projected places of all drones, of a radius [m].
+    ``drones`` (N, 2) are projected positions of all drones, of a radius [m].
     """
     axes.apply_aspect()
     to_pixels, pixels = axes.transData, axes.figure.dpi / 72.0

@@ -75,7 +75,7 @@ class EditingPanel:
         disk = "saved" if self.editing.saved else "not saved"
         lines = [f"**{plain_words(str(status.stage))}** ({disk})"]
         if status.suggestions:
-            lines.append("Click a suggested change below to make it.")
+            lines.append("Click a suggested change below to apply it.")
         lines += map(plain_words, status.words.splitlines())
         self.status.content = "  \n".join(lines)
         if status.suggestions != self._suggestions:
@@ -165,10 +165,10 @@ class EditingPanel:
         if how == "Save":
             self._reply(f"wrote {self.editing.save()}")
         elif not self.editing.undo(1 if how == "Undo" else -1):
-            self._reply("nothing to undo" if how == "Undo" else "nothing to do again")
+            self._reply("nothing to undo" if how == "Undo" else "nothing to redo")
 
     def _drop(self, handle: Handle, place: Any) -> None:
-        """Move a handle to a new place, or show the old place again after an error."""
+        """Move a handle to a new position, or show the old one again after an error."""
         offset = np.round(np.asarray(place) - handle.place, DECIMALS)
         if not np.any(offset):
             return

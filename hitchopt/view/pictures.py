@@ -275,7 +275,7 @@ def draw_closeness(flight: Flight, closest: Closeness, width: float | None = Non
 def _draw_plan(figure: Figure, flight: Flight, place: SubplotSpec | None = None) -> None:
     """Draw the storyboard; with few moments also, and without cables only, the plan from above.
 
-    The place is on the left by default.
+    The position is on the left by default.
     """
     shots = painter.choose_shots(flight) if _has_cables(flight) else ()
     if place is None:

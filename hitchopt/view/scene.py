@@ -52,7 +52,7 @@ class Moment:
     thrusts: Array  # (N,) [N]
     cable_forces: Array  # (N, 3) [N], on the drones
     cables: Array  # (n, POINTS, 3) [m]
-    objects: Array  # (objects, 7) places of their bases [m], and quaternions
+    objects: Array  # (objects, 7) positions of their bases [m], and quaternions
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,9 @@ def ghost_scene(path: Path, flight: Flight) -> Scene:
     if path.is_dir():
         names = [name for name in (RECORDING, PLAN) if (path / name).exists()]
         if not names:
-            raise FileError(f"{path}: holds neither {RECORDING} nor {PLAN}; name another directory")
+            raise FileError(
+                f"{path}: contains neither {RECORDING} nor {PLAN}; name another directory"
+            )
         path = path / names[0]
     if path.name != RECORDING:
         return scene_of(read_plan(path))
@@ -148,7 +150,7 @@ def recorded_scene(
 ) -> Scene:
     """Return the scene of a simulated flight; attitudes of drones are not recorded.
 
-    Groups without cables, and other plans, are at their planned places.
+    Groups without cables, and other plans, are at their planned positions.
 
     Parameters
     ----------
@@ -156,7 +158,7 @@ def recorded_scene(
     t: (frames,) [s], negative while cables settle.
     nodes: (frames, nodes, 3) [m], in the order of cables, with drones at their ends.
     first: (n + 1,), first node of each cable, and the number of nodes.
-    poses: (frames, objects, 7) places of the objects' bases [m], and quaternions.
+    poses: (frames, objects, 7) positions of the objects' bases [m], and quaternions.
     """
     in_flight = t >= 0.0
     indices = [np.linspace(a, b - 1, POINTS).round().astype(int) for a, b in pairwise(first)]
@@ -228,11 +230,11 @@ def drone_faces(radius: float, segments: int = SEGMENTS) -> tuple[Array, Array, 
 
 
 class RigidSurface(NamedTuple):
-    """A rigid surface at one place or several."""
+    """A rigid surface at one pose or several."""
 
     name: str
     faces: Array  # (m, 4, 3) [m] about its own origin
-    colours: tuple[str, ...]  # one per place
+    colours: tuple[str, ...]  # one per pose
 
 
 class Clasp(NamedTuple):

@@ -249,6 +249,6 @@ def legend_below(axes: Axes, handles: Sequence[Artist], gap: float, columns: int
 
 
 def write(axes: Axes, text: str, place: Any, offset: Any, **more: Any) -> None:
-    """Write a small text at an offset [points] from a place of the axes."""
+    """Write a small text at an offset [points] from a point of the axes."""
     look = {"textcoords": "offset points", "ha": "center", "fontsize": "small", **more}
     axes.annotate(text, place, offset, **look)

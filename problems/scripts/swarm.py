@@ -1,4 +1,4 @@
-"""Let eight drones without cables change places through the centre of a circle."""
+"""Let eight drones without cables swap positions through the centre of a circle."""
 
 import numpy as np
 

@@ -302,7 +302,7 @@ def test_names_of_checks_and_other_rules_are_taken() -> None:
             for each in (name, "twice")
         ]
         with pytest.raises(
-            ho.InputError, match="must be no name of another check; rename the rule"
+            ho.InputError, match="must be different from the names of other checks; rename the rule"
         ):
             ho.certify(motion, rules=rules)
     with pytest.raises(ho.InputError, match=r"rules\[0\] = .*: must be a hitchopt.Rule"):

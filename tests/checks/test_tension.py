@@ -31,7 +31,7 @@ def triangle() -> Motion:
 
 @cache
 def tied() -> Motion:
-    """Return drones of unequal cables that tie a hitch, hold it and let it go."""
+    """Return drones of unequal cables that tie a hitch, hold it and release it."""
     left = np.array([[-0.5, 1.0, 1.6], [-0.5, 0.0, 1.6], [-0.5, -1.0, 1.6]]) + [0.7, -0.4, 0.0]
     polygon = np.array([[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]) + [0.7, -0.4]
     team = {

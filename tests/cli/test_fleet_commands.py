@@ -118,7 +118,7 @@ def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) ->
         ("--format csv --origin 1 2 inf", "origin[2] = inf: must be finite"),
         ("--format csv --fleet nowhere.yaml", "nowhere.yaml"),
         ("--format ros2bag --storage rosbag1", "'rosbag1' is not one of"),
-        ("--format csv --hold-tension", "give --stiffness, or team.quadrotor.stiffness"),
+        ("--format csv --hold-tension", "pass --stiffness, or team.quadrotor.stiffness"),
         ("--format csv --damping 2", "--damping = 2.0: must be omitted for csv without --hold"),
         ("--format csv -o table.parquet", "-o = 'table.parquet': must be a folder"),
         ("", "--format = (missing): must be given with DIR"),

@@ -89,7 +89,7 @@ def test_files_that_never_end_are_refused(
         path.symlink_to("/dev/zero")
     words = refused(*command.replace("PLAN", str(plan)).split())
     kind = "a pipe" if special == "pipe" else "a device"
-    assert words.count(f"{file}: is {kind}, not a file; name a file on a disk") == 1, words
+    assert words.count(f"{file}: is {kind}, not a regular file; name a regular file") == 1, words
     assert words.count("\n") == 1
 
 

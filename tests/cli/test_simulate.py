@@ -168,9 +168,9 @@ def test_a_flight_that_is_invalid_ends_with_3(solved: Path) -> None:
         ),
         ("simulate --perturb wind", "--perturb = 'wind': must be KEY=VALUE; write noise=0.1"),
         ("simulate --perturb wind=[", "--perturb:1:"),
-        ("simulate --perturb stiffness=60", "is unstable, as its thrust lags; lower it"),
+        ("simulate --perturb stiffness=60", "is unstable, since its thrust lags; lower it"),
         ("simulate --perturb density=0.00001", "density = 1e-05: must be at least"),
-        ("simulate --runs 0", "runs = 0: must be at least 1; give 1 or more"),
+        ("simulate --runs 0", "runs = 0: must be at least 1; use 1 or more"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
         (
             "simulate --upload",

@@ -211,7 +211,9 @@ def test_a_picture_goes_to_its_own_plan_only(place: Path) -> None:
     first, second = planned("triangle"), planned("pentagon")
     first.save("out", rate=5.0, picture=False)
     second.save("out", rate=5.0)
-    with pytest.raises(FileError, match=r"summary\.png: is not written: another plan"):
+    with pytest.raises(
+        FileError, match=r"summary\.png: is not written: the directory has another plan"
+    ):
         first.draw("out")
     picture = (place / "out" / "summary.png").read_bytes()
     assert second.draw("out").read_bytes() == picture

@@ -51,7 +51,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
     [
         *((words, "Usage: ") for words in ("fly", "solve", "solve a b", "check", "-x")),
         ("solve a --rate often", "'often' is not a valid float"),
-        ("view a --save a.mp4 --ghost b", "--ghost = 'b': must be no ghost"),
+        ("view a --save a.mp4 --ghost b", "--ghost = 'b': must be omitted"),
         *((f"{SOLVE} --rate {x}", RATE.format(x)) for x in ("0.0", "nan", "1e+300")),
         (f"{SOLVE} --limit inf", "error: --limit = inf: "),
         (f"{SOLVE} -o ''", "error: --output = '': must be a path that is not empty; name one"),
@@ -60,7 +60,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         (f"{SOLVE} -o /", "error: --output = '/': must be a separate directory"),
         (
             f"solve {FAULTY}",
-            f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; give",
+            f"\nerror: {FAULTY}:8:23: limits.jerk = 0: must be greater than 0; use",
         ),
         ("solve nowhere.yaml", "error: nowhere.yaml: no such file"),
         ("solve .", "Is a directory"),
@@ -83,13 +83,13 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
             "error: --drone = 'x260_bolt': must be omitt",
         ),
         ("fit circle:-1 --robots 3", "error: OUTLINE = -1.0: must be greater than 0"),
-        (f"{SOLVE} --repair-to {TRIANGLE}", "triangle.yaml: exists already; give another name"),
+        (f"{SOLVE} --repair-to {TRIANGLE}", "triangle.yaml: exists already; use another name"),
         (f"{SOLVE} --take 4 --repair-to own", "error: --take = 4: must be"),
         (f"{SOLVE} --take 2", "error: --take = 2: must be used with --repair-to"),
         (f"calibrate {ROOT}/problems/show", "must be a flight, not its plan; name the file"),
         (
             f"sweep {TRIANGLE}",
-            ":6:1: problem = (missing): must be given: this is a problem, no stu",
+            ":6:1: problem = (missing): must be given: this is a problem, not a stu",
         ),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],
@@ -102,7 +102,7 @@ def test_invalid_usage_ends_with_2(words: str, told: str, place: Path) -> None:
 def test_files_in_the_way_are_reported(place: Path) -> None:
     (place / "triangle").write_text("mine")
     for words in ([], ["-o", "triangle/out"]):
-        assert "triangle is not a directory that may" in refused("solve", TRIANGLE, *words)
+        assert "triangle is not a writable directory" in refused("solve", TRIANGLE, *words)
     assert (place / "triangle").read_text() == "mine"
     (place / "out").mkdir()
     for content in (b"", b"PK\x03\x04 no archive", b"\x93NUMPY"):
@@ -262,7 +262,7 @@ def test_init_writes_a_problem_that_loads_and_never_overwrites(place: Path) -> N
     assert len(list(study_from_dict(study).cases())) == 9
     assert "error: --kind" in refused("init", "--kind", "swarm", "--example", "triangle")
     (place / "mine.yaml").write_text("precious")
-    assert "error: mine.yaml: exists already; give another name" in refused("init", "mine")
+    assert "error: mine.yaml: exists already; use another name" in refused("init", "mine")
     assert (place / "mine.yaml").read_text() == "precious"
     (place / "dangling.yaml").symlink_to("nowhere")
     refused("init", "dangling")

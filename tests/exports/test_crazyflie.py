@@ -207,8 +207,8 @@ MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("drones", "q0", {"uri": None}, r"drones.q0.uri = \(missing\)"),
     ("drones", "q0", {"name": "../up"}, "drones.q0.name = '../up': must be letters"),
     ("drones", "q0", {"name": "On"}, "no word of YAML"),
-    ("drones", "q0", {"name": "CF9"}, "must be of one drone only"),
-    ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be of one drone only"),
+    ("drones", "q0", {"name": "CF9"}, "must be unique among drones"),
+    ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be unique among drones"),
     ("drones", "q0", {"uri": "E7E7E7E707"}, "drones.q0.uri = 'E7E7E7E707': must be an address"),
     ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: must be a known key"),
     ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be a string"),
@@ -279,7 +279,7 @@ def test_long_plans_are_cut_at_rests(parts: tuple[Export, ...], tmp_path: Path) 
 def test_stacked_starts_are_reported(tmp_path: Path) -> None:
     motion = ho.solve(problem_from_dict(reversed_stack(3))).motion
     (part,) = exported(motion, "crazyswarm2", tmp_path)
-    assert any("would take off from one place" in note for note in part.notes)
+    assert any("would take off from one position" in note for note in part.notes)
 
 
 class Craft:

@@ -118,13 +118,13 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
     "crazyswarm2/d0.csv": [
         (rows(lambda s: s[:1]), "has no line of numbers"),
         (rows(lambda s: [*s, "1.0,2.0"]), "has 2 cells, not 33; is it cut off"),
-        (cell(2, 3, "1e39"), "beyond single precision"),
+        (cell(2, 3, "1e39"), "exceeds single precision"),
         (cell(2, 0, "0.0"), "row 2: its duration is 0 s"),
         (cell(2, 0, "3e12"), r"times go from 0 to 3e\+12"),
     ],
     "compressed/d0_enu.bin": [
         (content(b""), "has 0 bytes"),
-        (content(START + END), "no segment that lasts"),
+        (content(START + END), "no segment of nonzero duration"),
         (content(START + b"\x03\x10"), "within a segment's header, at byte 8"),
         (content(START + b"\x03\x10\x00" + bytes(13)), "stops within segment 0"),
         (content(bytes(70_000)), "far larger"),
@@ -141,9 +141,9 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (point(1, [0, 0, 1e300]), r"goes 1e\+300 m from"),
     ],
     "mavsdk_drone_show/Drone 2.csv": [
-        (text("vx", "wx"), "or its columns"),
+        (text("vx", "wx"), "or columns differ from"),
         (rows(lambda s: [*s[:-1], "0,0"]), "has 2 cells, not 16; is it cut off"),
-        (cell(4, 1, "0.123"), "its times are not those of Drone 1"),
+        (cell(4, 1, "0.123"), "its times or columns differ from those of Drone 1"),
     ],
     "ros2bag/setpoints.mcap": [(content(None), "is not a valid bag")],
     "csv/setpoints_enu.csv": [
@@ -153,12 +153,12 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (rows(lambda s: s[:3]), "has fewer than two samples|ends within"),
         (rows(lambda s: s[:-1]), "ends within the sample"),
         (text(",d2,", ",d2,nonsense"), "line 4: x is 'nonsense.*', no number"),
-        (rows(lambda s: s[:1]), "holds no rows"),
+        (rows(lambda s: s[:1]), "has no rows"),
         (rows(lambda s: [s[0], "nan,d0" + ",0" * 26]), "a time is nan or infinite"),
         (rows(lambda s: [*s[:-1], s[-1][:80]]), "cells, not 28; is it cut off"),
     ],
     "gltf/plan.glb": [
-        (content(b"glTF" + bytes(60)), "does not begin as a .glb does"),
+        (content(b"glTF" + bytes(60)), "does not begin with the header of a .glb file"),
         (lambda data: data.replace(b'"d1"', b'"d7"', 1), "'d7'"),
     ],
 }
@@ -258,13 +258,13 @@ def test_any_damage_is_reported_or_refused(name: str, exports: Path, tmp_path: P
 @pytest.mark.parametrize(
     ("files", "told"),
     [
-        ({}, "are read; it holds nothing"),
+        ({}, "are read; it contains nothing"),
         ({"a.csv": "x,y\n1,2\n"}, "is not in a known format"),
         ({"a.csv": "duration,x\n1,2\n", "b.bin": ""}, "more than one flight"),
         ({"a.csv": "duration,x\n1,2\n", "b.csv": "idx,t,px\n"}, "more than one flight"),
         ({"a.csv": "t,drone,x\n", "b.csv": "t,drone,x\n"}, "2 of csv.; name one"),
         ({"a.skyc": "", "b.skyc": ""}, "2 of skybrush.; name one"),
-        ({"one.bag": "", "two.bag": "", "c.dae": ""}, r"it holds \.bag, \.dae"),
+        ({"one.bag": "", "two.bag": "", "c.dae": ""}, r"it contains \.bag, \.dae"),
         ({"plan.npz": ""}, "hitchopt check"),
         ({"metadata.yaml": "no bag"}, "is not a valid bag"),
         ({"export.json": "{"}, "is not a valid manifest"),
@@ -281,7 +281,7 @@ def test_unknown_files_are_refused(files: dict[str, str], told: str, tmp_path: P
 @pytest.mark.parametrize(
     ("degree", "told"),
     [
-        (8, "holds polynomials of degree 8, 37 numbers in a line; drones take degree 7: fit"),
+        (8, "has polynomials of degree 8, 37 numbers in a line; drones take degree 7: fit"),
         (5, "not 33"),
     ],
 )
@@ -299,7 +299,7 @@ def test_bags_of_other_messages_and_slow_ones(tmp_path: Path) -> None:
     with Writer(tmp_path / "bag", version=9) as bag:
         topic = bag.add_connection("/chatter", kind, typestore=store)
         bag.write(topic, 0, store.serialize_cdr(store.types[kind]("hello"), kind))
-    with pytest.raises(FileError, match=r"holds no trajectory_msgs.* but std_msgs/msg/String"):
+    with pytest.raises(FileError, match=r"contains no trajectory_msgs.* but std_msgs/msg/String"):
         lint(tmp_path / "bag")
     for rate, words in ((25.0, "warning rate"), (30.0, "")):
         exported(swarm_plan(), "ros2bag", tmp_path / words, rate=rate)
@@ -644,7 +644,7 @@ def test_distances_count_above_the_lowest_altitude(
     assert check.worst == pytest.approx(np.min(apart[counted]), abs=0.02)
     told = [f.message for f in found.findings if f.rule == "minDistance"]
     assert told == (
-        [] if least == -math.inf else [f"counts above {least:g} m, where both drones are"]
+        [] if least == -math.inf else [f"applies where both drones are above {least:g} m"]
     )
 
 

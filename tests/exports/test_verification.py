@@ -176,7 +176,7 @@ NONSENSE: list[tuple[Callable[..., object], tuple[Any, ...], str]] = [
     (ReferenceFrame, ("enu", [1, 2, math.nan]), "origin"),
     (ReferenceFrame, ("enu", [0, 0, 0], math.inf), "yaw"),
     *((sample_times, (3.0, rate), "rate") for rate in (0.0, -1.0, math.nan, 1e12)),
-    *((states_at, (swarm_plan(), t), "finite times from 0 s on") for t in TIMES),
+    *((states_at, (swarm_plan(), t), "finite times of at least 0 s") for t in TIMES),
 ]
 
 

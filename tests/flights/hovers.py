@@ -37,7 +37,7 @@ class Hover:
 
     @property
     def trim(self) -> Array:
-        """Setpoint minus place at rest in the body's frame at yaw 0 (2,) [m]."""
+        """Setpoint minus rest position in the body's frame at yaw 0 (2,) [m]."""
         return MASS * GRAVITY / self.kp * self.tilt
 
 

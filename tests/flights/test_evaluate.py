@@ -98,7 +98,7 @@ def test_an_unknown_weight_is_fitted() -> None:
     result = ho.evaluate(flight, weightless)
     assert result.density == pytest.approx(target.team.cable_density, rel=0.02)
     assert np.nanmax(result.errors) < 3e-4
-    assert any("weigh them" in remark for remark in result.remarks)
+    assert any("weigh the cables" in remark for remark in result.remarks)
     assert result.sag == "the plan ignores the cables' weight: these errors include sag"
     assert "g/m is planned: these errors do not include it" in ho.evaluate(flight, target).sag
     assert np.nanmax(ho.evaluate(flight, weightless, density=0.006).errors) < 1e-4
@@ -225,7 +225,7 @@ def test_commands_estimates_and_goals_change_no_result(
     assert bodies[0] in note
     assert topic in note
     if topic == "/goal_pose":
-        with pytest.raises(FileError, match=r"1 bodies \(goal_pose\).*, not of /"):
+        with pytest.raises(FileError, match=r"1 body \(goal_pose\).*, not from /"):
             ho.evaluate(both, task("triangle"), topic=topic)
     else:
         chosen = ho.evaluate(both, task("triangle"), topic=topic)
@@ -495,7 +495,7 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     assert result.to_recording().standard_errors is result.standard_errors
     with pytest.raises(ho.InputError, match="format"):
         result.save(out, "gif")
-    with pytest.raises(FileError, match=r"holds plan\.npz"):
+    with pytest.raises(FileError, match=r"contains plan\.npz"):
         result.save(place / "plan")
 
 

@@ -54,7 +54,7 @@ def test_trims_are_within_their_errors_in_19_of_20_seeds() -> None:
         assert drone.agrees
         assert drone.settled > 10.0
         assert drone.trim_error < 0.02
-        known = "commanded" if hover.commands else "above the place before take-off"
+        known = "commanded" if hover.commands else "above the take-off position"
         assert drone.setpoint == known
     assert min(within.values()) >= 19, within
 
@@ -92,11 +92,11 @@ def test_hovers_are_calibrated_from_files(name: str, commands: str, tmp_path: Pa
 
 def test_a_sentence_says_what_to_do() -> None:
     drone = calibrate_hover(flown({"cf3": HOVER}, 1, 0.003), **GAINS).drones["cf3"]
-    assert drone.sentence.startswith("cf3 stands 9.")
+    assert drone.sentence.startswith("cf3 is tilted by 9.")
     assert "redefine its rigid body; until then it hovers" in drone.sentence
     assert "toward +x of its setpoint" in drone.sentence  # The trim points to -x
     level = calibrate_hover(flown({"cf3": replace(HOVER, tilt_deg=0.0)}, 1, 0.003), **GAINS)
-    assert "stands level and hovers within" in level.drones["cf3"].sentence
+    assert "is level at rest and hovers within" in level.drones["cf3"].sentence
     short = calibrate_hover(flown({"cf3": replace(HOVER, seconds=6.0)}, 1), **GAINS)
     assert "s were settled: hover for 10 s" in short.drones["cf3"].sentence
     assert short.drones["cf3"].trim_error > drone.trim_error
@@ -156,7 +156,7 @@ def test_hovers_without_a_set_point_are_refused() -> None:
     flight = flown({"cf2": HOVER}, 1)
     track = flight.tracks["cf2"]
     late = Track(track.t[400:700], track.positions[400:700])
-    with pytest.raises(FileError, match="its setpoint is unknown; record commands, or from"):
+    with pytest.raises(FileError, match="its setpoint is unknown; record commands, or record from"):
         calibrate_hover(replace(flight, tracks={"cf2": late}))
     ground = Track(track.t[:80], track.positions[:80])
     with pytest.raises(FileError, match="no drone of cf2 is at rest in flight"):

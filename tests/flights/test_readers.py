@@ -153,10 +153,10 @@ def write_c3d_without_rate(path: Path, flight: RecordedFlight) -> Path:
 
 
 REFUSED: dict[str, tuple[Write, str]] = {
-    "no format": (text_file("hello, world\n"), "give a table of Motive with its header, of Vicon"),
-    "empty": (text_file(""), "has no line of columns' names"),
+    "no format": (text_file("hello, world\n"), "name a table of Motive with its header, of Vicon"),
+    "empty": (text_file(""), "has no line of column names"),
     "another table": (text_file("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
-    "no bodies": (text_file("t,name,x,y,z\n0,marker,0,0,1\n"), "holds no position of a body"),
+    "no bodies": (text_file("t,name,x,y,z\n0,marker,0,0,1\n"), "contains no positions of bodies"),
     "local space": (partial(w.write_motive, space="Local"), "export it in Global space"),
     "Motive without its header": (
         edit(lambda text: lines(text, slice(7, None))), "a table of Motive with its header",
@@ -175,13 +175,16 @@ REFUSED: dict[str, tuple[Write, str]] = {
     ),
     "times backward": (
         edit(lambda text: lines(text, slice(-1), slice(1, 2)), w.write_csv),
-        "is followed by 0 s; give one flight",
+        "is followed by 0 s; specify one flight",
     ),
     "dates backward by a microsecond": (
         text_file("t,name,x,y,z\n1700000000.000019,q0,0,0,1\n1700000000.000018,q0,0,0,1\n"),
         "1700000000.000019 s is followed by 1700000000.000018 s",
     ),
-    "two bags in a directory": (write_two_bags, "holds 2 recordings, a.bag, b.bag: give one file"),
+    "two bags in a directory": (
+        write_two_bags,
+        "contains 2 recordings, a.bag, b.bag: name one file",
+    ),
     "millimetres": (
         edit(lambda text: text.replace(",1.", ",1000."), w.write_csv),
         "m, over 50 m: millimetres? unit='mm'",
@@ -190,7 +193,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "nanoseconds": (with_clock(1e9, 1.7e9), "if they are nanoseconds, divide by 1e+09"),
     "bag of other messages": (
         lambda path, flight: w.write_bag(path, replace(flight, tracks={})),
-        "holds none of motion_capture_tracking_interfaces/msg/NamedPoseArray",
+        "contains none of motion_capture_tracking_interfaces/msg/NamedPoseArray",
     ),
     "C3D without a unit": (
         write_c3d(units=()), "states no unit of length; state it: unit='mm'",
@@ -199,7 +202,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "C3D without a rate": (write_c3d_without_rate, "states a rate of 0 Hz; export it again"),
     "C3D without points": (
         lambda path, flight: write_c3d()(path, replace(flight, tracks={}, markers=NO_MARKERS)),
-        "holds no points; export the markers' or the bodies' positions",
+        "contains no points; export the markers' or the bodies' positions",
     ),
     "Qualisys without names": (
         edit(lambda text: text.replace("MARKER_NAMES", "NAMES"), w.write_qualisys),
@@ -209,7 +212,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
         edit(lambda text: text.replace("FREQUENCY\t100", "FREQUENCY\t0"), w.write_qualisys),
         "has a FREQUENCY of 0 Hz",
     ),
-    "log of version 3": (partial(w.write_usd, version=3), "is of version 3; 1 and 2 are supported"),
+    "log of version 3": (partial(w.write_usd, version=3), "has version 3; 1 and 2 are supported"),
     "log without positions": (
         partial(w.write_usd, group="stabilizer."), "logs none of stateEstimate.x, stateEstimateZ.x",
     ),
@@ -232,13 +235,13 @@ def test_doubtful_recordings_are_refused(case: str, tmp_path: Path) -> None:
 
 
 def test_other_paths_and_units_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="none: there is no such file; give a recording"):
+    with pytest.raises(FileError, match="none: there is no such file; name a recording"):
         ho.read_flight(tmp_path / "none")
-    with pytest.raises(FileError, match="holds no file: no recording; give a table of Motive"):
+    with pytest.raises(FileError, match="contains no file: no recording; name a table of Motive"):
         ho.read_flight(tmp_path)
     with pytest.raises(ho.InputError, match="unit = 'miles': must be one of m, cm, mm"):
         ho.read_flight(tmp_path, unit="miles")
-    with pytest.raises(FileError, match="a format with fixed units; leave unit= out"):
+    with pytest.raises(FileError, match="a format with fixed units; omit unit="):
         ho.read_flight(w.write_usd(tmp_path / "logs", flight_for("log")), unit="mm")
 
 
@@ -270,7 +273,7 @@ def test_points_of_c3d_without_labels_are_markers(tmp_path: Path) -> None:
     whole = w.write_c3d(tmp_path / "take.c3d", flight)
     unlabelled = tmp_path / "unlabelled.c3d"
     unlabelled.write_bytes(whole.read_bytes().replace(b"LABELS", b"NOTHIN"))
-    with pytest.raises(FileError, match="holds no position of a body; record the drones"):
+    with pytest.raises(FileError, match="contains no positions of bodies; record the drones"):
         ho.read_flight(unlabelled)
 
 
@@ -384,7 +387,7 @@ def test_px4_positions_are_the_measured_ones(
     logs = w.write_ulog(tmp_path / "logs", flight, measured, others=moved_topics)
     result = ho.read_flight(logs)
     assert_same(result, flight)
-    assert any(f"positions are of {measured} (measured)" in note for note in result.notes)
+    assert any(f"positions come from {measured} (measured)" in note for note in result.notes)
     assert_same(ho.read_flight(logs, topic=others[0]), moved(flight, 0.2))
 
 
@@ -473,8 +476,8 @@ def test_topics_of_other_kinds_change_nothing(case: str, tmp_path: Path) -> None
     assert_same(both, alone)
     assert_same(ho.read_flight(path, topic=bodies[0]), alone)
     if topic != "/tf_static":
-        chosen = f"positions are of {bodies[0]} ("
-        assert any(note.startswith(chosen) and f"not of {topic}" in note for note in both.notes)
+        chosen = f"positions come from {bodies[0]} ("
+        assert any(note.startswith(chosen) and f"not from {topic}" in note for note in both.notes)
         assert_same(ho.read_flight(path, topic=topic), other)
 
 
@@ -535,7 +538,7 @@ def test_topics_that_no_rule_decides_are_refused(
 
 def test_only_bags_and_logs_have_topics(tmp_path: Path) -> None:
     for name in ("Motive CSV 1.23", "Vicon CSV", "C3D", "table"):
-        with pytest.raises(FileError, match="a format without topics; leave topic= out"):
+        with pytest.raises(FileError, match="a format without topics; omit topic="):
             ho.read_flight(FORMATS[name](path_in(tmp_path, name), w.sample()), topic="/tf")
     logs = w.write_usd(tmp_path / "logs", flight_for("log"))
     with pytest.raises(FileError, match=r"no topic /tf, but stateEstimateZ \(estimated\)"):
@@ -553,7 +556,7 @@ def test_frames_that_move_are_no_frames_of_positions(tmp_path: Path) -> None:
     path = w.write_bag(tmp_path / "bag", mounted, bodies=TF, parents=parents)
     result = ho.read_flight(path)
     assert set(result.tracks) == {*flight.tracks, "room"}
-    assert f"{', '.join(cameras)} omitted: positions in frames that move" in result.notes
+    assert f"{', '.join(cameras)} omitted: positions in moving frames" in result.notes
 
 
 def test_a_body_of_two_sources_in_one_topic_is_omitted(tmp_path: Path) -> None:
@@ -564,7 +567,7 @@ def test_a_body_of_two_sources_in_one_topic_is_omitted(tmp_path: Path) -> None:
     assert set(result.tracks) == set(rest)
     assert any(note.startswith(f"{first} omitted: ") for note in result.notes)
     others = [(*TF, moved(flight))]
-    with pytest.raises(FileError, match="jump back and forth by 1 m, as of two sources in one"):
+    with pytest.raises(FileError, match="jump back and forth by 1 m, as if from two sources"):
         ho.read_flight(w.write_bag(tmp_path / "all", flight, bodies=TF, others=others))
 
 
@@ -601,7 +604,7 @@ def test_logs_prefer_motion_capture_to_estimates(tmp_path: Path) -> None:
     for name, track in flight.tracks.items():
         np.testing.assert_allclose(result.tracks[name].t, track.t[20::4], atol=0.005)
         np.testing.assert_allclose(result.tracks[name].positions, track.positions[20::4], atol=1e-6)
-    assert "locSrv (measured), not of stateEstimateZ (estimated)" in result.notes[0]
+    assert "locSrv (measured), not from stateEstimateZ (estimated)" in result.notes[0]
     estimates = ho.read_flight(folder, topic="stateEstimateZ")
     assert_same(estimates, moved(flight))
 

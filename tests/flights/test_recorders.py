@@ -122,7 +122,7 @@ def test_several_recordings_in_a_directory_are_refused(case: str, tmp_path: Path
     if case == "no numbers":
         for number in range(3):
             (folder / f"take_{number}.mcap").rename(folder / f"take{number}.mcap")
-    with pytest.raises(FileError, match=r"holds [23] recordings, take.*: give one file"):
+    with pytest.raises(FileError, match=r"contains [23] recordings, take.*: name one file"):
         ho.read_flight(folder)
 
 

@@ -227,14 +227,14 @@ def test_holes_are_ignored_and_noted_with_their_sizes(tmp_path: Path) -> None:
     result = read_drawing(path)
     assert size_and_area(result.outline)[:2] == pytest.approx((4.0, 2.9))
     assert result.notes == (
-        "omitted as holes within it: 1 x 1 m, 0.2 x 0.2 m; if it is a page or a frame around the "
+        "holes within it are omitted: 1 x 1 m, 0.2 x 0.2 m; if it is a page or a frame around the "
         "part, hide it",
     )
     path.write_text(
         SVG.format(size="", shape='<circle cx="3" cy="1" r="0.4"/>' + SMALL.replace("4", "1"))
     )
     (note,) = read_drawing(path).notes
-    assert note == "2 outlines apart from each other, 1 x 3 m, 0.8 x 0.8 m: their convex hull"
+    assert note == "2 separate outlines, 1 x 3 m, 0.8 x 0.8 m: their convex hull is used"
 
 
 INVISIBLE = [

@@ -165,7 +165,7 @@ def test_legs_at_a_chains_ends_are_fixed() -> None:
     slack = 2.2 - math.hypot(1.2, 0.8)
     h = Hitch(team, points, 1.2, [0.0, round(slack, 5)])  # to within 1e-4 of the cable: as meant
     assert h.q_legs[1] == pytest.approx(slack, abs=1e-15)
-    with pytest.raises(InfeasibleError, match=r"above the limit of 0 m at q0; q0 stands at the ch"):
+    with pytest.raises(InfeasibleError, match=r"above the limit of 0 m at q0; q0 is at the ch"):
         Hitch(team, points, 1.2, [0.1, slack])
-    with pytest.raises(InfeasibleError, match=r"at q1; r1 stands at the chain's end, .* 0\.75777"):
+    with pytest.raises(InfeasibleError, match=r"at q1; r1 is at the chain's end, .* 0\.75777"):
         Hitch(team, points, 1.2, [0.0, slack - 0.01])

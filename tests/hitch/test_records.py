@@ -58,7 +58,11 @@ REFUSED: list[Refusal] = [
     (lambda: Assignment((0, 0), (False, False)), "assignment.robots", "must be 0 to 1"),
     (lambda: Assignment((0, 1), (False,)), "assignment.flipped", ""),
     (lambda: balanced(robots=4), "polygon", "4 points"),
-    (lambda: balanced(**CHAIN, polygon=ConvexPolygon(HILL)), "polygon", "a ConvexArc, the team"),
+    (
+        lambda: balanced(**CHAIN, polygon=ConvexPolygon(HILL)),
+        "polygon",
+        "a ConvexArc, since the team",
+    ),
     (lambda: balanced(HILL, topology="open"), "polygon", "4 points, one more than robots"),
     *[(lambda roll=roll: balanced(roll=roll), "roll", "") for roll in (1.6, math.nan, [0.1, 0.2])],
     (lambda: Hitch(Team(3, 2.4), TRIANGLE, 1.0, [0.4, 0.4]), "legs", "one per robot"),

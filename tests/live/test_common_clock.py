@@ -78,7 +78,7 @@ def test_an_abort_unties_each_hitch() -> None:
 
 
 def test_back_leads_to_where_all_hang_free() -> None:
-    with pytest.raises(ho.InfeasibleError, match="cables of triangle have not hung free"):
+    with pytest.raises(ho.InfeasibleError, match="cables of triangle were never free"):
         Aborts(hitch_and_swarm()).plan(1.0, "back")
 
 

@@ -206,7 +206,7 @@ FAULTS: list[tuple[str | list[str | int], object, str]] = [
         "polgon = []: must be a known key; did you mean poly",
     ),
     ("team.cable_length", "2,4", "; write 2.4: decimals have a point (Lengths of cables, one"),
-    ("team.cable_length", "2024-01-01", "a list; give a plain number in SI units (Lengths of"),
+    ("team.cable_length", "2024-01-01", "a list; use a plain number in SI units (Lengths of"),
     (
         "objects",
         {"crate": {"circle": 1, "outline": [[0, 0], [0, 1], [1, 1]], "at": [0, 0, 0]}},

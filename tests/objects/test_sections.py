@@ -138,14 +138,14 @@ def rimmed(height: float) -> None:
     check_placed({"pillar": pillar, "box": box}, 0.0)
 
 
-EITHER = "give either an outline or a circle's radius"
+EITHER = "specify either an outline or a circle's radius"
 CONCAVE: Any = [[0, 0], [1, 0], [0.4, 0.4], [0, 1]]
 REFUSED: list[Refusal] = [
     (ho.Section, "outline", EITHER),
     (lambda: ho.Section(BOX, radius=0.1), "outline", EITHER),
     (lambda: ho.Section(radius=-0.1), "radius", "greater than 0"),
     (lambda: ho.Section([[0, 0], [1, 0], [2, 0]]), "outline", "not in line"),
-    (lambda: ho.Section(CONCAVE), "outline[2]", "give the hull: [[0.0, 1.0]"),
+    (lambda: ho.Section(CONCAVE), "outline[2]", "specify the hull: [[0.0, 1.0]"),
     (lambda: placed([1.0, 2.0, 0.6]), "objects.box.at", "[1.0, 2.0, 0.6]: must be such that it"),
     (lambda: placed([3.0, 2.0, 0.1]), "objects.box.at", "write [3.0, 2.0, 0.0]"),
     (lambda: placed([1.7, 2.0, 0.0]), "objects.table.at", "must be apart from objects.box"),

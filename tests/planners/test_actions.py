@@ -227,7 +227,7 @@ def test_a_speed_limits_points_with_times_and_is_limited_itself() -> None:
     plans = [ho.follow_vertex(START, K, path, speed=speed) for speed in (None, 1.01 * peak)]
     a, b = (plan.motion.vertices.coefficients for plan in plans)
     np.testing.assert_array_equal(a, b)
-    with pytest.raises(ho.InfeasibleError, match="give the points more time or none") as caught:
+    with pytest.raises(ho.InfeasibleError, match="allow more time for the points, omit") as caught:
         ho.follow_vertex(START, K, path, speed=0.99 * peak)
     (fast,) = caught.value.violations
     assert (fast.constraint, fast.where) == ("vertex_speed", (f"p{K}",))
@@ -253,7 +253,7 @@ def test_infeasible_points_are_refused_by_name() -> None:
     fast = next(v for v in caught.value.violations if v.constraint == "vertex_speed")
     assert fast.value == pytest.approx(15.0 / 8.0 * 0.2 / 0.4, rel=1e-3)
     assert re.fullmatch(r"at t = 0\.(199|2|201)\S* s, in step 0 \(follow_vertex\)", fast.when)
-    assert fast.remedy.endswith("or give the points more time")
+    assert fast.remedy.endswith("or allow more time for the points")
 
 
 KINDS = [ho.Quadrotor(0.13 + 0.01 * k, 2.6) for k in range(4)]

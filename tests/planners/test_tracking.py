@@ -355,7 +355,7 @@ def test_two_cables_name_the_height_of_errors_that_keeps_them_from_being_tied() 
 def test_remedies_lower_tracking_only_to_measured_errors() -> None:
     for words in (TRACKING_RADIUS.remedy, TRACKING_RADIUS.free_remedy):
         assert "lower" not in words
-        assert "limits.tracking as measured" in words
+        assert "limits.tracking to a smaller measured error" in words
 
 
 def test_no_suggestion_understates_the_errors_of_gains() -> None:
@@ -391,7 +391,7 @@ def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
     ("controller", "constraint", "words"),
     [
         ("pid", "feed_forward", "to one of mellinger, lee, px4"),
-        ("lee", "cable_clearance", "tracking errors of 0.35 m widen this distance"),
+        ("lee", "cable_clearance", "tracking errors of 0.35 m add to this distance"),
     ],
 )
 def test_infeasible_tracking_is_refused_by_name(

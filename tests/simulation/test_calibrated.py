@@ -97,7 +97,7 @@ def test_names_of_calibrated_drones_are_those_of_the_team(tmp_path: Path) -> Non
         (tmp_path / "drones.yaml").write_text(prefix + text.strip() + "}" * bool(prefix) + "\n")
         assert read_calibrated(tmp_path / "drones.yaml") == OFF
     (tmp_path / "drones.yaml").write_text("[1, 2]\n")
-    with pytest.raises(FileError, match="holds no drones"):
+    with pytest.raises(FileError, match="contains no drones"):
         read_calibrated(tmp_path / "drones.yaml")
 
 

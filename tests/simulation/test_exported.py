@@ -147,8 +147,12 @@ def test_gains_of_px4_are_those_of_the_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "format", "words"),
     [
-        ({"controller": "px4"}, "mavsdk_drone_show", "defaults of its firmware, as the files"),
-        ({"controller": "px4", "gains": {"kp": 2.4}}, "csv", "the plan's, as the files hold none"),
+        ({"controller": "px4"}, "mavsdk_drone_show", "defaults of its firmware, since the files"),
+        (
+            {"controller": "px4", "gains": {"kp": 2.4}},
+            "csv",
+            "the plan's, since the files contain none",
+        ),
         ({}, "csv", "files and plan name no flight controller"),
     ],
 )
@@ -263,7 +267,7 @@ def test_a_drone_of_an_export_is_lost_while_the_others_fly_on(
 ) -> None:
     folder = exported(plan, tmp_path / "files", "crazyswarm2")
     result = CliRunner().invoke(main, ["simulate", str(folder), "--lose", "q1@0.3"])
-    assert "exported files hold no reaction to a loss: the other drones fly on" in result.stdout
+    assert "exported files contain no reaction to a loss: the other drones fly on" in result.stdout
     content = json.loads((folder / "simulation" / "simulation.json").read_text(encoding="utf-8"))
     assert content["loss"]["drone"] == "q1"
 

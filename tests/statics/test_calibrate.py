@@ -410,7 +410,7 @@ def test_gaps_in_movements_do_not_bias_means() -> None:
 def test_invalid_recordings_are_refused(plan_folder: Path, tmp_path: Path) -> None:
     rows = rows_of(team_task(plan_folder, "a test"))
     tables = (
-        ([r for r in rows if ",r1," not in r], "5 bodies (q0, r0, q1, q2, r2) of 6"),
+        ([r for r in rows if ",r1," not in r], "5 bodies (q0, r0, q1, q2, r2) for 6"),
         ([*rows, "inf,q0,1,2,3"], "a time is not finite"),
         ([f"1{r}" for r in rows if r[0] == "1"], "nowhere near the plan"),
         ([r.replace(",q", ",r", 1) for r in rows if ",r" not in r], "3 bodies (r0"),
@@ -418,7 +418,10 @@ def test_invalid_recordings_are_refused(plan_folder: Path, tmp_path: Path) -> No
     )
     table, plan = write(tmp_path / "flight.csv", rows), ("--plan", plan_folder)
     cases: list[tuple[tuple[str | Path, ...], str]] = [
-        ((table,), "is at rest in flight: its setpoint is unknown; record commands, or from"),
+        (
+            (table,),
+            "is at rest in flight: its setpoint is unknown; record commands, or record from",
+        ),
         ((table, *plan, "--density", "-1"), "density = -1.0: must be at least 0"),
     ]
     for k, (lines, words) in enumerate(tables):

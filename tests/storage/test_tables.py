@@ -75,8 +75,8 @@ def test_quoted_decimal_commas_blanks_and_comments() -> None:
         (["t,x", "0,1", "1"], r"line 3 has 1 cells, not 2; is it cut off"),
         (["t,x", "0,", "1,2"], "line 2: x is '', no number$"),
         (["t,x", "0,2026-11-25 10:00"], "x is '2026-11-25 10:00', no number$"),
-        (["t,y", "0,1"], "line 1, the columns' names, has no 'x', but t, y"),
-        (["a|b", "0|1"], r"no line of columns' names with t; it begins 'a\|b'"),
+        (["t,y", "0,1"], "line 1, the column names, has no 'x', but t, y"),
+        (["a|b", "0|1"], r"no line of column names with t; it begins 'a\|b'"),
         (["t,x", '0,"1' + "1" * 200_000], "check its quotation marks"),
     ],
 )

@@ -308,7 +308,7 @@ def test_a_full_disk_leaves_whole_rows(tmp_path: Path, monkeypatch: pytest.Monke
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "open", full)
-        with pytest.raises(FileError, match="only what is missing is computed"):
+        with pytest.raises(FileError, match="only missing rows are computed"):
             write_row(tmp_path, {**row, "digest": "b"})
     assert list(load_sweep(tmp_path)["digest"]) == ["a"]
 

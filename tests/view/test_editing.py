@@ -89,7 +89,7 @@ def test_a_dragged_vertex_is_planned_certified_and_saved(editing: Editing) -> No
     assert [p.name for p in path.parent.iterdir()] == ["problem.yaml"]
     path.write_text("other")
     editing.put(Edit(SECONDS, 3.0))
-    with pytest.raises(FileError, match="by someone else"):
+    with pytest.raises(FileError, match="by another program"):
         editing.save()
     assert path.read_text() == "other"
 

@@ -197,7 +197,7 @@ def test_a_recorded_flight_is_a_scene(tmp_path: Path) -> None:
     np.testing.assert_allclose(ghost.drones[:, :, 0], np.tile([0, 9, 10, 19, 20, 29], (4, 1)))
     with pytest.raises(FileError, match="a flight of 3 cables"):
         ghost_scene(tmp_path, ho.Flight.of(make_motion(4)))
-    with pytest.raises(FileError, match="holds neither"):
+    with pytest.raises(FileError, match="contains neither"):
         ghost_scene(tmp_path.parent, ho.Flight.of(motion))
 
 

@@ -103,7 +103,7 @@ class CrazyflieFormat(Format):
         drones, findings = [self.upload(path) for path in files], []
         for drone in drones:
             if drone.size > BYTES:
-                reason = f"takes {drone.size} of {BYTES} bytes; give it fewer pieces, or cut it"
+                reason = f"takes {drone.size} of {BYTES} bytes; use fewer pieces, or cut it"
                 findings.append(error("memory", drone.name, reason))
         frames = sorted({drone.frame for drone in drones} - {""})
         if len(frames) > 1:
@@ -127,7 +127,7 @@ class CrazyflieFormat(Format):
         when, limit = f"in {flight.duration:.4g} s", float(self.max_pieces(flight.drones))
         remedy = "add steps such as hold: {seconds: 3}, at which the plan can be cut"
         if task.rests_longer:
-            remedy = "divide its longest step, as it is cut between phases already"
+            remedy = "divide its longest step, since it is cut between phases already"
         note = "compressed holds three times as much as crazyswarm2; or stream it: format=ros2bag"
         violation = Violation("memory", pieces, limit, "max", "pieces", (), when, remedy)
         return InfeasibleError([violation], note)
@@ -205,7 +205,7 @@ class Crazyswarm2(CrazyflieFormat):
         with np.errstate(over="ignore"):  # reported below
             table = table.astype(np.float32).astype(np.float64)
         if not np.all(np.isfinite(table)):
-            raise FileError(f"{path}: a number is beyond single precision, which drones hold")
+            raise FileError(f"{path}: a number exceeds single precision, which drones use")
         if np.any(invalid := table[:, 0] <= 0.0):
             row = int(np.argmax(invalid))
             raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")
@@ -238,7 +238,7 @@ def _width_error(width: int) -> str:
     """Return the reason why lines of a number of cells are no pieces of a trajectory."""
     degree, rest = divmod(width - 5, 4)  # A duration, and coefficients of x, y, z and yaw
     if rest == 0 and DEGREE < degree <= MAX_NAMED_DEGREE:
-        what = f"holds polynomials of degree {degree}, {width} numbers in a line"
+        what = f"has polynomials of degree {degree}, {width} numbers in a line"
         return f"{what}; drones take degree {DEGREE}: fit the trajectory again with that degree"
     return f"has {width} numbers in a line, not {1 + len(POWERS)}; {COMMA_REMEDY}"
 
@@ -252,9 +252,9 @@ def write_poly_csv(path: Path, durations: Array, powers: Array, frame: str) -> N
 
 
 def settings_text(task: ExportTask) -> str:
-    """Return crazyflies.yaml (fileversion 3) for drones that stand below their first places.
+    """Return crazyflies.yaml (fileversion 3) for drones on the ground below their first positions.
 
-    Places are the plan's: trims and offsets of setpoints do not move a drone on the floor.
+    Positions are the plan's: trims and offsets of setpoints do not move a drone on the floor.
     """
     fleet, defaults = task.fleet, json.loads(_template("crazyswarm2.json"))
     robots = []
@@ -327,7 +327,7 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
 
 
 def _slack_points(task: ExportTask) -> dict[str, list[float]]:
-    """Return the last places in the plan of drones that end tied, if offsets hold the tension.
+    """Return the last positions in the plan of drones that end tied, if offsets hold the tension.
 
     With setpoints there the drones pull no longer, and distances are those of the plan.
     """
@@ -393,7 +393,7 @@ def _stacked(task: ExportTask, points: Array, action: str) -> Iterator[str]:
         if np.any(near):
             other = task.names[i + 1 + int(np.argmax(near))]
             pair = f"{task.names[i]} and {other}, perhaps others too,"
-            yield f"{pair} would {action} one place: move them one by one, not with fly.py"
+            yield f"{pair} would {action} one position: move them one by one, not with fly.py"
             return
 
 
@@ -512,6 +512,6 @@ def decode(data: bytes) -> tuple[PiecewisePolynomial, list[int], bool, int]:
         durations.append(duration)
         segments.append([bernstein.elevate(axis, DEGREE) for axis in axes])
     if not durations:
-        raise FileError("has no segment that lasts")
+        raise FileError("has no segment of nonzero duration")
     breaks = np.concatenate([[0], np.cumsum(durations)]) * MILLI
     return PiecewisePolynomial(breaks, np.array(segments) * MILLI), yaws, duration == 0, offset

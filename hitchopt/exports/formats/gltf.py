@@ -212,7 +212,7 @@ def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     data = file_bytes(path)
     magic, _, _, size, kind = struct.unpack_from("<4sIII4s", data)
     if (magic, kind) != (b"glTF", b"JSON"):
-        raise FileError("does not begin as a .glb does")
+        raise FileError("does not begin with the header of a .glb file")
     content = parsed_json(data[20 : 20 + size])
     nodes = [node["name"] for node in content["nodes"]]
     names = tuple(map(str, content["asset"]["extras"]["drones"]))
@@ -234,5 +234,5 @@ def read_drones(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     t = numbers(times, 1)[:, 0]
     positions = np.stack([numbers(samplers[name]["output"], 3) for name in names], axis=1)
     if len(positions) != len(t) or not np.all(np.isfinite(positions)):
-        raise FileError("its drones do not have one place per time")
+        raise FileError("its drones do not have one position per time")
     return names, t, positions[..., [0, 2, 1]] * [1.0, -1.0, 1.0]

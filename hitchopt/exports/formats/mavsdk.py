@@ -107,7 +107,7 @@ class MavsdkDroneShow(Format):
         return FormatOutput(files, notes, {"settings": settings, "plan_begins_s": rise.duration})
 
     def load(self, files: Sequence[Path]) -> FileContents:
-        """Return cubics through positions and velocities, as cable forces are unknown."""
+        """Return cubics through positions and velocities, since cable forces are unknown."""
         names, tables = tuple(path.stem for path in files), read_tables(files)
         contents = FileContents.of_samples(names, tables[:, 0, 0], tables[..., 1:7], "ned", 1)
         each = (separator_findings(_table(path), path.stem) for path in files)
@@ -169,7 +169,7 @@ def refuse_stacks(task: ExportTask, rise: PiecewisePolynomial) -> None:
     ascent = Motion.single(flight.team, flight.requirements.untimed, curves, [phase])
     check = RULE_OF["separation"].check(ascent)
     if check is not None and not check.holds:
-        when = "while the drones rise straight up from the ground to their first places"
+        when = "while the drones rise straight up from the ground to their first positions"
         remedy = "begin with the drones side by side, or choose another format"
         raise InfeasibleError([check.violation(when, remedy)])
 
@@ -227,6 +227,6 @@ def read_tables(paths: Sequence[Path]) -> Array:
         first = tables[0] if tables else table
         if table.shape != first.shape or np.max(np.abs(table[:, 0] - first[:, 0])) > SAME_TIME:
             name = paths[0].stem
-            raise FileError(f"{path.stem}: its times are not those of {name}, or its columns")
+            raise FileError(f"{path.stem}: its times or columns differ from those of {name}")
         tables.append(table)
     return np.stack(tables, axis=1)

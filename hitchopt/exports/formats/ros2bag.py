@@ -114,13 +114,13 @@ class Ros2Bag(Format):
             kinds = sorted({connection.msgtype for connection in bag.connections})
             connections = [c for c in bag.connections if c.msgtype == TRAJECTORY]
             if not connections:  # with an empty list, messages() yields all messages
-                raise FileError(f"holds no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
+                raise FileError(f"contains no {TRAJECTORY}, but {', '.join(kinds) or 'nothing'}")
             for connection, _, data in bag.messages(connections):
                 message = bag.deserialize(data, connection.msgtype)
                 frame = FRAMES.get(message.header.frame_id, "")
                 for i, name in enumerate(message.joint_names):
                     if name in tables_by_name:
-                        raise FileError(f"holds two trajectories of {name!r}")
+                        raise FileError(f"contains two trajectories of {name!r}")
                     tables_by_name[name] = np.array([_row(point, i) for point in message.points])
             if not tables_by_name:
                 raise FileError("its trajectories name no joint")

@@ -84,14 +84,14 @@ class TableFormat(Format):
         return self._contents(files[0], SENT_COLUMNS)
 
     def _contents(self, path: Path, columns: Sequence[Sequence[str]]) -> FileContents:
-        with reading(path, f"{self.name} table of hitchopt's columns"):
+        with reading(path, f"{self.name} table with hitchopt's columns"):
             return _contents_of_rows(*self.table(path, columns))
 
 
 def _contents_of_rows(drones: NDArray[np.str_], table: Array, frame: str) -> FileContents:
     """Return the contents of rows sorted by time, then drone: t, then vectors."""
     if not len(drones):
-        raise FileError("holds no rows; it is truncated")
+        raise FileError("has no rows; it is truncated")
     t = table[:, 0]
     check_times(t[:1])
     names = tuple(drones[: int(np.argmax(t != t[0])) or len(t)].tolist())

@@ -210,7 +210,7 @@ def calibrate(
     first = recordings[0]
     if plan is None and not any((x / PLAN).is_file() for x in (first, first.absolute().parent)):
         if density is not None:
-            remedy = "hovers do not determine cables; give a plan, or omit it"
+            remedy = "hovers do not determine cables; specify a plan, or omit it"
             raise InputError("density", density, "given with plan=", remedy)
         _calibrate_hover(recordings, output, {**values, "names": names})
         return

@@ -108,7 +108,7 @@ def _settings_options() -> Sequence[click.Option]:
         str,
         "DRONE@SECONDS",
     ),
-    option("--reaction/--no-reaction", "Whether the others react to a loss, or ignore it.", True),
+    option("--reaction/--no-reaction", "Let the others react to the loss.", True),
     paper_option("the picture of a single flight"),
 )
 def simulate(
@@ -134,7 +134,7 @@ def simulate(
     sag. A single flight exits with 3 if drones touch, a vertex does not hold at a rest, an object
     is touched, dropped or not placed within 3 cm and 5° beyond the plan's tracking errors, or the
     simulation leaves its valid range; with --lose, if a survivor touches anything or no reaction is
-    found (exports hold none: survivors fly on). A campaign (--runs) exits with 0 and reports the
+    found (exports contain none: survivors fly on). A campaign (--runs) exits with 0 and reports the
     success rate.
     """
     from hitchopt.lab.simulation.commands import flown_gains
@@ -166,7 +166,7 @@ def simulate(
         say(drones, drones=drones)
     if lose is not None and exported is not None:
         settings = replace(settings, lost=Loss.parsed(lose))
-        say("exported files hold no reaction to a loss: the other drones fly on")
+        say("exported files contain no reaction to a loss: the other drones fly on")
     elif lose is not None:
         settings, task = _with_loss(directory, settings, task, lose, react=reaction)
     for warning in warnings(task, settings):
@@ -338,7 +338,7 @@ def flight_tables(simulation: Simulation) -> str:
         parts.append(quantities("Loss of a drone [s, N, m]", loss))
     if content["objects"]:
         objects = [{key: each[key] for key in OBJECT_COLUMNS} for each in content["objects"]]
-        parts.append(table("Objects, to the plan's, and while carried [m, °]", objects))
+        parts.append(table("Objects, relative to the plan's, and while carried [m, °]", objects))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", rows))
     return "\n\n".join([*parts, *_inexact(simulation.settings)])
 
@@ -364,7 +364,7 @@ def _tables_of_rests(rests: Sequence[Rest]) -> list[str]:
         ]
     parts = [
         table("Vertices at rest, where steps end [cm]", vertices),
-        table("Largest errors of drones at rest, to the plan [cm]", drones),
+        table("Largest errors of drones at rest, relative to the plan [cm]", drones),
     ]
     return [*parts, table("Objects at rest [m, °]", objects)] if objects else parts
 
@@ -456,7 +456,7 @@ def sweep(
 ) -> None:
     """Plan or simulate every case of STUDY.yaml (needs dask.distributed).
 
-    Every result is saved at once as a line of DIR/rows.jsonl. The same command continues an
+    Every result is saved immediately as a line of DIR/rows.jsonl. The same command continues an
     interrupted sweep: only missing rows are computed. If STUDY is the DIR of a sweep, its results
     are shown.
     """

@@ -1,1 +1,1 @@
-"""Recorded flights: what files of labs hold, and how it is compared with a plan."""
+"""Recorded flights: contents of recordings, and their comparison with a plan."""

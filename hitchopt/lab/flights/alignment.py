@@ -137,7 +137,7 @@ def _stated_frame(frame: str) -> dict[str, Frame]:
         content = content.get("alignment", content)
         R, p = (np.array(content[key], np.float64) for key in ("rotation", "shift"))
         if p.shape != (3,) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
-            raise ValueError("rotation is not orthonormal, or shift not of three numbers")
+            raise ValueError("rotation is not orthonormal, or shift does not have three numbers")
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         bound = "plan, y-up, fit, or a JSON file with rotation and shift"
         raise InputError("frame", frame, bound, f"write plan ({error})") from error
@@ -157,10 +157,11 @@ class _Trial:
         self._task, self._one_clock, drones = task, flight.one_clock, task.team.drone_names
         bodies = [name for name in flight.tracks if name not in task.team.point_names]
         if len(bodies) < len(drones):
-            count = f"holds {len(bodies)} bodies ({', '.join(bodies) or 'none'})"
+            noun = "body" if len(bodies) == 1 else "bodies"
+            count = f"contains {len(bodies)} {noun} ({', '.join(bodies) or 'none'})"
             notes = [note for note in flight.notes if "topic=" in note or "omitted" in note]
             remedy = "; ".join(["export all rigid bodies", *notes])
-            raise FileError(f"{count} of {len(drones)} drones; {remedy}")
+            raise FileError(f"{count} for {len(drones)} drones; {remedy}")
         self._bodies, remedy = bodies, "write cf231=q0,…"
         self._allowed = np.ones((len(bodies), len(drones)), np.bool_)  # Permitted pairs
         for name, drone in requested.items():
@@ -347,7 +348,7 @@ def _ambiguity(fit: Alignment, other: Alignment, drones: Sequence[str]) -> str:
     drone, *bodies = next(pair for pair in pairs if pair[1] != pair[2])
     words = f"two assignments fit equally well: {bodies[0]} or {bodies[1]} is {drone}"
     remedy = " or frame='plan'" if fit.frame == "fit" else ""
-    return f"{words}; give names=, such as {bodies[0]}={drone},{remedy}".rstrip(",")
+    return f"{words}; pass names=, such as {bodies[0]}={drone},{remedy}".rstrip(",")
 
 
 def _centred(values: Array, use: NDArray[np.bool_]) -> Array:
@@ -372,8 +373,8 @@ def _turn(yaw: float) -> Array:
 def _fitted_frame(x: Array, plan: Array, use: NDArray[np.bool_], up: Array) -> Frame:
     """Return the frame that fits positions (times, 2n, 3) [m] to the plan's, after rotation ``up``.
 
-    Heading and level shift are fitted where ``use`` (times, 2n) is true. So is the height if the
-    drones' median height differs by more than LIFT_RATIO of its standard errors.
+    Heading and horizontal shift are fitted where ``use`` (times, 2n) is true. So is the height if
+    the drones' median height differs by more than LIFT_RATIO of its standard errors.
     """
     a = x @ up.T
     (u, v), (s, w) = ((y[use] - np.mean(y[use], axis=0))[:, :2].T for y in (a, plan))

@@ -1,4 +1,4 @@
-"""Bag files as recorders leave them: split, compressed, or not closed as the recorder was killed.
+"""Bag files as recorders leave them: split, compressed, or not closed.
 
 A file that cannot be read as it is gets a repaired copy in a temporary directory.
 """
@@ -78,7 +78,7 @@ def opened_bag(paths: Sequence[Path], definitions: Mapping[str, str]) -> Iterato
     """Open a bag of ROS 1 or 2 from one file, or from all parts of a split one.
 
     ``definitions`` are those of message types that a bag may lack. Raises FileError for several
-    recordings, and exceptions of rosbags, which have no common base, for damaged files.
+    recordings; exceptions of rosbags for damaged files have no common base class.
     """
     highlevel, typesys = library("rosbags.highlevel"), library("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
@@ -97,7 +97,7 @@ def single_file(paths: Sequence[Path]) -> Path:
     """Return the only file of a recording; FileError if a directory has several."""
     if len(paths) > 1:
         listed = ", ".join(path.name for path in paths[:5])
-        raise FileError(f"holds {len(paths)} recordings, {listed}: give one file")
+        raise FileError(f"contains {len(paths)} recordings, {listed}: name one file")
     return paths[0]
 
 
@@ -149,7 +149,7 @@ def _readable(path: Path, scratch: Path) -> tuple[Path, str]:
     logs = [log for suffix in SQLITE_LOGS if (log := Path(f"{path}{suffix}")).is_file()]
     if _begins(path, SQLITE_MAGIC) and any(log.stat().st_size for log in logs):
         path, note = _recovered_database(path, logs, scratch), "to the last transaction"
-    return path, note and f"{path.name} is truncated, as its recorder was killed: read {note}"
+    return path, note and f"{path.name} is truncated, because its recorder was killed: read {note}"
 
 
 def _begins(path: Path, magic: bytes) -> bool:

@@ -1,6 +1,6 @@
 """Reader of ROS bags: positions, commands, attitudes and on-board logs, on one clock.
 
-Topics are sorted by what they hold; see ``topics``. Logs of a drone may be stamped by a clock that
+Topics are sorted by their contents; see ``topics``. Logs of a drone may be stamped by a clock that
 starts at its boot: it is set by the positions in the log, or without these by the smallest delay of
 arrival.
 """
@@ -162,7 +162,7 @@ class _Stream:
 
     @property
     def turns(self) -> bool:
-        """Whether the attitude is measured: that of one marker does not change."""
+        """Return whether the attitude is measured: that of one marker does not change."""
         ranges = np.ptp(self.parts["attitude"], axis=0)
         return bool(np.nanmax(ranges, initial=0.0) >= MIN_TURN)
 
@@ -258,7 +258,7 @@ def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> Reco
     ]
     if not with_positions:
         held = ", ".join(sorted(set(bag.types.values())))
-        raise FileError(f"holds none of {', '.join(MESSAGE_TYPES)}, but {held}")
+        raise FileError(f"contains none of {', '.join(MESSAGE_TYPES)}, but {held}")
     taken, topic_notes = taken_topics(with_positions, topic)
     tracks, frame_notes = _tracks_by_body(frames, taken)
     bodies = _bodies(tracks, loads=_loads_among(tracks) if topic is None else set())
@@ -270,7 +270,7 @@ def read_bag(paths: Sequence[Path], unit: str | None, topic: str | None) -> Reco
     drones = {name: own for name, own in contents.items() if not bodies[name].is_load}
     cloud_notes = list[str]()
     if clouds[1:]:
-        cloud_notes.append(f"markers are of {clouds[0]}, not of {', '.join(clouds[1:])}")
+        cloud_notes.append(f"markers come from {clouds[0]}, not from {', '.join(clouds[1:])}")
     return flight_of(
         bag.source,
         {**drones, **cloud},
@@ -362,7 +362,7 @@ def _tracks_by_body(
                 both = " and ".join(sorted((tracks[body].topic.family, topic.family)))
                 raise FileError(f"{body} has positions in {both}: choose one with topic=")
             tracks[body] = frames[frame]
-    notes = [f"{', '.join(omitted)} omitted: positions in frames that move"] if omitted else []
+    notes = [f"{', '.join(omitted)} omitted: positions in moving frames"] if omitted else []
     return tracks, notes
 
 

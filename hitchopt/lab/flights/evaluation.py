@@ -207,7 +207,7 @@ class Evaluation(OneLine):
         check_choice("format", kind, PICTURES)
         for name in FOREIGN:
             if (directory / name).exists():
-                problem = f"holds {name}; name a separate directory for results"
+                problem = f"contains {name}; name a separate directory for results"
                 raise FileError(f"{directory}: {problem}")
         picture = drawn_evaluation(self, width)
         writers: dict[str, Writer] = {
@@ -251,7 +251,7 @@ def evaluate(
 
     Raises
     ------
-    FileError: a recording that cannot be read, or is of another plan.
+    FileError: a recording that cannot be read, or belongs to another plan.
     InputError: an argument outside its bounds.
     """
     if density is not None:
@@ -321,7 +321,9 @@ def _evaluated(
         remarks += _missing(measured, task)
         if not np.allclose(measured.density, densities):
             fitted = ", ".join(f"{1e3 * x:.1f}" for x in measured.density)
-            remarks.append(f"cables' density is fitted, {fitted} g/m: weigh them for density=")
+            remarks.append(
+                f"the cables' density is fitted, {fitted} g/m: weigh the cables, and pass density="
+            )
         densities = measured.density
     elif not recorded_points:
         remarks.append("no markers on the cables: only drones are compared with the plan")
@@ -358,7 +360,7 @@ def _missing(measured: Measured, task: TeamTask) -> Iterator[str]:
             visible = f"{markers[a]:.1f} markers on edge {a} and {markers[b]:.1f} on edge {b}"
             yield (
                 f"{task.team.point_names[point]} is measured {share:.0%} of the time: on average "
-                f"{visible} are visible; two are needed, some decimetres from each other"
+                f"{visible} are visible; two are needed, a few decimetres apart"
             )
 
 
@@ -474,7 +476,7 @@ def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figu
     kind += ", ± standard error" if np.isfinite(evaluation.standard_errors).any() else ""
     for axes, words in (
         (top, f"vertex errors [mm]\n({kind})"),
-        (bottom, "drones to their\nsetpoints [mm]"),
+        (bottom, "drones from their\nsetpoints [mm]"),
     ):
         axes.set(ylabel=words, xlim=(t[0], t[-1]))
         style.from_zero(axes, 0.3)

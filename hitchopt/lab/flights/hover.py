@@ -1,10 +1,10 @@
 """Calibration of single drones from hovers: trims, tilts, thrust factors, lags and tracking errors.
 
-A drone whose rigid body is defined tilted by an angle takes level flight for a tilt. Its position
-loop, without an integral, then settles where its force cancels the one of that tilt: beside the
-setpoint by ``m g/kp`` times the tangent of the angle. So the trim, setpoint minus place at rest, is
-``m g/kp`` times the horizontal part of the body's z axis over its vertical part, and turns with
-yaw. Position-only commands trail by the speed times ``kd/kp``.
+A drone whose rigid body is defined tilted by an angle interprets level flight as a tilt. Its
+position loop, without an integral, then settles where its force cancels that of the tilt: at a
+distance from the setpoint of ``m g/kp`` times the tangent of the angle. So the trim, setpoint minus
+rest position, is ``m g/kp`` times the horizontal part of the body's z axis over its vertical part,
+and turns with yaw. Position-only commands trail by the speed times ``kd/kp``.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from hitchopt.values import path as checked_path
 
 RATE = 50.0  # Rate of the samples that are compared [Hz]
 SPEED_TIME = 1.0  # Time over which speeds are means [s]
-MAX_LEVEL_SPEED = 0.08  # Maximum level speed of a drone at rest [m/s]
+MAX_LEVEL_SPEED = 0.08  # Maximum horizontal speed of a drone at rest [m/s]
 MAX_CLIMB = 0.06  # Maximum vertical speed of a drone at rest [m/s]
 MAX_COMMAND_SPEED = 0.02  # Largest speed of setpoints at rest [m/s]
 TRANSIENT = 2.5  # After a movement, until the drone is settled [s]
@@ -46,7 +46,7 @@ MIN_RISE = 0.15  # Smallest height of flight [m]
 STILL = 0.01  # Largest motion on the ground [m]
 MIN_GROUND = 0.3  # Shortest time on the ground [s]
 
-WANDER = 0.01  # Smallest standard deviation of the level wander about the place at rest [m]
+WANDER = 0.01  # Smallest standard deviation of the horizontal wander about the rest position [m]
 REPEATABILITY = 0.01  # Smallest standard deviation of trims from flight to flight [m]
 MIN_CORRELATION = 1.0  # Shortest correlation time of the wander [s]
 MOTION_ERROR = 0.03  # Least error of a trim from motion: drag and tilt of the way are omitted [m]
@@ -61,7 +61,7 @@ LAG_STEP = 0.02  # Step of lags that are tried [s]
 MIN_MOVING = 2.0  # Shortest duration of a movement that determines a lag [s]
 MIN_PATH = 0.3  # Shortest path of a movement that determines a lag [m]
 COMMANDED = "commanded"  # Source of a setpoint: a recorded command
-ABOVE_START = "above the place before take-off"  # Source of a setpoint without recorded commands
+ABOVE_START = "above the take-off position"  # Source of a setpoint without recorded commands
 IN_MOTION = "commanded, in motion"
 DIRECTIONS = ("+x", "+x +y", "+y", "-x +y", "-x", "-x -y", "-y", "+x -y")
 
@@ -73,10 +73,10 @@ class DroneHover(OneLine):
     Attributes
     ----------
     name: in the recording, or of the team.
-    trim: horizontal setpoint minus place at rest, in the body's frame at yaw 0 [m].
+    trim: horizontal setpoint minus rest position, in the body's frame at yaw 0 [m].
     trim_error: standard error of both [m].
-    setpoint: its source: ``commanded``, ``above the place before take-off``, or
-        ``commanded, in motion``, where the trim is fitted to the position loop's response.
+    setpoint: its source: ``commanded``, ``above the take-off position``, or ``commanded, in
+        motion``, where the trim is fitted to the position loop's response.
     settled: time at rest [s].
     tilt: horizontal part of the body's z axis over its vertical part, in the same frame.
     tilt_deg: angle of the body's z axis from vertical [deg].
@@ -112,7 +112,7 @@ class DroneHover(OneLine):
 
     @property
     def agrees(self) -> bool | None:
-        """Whether the tilt explains the trim; None if one of them, or m g/kp, is unknown."""
+        """Return whether the tilt explains the trim; None if one of them, or m g/kp, is unknown."""
         off = math.dist(self.trim, self.expected_trim)
         size = MODEL_ERROR * math.hypot(*self.expected_trim)
         return None if math.isnan(off) else off <= MAX_RATIO * math.hypot(self.trim_error, size)
@@ -134,15 +134,16 @@ class DroneHover(OneLine):
         if math.isnan(self.tilt_deg):
             text = f"hovers {beside}; its tilt is not recorded"
         elif self.tilt_deg < LEVEL and off < max(NEAR, 2.0 * self.trim_error):
-            text = f"stands level and hovers within {100.0 * off:.1f} cm of its setpoint"
+            text = f"is level at rest and hovers within {100.0 * off:.1f} cm of its setpoint"
         elif self.agrees is False:
             by_tilt = 100.0 * math.hypot(*self.expected_trim)
-            text = f"stands {self.tilt_deg:.1f}° tilted, which would be {by_tilt:.0f} cm toward "
-            text += f"{direction_of(*(-x for x in self.expected_trim))}, but hovers {beside}: its "
-            text += "tilt does not explain the trim: look for a bent arm, wind or a pull"
+            direction = direction_of(*(-x for x in self.expected_trim))
+            text = f"is tilted by {self.tilt_deg:.1f}° at rest, which explains {by_tilt:.0f} cm "
+            text += f"toward {direction}, but hovers {beside}: its tilt does "
+            text += "not explain the trim: look for a bent arm, wind or a pull"
         else:
-            text = f"stands {self.tilt_deg:.1f}° tilted: redefine its rigid body; until then it "
-            text += f"hovers {beside}"
+            text = f"is tilted by {self.tilt_deg:.1f}° at rest: redefine its rigid body; "
+            text += f"until then it hovers {beside}"
         text += self._lag_words
         if self.settled < ENOUGH:
             only = f"only {self.settled:.1f} s were settled" if self.settled else "never settled"
@@ -167,7 +168,7 @@ class HoverCalibration(OneLine):
 
     @property
     def quadrotor(self) -> dict[str, dict[str, Any]]:
-        """What ``team.quadrotor`` takes, by drone; trims that the tilt contradicts are omitted."""
+        """The values of ``team.quadrotor`` by drone, without trims that the tilt contradicts."""
         kinds = dict[str, dict[str, Any]]()
         for name, drone in self.drones.items():
             kind = kinds[name] = {}
@@ -196,7 +197,7 @@ class HoverCalibration(OneLine):
 
 
 def direction_of(x: float, y: float) -> str:
-    """Return the nearest of eight level directions in words."""
+    """Return the nearest of eight horizontal directions in words."""
     return DIRECTIONS[round(4.0 * math.atan2(y, x) / math.pi) % 8]
 
 
@@ -211,8 +212,7 @@ def calibrate_hover(
     """Estimate trims, tilts, thrust factors and lags of drones from hovers, without a plan.
 
     A drone is at rest while it flies, and neither it nor its setpoint moves; the first seconds
-    after each movement are omitted. Without commands the setpoint is above the place before
-    take-off.
+    after each movement are omitted. Without commands the setpoint is above the take-off position.
 
     Parameters
     ----------
@@ -374,7 +374,7 @@ class HoverSeries:
         return axis, turned.as_euler("ZYX")[:, 0]
 
     def _ground(self) -> Array | None:
-        """Return the place (3,) [m] before take-off; None if the recording begins in flight."""
+        """Return the position (3,) [m] before take-off; None if the recording begins in flight."""
         moved = length(self.x - self.x[0]) > STILL
         end = int(np.argmax(moved)) if np.any(moved) else len(moved)
         rises = float(np.max(self.x[:, 2]) - self.x[0, 2]) > MIN_RISE
@@ -413,10 +413,10 @@ class HoverSeries:
         return slice(start, end) if is_moving else None
 
     def predicted(self, part: slice, trim: Array, gains: Mapping[str, float]) -> Array:
-        """Return the places (times, 2) [m] of the position loop with a trim (2,) [m].
+        """Return the positions (times, 2) [m] of the position loop with a trim (2,) [m].
 
-        They follow from ``kp (command - trim - place) + kd (commanded velocity - velocity)``, plus
-        the mass times commanded accelerations.
+        They follow from ``kp (command - trim - position) + kd (commanded velocity - velocity)``,
+        plus the mass times commanded accelerations.
         """
         mass, kp, kd = gains["mass"], gains["kp"], gains["kd"]
         force = kp * (self.commanded[part, :2] - _turned(trim, self.yaw[part]))
@@ -498,7 +498,7 @@ class HoverSeries:
         off = self.setpoint - self.x
         off[:, :2] -= _turned(trim, self.yaw)
         heights = off[used, 2]
-        if not np.isfinite(heights).any():  # Above the place before take-off, at unknown height
+        if not np.isfinite(heights).any():  # Above the take-off position, at unknown height
             heights = self.x[used, 2] - np.median(self.x[used, 2])
         level = length(off[used, :2])
         return {"level": float(np.nanmax(level)), "height": float(np.nanmax(np.abs(heights)))}
@@ -548,7 +548,7 @@ def _restless_drone(name: str, hovers: Sequence[HoverSeries]) -> DroneHover:
     elif any(np.isfinite(hover.setpoint[:, 0]).any() for hover in hovers):
         reason, remedy = "it is never at rest in flight", "hover for ten seconds"
     else:
-        reason, remedy = "its setpoint is unknown", "record commands, or from the ground"
+        reason, remedy = "its setpoint is unknown", "record commands, or record from the ground"
     lags = [hover.lag(None) for hover in hovers]
     lag, error = next((each for each in lags if not math.isnan(each[0])), lags[0])
     return DroneHover(name, lag=lag, lag_error=error, remarks=(f"{reason}; {remedy}",))
@@ -628,7 +628,7 @@ def _expected_lag(hovers: Sequence[HoverSeries], known: Mapping[str, float]) -> 
 def _largest_tracking(
     hovers: Sequence[HoverSeries], parts: Sequence[_Rest], trim: Array
 ) -> dict[str, float]:
-    """Return the largest distances from setpoints plus trim, level and in height [m]."""
+    """Return the largest distances from setpoints plus trim, horizontal and vertical [m]."""
     tubes = [
         hover.tracking(trim, [part for part in parts if part.hover is hover]) for hover in hovers
     ]
@@ -686,9 +686,9 @@ def _with_expected_trims(
 
 
 def loop_response(force: Array, first: Array, mass: float, kp: float, kd: float) -> Array:
-    """Return places (times, 2) [m] of a mass under ``force - kp place - kd velocity`` at RATE.
+    """Return positions x (times, 2) [m] of a mass under ``force - kp x - kd velocity`` at RATE.
 
-    ``first`` (4,) are place and velocity at the first time.
+    ``first`` (4,) are position and velocity at the first time.
     """
     A = np.array([[0.0, 1.0, 0.0], [-kp / mass, -kd / mass, 1.0 / mass], [0.0, 0.0, 0.0]])
     step = expm(A / RATE)
@@ -700,7 +700,7 @@ def loop_response(force: Array, first: Array, mass: float, kp: float, kd: float)
 
 
 def mean_error(values: Array, seconds: float) -> float:
-    """Return the standard error of the means of a wandering place (times, 2) [m] over a time [s].
+    """Return the standard error of means of a wandering position (times, 2) [m] over a time [s].
 
     Samples within the correlation time of the wander count once. Short hovers do not show slow
     wander, so at least WANDER is assumed.
@@ -724,7 +724,7 @@ def _velocity(t: Array, x: Array) -> Array:
 
 
 def _turned(vectors: Array, yaw: Array | float) -> Array:
-    """Return level vectors (…, 2) that are turned by angles (…) [rad]."""
+    """Return horizontal vectors (…, 2) turned by angles (…) [rad]."""
     c, s, x, y = np.cos(yaw), np.sin(yaw), vectors[..., 0], vectors[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 

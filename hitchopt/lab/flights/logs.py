@@ -1,7 +1,7 @@
 """Readers of drones' logs: Crazyflies' uSD cards, and PX4.
 
-Drones log one file each, on a clock that starts at boot. A load that all of them log ties the
-clocks together; without one, each track has its own clock.
+Drones log one file each, on a clock that starts at boot. A load that all of them log aligns the
+clocks; without one, each track has its own clock.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def read_logs(
 ) -> RecordedFlight:
     """Return the flight in drones' logs, whose file names are the drones' names."""
     if unit is not None:
-        raise FileError("is of a format with fixed units; leave unit= out")
+        raise FileError("has a format with fixed units; omit unit=")
     drones, carried = dict[str, dict[str, Logged]](), dict[str, dict[str, Logged]]()
     by_note = defaultdict[str, list[str]](list)
     for path in paths:
@@ -157,7 +157,7 @@ def _tied(names: Sequence[str], loads: Mapping[str, Array]) -> tuple[dict[str, f
         if fitted is None:
             return {}, []
         shifts[name], worst = fitted[0], max(worst, fitted[1])
-    words = "the load, logged by all, ties their clocks, and then agrees to"
+    words = "the load, logged by all, aligns their clocks; its positions then agree to"
     return shifts, [f"{', '.join(names)}: {words} {1e3 * worst:.1f} mm"]
 
 
@@ -220,7 +220,7 @@ def _usd_values(quantity: str, values: Array) -> Array:
 
 
 def decompressed(words: Array) -> Array:
-    """Return quaternions (m, 4) from 32 bits each, as the Crazyflie's firmware compresses them.
+    """Return quaternions (m, 4) from 32 bits each, in the compression of the Crazyflie's firmware.
 
     The first two bits are the index of the largest component, which is positive; each other one has
     a sign and nine bits of its size over the square root of one half.
@@ -245,7 +245,7 @@ def usd_events(data: bytes) -> tuple[list[dict[str, Array]], list[str]]:
     """
     version, event_types = struct.unpack_from("<HH", data, 1)
     if version not in {1, 2}:
-        raise FileError(f"is of version {version}; 1 and 2 are supported")
+        raise FileError(f"has version {version}; 1 and 2 are supported")
     offset, kinds = 5, dict[int, Any]()
     for _ in range(event_types):
         number, offset = struct.unpack_from("<H", data, offset)[0], data.index(0, offset + 2) + 1

@@ -1,8 +1,9 @@
 """Readers of recorded flights. Formats are recognised by their first bytes, and units are checked.
 
 Readers return rows of time and position by label, which ``flight_of`` converts to bodies and
-markers. Motion capture yields one cloud of markers: labels are ignored, as they swap and end. The
-cloud may contain the drones' own markers. Drones log one file each, on a clock that starts at boot.
+markers. Motion capture yields one cloud of markers: labels are ignored, since they swap and end.
+The cloud may contain the drones' own markers. Drones log one file each, on a clock that starts at
+boot.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def read_flight(
     with reading(path, "recording"):
         flight = _read(path, unit, topic)
         if not flight.tracks:
-            raise FileError("holds no position of a body; record the drones")
+            raise FileError("contains no positions of bodies; record the drones")
         for name, track in flight.tracks.items():
             step = float(np.median(np.diff(track.t))) if len(track.t) > 1 else 0.0
             if step >= MAX_STEP:
@@ -122,7 +123,7 @@ def _without_jumping_bodies(flight: RecordedFlight) -> RecordedFlight:
         if np.sum(jumps) > MAX_JUMPS * len(track.t):
             size = f"back and forth by {np.median(steps[:-1][jumps]):.2g} m"
             share = f"{np.sum(jumps) / len(jumps):.0%} of its samples jump {size}"
-            notes.append(f"{name} omitted: {share}, as of two sources in one")
+            notes.append(f"{name} omitted: {share}, as if from two sources")
             del tracks[name]
     if not tracks:
         raise FileError("; ".join(notes))
@@ -131,7 +132,7 @@ def _without_jumping_bodies(flight: RecordedFlight) -> RecordedFlight:
 
 def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
     if not path.exists():
-        raise FileError(f"{path}: there is no such file; give a recording")
+        raise FileError(f"{path}: there is no such file; name a recording")
     if all((path / name).is_file() for name in TABLES):
         _refuse_topic(topic)
         return read_simulated(path)
@@ -150,11 +151,11 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
     known += f", the directory of a simulated flight, or a table with the columns {HEADER}"
     if path.is_dir():
         listed = ", ".join(each.name for each in files[:5]) or "no file"
-        raise FileError(f"holds {listed}: no recording; give {known}")
+        raise FileError(f"contains {listed}: no recording; name {known}")
     try:
         table = labelled_table(partial(text_lines, path), HEADER.split(","), str(path))
     except FileError as error:
-        raise FileError(f"{error}; give {known}") from None
+        raise FileError(f"{error}; name {known}") from None
     _refuse_topic(topic)
     rows, names = table.numbers(["t", "x", "y", "z"], blanks=True), table.words("name")
     return flight_of("table", positions_of(_by_name(names, rows)), unit or "m")
@@ -162,7 +163,7 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
 
 def _refuse_topic(topic: str | None) -> None:
     if topic is not None:
-        raise FileError("is of a format without topics; leave topic= out")
+        raise FileError("has a format without topics; omit topic=")
 
 
 def _by_name(names: Sequence[str], rows: Array) -> dict[str, Array]:
@@ -259,7 +260,7 @@ def rows_of(
                 name if name not in rows else label: samples_by_label[label]
                 for label, name in own_names.items()
             }
-            far = f"up to {radius:.2g} m from their middle"
+            far = f"up to {radius:.2g} m from their centre"
             notes.append(f"markers of {subject} are separate bodies: they are {far}")
     return rows | {MARKER: np.concatenate(markers)}, notes
 
@@ -307,7 +308,7 @@ def _largest_strain(group: Array) -> float:
 def read_motive(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a table of Motive 1.21 to 1.25, by its row ``Frame`` and those above.
 
-    Times follow from frame numbers, as printed times are truncated to milliseconds. Markers of
+    Times follow from frame numbers, since printed times are truncated to milliseconds. Markers of
     rigid bodies are ignored: the table lists them twice, as expected and as measured.
     """
     lines = text_lines(path)
@@ -413,7 +414,7 @@ def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
         positions = np.asarray(content["data"]["points"], np.float64)[:3].T  # (frames, points, 3)
         frames, count, _ = positions.shape
         if not count or not frames:
-            raise FileError("holds no points; export the markers' or the bodies' positions")
+            raise FileError("contains no points; export the markers' or the bodies' positions")
         if not (hertz := float(next(iter(point.get("RATE", ())), 0.0))) > 0.0:
             raise FileError(f"states a rate of {hertz:g} Hz; export it again")
         length_unit = unit or next(iter(point.get("UNITS", ())), "").strip()

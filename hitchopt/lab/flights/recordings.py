@@ -105,7 +105,7 @@ class Track(OneLine):
         _check_samples(self, "positions", 3)
 
     def at(self, t: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Return interpolated positions (times, 3) [m], and whether the body is visible then."""
+        """Return interpolated positions (times, 3) [m], and visibility of the body (times,)."""
         x = interpolated(t, self.t, self.positions)
         i = np.searchsorted(self.t, t)
         gaps = np.abs(self.t[np.clip([i - 1, i], 0, len(self.t) - 1)] - t).min(axis=0)
@@ -118,12 +118,12 @@ def _check_samples(record: Signal | Track, name: str, width: int | None) -> None
     values = getattr(record, name)
     t, x = as_array(record.t), as_array(values)
     if t.ndim != 1 or t.size == 0 < np.size(record.t):
-        raise InputError("t", record.t, "times (m,) [s]", "give one per sample")
+        raise InputError("t", record.t, "times (m,) [s]", "specify one per sample")
     columns = x.shape[1] if width is None and x.ndim == 2 else width
     if x.shape != (len(t), columns) or not np.isfinite(np.column_stack([t, x])).all():
         shape = "m, 3" if width else "m, k"
         bound = f"of shape ({shape}) and finite, as are its times, of shape {t.shape}"
-        raise InputError(name, values, bound, "give a row per sample")
+        raise InputError(name, values, bound, "specify one row per sample")
     if np.any(np.diff(t) < 0.0):
         raise InputError("t", t, "ascending", "sort the samples")
     for field_name, array in (("t", t), (name, x)):
@@ -225,7 +225,7 @@ def fitted_shift(
 
     ``own`` and ``reference`` are rows (m, 4) of time [s] and position [m] of one body; own times
     plus the shift, within ``span``, are reference times. None if the records differ, or the body
-    moves too little to tell.
+    moves too little.
     """
     own, reference = (x[np.isfinite(x).all(axis=1)] for x in (own, reference))
     reference = reference[np.argsort(reference[:, 0], kind="stable")]
@@ -317,7 +317,7 @@ def flight_of(
     units = _Units(scale_of(unit), _epoch(recorded) if fields.get("one_clock", True) else 0.0)
     if units.epoch:
         clock = f"at {units.epoch:.3f} s of the recording's clock"
-        notes.append(f"times count from the first position, {clock}")
+        notes.append(f"times start at the first position, {clock}")
     tracks = {name: units.track(_in_recorded_order(rows)) for name, rows in recorded.items()}
     count = sum(map(len, recorded.values()))
     if omitted := count - sum(len(track.t) for track in tracks.values()):
@@ -381,7 +381,7 @@ def _in_recorded_order(rows: Array) -> Array:
         earlier, later = rows[descent - 1, 0], rows[descent, 0]
         digits = next((n for n in range(9, 17) if f"{earlier:.{n}g}" != f"{later:.{n}g}"), 17)
         times = f"{earlier:.{digits}g} s is followed by {later:.{digits}g} s"
-        remedy = "give one flight, in the order in which it was recorded"
+        remedy = "specify one flight, in the order in which it was recorded"
         raise FileError(f"times do not ascend: {times}; {remedy}")
     return rows[steps > 0.0]
 
@@ -455,7 +455,7 @@ class Windows:
 def windows_of(recording: Recording, task: TeamTask, size: float) -> Windows:
     """Return means over windows of a size [s].
 
-    A window counts if every drone, and half of the vertices, are visible in half of it. Deviations
+    A window is used if every drone, and half of the vertices, are visible in half of it. Deviations
     from the plan are averaged and added to the plan's means, so that gaps do not bias a movement.
     """
     t, standard_errors = recording.t, recording.standard_errors

@@ -1,11 +1,10 @@
-"""Topics of a recording: what they hold, whose they are, and which is taken for the drones.
+"""Topics of a recording: their contents, their bodies, and the choice for the drones.
 
 A topic is a stream of samples: of a bag, or a group of variables of a log. Its kind follows from
 the words of its name or, failing that, of its type: measured, estimated, commanded, or of a load.
-The drones' positions are of one kind: measured before estimated before commanded, and of a load
-only on request. Among topics of a kind those that name a motion capture system come first, then
-message types in the order of the reader. Other quantities are those of the first topic of their
-kind.
+The drones' positions have one kind: measured before estimated before commanded, and loads only on
+request. Among topics of a kind those that name a motion capture system come first, then message
+types in the order of the reader. Other quantities are those of the first topic of their kind.
 """
 
 from __future__ import annotations
@@ -233,7 +232,7 @@ def quantity_name(kind: str, part: str) -> str:
 
 
 def is_load(body: str) -> bool:
-    """Return whether the name of a body says that it is a load."""
+    """Return whether the name of a body denotes a load."""
     return bool(_words(body) & WORDS[LOAD])
 
 
@@ -253,11 +252,11 @@ def taken_topics(topics: Sequence[Topic], request: str | None) -> tuple[list[Top
         taken = [x for rank, x in zip(ranks, topics, strict=True) if rank == best]
     if not taken:
         bound = "no topic of a drone" if request is None else f"no topic {request}"
-        raise FileError(f"holds {bound}, but {_listed(topics)}; choose with topic=")
+        raise FileError(f"contains {bound}, but {_listed(topics)}; choose with topic=")
     used, others = _listed(taken), _listed([x for x in topics if x not in taken])
     if others:
-        return taken, [f"positions are of {used}, not of {others}: choose with topic="]
-    return taken, [] if taken[0].kind == KINDS[0] else [f"positions are of {used}"]
+        return taken, [f"positions come from {used}, not from {others}: choose with topic="]
+    return taken, [] if taken[0].kind == KINDS[0] else [f"positions come from {used}"]
 
 
 def _listed(topics: Sequence[Topic]) -> str:
@@ -273,8 +272,8 @@ def body_names(labels: Sequence[str]) -> dict[str, tuple[str, str]]:
 
     The name is the part that differs: ``/uav0/local_position/pose`` and
     ``/uav1/local_position/pose`` are of uav0 and uav1, in the family ``/*/local_position/pose``.
-    Parts that say what a topic holds, such as ``cmd_position``, are no names; without a name the
-    family is the label.
+    Parts that describe the contents of a topic, such as ``cmd_position``, are not names; without a
+    name the family is the label.
     """
     parts = {label: label.split("/") for label in labels}
 

@@ -5,7 +5,7 @@ the points of an edge by least squares, laterally and in height: offset, slope a
 to the sag of a cable under its tension. Gates and windows shrink from round to round, and points
 are weighted by their distance to the previous line (Tukey's biweight). A vertex is the crossing of
 the lines of neighbouring edges seen from above, at their mean height. Standard errors follow from
-the scatter of markers, not samples, as the offset of a marker from its cable is constant.
+the scatter of markers, not of samples, since the offset of a marker from its cable is constant.
 """
 
 from __future__ import annotations

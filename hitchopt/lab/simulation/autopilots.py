@@ -6,9 +6,9 @@ Gains and feed-forward are those of a ``FlightController``. Controllers differ i
 **mellinger** and **lee** align the body's z axis with f and thrust by its component along it (D.
 Mellinger and V. Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA 2011;
 T. Lee, M. Leok and N. H. McClamroch, "Geometric tracking control of a quadrotor UAV on SE(3)", CDC
-2010). **pid** is the Crazyflie's cascade: its tilt is the level force over the weight, its thrust
-the upright force, regardless of the tilt. **px4** is the position law of PX4's multicopters: level
-force is reduced to the tilt limit, and the thrust is the norm of f.
+2010). **pid** is the Crazyflie's cascade: its tilt is the horizontal force over the weight, its
+thrust the vertical force, regardless of the tilt. **px4** is the position law of PX4's
+multicopters: horizontal force is reduced to the tilt limit, and the thrust is the norm of f.
 
 Attitude loops have the gains of stock Crazyflies over their moments of inertia: gains of larger
 drones are assumed to be scaled with inertia. Motors lag individually.

@@ -163,7 +163,7 @@ def flown_gains(task: Task, settings: Settings) -> str:
         loops = tuple(kind.loop for team in teams for kind in flown_team(team, settings).kinds)
         own = {kind for team in teams for kind in team.quadrotor}
         sources = {_source_of_gains(kind, settings) for kind in own}
-        source = f"{' and '.join(sorted(sources))}, as the files hold none"
+        source = f"{' and '.join(sorted(sources))}, since the files contain none"
     loop, others = loops[0], "" if len({*loops}) == 1 else ", other drones differ"
     gains = ((key, getattr(loop, key)) for key in ("kp", "kd", "ki"))
     text = ", ".join(f"{key} [{level:.3g}, {upright:.3g}]" for key, (level, upright) in gains)
@@ -234,7 +234,7 @@ def received(task: TeamTask, team: Team, settings: Settings) -> Commands:
     if not settings.upload:
         return streamed(task, team, follows=settings.controller in PACKET_RATES)
     if task.flight is None:
-        raise InputError("upload", True, "with a plan", "give the plan's directory")
+        raise InputError("upload", True, "with a plan", "pass the plan's directory")
     return uploaded(task.flight, team, follows=settings.controller in CURVE_RATES)
 
 

@@ -66,7 +66,7 @@ class ClaspContacts:
         self._clasps_twice = bool(np.any(self._begins != self._ends))
         self._segments = np.diff(world.cable_vertices) - 1
         # Of every step since the last call of ``collect``: flexes, elements of the second one,
-        # rows of the constraints, normal forces and places of all contacts
+        # rows of the constraints, normal forces and positions of all contacts
         self._steps: list[tuple[Index, Index, Index, Array, Array]] = []
 
     def now(self) -> tuple[Index, Index, Array]:
@@ -221,7 +221,7 @@ class ObjectContacts:
 
     @property
     def cables(self) -> NDArray[np.bool_]:
-        """Whether cables touch each object (objects,)."""
+        """Return whether cables touch each object (objects,)."""
         touched = self._untouched.copy()
         if not len(touched):
             return touched

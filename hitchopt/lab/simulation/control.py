@@ -1,14 +1,14 @@
 """Drones as they are, disturbances, the simplified controller, and feedback of vertices.
 
 A rigid body that is defined tilted, or bent arms, tilts the frame of a drone's controller from its
-thrust. At rest the thrust is upright, so the controller sees a tilt φ, and a position loop of
+thrust. At rest the thrust is vertical, so the controller sees a tilt φ, and a position loop of
 stiffness k holds it by an offset of m g tan φ / k from the setpoint: the drone's trim.
 
 The controller is the geometric one of T. Lee, M. Leok and N. H. McClamroch, "Geometric tracking
 control of a quadrotor UAV on SE(3)", CDC 2010, with two changes for hitches: only the planned force
-of the cable is fed forward, and the position loop is soft, as a stiff loop converts position errors
-to tension. The actual force follows the desired one with an attitude loop (about 60 ms of delay)
-and motors (first order, 20 ms).
+of the cable is fed forward, and the position loop is soft, since a stiff loop converts position
+errors to tension. The actual force follows the desired one with an attitude loop (about 60 ms of
+delay) and motors (first order, 20 ms).
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def read_calibrated(path: Path) -> Mapping[str, Any]:
         if isinstance(data, Mapping) and key in data:
             data = data[key]
     if not isinstance(data, Mapping):
-        raise FileError(f"{path}: holds no drones; write a mapping such as q0: {{trim: [x, y]}}")
+        raise FileError(f"{path}: contains no drones; write a mapping such as q0: {{trim: [x, y]}}")
     return data
 
 
@@ -109,9 +109,9 @@ SCALED = ("mellinger", "pid")
 
 @dataclass(frozen=True, eq=False)
 class FlownDrones:
-    """How drones differ from those that a plan without calibration assumes."""
+    """Differences of the drones from those that a plan without calibration assumes."""
 
-    trims: Array  # (2n, 3) [m], in the plan: setpoints minus planned places
+    trims: Array  # (2n, 3) [m], in the plan: setpoints minus planned positions
     turns: Array  # (2n, 3, 3), axes of the controllers' frames as columns, in those of the thrust
     thrust_factors: Array  # (2n,), commanded over actual thrusts, beyond what is exported
     drag: float  # [N s/m], over the speed
@@ -297,7 +297,7 @@ class PositionGains:
         for mass, *gains in np.unique(columns, axis=1).T:
             loop = np.polyadd(np.polymul(lag, [mass / ATTITUDE_GAIN, 0.0, 0.0, 0.0]), gains)
             if np.any(np.roots(loop).real > 0.0):
-                bound = f"lower: a drone of {mass:g} kg is unstable, as its thrust lags"
+                bound = f"lower: a drone of {mass:g} kg is unstable, since its thrust lags"
                 raise InputError("stiffness", float(gains[1]), bound, "lower it")
         return cls(stiffness, damping, integral, team.feed_forward)
 
@@ -387,14 +387,14 @@ class VertexFeedback:
     """Feedback of vertices that are measured with noise and delay.
 
     ``stiffness`` (2n, 3) [N/m] is that of position loops, ``offsets`` (2n, 3) [m] are corrections;
-    drones are in the order of their places.
+    drones are in order along the hitch.
     """
 
     def __init__(
         self, task: Task, delay: float, disturbances: Disturbances, stiffness: Array
     ) -> None:
         if task.flight is None:
-            raise InputError("feedback", True, "with a plan", "give the plan's directory")
+            raise InputError("feedback", True, "with a plan", "pass the plan's directory")
         self._listed, self._numbers = task.team.listed, np.argsort(task.team.listed)
         self._feedback = Feedback(task.flight, delay=delay, stiffness=stiffness[self._listed])
         self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
@@ -419,7 +419,7 @@ class VertexFeedback:
         return replace(setpoints, positions=positions, velocities=velocities)
 
     def stop_clock(self, time: float) -> None:
-        """Let the plan stay as it is at a time [s] of the flight."""
+        """Freeze the plan at a time [s] of the flight."""
         self._end = time
 
     def observe(self, time: float, vertices: Array) -> None:

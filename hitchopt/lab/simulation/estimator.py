@@ -3,9 +3,10 @@
 The filter is the nine-state error-state filter of M. W. Mueller, M. Hamer and R. D'Andrea, "Fusing
 ultra-wideband range measurements with accelerometers and rate gyroscopes for quadrocopter state
 estimation", ICRA 2015: position, velocity in the body's frame and a small rotation of the attitude.
-It predicts by the accelerometer along the body's z axis and the gyroscope alone, as a drone without
-a cable moves, and is corrected by the captured position and, of a rigid body, attitude. Readings
-of the IMU pass the low-pass filters of the firmware's sensor driver (``sensors_bmi088_bmp3xx.c``).
+It predicts by the accelerometer along the body's z axis and the gyroscope alone, like the motion of
+a drone without a cable, and is corrected by the captured position and, of a rigid body, attitude.
+Readings of the IMU pass the low-pass filters of the firmware's sensor driver
+(``sensors_bmi088_bmp3xx.c``).
 """
 
 from __future__ import annotations

@@ -157,7 +157,9 @@ def read_exported(path: Path, plan: Path | None = None) -> ExportedFlight:
     """
     manifest = _manifest(path)
     if not manifest:
-        raise FileError(f"{path}: holds no {MANIFEST}; fly what `hitchopt export` wrote")
+        raise FileError(
+            f"{path}: contains no {MANIFEST}; name a folder that `hitchopt export` wrote"
+        )
     kind = format_of(str(manifest.get("exported_as")))
     if not kind.flown_by:
         raise UnsupportedError(f"{kind.name}: these files are for viewers; no drone flies them")
@@ -193,7 +195,7 @@ def _plan_of(path: Path, manifest: Mapping[str, Any], plan: Path | None) -> tupl
 def _part(
     kind: Format, content: Mapping[str, Any], files: Sequence[Path], drones: Sequence[str]
 ) -> ExportedPart:
-    """Return the files of one part, with drones in the order of their places."""
+    """Return the files of one part, with drones in order along the hitch."""
     trajectories = [file for file in files if file.suffix.lower() in kind.endings]
     contents = kind.sent(trajectories, content)
     frame = ReferenceFrame(

@@ -66,7 +66,7 @@ ROUNDING = 1e-9  # Rounding error of sums of periods [s]
 
 @dataclass(frozen=True, eq=False)
 class FlightSamples:
-    """Samples of a flight; times count from the flight's start, after settling."""
+    """Samples of a flight; times start at the flight's start, after settling."""
 
     t: Array  # (samples,) [s], at the rate of the setpoints, rest and pull test included
     index: NDArray[np.intp]  # (samples,), index of the setpoint that applies from this time on
@@ -137,7 +137,7 @@ def fly(task: Task, settings: Settings, progress: Progress | None = None) -> Sim
 
 @dataclass(frozen=True, eq=False)
 class _Moment:
-    """What a plan commands at one of its samples, and is used for several steps."""
+    """The commands of a plan at one of its samples, used for several steps."""
 
     index: int  # of the sample
     setpoints: States  # with the drones' trims
@@ -592,7 +592,7 @@ def _setpoints(task: Task, settings: Settings, trims: Array) -> States:
 
 
 def _outward_pulls(task: Task) -> Array:
-    """Return planned tensions along the legs outward, level with objects (samples, 2n, 3) [N]."""
+    """Return outward tensions along the legs, horizontal with objects (samples, 2n, 3) [N]."""
     states, cargo = task.states, task.cargo
     legs = states.positions - states.vertices[:, task.team.layout.pulled_to]
     pulls: Array = np.repeat(states.tensions, 2, axis=1)[..., None] * unit(legs)

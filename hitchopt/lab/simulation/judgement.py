@@ -98,15 +98,15 @@ class VertexErrors:
 
     @property
     def without_sag(self) -> Array:
-        """Level distances (samples, clasps) [m]."""
+        """Horizontal distances (samples, clasps) [m]."""
         return length(self.offsets[..., :2])
 
 
 def vertex_errors(flight: SimulatedFlight) -> VertexErrors:
     """Return the errors at the samples of a flight, without the pull test.
 
-    The first sample is excluded, as no contact forces precede it, and so are those after the loss
-    of a drone.
+    The first sample is excluded, since no contact forces precede it, and so are those after the
+    loss of a drone.
     """
     task, record = flight.task, flight.record
     taut, moves = list[NDArray[np.bool_]](), np.zeros(len(task.states.t), np.bool_)
@@ -224,7 +224,7 @@ class ObjectState:
 
     @property
     def well_placed(self) -> bool:
-        """Whether position and attitude agree with the plan."""
+        """Return whether position and attitude agree with the plan."""
         turned = 0.0 if self.round else abs(self.turned)
         return self.beyond <= MAX_DISTANCE and max(self.tilted, turned) <= MAX_ANGLE
 
@@ -245,12 +245,12 @@ class Outcome:
 
     @property
     def succeeded(self) -> bool:
-        """Whether there are no failures."""
+        """Return whether there are no failures."""
         return not self.failures
 
     @property
     def hitched(self) -> bool:
-        """Whether there are vertices and all of them hold."""
+        """Return whether there are vertices and all of them hold."""
         return bool(self.clasps) and all(clasp.holds for clasp in self.clasps)
 
 
@@ -381,7 +381,7 @@ def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failur
         f" is {100 * state.placed:.1f} cm from its plan, tilted by {state.tilted:.1f}°, turned by "
         f"{state.turned:.1f}°; at most {100 * MAX_DISTANCE:g} cm and {MAX_ANGLE:g}°"
     )
-    drop = f" is dropped: more than {100 * MAX_DROP:g} cm below its planned height"
+    drop = f" was dropped: more than {100 * MAX_DROP:g} cm below its planned height"
     if (tube := allowed_errors(flight)).level:
         error, drop = (f"{words}, beyond tracking errors of {tube}" for words in (error, drop))
     cases = (
@@ -399,9 +399,9 @@ def _object_failures(flight: SimulatedFlight, state: ObjectState) -> list[Failur
 def allowed_errors(flight: SimulatedFlight) -> Tube:
     """Return the largest tracking errors of any team that the plan allows for.
 
-    Distances of a carried object are certified for errors of its place as large as those of the
-    drones (see ``hitchopt.checks.tracking``): a ring of displaced drones stands beside its plan,
-    and so does what it sets down.
+    Distances of a carried object are certified for position errors of it as large as those of the
+    drones (see ``hitchopt.checks.tracking``): a ring of displaced drones is next to its planned
+    position, and so is the object that it sets down.
     """
     planned = flight.task.flight
     teams = () if planned is None else planned.teams
@@ -485,7 +485,7 @@ class LossOutcome(OneLine):
 
     @property
     def collision_free(self) -> bool:
-        """Whether no two survivors touch."""
+        """Return whether no two survivors touch."""
         return not self.among
 
 
@@ -528,7 +528,7 @@ class CampaignRun(OneLine):
 
     @property
     def succeeded(self) -> bool:
-        """Whether there are no failures."""
+        """Return whether there are no failures."""
         return self.verdict == SUCCEEDED
 
 

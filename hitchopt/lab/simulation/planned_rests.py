@@ -23,7 +23,7 @@ REST_TOLERANCE = 1e-6
 tension, over the team's."""
 
 STANDING_SPEED = 0.005
-"""[m/s] Largest speed of a standing drone: a step that brakes with a jerk of 100 m/s³ until it ends
+"""[m/s] Largest speed of a drone at rest: a step that brakes with a jerk of 100 m/s³ until it ends
 has this speed 10 ms before."""
 
 
@@ -35,7 +35,7 @@ class PlannedRest:
     """Name of the phase that ends there."""
 
     start: float
-    """[s] Time from the flight's start, from which on values are averaged."""
+    """[s] Time from the flight's start at which averaging of values begins."""
 
     end: float
     """[s] Time from the flight's start."""
@@ -43,13 +43,13 @@ class PlannedRest:
 
 @dataclass(frozen=True, order=True)
 class PullTest:
-    """A pull test where all drones stand still; times count from the flight's start."""
+    """A pull test where all drones stand still; times start at the flight's start."""
 
     time: float
     """[s] Time at which the plan stops for the test; its duration for the test after the plan."""
 
     since: float
-    """[s] Time from which on all drones stand still."""
+    """[s] Time after which all drones stand still."""
 
 
 def resting_samples(task: TeamTask) -> NDArray[np.bool_]:

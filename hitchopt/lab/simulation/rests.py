@@ -66,7 +66,7 @@ class Rest(OneLine):
 
     @property
     def hitched(self) -> bool:
-        """Whether all vertices hold."""
+        """Return whether all vertices hold."""
         return all(vertex.holds for vertex in self.vertices.values())
 
     def to_dict(self) -> dict[str, Any]:
@@ -172,7 +172,7 @@ def _linking(flight: SimulatedFlight, end: float) -> NDArray[np.int64]:
 
 
 def _drone_errors(flight: SimulatedFlight, rows: NDArray[np.intp], drones: slice) -> Array:
-    """Return offsets of drones from their planned places (rows, drones, 3) [m]."""
+    """Return offsets of drones from their planned positions (rows, drones, 3) [m]."""
     record = flight.record
     planned = flight.task.states.positions[record.index[rows]][:, drones]
     errors: Array = record.drones[rows][:, drones] - planned

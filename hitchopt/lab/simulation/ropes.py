@@ -139,7 +139,7 @@ def simulated_density(team: Team, settings: Settings, tension: float = 0.0) -> f
     if density := settings.density or team.cable_density:
         return density
     preset = settings.preset
-    # The shortest segments of cables of about these lengths, as their number is even
+    # The shortest segments of cables of about these lengths, since their number is even
     segment = preset.segment / (1.0 + 2.0 * preset.segment / float(np.min(team.cable_length)))
     wave = COURANT * segment / preset.time_step
     needed = TENSION_RESERVE * max(tension, float(np.max(team.tension))) / wave**2
@@ -151,9 +151,10 @@ def clasped(ropes: Ropes, layout: Layout, drones: Array, vertices: Array) -> lis
     """Return loosely interlaced cables of a formed hitch for drones (2n, 3) [m].
 
     Cables are chains of segments of exact length, n of (segments + 1, 3) [m], which end slightly
-    inward of the drones. At a clasp the cables overlap like two links of a chain: cable k is level,
-    cable k-1 upright, with its leg below, or above if it rises more than the other leg. Clasps of
-    an edge that is too short for two loose clasps begin further apart; settling brings them closer.
+    inward of the drones. At a clasp the cables overlap like two links of a chain: cable k is
+    horizontal, cable k-1 vertical, with its leg below, or above if it rises more than the other
+    leg. Clasps of an edge that is too short for two loose clasps begin further apart; settling
+    brings them closer.
     """
     lengths = ropes.segment_lengths
     gap = max(GAP_DIAMETERS * ropes.preset.diameter, GAP_SEGMENTS * float(np.max(lengths)))

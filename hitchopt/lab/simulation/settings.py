@@ -79,7 +79,7 @@ class Preset:
 
     @property
     def exact(self) -> bool:
-        """Whether positions of vertices are accurate to a centimetre."""
+        """Return whether positions of vertices are accurate to a centimetre."""
         return self.segment <= ACCURATE.segment
 
 
@@ -109,18 +109,20 @@ class Perturbations(Record):
             f"else {SHORT_LAG} s, to which the attitude loop adds another 0.06 s",
         ),
     ] = None
-    cable_error: Annotated[float, Key(deviation(0.1), "Error of cable lengths, relative")] = 0.0
+    cable_error: Annotated[float, Key(deviation(0.1), "Relative error of cable lengths")] = 0.0
     start_error: Annotated[float, Key(DISTANCE, "Error of starts per axis")] = 0.0
-    downwash: Annotated[bool, Key(FLAGS, "Whether drones push down those below them")] = False
+    downwash: Annotated[bool, Key(FLAGS, "Simulate the downwash of drones on those below them")] = (
+        False
+    )
     vertex_noise: Annotated[
         float, Key(DISTANCE, "Error of measured vertices per axis, for feedback")
     ] = 0.0
     vertex_delay: Annotated[float, Key(DELAY, "Age of measured vertices when they arrive")] = 0.0
     object_mass: Annotated[
-        float, Key(deviation(0.9), "Largest error of objects' masses, relative")
+        float, Key(deviation(0.9), "Largest relative error of objects' masses")
     ] = 0.0
     object_friction: Annotated[
-        float, Key(deviation(0.9), "Largest error of objects' friction, relative")
+        float, Key(deviation(0.9), "Largest relative error of objects' friction")
     ] = 0.0
     object_place: Annotated[float, Key(DISTANCE, "Largest error of movable objects' places")] = 0.0
     rotor_drag: Annotated[
@@ -218,9 +220,7 @@ class Settings(Record):
             "of rigid drones",
         ),
     ] = None
-    pull_test: Annotated[
-        bool, Key(FLAGS, "Whether vertices are pulled at rests and after the plan")
-    ] = True
+    pull_test: Annotated[bool, Key(FLAGS, "Pull the vertices at rests and after the plan")] = True
     lost: Loss | None = None
     feedback: Annotated[
         bool, Key(FLAGS, "Correct setpoints by measured vertices, as ho.Feedback does")
@@ -325,7 +325,7 @@ def flight_keys() -> dict[str, Key]:
 
 
 def settings_of(preset: str, *, perturbed: bool, **given: Any) -> Settings:
-    """Return settings from names of their fields and of perturbations; None counts as absent.
+    """Return settings from names of their fields and of perturbations; None means absent.
 
     Other perturbations are INDOOR if ``perturbed``, else those of the ``drones``, if any, else
     CALM.

@@ -94,17 +94,17 @@ class Cargo:
 
     @property
     def movable(self) -> Flags:
-        """Whether objects can move (objects,)."""
+        """Return whether objects can move (objects,)."""
         return np.array([not each.fixed for each in self.objects.values()], dtype=np.bool_)
 
     @property
     def carried(self) -> Flags:
-        """Whether the hitch carries the full weight of objects (samples, objects)."""
+        """Return whether the hitch carries the full weight of objects (samples, objects)."""
         return self.load_share >= FULL_SHARE
 
     @property
     def lifted(self) -> Flags:
-        """Whether objects are clear of their previous and next supports (samples, objects)."""
+        """Return whether objects are clear of the supports before and after (samples, objects)."""
         heights, rests = self.poses[..., 2], self.load_share <= 0.0
         supports = []
         for order in (1, -1):  # the previous support, and the next one
@@ -143,7 +143,7 @@ class Commands:
         return {name: values for name, values in vars(self).items() if name != "files"}
 
     def until(self, index: int, accelerations: Array) -> Commands:
-        """Return the samples up to one, which stays: without the plan's accelerations (2n, 3)."""
+        """Return the samples up to one, which is held, without the plan's accelerations (2n, 3)."""
         last = min(index, len(self.positions) - 1)
         arrays = {name: values[: last + 1].copy() for name, values in self.arrays.items()}
         stays = Commands(**arrays, files=self.files)
@@ -159,10 +159,10 @@ class Commands:
 
 @dataclass(frozen=True, eq=False)
 class Received:
-    """What the drones of exported files receive and are set to."""
+    """The setpoints and parameters of drones that fly exported files."""
 
     commands: Commands  # (samples, 2n, 3)
-    loops: tuple[FlightController, ...]  # (2n,); empty if the files hold no gains
+    loops: tuple[FlightController, ...]  # (2n,); empty if the files contain no gains
     estimator: EstimatorParameters | None  # of the drones' filters; None if not in the files
     flown_by: str  # upload or stream
 
@@ -355,7 +355,7 @@ class Task:
 
     @property
     def _is_single(self) -> bool:
-        """Whether no other team is part of the flight."""
+        """Return whether no other team is part of the flight."""
         return len(self.teams) == 1 and not self.teams[0].name
 
     @lazy

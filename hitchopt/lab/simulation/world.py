@@ -63,11 +63,11 @@ RINGS = (0.98, 0.4)  # Sizes of the rings, over the object's
 
 EDGE_TIME = 0.002  # Time constant of the length constraints [s]
 EDGE_IMPEDANCE = 'solimp="0.999 0.9999 0.0005"'  # Impedances of the length constraints
-# Smallest time constant in time steps, which is used with objects, as ropes that hold them would
+# Smallest time constant in time steps, which is used with objects, since ropes that hold them would
 # stretch by a per cent
 EDGE_STEPS = 2.5
 
-# Largest rotation of a link within the time constant t, as links that turn at a rate ω are
+# Largest rotation of a link within the time constant t, since links that turn at a rate ω are
 # strained by ``(ω t)²``
 MAX_LINK_TURN = 0.07
 MIN_EDGE_TIME_RATIO = 0.06  # Smallest time constant over the largest
@@ -189,7 +189,7 @@ class World:
 
     @property
     def is_finite(self) -> bool:
-        """Whether all positions and attitudes are finite, and so is their sum."""
+        """Return whether all positions and attitudes are finite, and so is their sum."""
         return math.isfinite(np.add.reduce(self.data.qpos))
 
     @property
@@ -253,7 +253,7 @@ class InvalidRunError(HitchoptError):
         self, quantity: str, broken: str, time: float, where: str, *, exact: bool = False
     ) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        remedy = "take a higher density" if exact else f"take {FINER}"
+        remedy = "use a higher density" if exact else f"use {FINER}"
         words = f"ropes may have passed each other; {remedy}"
         super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
 

@@ -4,9 +4,9 @@ This is the inverse problem of ``energy``: positions are measured, forces are un
 position of a drone is ``x = x_set + (F + cable force)/k``, where F is its feed-forward; forces on
 clasps balance, and the known weight of the cables sets the scale. A robust least-squares problem
 has these residuals. Unknowns of every window are the tension of every cable and the friction used
-by each of its legs; common unknowns are compliances 1/k, a steady level wind and the coefficient of
-friction. The problem is solved twice: in long windows, which average the noise of positions, for
-the stiffness, and in short ones, in which cables slide, for the friction.
+by each of its legs; common unknowns are compliances 1/k, a steady horizontal wind and the
+coefficient of friction. The problem is solved twice: in long windows, which average the noise of
+positions, for the stiffness, and in short ones, in which cables slide, for the friction.
 
 Friction opposes the relative velocity of the cables' surfaces. Let cables a and b of a clasp slide
 toward their legs at rates v_a and v_b, and let c be the cosine between these directions at the
@@ -132,7 +132,7 @@ class Estimate(OneLine):
 
     @property
     def known(self) -> bool:
-        """Whether the recording determines it."""
+        """Return whether the recording determines it."""
         return not self.remark
 
 
@@ -148,7 +148,7 @@ class Calibration(OneLine):
     lengths: of each robot's cable [m], between its drones along the sagging parts.
     stiffness: horizontal stiffness of the position loops of each robot's drones [N/m].
     friction: coefficient at the clasps.
-    at_rests: trims of drones, and errors of their places at the plan's rests.
+    at_rests: trims of drones, and position errors at the plan's rests.
     vertex_errors: (samples, points) [m], distances from the plan; nan if its hitch is not taut
         or the vertex is not visible.
     drone_errors: (samples, 2n) [m], distances from the setpoints.
@@ -287,7 +287,7 @@ def calibrate(
     initial = np.where(np.isfinite(stated), stated, INITIAL_STIFFNESS)
     expected = np.append(-np.log(initial), np.zeros(3))
     spread = np.array([STIFFNESS_RANGE] * len(kinds) + [WIND_SCALE, WIND_SCALE, FIXED])
-    integral = "integral action returns drones to their setpoints, whatever their stiffness"
+    integral = "integral action returns drones to their setpoints, regardless of their stiffness"
     estimates = [Estimate(remark=integral)] * len(kinds)
     long_windows = windows_of(recording, task, STIFFNESS_WINDOW)
     if not len(long_windows.t):
@@ -389,7 +389,7 @@ def _recording_and_task(
     if distance > MAX_DISTANCE:
         value = f"drones with a median distance of {distance:.4g} m from the plan"
         bound = f"within {MAX_DISTANCE:g} m of the plan that was flown"
-        remedy = "give metres, z upward, times from the plan's start, and names as in the plan"
+        remedy = "use metres, z upward, times from the plan's start, and names as in the plan"
         raise InputError("recording", value, bound, remedy)
     return recording, task
 

@@ -116,7 +116,7 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
             size = {POSITIVE: "positive ", 0.0: "non-negative "}.get(lower, "")
             array = f", or an array (…, {', '.join(map(str, shape))})" if shape else ""
             bound = f"one {size}number{array}"
-            raise InputError(name, value, bound, "give plain numbers in SI units")
+            raise InputError(name, value, bound, "use plain numbers in SI units")
         conditions[name] = values
     conditions["stiffness"] = np.where(
         np.isinf(conditions["integral"]), np.inf, conditions["stiffness"]
@@ -243,7 +243,7 @@ def samples_of(
     Names are those of ``States`` and ``conditions_of``; errors are those of ``equilibrium``.
     """
     if not motion.team.has_cables:
-        raise UnsupportedError("a plan of single drones has no cables that could settle")
+        raise UnsupportedError("a plan of single drones has no cables")
     states = states_at(motion, t)
     if not np.all(states.formed):
         spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
@@ -273,9 +273,11 @@ def _rest(
     if not np.max(force) <= MAX_RESIDUAL:  # nan as well
         worst = int(np.argmax(force))
         when = f"at t = {samples['t'][worst]:.4g} s"
-        remedy = "give drones a stiffness, cables more length, or move drones away from vertices"
+        remedy = (
+            "state a stiffness of the drones, use longer cables, or move drones away from vertices"
+        )
         values = "settling", float(force[worst]), MAX_RESIDUAL, "max", "N", (), when, remedy
-        raise InfeasibleError([Violation(*values)], "the hitch finds no rest in these conditions")
+        raise InfeasibleError([Violation(*values)], "no equilibrium was found in these conditions")
     T, ends, points = energy.tensions(x), x[:, energy.nodes], energy.points
     excess = energy.forces(ends, T).lengths - energy.lengths
     excess -= energy.compliance * (T - energy.reference)

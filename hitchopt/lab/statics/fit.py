@@ -72,8 +72,8 @@ class FitTask(Record):
         float,
         Key(
             DISTANCE,
-            "Distance of cables to the object while it is enclosed, in addition to 4.5 cm for the "
-            "error of its place",
+            "Distance of cables to the object while it is enclosed, in addition to 4.5 cm for its "
+            "position error",
         ),
     ] = 0.035
     stem: Annotated[
@@ -81,7 +81,7 @@ class FitTask(Record):
         Key(LENGTH, "Radius of a round body below the outline as a rim; null: a flat tray"),
     ] = None
     height: Annotated[
-        float, Key(LENGTH, "Height of the object, its centre of mass at half of it")
+        float, Key(LENGTH, "Height of the object; its centre of mass is at half of it")
     ] = 0.3
     friction: Annotated[float, Key(FRICTION, "Friction between cables and object")] = 0.5
     tension: Annotated[
@@ -202,7 +202,7 @@ def fit(
         path of an SVG, DXF, GeoJSON or CSV file. The convex hull is used where it is concave.
     robots: number n of robots; the cables of two are tied around the object.
     clearance: distance of cables to the object while it is enclosed [m], in addition to 4.5 cm for
-        the error of its place.
+        its position error.
     stem: radius of a round body below the outline as a rim [m]; None for a flat tray.
     height: of the object [m], its centre of mass at half of it.
     friction: coefficient between cables and object.
@@ -264,7 +264,7 @@ def _section_of(outline: Any) -> tuple[Section, list[str]]:
     elif hasattr(outline, "__geo_interface__"):
         drawing = drawing_of_geometry(outline)
         outline, notes = drawing.outline, list(drawing.notes)
-    remedy = "give points in metres, a radius, or a drawing"
+    remedy = "specify points in metres, a radius, or a drawing"
     corners = outline.core if isinstance(outline, Section) else outline
     corners = points("outline", corners, (3, 2), "a list of at least 3 points [x, y]", remedy)
     notes = [f"outline: {format_size(corners)}, {len(corners)} corners{source}", *notes]
@@ -363,7 +363,7 @@ def _tied(task: FitTask) -> Holding:
             continue
         capacity = grip_capacity(grip, kind, task.friction, SAFETY)
         violation = Violation("robots", 2, 3, "min", "", (), "", SUGGESTIONS["robots"])
-        rest = InfeasibleError([violation], "two cables support no rim by three points")
+        rest = InfeasibleError([violation], "two cables cannot support a rim at three points")
         return Holding(task, 2, None, cable, grip, rest, capacity, _zero_capacity(rest))
     raise errors[-1]
 

@@ -1,8 +1,8 @@
 """Drones at the rests of a recorded flight: trims, and the errors that remain.
 
-At rest a drone is off its planned place by its trim and by ``(F + cable force)/k``, see
+At rest a drone is off its planned position by its trim and by ``(F + cable force)/k``, see
 ``equilibrium``. An offset that the equilibrium of measured cables does not explain is a trim if it
-is the same at every rest, and an error of the drone's place if it differs. A steady wind counts as
+is the same at every rest, and a position error of the drone if it differs. A steady wind counts as
 a trim, as does a force that the plan neglects.
 """
 
@@ -42,7 +42,7 @@ class DronesAtRests(OneLine):
     Attributes
     ----------
     t: (R,) [s], times of the rests in the plan.
-    offsets: (R, 2n, 3) [m], mean places at rest less those that measured cables explain.
+    offsets: (R, 2n, 3) [m], mean positions at rest minus those that measured cables explain.
     flown_trims: (2n, 2) [m], with which the plan flew.
     """
 
@@ -75,7 +75,7 @@ class DronesAtRests(OneLine):
 
     @property
     def largest_error(self) -> float:
-        """Largest distance [m] of a drone at a rest from its place, with ``trims``; nan if none."""
+        """Largest distance [m] of a drone at rest from its plan, with ``trims``; nan if none."""
         if not len(self.t):
             return math.nan
         remaining = self.offsets.copy()
@@ -86,7 +86,8 @@ class DronesAtRests(OneLine):
         """Return the largest errors of the next flight; those ``planned`` where none is measured.
 
         ``lengths`` (n,) [m] are standard errors of measured cables, infinite if not determined. The
-        friction is as planned, as a flight that moves its clasps says little about what is left.
+        friction is as planned, since a flight that moves its clasps determines little of the
+        remaining friction.
         """
         cable, drone = planned.cable_length, planned.drone
         largest = float(np.max(lengths))
@@ -108,7 +109,7 @@ def drones_at_rests(
     """Return drones at the rests of a motion that ``windows`` of a recording show.
 
     ``conditions`` are those of ``equilibrium``; ``lengths`` (n,) [m] are measured cables, in the
-    order of edges. A rest counts with three windows, and if the conditions have an equilibrium.
+    order of edges. A rest is used if it has three windows and the conditions have an equilibrium.
     """
     team, states = motion.team, states_at_rests(motion)
     times, offsets = list[float](), list[Array]()
@@ -128,7 +129,7 @@ def drones_at_rests(
 
 
 def _expected(team: Team, rest: Any, conditions: Mapping[str, Any], lengths: Array) -> Array | None:
-    """Return places of drones (2n, 3) [m] at a rest in equilibrium; None without one."""
+    """Return positions of drones (2n, 3) [m] at a rest in equilibrium; None without one."""
     if np.all(np.isinf(conditions["stiffness"])):
         return np.asarray(rest.positions[0])
     planned = (rest.positions, rest.vertices, rest.tensions, rest.cable_forces)

@@ -174,7 +174,7 @@ def tolerance(
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
     if times.ndim != 1:
-        raise InputError("t", t, "one time, or a list of them", "give times [s] in one row")
+        raise InputError("t", t, "one time, or a list of them", "specify times [s] in one row")
     rest = equilibrium(motion, times, **conditions)
     parts = [_range(motion, rest, i, errors, conditions) for i in range(len(times))]
     return Tolerance(errors, rest, *(np.stack(values) for values in zip(*parts, strict=True)))
@@ -193,7 +193,7 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
         unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
         times = times[taut & unloaded]
     if not motion.team.has_cables or not len(times):
-        raise UnsupportedError("a plan without a taut hitch has no tensions to compute ranges of")
+        raise UnsupportedError("a plan without a taut hitch has no tensions")
     return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]
 
 

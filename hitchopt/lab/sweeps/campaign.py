@@ -47,7 +47,7 @@ class Campaign:
 
     @property
     def failures(self) -> Counter[tuple[str, str]]:
-        """Number of runs by kind and place of the first failure."""
+        """Number of runs by kind and location of the first failure."""
         first = (run.failures[0] for run in self.runs if run.failures)
         return Counter((failure.kind, ", ".join(failure.where)) for failure in first)
 

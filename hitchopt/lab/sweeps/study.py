@@ -109,7 +109,7 @@ def with_values(base: Mapping[str, Plain], point: Point) -> dict[str, Plain]:
                 inner = inner[part] if isinstance(inner, list) else inner.setdefault(part, {})
             parent[parts[-1]] = deepcopy(value)
         except (TypeError, IndexError, AttributeError):
-            bound = "a path to a key of a mapping or a place in a list"
+            bound = "a path to a key of a mapping or an entry of a list"
             remedy = "write it as team.tension or mission[0].form.altitude"
             raise InputError("parameters", key, bound, remedy) from None
     return result
@@ -265,7 +265,7 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
         raise InputError("study", short(values), bound, "see hitchopt.lab.sweeps.study.Study")
     if "problem" not in values and {"team", "teams"} & values.keys():
         remedy = "plan it with hitchopt solve, or name it in a study as problem: FILE"
-        raise InputError("problem", Missing(), "given: this is a problem, no study", remedy)
+        raise InputError("problem", Missing(), "given: this is a problem, not a study", remedy)
     study = Study(STUDY.check("", values), tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study

@@ -85,7 +85,7 @@ def run_sweep(
     """Compute the rows of a study that are missing in a directory; return all as ``load_sweep``.
 
     Every case is planned and certified, then simulated if the study requests it. Every row is saved
-    at once, keyed by a digest of problem, versions and seed, so that the same call continues an
+    immediately, keyed by a digest of problem, versions and seed, so that the same call continues an
     interrupted run.
 
     Parameters
@@ -207,7 +207,8 @@ def _read_rows(directory: Path) -> dict[str, Row]:
             rows[row["digest"]] = row
             if row.pop(SEAL, None) != digest_of(row):
                 raise FileError(
-                    f"{path}: line {number} was edited, or is of an earlier release; delete it, "
+                    f"{path}: line {number} was edited, or comes from an earlier release; "
+                    "delete it, "
                     "and run the study again, which computes it"
                 )
     return rows
@@ -224,8 +225,8 @@ def write_row(directory: Path, row: Row) -> None:
                 raise OSError(0, "the disk is full")
     except OSError as error:
         raise FileError(
-            f"{directory}: cannot be written: {error.strerror or error}; free space or permissions "
-            "there, then run the same study again: only what is missing is computed"
+            f"{directory}: cannot be written: {error.strerror or error}; free space or change the "
+            "permissions, then run the same study again: only missing rows are computed"
         ) from error
 
 
@@ -300,9 +301,9 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
 def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figure | None:
     """Plot the last figure of ``outcomes`` over the first varying parameter, if any.
 
-    Every combination of the other parameters has its colour. Points are joined if the first
-    parameter is a number. A point without a plan is a cross with the reason. With a ``width``
-    [inch] it is a figure for a paper.
+    Every combination of the other parameters has its own colour. Points are joined if the first
+    parameter is a number. A point without a plan is drawn as a cross with the reason. With a
+    ``width`` [inch] it is a figure for a paper.
     """
     from hitchopt.view import style
     from hitchopt.view.pictures import STYLES
@@ -417,7 +418,7 @@ def run_tasks(
             reason = str(error) or type(error).__name__
         if reason:
             raise SweepError(
-                f"the scheduler was lost ({reason}); rows that were written stay: run the same "
+                f"the scheduler was lost ({reason}); written rows are kept: run the same "
                 "study again"
             )
 

@@ -159,8 +159,8 @@ def team_for_rim(
 ) -> RimTeam | None:
     """Return a team of another size that holds an object by its rim at rest; None without one.
 
-    Its size is the nearest to that of the team that does not. Cables are as long as that team's,
-    or as long as its drones need around the object.
+    Its size is the nearest to that of the team that does not. Cables are as long as that team's, or
+    as long as its drones require around the object.
 
     Parameters
     ----------

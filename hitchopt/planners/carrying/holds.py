@@ -50,7 +50,7 @@ from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, known
 
 RIM_EDGE = "the rim"
-"""What legs cut, in messages."""
+"""Name of the part that legs cut, in messages."""
 
 
 def polygon_at(body: SolidObject, vertices: Array) -> ConvexPolygon:
@@ -426,7 +426,7 @@ class GripHold(HoldingHitch):
         return np.array(events)[is_distinct]
 
     def _next_event(self, start: float, end: float) -> float:
-        """Return the share from which on bends differ from those at ``start``, up to ``end``."""
+        """Return the share beyond which bends differ from those at ``start``, up to ``end``."""
         bends = self._bends(start)
         for _ in range(BISECTIONS):
             middle = 0.5 * (start + end)
@@ -598,7 +598,7 @@ def _check_balance(edges: BearingEdges, tension: Array, load: Array, load_share:
     residual[..., :2] *= is_lifted[..., None]
     worst = float(np.max(length(residual) / np.min(tension, axis=-1)))
     if worst > BALANCE_LIMIT:
-        when = "where edges bear the object"
+        when = "where edges touch the object"
         remedy = "lower the object's mass, raise the tension, or use more robots"
         violation = Violation("equilibrium", worst, BALANCE_LIMIT, "max", "", (), when, remedy)
         raise InfeasibleError([violation])

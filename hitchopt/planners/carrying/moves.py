@@ -62,7 +62,7 @@ class SmoothLaw:
         return SmoothLaw(factor * self.ramp, factor * self.cruise)
 
     def breaks(self, longest: float) -> Array:
-        """Return the breakpoints (pieces + 1,) [s] of the ramps and of the cruise, from 0 on.
+        """Return the breakpoints (pieces + 1,) [s] of the ramps and of the cruise, starting at 0.
 
         Parameters
         ----------
@@ -131,12 +131,12 @@ class Move:
 
     @property
     def lifted(self) -> bool:
-        """Whether the object is off its support at all times."""
+        """Return whether the object is off its support at all times."""
         return self.load_share == (1.0, 1.0)
 
     @property
     def steady(self) -> bool:
-        """Whether the object or the clasps move straight, with constant loads and shapes."""
+        """Return whether the object or the clasps move straight, with constant loads and shapes."""
         yaw = (self.start[3], self.end[3])
         pairs = (
             self.tension,
@@ -240,7 +240,7 @@ class Timed(Protocol):
 
     @property
     def steady(self) -> bool:
-        """Whether all points move straight, with constant loads and shapes."""
+        """Return whether all points move straight, with constant loads and shapes."""
 
 
 def polynomials(

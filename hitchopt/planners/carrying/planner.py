@@ -102,7 +102,7 @@ class GraspState:
     """The hitch that holds the object; None while it only encloses it."""
 
     carried: bool = False
-    """Whether clasps carry the object's weight."""
+    """True if clasps carry the object's weight."""
 
 
 class Passage(NamedTuple):
@@ -308,7 +308,7 @@ class MovePlanner:
     def draw_grip(self, after: Array) -> list[Motion]:
         """Return the motions that draw cables to the grip as they were tied, and raise tensions.
 
-        The tension stays as it is until they grip, and rises to ``after`` (n,) [N] then.
+        The tension is constant until they grip, and then rises to ``after`` (n,) [N].
         """
         before = self.state.tension
         motions = [self._passage((before, before), (0.0, 1.0), "draw").motion]
@@ -379,7 +379,7 @@ class MovePlanner:
                 return Passage(motion, moves)
             verb = "opens" if opens else "closes"
             when = f"as the hitch {verb} around objects.{self.state.object}"
-            remedy = "use lighter cables or other lengths of them, or smooth the outline"
+            remedy = "use lighter cables or a different cable length, or smooth the outline"
             errors.append(InfeasibleError([violated.violation(when, remedy)]))
         raise errors[0]
 
@@ -433,7 +433,7 @@ class MovePlanner:
             name = f"objects.{self.state.object}"
             push = hold.largest_push(low)
             when = "on its support, pushed by the edges"
-            remedy = f"give it more weight, or raise {name}.friction"
+            remedy = f"make it heavier, or raise {name}.friction"
             violation = Violation("grip", push, limit, "max", "N", (name,), when, remedy)
             raise InfeasibleError([violation])
         return tensions
@@ -490,13 +490,13 @@ def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
         tilt_of_pull = np.degrees(np.arctan(tension / (GRAVITY * team.mass[0])))
         suggested = np.ceil(tilt_of_pull) + TILT_RESERVE
         raised = f"limits.tilt_deg of {suggested:.0f}, above {tilt:.3g}"
-        remedy = f"level pulls of {tension:.3g} N need {raised}; or {remedy}"
+        remedy = f"horizontal pulls of {tension:.3g} N need {raised}; or {remedy}"
     violation = Violation(binding, tension, limit, "max", "N", (), "to grip at rest", remedy)
     raise InfeasibleError([violation])
 
 
 OPENING_DISTANCE = 0.02
-"""[m] Outward motion from which on a clasp counts as opening; positions may err by 1 cm."""
+"""[m] Outward motion above which a clasp counts as opening; positions may err by 1 cm."""
 
 
 def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy: str) -> None:

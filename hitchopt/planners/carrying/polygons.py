@@ -129,8 +129,8 @@ REDUCED_ROWS = 6
 """Number of the smallest margins of a kind that has more than MAX_ROWS."""
 
 GUESS_GAPS = ((0.25, 0.25), (0.12, 0.4), (0.4, 0.12))
-"""Alternating distances of a guess's vertices to the section, over its mean radius; for odd numbers
-of vertices only the first pair, of equal ones."""
+"""Pairs of distances of a guess's vertices to the section, over its mean radius, which alternate
+along the vertices; for odd numbers of vertices only the first pair, whose distances are equal."""
 
 EVEN_GUESSES = 3
 """Number of guesses turned by equal parts of their symmetry."""
@@ -462,12 +462,12 @@ def _refined(task: GripTask, guess: Array, iterations: int, *, in_line: bool) ->
 
 
 def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
-    """Return the error of the limit that the nearest grip violates most, or of wraps."""
+    """Return the error of the limit that the nearest grip violates most, or of its wraps."""
     margin, worst = task.shortest(nearest)
     name, ratio = (worst, 1.0 + margin) if margin < 0.0 else ("grip", 0.0)
     limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
     note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
-    remedy = f"{note}: this distance is the one that the nearest one lacks most"
+    remedy = f"{note}: this is the largest violation of the nearest one"
     value = round(ratio * limit, DECIMALS)
     return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
 
@@ -624,7 +624,7 @@ def rest_polygons(
     if largest_inset < MIN_INSET:
         when = "below the rim of the object"
         remedy = (
-            f"give objects.{name} a wider rim, or use the number of robots that `hitchopt fit` "
+            f"widen the rim of objects.{name}, or use the number of robots that `hitchopt fit` "
             "recommends"
         )
         violation = Violation(

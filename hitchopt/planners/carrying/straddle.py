@@ -2,7 +2,7 @@
 
 At a roll of -180° both cables of a clasp run straight through and lie on one another. Each cable is
 then bent around its side of the object alone, and could be straight as well: so cables are tied
-and untied without slack. They are drawn taut beside the object, touch it, and bend around it until
+and untied without slack. They are drawn taut next to the object, touch it, and bend around it until
 their ends cross beyond it, those of q-drones above those of r-drones. They come to lie on one
 another, and both pairs roll by half a turn into their clasps.
 
@@ -84,7 +84,7 @@ class PlaceChange:
     """Law of the progress."""
 
     steady: ClassVar[bool] = False
-    """Whether all points move straight, with constant loads and shapes."""
+    """True if all points move straight, with constant loads and shapes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +183,7 @@ class Straddle:
 
     @property
     def _level(self) -> float:
-        """Bend of the last event before cables are pitched: those along sides are level."""
+        """Bend of the last event before cables are pitched: those along sides are horizontal."""
         return max(bend for bend in self.events if bend < self.largest_pitched - MIN_BEND)
 
     @property
@@ -339,7 +339,7 @@ class Straddle:
 
     @property
     def first(self) -> Place:
-        """The place of straight cables beside the object."""
+        """The place of straight cables next to the object."""
         return Place(bend=0.0, beside=self.beside, pitch=0.0, above=0.0)
 
     @cached_property
@@ -365,7 +365,7 @@ class Straddle:
 
     @property
     def bent(self) -> list[Place]:
-        """Places of cables that touch the object, from straight ones on, where drones rest."""
+        """Configurations with cables touching the object, first straight, at which drones rest."""
         bends = sorted({*self.events, self.largest_pitched})
         pitched_from = [self._level, self.largest_pitched]
         pitches = np.interp(bends, pitched_from, [self.ready.pitch, self.pitch]).tolist()
@@ -381,7 +381,7 @@ class Straddle:
 
     @property
     def drones_taut(self) -> Array:
-        """(2n, 3) [m]: drones of straight cables beside the object."""
+        """(2n, 3) [m]: drones of straight cables next to the object."""
         change = PlaceChange(self.first, self.first, SmoothLaw(0.5))
         return np.asarray(self.curves(change, np.zeros(1))["drones"][0])
 

@@ -77,7 +77,7 @@ TENSION_SECONDS = 0.5
 """[s] Rise of the tension from that of cables drawn taut."""
 
 SAMPLED_LAW = SmoothLaw(0.5)
-"""Law of changes of which only the shape counts."""
+"""Law of changes of which only the shape is used."""
 
 SAMPLES = 21
 """Number of samples of a change of the place."""
@@ -120,12 +120,12 @@ class Distance(NamedTuple):
 
     @property
     def is_kept(self) -> bool:
-        """Whether the distance is at least its limit."""
+        """Return whether the distance is at least its limit."""
         return self.value >= self.limit
 
 
 class HangingDrones(NamedTuple):
-    """Drones of two cables that hang beside an object."""
+    """Drones of two cables that hang next to an object."""
 
     drones: Array
     """(2n, 3) [m]"""
@@ -205,7 +205,8 @@ class StraddlePlanner(MovePlanner):
     def candidates(self) -> Iterator[tuple[float, StraddlePlanner]]:
         """Yield planners whose cables are pitched, with their smallest margins.
 
-        If pairs cannot roll, or cables cannot be pitched or balanced, only this one, of level ones.
+        If pairs cannot roll, or cables cannot be pitched or balanced, only this one, with
+        horizontal cables.
         """
         try:
             rolling = self.closest_rolling
@@ -230,7 +231,7 @@ class StraddlePlanner(MovePlanner):
 
     @cached_property
     def hanging(self) -> HangingDrones:
-        """Drones whose cables hang beside the object, and off the ground as they turn about it."""
+        """Drones with cables hanging next to the object, off the ground while turning about it."""
         team = self.hold.team
         pairs = self.path.drones_taut.reshape(-1, 2, 3)
         middles = np.mean(pairs, axis=1, keepdims=True)
@@ -381,8 +382,8 @@ def find_straddle(
 ) -> StraddlePlanner:
     """Return the planner of the first path that keeps distances, or of the one nearest to that.
 
-    Clasps are tied so far from the object that drones which turn about each other keep off the
-    ground, and are drawn to those of ``hold`` then.
+    Clasps are tied so far from the object that drones which turn about each other keep clear of the
+    ground, and are then drawn to those of ``hold``.
 
     Parameters
     ----------
@@ -429,7 +430,7 @@ def _check_straddle(planner: StraddlePlanner) -> None:
         raise InfeasibleError([_met_sides(planner.path)])
     if planner.unbalanced:
         when = "as cables lie on one another"
-        remedy = "raise the tension of tie, or use lighter cables or other lengths of them"
+        remedy = "raise the tension of tie, or use lighter cables or a different cable length"
         raise InfeasibleError([planner.unbalanced.violation(when, remedy)])
     distances = [planner.closest_rolling]
     if planner.path.pitch > 0.0:  # of pairs that can roll
@@ -495,5 +496,5 @@ def _met_sides(path: Straddle) -> Violation:
     value = largest_turn * max(path.sides_passed)
     limit = largest_turn * path.largest_pitched
     remedy = "use longer cables, which are tied farther out, or enclose the outline in a circle"
-    when = "where cables cross beyond the object and meet another of its sides as they bend"
+    when = "where cables cross beyond the object and touch another of its sides as they bend"
     return Violation("continuity", value, limit, "max", "deg", (), when, remedy)

@@ -58,7 +58,7 @@ RISE_RESERVE = 0.1
 """Reserve of a raised flight over the height that its cables lack, over ``separation.cable``."""
 
 PREFERENCE_OF_ORDER = 0.1
-"""Cost of the order that resolves ties, over that of edges of another number."""
+"""Weight of the terms that break ties, over that of robots on edges of other numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ class OverApproach(DirectApproach):
 
 
 class Headings(NamedTuple):
-    """Headings of robots, from their q- to their r-drones, as they turn."""
+    """Headings of robots, from their q- to their r-drones, while they turn."""
 
     halfway: Array
     """(n,) [rad], halfway through the turn."""

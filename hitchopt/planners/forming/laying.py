@@ -160,7 +160,7 @@ class Laying:
     """(n, 2) [m], of the start from the edges' lines."""
 
     doubtful: ClassVar[bool] = True
-    """Whether a requirement may be violated: samples are of drones alone."""
+    """True if a requirement may be violated: samples are of drones alone."""
 
     @property
     def senses(self) -> Array:

@@ -134,7 +134,7 @@ class SwapEllipses:
     """(k, 3) [m]: drones at the ends of a chain, which do not turn."""
 
     def drones(self, angle: Array | float, derivative: int = 0) -> Array:
-        """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative by the angle."""
+        """Return the drones (…, 2n, 3) [m] at angles θ (…), or a derivative in the angle."""
         theta = np.asarray(angle, dtype=np.float64)[..., None, None] + 0.5 * np.pi * derivative
         along_chord = (self.half[:, None] * self.along) * np.cos(theta)
         normal_to_chord = (self.rise[:, None] * self.upward) * np.sin(theta)
@@ -281,7 +281,7 @@ class PreHitch:
     """Largest depth of a cable below the drones' plane during the swaps [m]."""
 
     linked: bool
-    """Whether cables cross at all clasps after the first swap."""
+    """True if cables cross at all clasps after the first swap."""
 
     tightest: Bound
     """The requirement that is closest to its limit, or violated most."""
@@ -293,7 +293,7 @@ class PreHitch:
 
     @property
     def doubtful(self) -> bool:
-        """Whether samples violate a requirement."""
+        """Return whether samples violate a requirement."""
         return self.violation > 0.0
 
     @property
@@ -327,7 +327,7 @@ class PreHitch:
         return replace(self, ellipses=turned)
 
     def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
-        """Return two swaps, tightening and tension, which lead to the hitch, in step ``index``.
+        """Return the phases up to the hitch in step ``index``: two swaps, tightening, tension.
 
         While drones move out, clasps move on lines too. Their ends are within reach of all cables,
         and since the lengths of routes are convex, so are the points between.

@@ -246,7 +246,7 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
     """Return the lowest altitude [m] at which cables of drones over (…, 2n, 3) [m] hang free.
 
     Raises InfeasibleError where errors of position may pull a cable taut, or its drones over each
-    other: its shape, and so the altitude that it needs, has no bound then.
+    other: its shape, and so the altitude that it needs, is then unbounded.
     """
     level = drones * np.array([1.0, 1.0, 0.0])
     altitude = missing_height(team, level, requirements)
@@ -257,8 +257,8 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
     radii = bounded_radius(span_range, team.cable_length, requirements.height_ratio)
     cable = int(np.argmin(radii))
     where = (team.cable_names[cable],)
-    when = "between its drones' places"
-    remedy = "use a longer cable, and place its drones neither at its full length nor in one place"
+    when = "between its drones' positions"
+    remedy = "use a longer cable, and place its drones apart, by less than its full length"
     violation = Violation(
         "tracking_radius",
         float(radii[cable]),
@@ -280,7 +280,7 @@ def ground_clearance(requirements: Requirements) -> float:
 def missing_height(team: Team, drones: Array, requirements: Requirements) -> float:
     """Return the height [m] by which hanging cables of drones (…, 2n, 3) [m] are too low.
 
-    Position errors of drones displace cables farther. ``tracking_radius`` counts the lowest cable
+    Position errors of drones displace cables farther. ``tracking_radius`` combines the lowest cable
     with the largest displacement of all.
     """
     q = drones[..., 0::2, :]

@@ -144,7 +144,7 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
     polygon: the outline after.
     vertex: index of the vertex.
     points: (J, 3), rows ``t, x, y`` [s, m, m], t increasing from 0 or later; or (J, 2) [m], rows
-        ``x, y``, which are not timed. The first of those may be the vertex's own place.
+        ``x, y``, which are not timed. The first of those may be the vertex's own position.
 
     Raises
     ------
@@ -332,7 +332,7 @@ class ActionMorph:
 
 
 class MovedDrones(NamedTuple):
-    """Which drones move during an action."""
+    """The drones that move during an action."""
 
     by_law: NDArray[np.bool_]
     """(2n,): those that its law moves."""

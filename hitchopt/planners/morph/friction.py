@@ -94,9 +94,9 @@ SWING = 1.25
 """[s] Duration of a swing."""
 
 FIRST_SHARE = 0.65
-"""Share of the friction of one cable in the first swing. Both cables of a clasp slide at once, for
-which half to 0.7 suffices. With 0.75, simulated vertices jump by up to 12 cm while legs turn, and
-tensions peak; with 0.65 they move by up to 6 cm."""
+"""Share of the friction of one cable in the first swing. Both cables of a clasp slide
+simultaneously, for which half to 0.7 suffices. With 0.75, simulated vertices jump by up to 12 cm
+while legs turn, and tensions peak; with 0.65 they move by up to 6 cm."""
 
 LAST_SHARE = 0.5
 """Fraction of the friction of one cable in the last swing.

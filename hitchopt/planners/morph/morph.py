@@ -93,7 +93,7 @@ def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
         "min",
         "deg",
         (f"p{layout.clasps[clasp]}",),
-        f"from {s[first]:.0%} of the path on",
+        f"from {s[first]:.0%} of the path",
         "move the vertex outward at an end, or turn the polygon by less",
     )
 
@@ -116,9 +116,9 @@ def _short_leg(team: Team, s: Array, legs: Array) -> Violation:
 
 def check_loads(path: FlatPath, limits: Limits) -> None:
     """Raise InfeasibleError if hovering violates a limit at a point at which the path is timed."""
-    when = [f"at rest, {s:.0%} of the path on" for s in path_grid(GRID)]
+    when = [f"at rest at {s:.0%} of the path" for s in path_grid(GRID)]
     remedies = (
-        "give the drone more thrust, or lower team.tension",
+        "use a drone with more thrust, or lower team.tension",
         "allow more tilt, or use heavier drones, or lower team.tension",
     )
     check_hover(path.team, limits, demands_along(path, limits, GRID).loads, when, remedies)
@@ -181,7 +181,7 @@ class BlendedMorph:
         if ratio < MIN_SPEED_RATIO:
             unit = "of the mean speed"
             when = f"at {grid[slowest]:.0%} of the path"
-            remedy = "the path turns back on itself there: go by another one"
+            remedy = "the path turns back on itself there: use another path"
             violation = Violation("blend", ratio, MIN_SPEED_RATIO, "min", unit, (), when, remedy)
             raise InfeasibleError([violation])
         check_loads(path, self.requirements.limits)

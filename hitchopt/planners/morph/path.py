@@ -106,8 +106,8 @@ FIT_TOLERANCE = 1e-4
 """Largest difference of a spline from its function between samples [m or rad]."""
 
 FIT_SHARES = (0.382, 0.618)
-"""Where a fit is tested between two samples, as fractions of their distance: uneven, so that whole
-turns between samples are noticed, too."""
+"""Points between two samples at which a fit is tested, as fractions of their distance: uneven, so
+that whole turns between samples are detected, too."""
 
 MIN_KNOTS = 3
 """Smallest number of knots of a natural quintic spline."""
@@ -304,7 +304,7 @@ class EvenSamples:
     """(J, *shape)"""
 
     smooth: bool
-    """Whether they are samples of a function, not knots."""
+    """True if the values are samples of a function, not knots."""
 
     @property
     def spline(self) -> PiecewisePolynomial:
@@ -326,7 +326,7 @@ def _sampled(key: str, given: FunctionOrKnots, shapes: tuple[ValueShape, ...]) -
     values = as_array(given)
     if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
         bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {_words(shapes)}"
-        remedy = "give a knot for each of evenly spaced s from 0 to 1"
+        remedy = "specify a knot for each of evenly spaced s from 0 to 1"
         raise InputError(key, given, bound, remedy)
     return EvenSamples(_finite(key, values), smooth=False)
 
@@ -451,7 +451,7 @@ class RigidPath:
 
     @property
     def is_constant(self) -> bool:
-        """Whether start and end are equal."""
+        """Return whether start and end are equal."""
         return self.yaw == 0.0 and bool(np.max(np.abs(self.to - self.centroid)) < 1e-9)
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:

@@ -55,7 +55,7 @@ class ShapeCost:
 
     def __post_init__(self) -> None:
         if not callable(self.function):
-            raise self._refusal("give one, or None")
+            raise self._refusal("specify one, or None")
         if not self.team.layout.closed:
             remedy = "omit the cost: routes of chains are not optimised"
             raise InputError("cost", self.name, "given for a closed hitch only", remedy)

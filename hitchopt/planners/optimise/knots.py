@@ -254,7 +254,7 @@ class SolverStep:
     """Number of parts of every step between knots, at whose ends distances are enforced."""
 
     fastest: bool = False
-    """Whether to minimise time instead of energy."""
+    """True to minimise time instead of energy."""
 
     @property
     def reach(self) -> float:
@@ -285,7 +285,7 @@ class QuadraticTerms(NamedTuple):
     """A convex quadratic function of the changes of the inner rows of a path's table."""
 
     hessian: sp.csr_array[np.float64]
-    """(inner knots · size, inner knots · size), of which the symmetric part counts."""
+    """(inner knots · size, inner knots · size), of which the symmetric part is used."""
 
     gradient: Array
     """(inner knots · size,)"""

@@ -136,7 +136,8 @@ class MorphProgram:
     """[m] Trust radius of coordinates, the unit of changes."""
 
     tangent: sp.csr_array[np.float64]
-    """(inner knots · size, changes): changes of the table's inner rows by the free columns'."""
+    """(inner knots · size, changes): changes of the table's inner rows caused by those of the free
+    columns."""
 
     program: QuadraticProgram
     """The program; its solution has the units of the variables."""
@@ -574,7 +575,7 @@ class NearPairs(NamedTuple):
     """(m,), as in ``hitch.pairs``."""
 
     gradient: Array
-    """(m, 3): derivative of the distance by the first body's position.
+    """(m, 3): derivative of the distance with respect to the first body's position.
 
     It is the unit normal along the shortest offset from the second body, with heights scaled."""
 

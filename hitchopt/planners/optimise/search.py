@@ -98,7 +98,7 @@ between samples may fall short by a thousandth."""
 
 LEG_PERTURBATION = 0.05
 """Largest change of q-legs in guesses, over the shorter leg of their cable. Without changes all
-robots of regular polygons move alike up to saddle points, as all rows are linear."""
+robots of regular polygons move alike up to saddle points, since all rows are linear."""
 
 MIN_REFINED_PROGRESS = 0.05
 """Smallest motion of vertices in a step over its stride, below which refinement ends."""
@@ -220,7 +220,7 @@ class OptimisedMorph:
     """Path with straight vertices; None if it is infeasible."""
 
     cost: ShapeCost | None = None
-    """Custom cost; with one all guesses are optimised, whatever their durations."""
+    """Custom cost; with one all guesses are optimised, regardless of their durations."""
 
     @property
     def min_duration(self) -> float:

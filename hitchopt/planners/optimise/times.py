@@ -43,7 +43,7 @@ class TimeEntries(NamedTuple):
 
 
 class TimedRows(NamedTuple):
-    """Linear rows of m nodes, by their places at k knots and by the times of l steps."""
+    """Linear rows of m nodes, by their positions at k knots and by the times of l steps."""
 
     node: Indices
     """(m,), of 3n."""
@@ -52,19 +52,19 @@ class TimedRows(NamedTuple):
     """(m, k), of which ends and those beyond have no variables."""
 
     by_place: Array
-    """(m, k, 2): derivatives by the node's places there."""
+    """(m, k, 2): derivatives with respect to the node's positions there."""
 
     steps: Indices
     """(m, l), of which those before the first or after the last one do not exist."""
 
     by_time: Array
-    """(m, l): derivatives by the times of these steps."""
+    """(m, l): derivatives with respect to the times of these steps."""
 
     spare: Array
     """(m,): largest change of the value."""
 
     def by_table(self, path: KnotPath) -> sp.csr_array[np.float64]:
-        """Return the derivatives by the table's inner rows."""
+        """Return the derivatives with respect to the table's inner rows."""
         columns = path.columns
         inner_knots = path.steps - 1
         nodes = columns.nodes[self.node]
@@ -76,7 +76,7 @@ class TimedRows(NamedTuple):
         return sp.csr_array((entries, indices), (len(self.node), columns.size * inner_knots))
 
     def by_times(self, steps: int) -> TimeEntries:
-        """Return the derivatives by the times of all steps, whose number is ``steps``."""
+        """Return the derivatives with respect to the times of all ``steps`` steps."""
         exists = (self.steps >= 0) & (self.steps < steps)
         row = np.broadcast_to(np.arange(len(self.node))[:, None], self.steps.shape)
         return TimeEntries(row[exists], self.steps[exists], self.by_time[exists])

@@ -3,7 +3,7 @@
 Drones are planned one after the other on a lattice of points and times. Each takes a fastest path
 that keeps clear of all drones before it, and waits where it has to (Erdmann and Lozano-Pérez, "On
 multiple moving objects", 1987; Silver, "Cooperative pathfinding", 2005). Drones with long paths
-come first; one that has no path left moves to the front, and planning begins anew (Andreychuk and
+come first; one that has no path left moves to the front, and planning starts again (Andreychuk and
 Yakovlev, "Two techniques that enhance the performance of multi-robot prioritized path planning",
 2018).
 """

@@ -28,7 +28,7 @@ from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices
 
 PLANE_MARGIN = 0.01
-"""Margin of every plane, in separations; OSQP's residuals are some thousandths."""
+"""Margin of every plane, in separations; OSQP's residuals are a few thousandths."""
 
 DEVIATION_WEIGHT = 1.0
 """Weight of the squared distance to the nominal curves, for lengths relative to the longest route.
@@ -41,7 +41,7 @@ PLANE_PENALTY = 10.0
 """Penalty weight of a squared slack of a plane or tether."""
 
 MIN_DIRECTION = 1e-9
-"""Smallest length of a scaled vector whose direction counts."""
+"""Smallest length of a scaled vector whose direction is used."""
 
 LIMIT_PENALTY = 100.0
 """Penalty weight of a squared slack of a drone's limits, divided by the number of drones."""
@@ -362,7 +362,7 @@ NORMAL_SLOPE = 1e-2
 """Upward slope of horizontal normals per separation."""
 
 SLOPE_SEPARATION = 2.0
-"""Separation from which on that slope is zero."""
+"""Separation above which that slope is zero."""
 
 CURVE_SAMPLES = 17
 """Number of samples of a piece that locate its nearest point."""
@@ -379,7 +379,8 @@ class Planes(NamedTuple):
     """(m, 3): a piece, its drone, and the drone on the other side; -1 for a prism."""
 
     normals: Array
-    """(m, 3) [1/m]: toward the first drone, the derivatives of gaps by its position."""
+    """(m, 3) [1/m]: toward the first drone, the derivatives of gaps with respect to its
+    position."""
 
     gaps: Array
     """(m, degree + 1): gaps of the coefficients; at least 1 if they keep their distance."""

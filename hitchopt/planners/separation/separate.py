@@ -79,7 +79,7 @@ CROWD_PLANE_RANGE = 0.5
 """The same in crowds."""
 
 LARGE_CROWD = 256
-"""Number of drones from which on a program moves only those that are too close, and the search ends
+"""Number of drones above which a program moves only those that are too close, and the search ends
 with the first clear curves: programs that couple all drones would need too much time."""
 
 CLOSE_RANGE = 0.1
@@ -232,7 +232,7 @@ STRETCH = 1.0 / LIMIT_SHARE
 MIN_DURATION = 0.01
 """[s] Smallest duration, as of flights in which no drone moves."""
 
-REMEDY = "give more time or room, or move the drones concerned apart"
+REMEDY = "allow more time or space, or move these drones apart"
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,7 +254,7 @@ class CurveBounds:
 
     @property
     def clear(self) -> bool:
-        """Whether the curves satisfy all requirements in their duration or a longer one."""
+        """Return whether the curves satisfy all requirements in their duration or a longer one."""
         return not self.violations
 
     @property
@@ -315,7 +315,7 @@ def _check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError if starts or goals are too close, outside the arena or in a prism."""
     ends = (task.start, "at the start (t = 0)"), (task.goal, "at the goals (the plan's end)")
     violations = [
-        check.violation(when, "move the drones named there, or ease the limit")
+        check.violation(when, "move the named drones, or relax the limit")
         for points, when in ends
         for check in _checks(task, PiecewisePolynomial.constant([0.0, 1.0], points))
         if not check.holds

@@ -49,7 +49,7 @@ class SeparationTask:
         for name in ("start", "goal"):
             points = np.array(getattr(self, name), dtype=np.float64)
             if points.ndim != 2 or points.shape[1] != 3 or not np.all(np.isfinite(points)):
-                raise InputError(name, points.shape, "(N, 3), finite", "give metres")
+                raise InputError(name, points.shape, "(N, 3), finite", "use metres")
             points.setflags(write=False)
             object.__setattr__(self, name, points)
         n, count = len(self.start), len(self.requirements.keep_out)

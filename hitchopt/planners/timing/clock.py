@@ -1,7 +1,8 @@
 """Jerk-limited timing of a path, starting from its time-optimal profile.
 
 The smoothed profile defines a first clock τ of the path. With another clock t and
-``dτ/dt = √x(τ)`` every derivative by t is linear in ``(x, x', x'')`` up to powers of √x:
+``dτ/dt = √x(τ)`` every derivative with respect to t is linear in ``(x, x', x'')`` up to powers of
+√x:
 
     q̇ = √x Q',   q̈ = x Q'' + ½ x' Q',   q⃛ = √x (x Q''' + 3/2 x' Q'' + ½ x'' Q'),
 
@@ -94,7 +95,7 @@ class Clock:
         return np.append(0.0, durations.cumsum())
 
     def jets(self) -> Array:
-        """Return (K + 1, 4): s and its derivatives by t at the knots."""
+        """Return (K + 1, 4): s and its derivatives with respect to t at the knots."""
         x, x1, x2 = self.squared_rate.jet(self.knots, 3).T
         root = np.sqrt(x)
         by_t = np.stack([np.zeros_like(x), root, 0.5 * x1, 0.5 * x2 * root], axis=-1)  # of τ
@@ -169,7 +170,7 @@ class ClockedPath:
     """Demands of the path, by its own parameter."""
 
     first: Array
-    """(M, 2n, 3): the drones' first derivative by τ."""
+    """(M, 2n, 3): the drones' first derivative with respect to τ."""
 
     second: Array
     """(M, 2n, 3): the second one."""
@@ -454,7 +455,7 @@ class SplineBasis:
 
     @classmethod
     def of(cls, places: Array, at: Array) -> SplineBasis:
-        """Return the basis of a spline through values at places (K + 1,), at samples (M,)."""
+        """Return the basis of a spline through values at parameters (K + 1,), at samples (M,)."""
         knots = knots_through(places, DEGREE)
         breaks, columns_of_piece, maps = extraction(knots, DEGREE)
         piece = breaks[1:-1].searchsorted(at, side="right")

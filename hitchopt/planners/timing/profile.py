@@ -40,7 +40,7 @@ class Demands:
     """Jets along a path and the loads at rest, at J points."""
 
     drones: Array
-    """(J, 2n, 3, 4) [m]: positions and derivatives by the path's parameter."""
+    """(J, 2n, 3, 4) [m]: positions and derivatives with respect to the path's parameter."""
 
     vertex_speed: Array
     """(J,) [m]: largest first derivative of a vertex."""
@@ -267,7 +267,7 @@ def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
         if worst >= 1.0:
             cable = int(np.argmax(np.max(span_ratios, axis=0)))
             where = (team.cable_names[cable],)
-            when = "between its drones' places"
+            when = "between its drones' positions"
             remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
             raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
     loads = loads_at_rest(team, hanging_forces(team, drones))

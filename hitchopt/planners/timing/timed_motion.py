@@ -50,7 +50,7 @@ def in_duration(motion: Motion, duration: float) -> Motion:
 def check_duration(duration: float, fastest: float, when: str = "") -> None:
     """Raise InfeasibleError if a prescribed duration is shorter than the fastest one [s]."""
     if duration < fastest:
-        remedy = f"give it {rounded_up(fastest, 6):.6g} s or more, or raise the limits of motion"
+        remedy = f"allow {rounded_up(fastest, 6):.6g} s or more, or raise the limits of motion"
         raise InfeasibleError(
             [Violation("duration", duration, fastest, "min", "s", (), when, remedy)]
         )
