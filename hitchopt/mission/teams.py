@@ -167,15 +167,9 @@ class _Item:
 
 
 def _heights(track: SampledPath) -> tuple[float, float]:
-<<<<<<< HEAD
-    """Return the lowest and the highest place [m] of all bodies of a team at any time."""
+    """Return the lowest and the highest point [m] of all bodies of a team at any time."""
     boxes = track.boxes
     return float(np.min(boxes.lower[:, 2])), float(np.max(boxes.upper[:, 2]))
-=======
-    """Return the lowest and the highest point [m] of all bodies of a team at any time."""
-    lower, upper = track.box
-    return float(np.min(lower[:, 2])), float(np.max(upper[:, 2]))
->>>>>>> 056c6740 (Say messages, help and docstrings in plainer English)
 
 
 def _merge_waits(motion: Motion) -> Motion:
