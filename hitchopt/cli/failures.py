@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import click
 
-from hitchopt.cli.output import in_options, options, output, record, say
+from hitchopt.cli.output import in_options, negations, options, output, record, say
 from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED, exit_on_signals
 
@@ -128,8 +128,12 @@ def report_error(error: HitchoptError) -> None:
     from hitchopt.values.fields import Missing
 
     if isinstance(error, InputError) and error.key in (names := options()):
-        value = Missing() if error.value is None or error.value is False else error.value
-        error = InputError(names[error.key], value, error.bound, error.remedy)
+        name, value = names[error.key], error.value
+        if value is False and error.key in (negated := negations()):
+            name, value = negated[error.key], True
+        elif value is None or value is False:
+            value = Missing()
+        error = InputError(name, value, error.bound, error.remedy)
     record(errors=_entries(error))
     for line in str(error).splitlines() or [type(error).__name__]:
         say(f"error: {line}", err=True)

@@ -91,12 +91,26 @@ def terminal_width() -> int:
 
 def options() -> dict[str, str]:
     """Return the options of the running command by Python names."""
+    return {str(option.name): max(option.opts, key=len) for option in _declared_options()}
+
+
+def negations() -> dict[str, str]:
+    """Return the options of the running command that set a flag to False, by Python names."""
+    return {
+        str(option.name): max(option.secondary_opts, key=len)
+        for option in _declared_options()
+        if option.secondary_opts
+    }
+
+
+def _declared_options() -> list[click.Option]:
+    """Return the options of the running command; none outside of one."""
     context = click.get_current_context(silent=True)
     command = context and context.command
     if context is not None and isinstance(command, click.Group):
         command = command.commands.get(str(context.invoked_subcommand))
     parameters = command.params if command else []
-    return {str(p.name): max(p.opts, key=len) for p in parameters if isinstance(p, click.Option)}
+    return [each for each in parameters if isinstance(each, click.Option)]
 
 
 def in_options(text: str) -> str:

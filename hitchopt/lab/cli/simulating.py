@@ -145,14 +145,13 @@ def simulate(
     from hitchopt.lab.simulation.task import read_task
     from hitchopt.motion.plan_file import read_saved_plan
 
+    _check_flights(runs, workers, lose, width, reaction=reaction)
     exported = None
     if plan is not None or is_export(directory):
         exported, source = _read_export(directory, plan), plan or directory
         directory = directory if directory.is_dir() else directory.parent
     else:
         directory = source = plan_path(directory).parent
-    if lose is not None and runs is not None:
-        raise InputError("lose", lose, "of a single flight", "omit --runs")
     if as_calibrated is not None:
         options["as_calibrated"] = read_calibrated(as_calibrated)
     settings = settings_of(**options, **perturb)
@@ -184,6 +183,25 @@ def simulate(
         _report(simulation, folder, source)
         return
     _fly_campaign(task, settings, runs, workers, folder)
+
+
+def _check_flights(
+    runs: int | None,
+    workers: int | None,
+    lose: str | None,
+    width: float | None,
+    *,
+    reaction: bool,
+) -> None:
+    """Raise InputError for options of a single flight with several, or the reverse."""
+    if runs is not None and lose is not None:
+        raise InputError("lose", lose, "of a single flight", "omit --runs")
+    if runs is not None and width is not None:
+        raise InputError("width", width, "of the picture of a single flight", "omit --runs")
+    if runs is None and workers is not None:
+        raise InputError("workers", workers, "of several flights", "add --runs")
+    if lose is None and not reaction:
+        raise InputError("reaction", False, "omitted without a lost drone", "add --lose")
 
 
 def _read_export(directory: Path, plan: Path | None) -> ExportedFlight:
