@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import sys
 import tempfile
 import time
@@ -328,8 +329,8 @@ def family_rows(store: Store) -> Iterator[Sequence[str]]:
         yield [*cells, " ".join(by_size) if len(sizes) <= MAX_SIZES else "many"]
 
 
-def page(store: Store, limit: float) -> str:
-    """Return the page."""
+def page(store: Store, limit: float, machine: str) -> str:
+    """Return the page; the machine is described as before the measurements."""
     heads = [f"{sizes[0]}–{sizes[-1]}" for sizes in COLUMNS]
     excesses = [each.excess for each in store.results if each.excess is not None]
     return "\n".join(
@@ -337,7 +338,7 @@ def page(store: Store, limit: float) -> str:
             "# Benchmarks",
             "",
             f"`python -m benchmarks page` wrote this page on {datetime.date.today()}: "
-            f"{environment(['rockit-meco'])}.",
+            f"{machine}, {os.getloadavg()[0]:.1f} after.",
             LIMITS.format(limit=limit, excess=100.0 * max(excesses, default=0.0)),
             "",
             "## Morphs of irregular pairs",
@@ -422,6 +423,7 @@ def main() -> None:
     cli.add_argument("--again", action="store_true", help="forget results of earlier runs")
     options = cli.parse_args()
     store = Store.opened(options.output / "page.jsonl", again=options.again)
+    machine = environment(["rockit-meco"])
     measure(store, options.problems, options.limit)
-    (PAGE / "index.md").write_text(page(store, options.limit), encoding="utf-8")
+    (PAGE / "index.md").write_text(page(store, options.limit, machine), encoding="utf-8")
     draw(store)

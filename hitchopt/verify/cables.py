@@ -40,11 +40,6 @@ def taut_cables(p: Plan) -> Iterator[Row]:
         rises = p.ramp[s.piece, None] & (np.min(ends, axis=1, keepdims=True) < low - TAUT_TOL)
         return maximum(x - np.where(rises, low, high), -x + np.where(rises, 0.0, low))
 
-    def friction_excess(s: Spans, i: Index) -> Line:
-        """Return excesses of legs' tensions beyond ``e^{-μθ} T`` and ``e^{μθ} T``."""
-        x, T, ratio = p.pulls.on(s, i), p.tensions.on(s, i // 2), capstan(s, i)
-        return maximum(x - T * ratio, T - x * ratio) * maximum(T, MIN_TENSION).inverse()
-
     def bend(s: Spans, k: Index) -> Line:
         (a, b), (first, last) = s.edge(k), (s.point(i) for i in p.edges[1:3, k])
         return maximum(a.unit().cross(b.unit()).norm(), (last - first).norm())
@@ -80,6 +75,14 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     if p.has_contacts:
         straight = Spans.of(p, on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
         yield prove("grip bend max", 2 * WRAP_TOL, straight, bend)
+
+
+def friction_excess(s: Spans, i: Index) -> Line:
+    """Return excesses of legs' tensions beyond ``e^{-μθ} T`` and ``e^{μθ} T``, over T."""
+    p, ratio = s.plan, capstan(s, i)
+    x, T = p.pulls.on(s, i), p.tensions.on(s, i // 2)
+    beyond = maximum(x - T * ratio, T * ratio.inverse() - x)
+    return beyond * maximum(T, MIN_TENSION).inverse()
 
 
 def capstan(s: Spans, i: Index) -> Line:

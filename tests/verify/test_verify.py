@@ -21,8 +21,10 @@ from scipy.optimize import brentq
 
 import hitchopt as ho
 from hitchopt import verify as second
+from hitchopt.checks.friction import friction_excess
 from hitchopt.cli import main
-from hitchopt.verify import arithmetic, catenary, shapes
+from hitchopt.motion.plan_file import write_plan
+from hitchopt.verify import arithmetic, catenary, driver, shapes
 from hitchopt.verify.arithmetic import Curve, Line
 from hitchopt.verify.spans import Spans, prove
 
@@ -69,6 +71,20 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         share = 0.002 if name in GROUPS and not jumps else 0.02
         assert worst == pytest.approx(check.worst, rel=share, abs=share * (check.limit or 1e-3))
     assert found.keys() <= OWN
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.6])
+def test_pulls_beyond_friction_exceed_by_as_much_in_both(factor: float, tmp_path: Path) -> None:
+    """Both relate excesses, above the range and below it, to the cable's tension."""
+    motion = planned("friction").motion
+    pulls = motion.leg_tensions.replaced(factor * motion.leg_tensions.coefficients)
+    slid = motion.replaced(leg_tensions=pulls)
+    write_plan(tmp_path / "plan.npz", ho.Flight.of(slid))
+    (own,), _ = second.read(tmp_path / "plan.npz")
+    rows = [row for row in driver.plan_rows(own) if row.name == "equilibrium"]
+    of_forces, of_legs = rows
+    assert {of_forces.verdict, of_legs.verdict} == {"violated"}
+    assert of_legs.worst == pytest.approx(friction_excess(slid).worst, rel=0.01)
 
 
 def test_heights_above_the_ground_are_no_limit_without_an_arena(tmp_path: Path) -> None:
