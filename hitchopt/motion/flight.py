@@ -184,8 +184,10 @@ class Flight(OneLine):
         flying = self.teams if others else self.all_teams
         if len(flying) > 1:
             names = ", ".join(flown.name or "the team" for flown in flying)
-            message = f"{feature} supports a single team, not {names}"
-            raise UnsupportedError(f"{message}; plan that team in a separate file")
+            remedy = "plan that team in a separate file"
+            if len(self.teams) == 1:
+                remedy = "plan it without others"
+            raise UnsupportedError(f"{feature} supports a single team, not {names}; {remedy}")
         return self.teams[0].motion
 
     @property

@@ -204,7 +204,9 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
         alternatives = ""
         if violation.constraint == "tilt":
             alternatives += ", or raise limits.tilt_deg"
-        if violation.constraint not in LOAD_LIMITED:
+        if violation.constraint == "keep_out" and planner.state.object in violation.where:
+            alternatives += ", or use longer cables"  # drones are beside the held object itself
+        elif violation.constraint not in LOAD_LIMITED:
             alternatives += f", or {violation.remedy}"
         violations.append(replace(violation, remedy=remedy + alternatives))
     return InfeasibleError(violations)

@@ -96,6 +96,18 @@ def mission(robots: int, mass: float, cable: float) -> dict[str, Any]:
 
 
 @pytest.mark.slow
+def test_drones_beside_the_held_object_need_longer_cables_not_another_place() -> None:
+    with pytest.raises(ho.InfeasibleError) as refused:
+        ho.solve(ho.problem_from_dict(mission(5, 0.05, 1.35)))
+    (violation,) = refused.value.violations
+    assert violation.constraint == "keep_out"
+    assert violation.remedy.endswith("or use longer cables")
+    with pytest.raises(ho.InfeasibleError) as longer:
+        ho.solve(ho.problem_from_dict(mission(5, 0.05, 1.6)))
+    assert "keep_out" not in {each.constraint for each in longer.value.violations}
+
+
+@pytest.mark.slow
 def test_the_number_of_robots_that_a_refusal_names_holds_the_object() -> None:
     mass = 0.19
     with pytest.raises(ho.InfeasibleError, match="use 4 robots") as refused:

@@ -156,6 +156,8 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
             call()
     with pytest.raises(UnsupportedError, match="show flies on a clock"):
         ho.Player(show)
+    with pytest.raises(UnsupportedError, match=r"a test supports .*; plan it without others"):
+        show.of_one_team("a test")
     result = CliRunner().invoke(
         main, ["statics", str(folder), "--at", "8", "--perturb", "stiffness=40"]
     )
