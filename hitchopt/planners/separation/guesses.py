@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +22,7 @@ from hitchopt.hitch.requirements import Prism
 from hitchopt.planners.separation.prioritized import Schedule
 from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, Setting, inside
 from hitchopt.planners.timing.ramps import fastest_ramps
-from hitchopt.values import Array
+from hitchopt.values import Array, Indices
 
 RAMP_PIECES = 3
 """Number of pieces of a ramp, which resolve the fastest flight to within 2 %."""
@@ -31,6 +32,15 @@ MAX_CRUISE_PIECES = 20
 
 MIN_RAMP_SHARE = 1e-5
 """Shortest ramp over the duration; splines do not resolve shorter ones."""
+
+FIT_SAMPLES = 12
+"""Number of samples of every piece through which nominal curves are fitted."""
+
+MIN_ROUTE_RATIO = 1e-6
+"""Length of the longest route, over the length scale, below which no drone moves."""
+
+BREAK_ROUNDING = 1e-9
+"""Rounding of the duration of the cruise [ramps], which adds no piece."""
 
 
 def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
@@ -44,44 +54,86 @@ def setting_of(task: SeparationTask, duration_ratio: float = 1.0) -> Setting:
     ------
     InfeasibleError: no route around the prisms was found.
     """
-    limits, n = task.requirements.limits, task.drones
+    limits = task.requirements.limits
+    n = task.drones
     usable = limits.acceleration if task.acceleration is None else np.asarray(task.acceleration)
     acceleration = np.minimum(np.broadcast_to(usable, n), limits.acceleration)
     caps = np.stack([np.full(n, limits.speed), acceleration, np.full(n, limits.jerk)])
     routes = routes_around(task)
-    lengths = np.array([np.sum(length(np.diff(route, axis=0))) for route in routes])
-    straight = length(task.goal - task.start)
-    bound, _ = fastest_ramps(straight, limits.speed, acceleration, limits.jerk)
-    durations, ramps = fastest_ramps(lengths, limits.speed, acceleration, limits.jerk)
+    route_lengths = np.array([np.sum(length(np.diff(route, axis=0))) for route in routes])
+    distances = length(task.goal - task.start)
+    bounds, _ = fastest_ramps(distances, limits.speed, acceleration, limits.jerk)
+    durations, ramps = fastest_ramps(route_lengths, limits.speed, acceleration, limits.jerk)
     slowest = int(np.argmax(durations))
     duration = float(durations[slowest])
     ramp = max(float(ramps[slowest]), MIN_RAMP_SHARE * duration)
-    size = max(float(np.max(lengths)), 2.0 * task.requirements.separation.radius)
-    moving = float(lengths[slowest]) > 1e-6 * size
-    cruise = max(duration_ratio * duration / ramp - 2.0, 0.0) if moving else 0.0  # in ramps
-    # Breaks in ramps: of the first ramp, of the cruise, and of the last ramp
-    ramp_breaks = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
-    cruise_pieces = min(math.ceil(duration_ratio * MAX_CRUISE_PIECES), math.ceil(cruise - 1e-9))
-    cruise_breaks = 1.0 + np.linspace(0.0, cruise, cruise_pieces + 1)
-    breaks = np.concatenate([ramp_breaks[:-1], cruise_breaks, 1.0 + cruise + ramp_breaks[1:]])
+    diameter = 2.0 * task.requirements.separation.radius
+    length_scale = max(float(np.max(route_lengths)), diameter)
+    cruise = 0.0
+    if float(route_lengths[slowest]) > MIN_ROUTE_RATIO * length_scale:
+        cruise = max(duration_ratio * duration / ramp - 2.0, 0.0)
+    breaks = _breaks(cruise, duration_ratio)
     grid = Grid(breaks / breaks[-1])
-    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+    s = _fit_samples(grid)
     progress = _progress(s, 1.0 / breaks[-1])
-    nominal = np.zeros((n, grid.count, 3))
-    nominal[:, :END_COUNT] = task.start[:, None]
-    nominal[:, -END_COUNT:] = task.goal[:, None]
     targets = np.stack([points_along(route, progress) for route in routes])
-    nominal[:, grid.free] = grid.fitting(s) @ (targets - grid.sampled(s) @ nominal)
-    return Setting(task, grid, nominal, caps, float(np.max(bound)), duration, size)
+    return Setting(
+        task=task,
+        grid=grid,
+        nominal=_fitted(task, grid, targets),
+        caps=caps,
+        bound=float(np.max(bounds)),
+        single_duration=duration,
+        length_scale=length_scale,
+    )
+
+
+def _breaks(cruise: float, duration_ratio: float) -> Array:
+    """Return the breaks (pieces + 1,) of the first ramp, a cruise, and the last ramp.
+
+    The unit of time is a ramp.
+    """
+    ramp_breaks = np.linspace(0.0, 1.0, RAMP_PIECES + 1)
+    max_pieces = math.ceil(duration_ratio * MAX_CRUISE_PIECES)
+    cruise_pieces = min(max_pieces, math.ceil(cruise - BREAK_ROUNDING))
+    cruise_breaks = 1.0 + np.linspace(0.0, cruise, cruise_pieces + 1)
+    return np.concatenate([ramp_breaks[:-1], cruise_breaks, 1.0 + cruise + ramp_breaks[1:]])
+
+
+def _fit_samples(grid: Grid) -> Array:
+    """Return the times (FIT_SAMPLES · pieces + 1,) through which curves are fitted."""
+    return np.linspace(0.0, 1.0, FIT_SAMPLES * grid.pieces + 1)
+
+
+def _fitted(task: SeparationTask, grid: Grid, targets: Array, smoothing_time: float = 0.0) -> Array:
+    """Return the coefficients (N, count, 3) [m] of curves from start to goal.
+
+    Parameters
+    ----------
+    targets: (N, samples, 3) [m], positions at the times ``_fit_samples``.
+    smoothing_time: see ``Grid.fitting``.
+    """
+    coefficients = np.zeros((task.drones, grid.count, 3))
+    coefficients[:, :END_COUNT] = task.start[:, None]
+    coefficients[:, -END_COUNT:] = task.goal[:, None]
+    s = _fit_samples(grid)
+    offsets = targets - grid.sampled(s) @ coefficients
+    coefficients[:, grid.free] = grid.fitting(s, smoothing_time) @ offsets
+    return coefficients
+
+
+PROGRESS_SAMPLES = 1001
+"""Number of times between which the progress along a route is linear."""
 
 
 def _progress(s: Array, ramp: float) -> Array:
     """Return the progress along a route at times s, from 0 to 1, with ramps of ``ramp`` ≤ ½."""
-    fine = np.linspace(0.0, 1.0, 1001)
-    rising, falling = (np.clip(x / ramp, 0.0, 1.0) for x in (fine, 1.0 - fine))
+    times = np.linspace(0.0, 1.0, PROGRESS_SAMPLES)
+    rising = np.clip(times / ramp, 0.0, 1.0)
+    falling = np.clip((1.0 - times) / ramp, 0.0, 1.0)
     speed = rising**2 * (3.0 - 2.0 * rising) * falling**2 * (3.0 - 2.0 * falling)
     distance = np.append(0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
-    progress: Array = np.interp(s, fine, distance / distance[-1])
+    progress: Array = np.interp(s, times, distance / distance[-1])
     return progress
 
 
@@ -97,8 +149,10 @@ RADIUS_TOLERANCE = 1e-6
 
 def points_along(route: Array, shares: Array) -> Array:
     """Return the points (m, 3) [m] of a route (corners, 3) at shares (m,) of its length."""
-    along = np.append(0.0, np.cumsum(length(np.diff(route, axis=0))))
-    return np.stack([np.interp(shares * along[-1], along, axis) for axis in route.T], axis=-1)
+    at_corners = np.append(0.0, np.cumsum(length(np.diff(route, axis=0))))
+    distances = shares * at_corners[-1]
+    coordinates = [np.interp(distances, at_corners, corners) for corners in route.T]
+    return np.stack(coordinates, axis=-1)
 
 
 def routes_around(task: SeparationTask) -> list[Array]:
@@ -111,21 +165,31 @@ def routes_around(task: SeparationTask) -> list[Array]:
     ------
     InfeasibleError: no route with the required distance was found.
     """
-    radius = task.requirements.separation.radius
     routes = list(np.stack([task.start, task.goal], axis=1))
-    for i in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
+    for drone in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
         check_time()
-        factors = CORNER_DISTANCE, 1.0 + RADIUS_TOLERANCE
-        candidates = (_route(task, routes[i], factor * radius) for factor in factors)
-        route = next((each for each in candidates if each is not None), None)
-        if route is None:
-            remedy = "widen the gap between the prisms, or between them and the arena"
-            when, where = "on every route found from its start to its goal", (task.names[i],)
-            raise InfeasibleError(
-                [Violation("keep_out", 0.0, radius, "min", "m", where, when, remedy)]
-            )
-        routes[i] = route
+        routes[drone] = _route_around(task, routes[drone], task.names[drone])
     return routes
+
+
+def _route_around(task: SeparationTask, ends: Array, name: str) -> Array:
+    """Return the route (corners, 3) [m] of a drone between its ends (2, 3) [m], or raise."""
+    radius = task.requirements.separation.radius
+    for factor in (CORNER_DISTANCE, 1.0 + RADIUS_TOLERANCE):
+        route = _route(task, ends, factor * radius)
+        if route is not None:
+            return route
+    violation = Violation(
+        "keep_out",
+        value=0.0,
+        limit=radius,
+        sense="min",
+        unit="m",
+        where=(name,),
+        when="on every route found from its start to its goal",
+        remedy="widen the gap between the prisms, or between them and the arena",
+    )
+    raise InfeasibleError([violation])
 
 
 def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
@@ -149,33 +213,60 @@ def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool
 
 
 def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
-    """Return the shortest route whose corners keep a distance [m] to all prisms, or None."""
-    prisms, arena = task.requirements.keep_out, task.requirements.arena
-    corners = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
+    """Return the shortest route (corners, 3) between ends (2, 3) [m], or None.
+
+    Corners keep a distance [m] to all prisms.
+    """
+    nodes = np.vstack([ends, _corners(task, ends, distance)])
+    first, second = np.triu_indices(len(nodes), 1)
+    visible = ~_blocked(task, nodes[first], nodes[second])
+    path = _shortest_path(nodes, first[visible], second[visible])
+    return None if path is None else nodes[path]
+
+
+def _corners(task: SeparationTask, ends: Array, distance: float) -> Array:
+    """Return the possible corners (m, 3) [m] of a route between ends (2, 3) [m].
+
+    They are inside the arena, beside, above and below the prisms, and keep a distance [m] to them.
+    """
+    prisms = task.requirements.keep_out
+    arena = task.requirements.arena
+    outlines = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
     levels = [[prism.lower - distance, prism.upper + distance] for prism in prisms]
     heights = np.unique([ends[:, 2], *levels])
-    nodes = np.column_stack([np.tile(corners, (len(heights), 1)), np.repeat(heights, len(corners))])
-    nodes = np.vstack([nodes, *(_points_over(prism, ends, distance) for prism in prisms)])
+    beside = np.column_stack(
+        [np.tile(outlines, (len(heights), 1)), np.repeat(heights, len(outlines))]
+    )
+    over = [_points_over(prism, ends, distance) for prism in prisms]
+    corners = np.vstack([beside, *over])
     if arena is not None:
-        nodes = nodes[np.all((nodes >= arena.lower) & (nodes <= arena.upper), axis=1)]
-    nodes = np.vstack([ends, nodes[~_blocked(task, nodes, nodes)]])
-    i, j = np.triu_indices(len(nodes), 1)
-    visible = ~_blocked(task, nodes[i], nodes[j])
-    i, j = i[visible], j[visible]
-    lengths = length(nodes[i] - nodes[j])
+        corners = corners[np.all((corners >= arena.lower) & (corners <= arena.upper), axis=1)]
+    return corners[~_blocked(task, corners, corners)]
+
+
+def _shortest_path(nodes: Array, first: Indices, second: Indices) -> list[int] | None:
+    """Return the shortest path of nodes (m, 3) [m] from the first to the second one, or None.
+
+    Parameters
+    ----------
+    first, second: (edges,), nodes that are joined.
+    """
+    edge_lengths = length(nodes[first] - nodes[second])
     # Coordinates resolve ties between routes of equal length.
     preference = nodes @ np.array([1.0, GOLDEN, GOLDEN**2])
     preference = (preference - np.min(preference)) / max(float(np.ptp(preference)), 1e-9)
-    costs = lengths + TIE * float(np.max(lengths, initial=0.0)) * (preference[i] + preference[j])
-    graph = sp.csr_matrix((costs, (i, j)), shape=(len(nodes), len(nodes)))
-    start = np.array([0])
-    distances, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    tie = TIE * float(np.max(edge_lengths, initial=0.0))
+    costs = edge_lengths + tie * (preference[first] + preference[second])
+    graph = sp.csr_matrix((costs, (first, second)), shape=(len(nodes), len(nodes)))
+    distances, previous = dijkstra(
+        graph, directed=False, indices=np.array([0]), return_predecessors=True
+    )
     if not np.isfinite(distances[0, 1]):
         return None
-    route = [1]
-    while route[-1] != 0:
-        route.append(int(before[0, route[-1]]))
-    return nodes[route[::-1]]
+    path = [1]
+    while path[-1] != 0:
+        path.append(int(previous[0, path[-1]]))
+    return path[::-1]
 
 
 def _points_over(prism: Prism, ends: Array, distance: float) -> Array:
@@ -184,37 +275,48 @@ def _points_over(prism: Prism, ends: Array, distance: float) -> Array:
     (entry,), (exit_,) = _crossings(tower, distance, ends[:1], ends[1:])
     if entry >= exit_:
         return np.zeros((0, 3))
-    points = ends[0, :2] + np.array([[entry], [exit_]]) * (ends[1] - ends[0])[:2]
-    levels = np.repeat([prism.lower - distance, prism.upper + distance], 2)
-    return np.column_stack([np.vstack([points, points]), levels])
+    start = ends[0, :2]
+    along = (ends[1] - ends[0])[:2]
+    crossings = start + np.array([[entry], [exit_]]) * along
+    heights = np.repeat([prism.lower - distance, prism.upper + distance], 2)
+    return np.column_stack([np.vstack([crossings, crossings]), heights])
 
 
-def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> tuple[Array, Array]:
-    """Return the shares (m,) at which segments enter and exit a prism widened by a distance [m].
+class Crossings(NamedTuple):
+    """Shares (m,) of segments at which they enter and exit a prism.
 
     Segments that miss the prism exit before they enter.
     """
-    edges = prism.polygon.edge_vectors
-    sides = unit(np.insert(left_of(edges), 2, 0.0, axis=1))
+
+    entry: Array
+    exit: Array
+
+
+def _crossings(prism: Prism, distance: float, first: Array, last: Array) -> Crossings:
+    """Return where segments between points (m, 3) cross a prism widened by a distance [m]."""
+    sides = unit(np.insert(left_of(prism.polygon.edge_vectors), 2, 0.0, axis=1))
     supports = np.sum(sides[:, :2] * prism.polygon.vertices, axis=1)
     normals = np.vstack([sides, [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
     offsets = np.concatenate([supports, [-prism.lower, prism.upper]]) + distance
-    before, after = (points @ normals.T - offsets for points in (first, last))
-    change = after - before
+    # Signed distances (m, faces) of the segments' ends to the faces, positive outside
+    first_height = first @ normals.T - offsets
+    last_height = last @ normals.T - offsets
+    change = last_height - first_height
     with np.errstate(divide="ignore", invalid="ignore"):
-        crossing = -before / change
+        crossing = -first_height / change
     entry = np.max(np.where(change < 0.0, crossing, 0.0), axis=1, initial=0.0)
     exit_ = np.min(np.where(change > 0.0, crossing, 1.0), axis=1, initial=1.0)
-    outside = np.any((change == 0.0) & (before >= 0.0), axis=1)  # parallel to a side
-    return np.where(outside, 1.0, entry), exit_
+    is_parallel_outside = np.any((change == 0.0) & (first_height >= 0.0), axis=1)
+    return Crossings(np.where(is_parallel_outside, 1.0, entry), exit_)
 
 
 def _widened(outline: Array, distance: float) -> Array:
     """Return the corners of a clockwise outline offset outward by a distance [m]."""
     edges = np.roll(outline, -1, axis=0) - outline
     outward = unit(left_of(edges))
-    middle = np.roll(outward, 1, axis=0) + outward
-    widened: Array = outline + 2.0 * distance * middle / np.sum(middle**2, axis=1, keepdims=True)
+    bisector = np.roll(outward, 1, axis=0) + outward
+    squared = np.sum(bisector**2, axis=1, keepdims=True)
+    widened: Array = outline + 2.0 * distance * bisector / squared
     return widened
 
 
@@ -236,6 +338,12 @@ SMOOTHING_TIME = 0.08
 SIDE_FADE_SHARE = 0.5
 """Fraction of the iterations over which the common side fades out of the pushes."""
 
+MIN_OFFSET = 1e-9
+"""Offset of two drones, in separations, below which they are pushed to the right."""
+
+MIN_LEVEL_SHARE = 1e-3
+"""Level part of a velocity, over its length, below which the velocity counts as vertical."""
+
 
 def pushed_apart(setting: Setting, side: float) -> Array:
     """Return the coefficients (N, count, 3) [m] of curves without, or with few, conflicts.
@@ -249,26 +357,31 @@ def pushed_apart(setting: Setting, side: float) -> Array:
     side: strength of the push to the right (negative: to the left), in separations.
     """
     grid = setting.grid
-    s = _samples(grid)
-    basis, rates, smoothing = grid.sampled(s), grid.sampled(s, 1), grid.fitting(s, SMOOTHING_TIME)
+    s = _push_samples(grid)
+    values = grid.sampled(s)
+    rates = grid.sampled(s, 1)
+    smoothing = grid.fitting(s, SMOOTHING_TIME)
     coefficients = setting.nominal.copy()
-    velocity = np.zeros_like(coefficients[:, grid.free])
+    step = np.zeros_like(coefficients[:, grid.free])
     for iteration in range(MAX_PUSH_ITERATIONS):
         check_time()
-        points, velocities = (np.swapaxes(each @ coefficients, 0, 1) for each in (basis, rates))
+        points = np.swapaxes(values @ coefficients, 0, 1)
+        velocities = np.swapaxes(rates @ coefficients, 0, 1)
         fade = max(0.0, 1.0 - iteration / (SIDE_FADE_SHARE * MAX_PUSH_ITERATIONS))
         pushes = _pair_pushes(setting, points, velocities, fade * side)
         pushes += _other_pushes(setting, points)
         if not np.any(pushes):
             break
-        velocity = MOMENTUM * velocity + smoothing @ np.swapaxes(pushes, 0, 1)
-        moved = coefficients[:, grid.free] + velocity
+        step = MOMENTUM * step + smoothing @ np.swapaxes(pushes, 0, 1)
+        moved = coefficients[:, grid.free] + step
         coefficients[:, grid.free] = inside(setting.task.requirements.arena, moved)
     return coefficients
 
 
-def _samples(grid: Grid) -> Array:
-    return (np.arange(SAMPLES * grid.pieces) + 0.5) / (SAMPLES * grid.pieces)
+def _push_samples(grid: Grid) -> Array:
+    """Return the times (SAMPLES · pieces,) at which guesses are pushed."""
+    count = SAMPLES * grid.pieces
+    return (np.arange(count) + 0.5) / count
 
 
 def _pair_pushes(setting: Setting, points: Array, velocities: Array, side: float) -> Array:
@@ -280,19 +393,21 @@ def _pair_pushes(setting: Setting, points: Array, velocities: Array, side: float
     time = np.repeat(2.0 * TARGET_SEPARATION * np.arange(samples), drones)
     tree = cKDTree(np.column_stack([scaled, time]))
     first, second = tree.query_pairs(TARGET_SEPARATION, output_type="ndarray").T
-    offset, flat = scaled[first] - scaled[second], velocities.reshape(-1, 3)
-    right = rightward(flat[first] - flat[second], TIE * float(np.max(np.abs(flat))))
-    direction = unit(offset + side * right, right, 1e-9)
+    offset = scaled[first] - scaled[second]
+    velocity = velocities.reshape(-1, 3)
+    min_speed = TIE * float(np.max(np.abs(velocity)))
+    right = rightward(velocity[first] - velocity[second], min_speed)
+    direction = unit(offset + side * right, right, MIN_OFFSET)
     deficit = np.maximum(TARGET_SEPARATION - np.sum(direction * offset, axis=1), 0.0)
     gradient = direction * scale
-    share = 0.5 * deficit / np.sum(gradient * gradient, axis=1)
+    factor = 0.5 * deficit / np.sum(gradient * gradient, axis=1)
     pushes = np.zeros((samples * drones, 3))
     for axis in range(3):
-        push = gradient[:, axis] * share
+        push = gradient[:, axis] * factor
         pushes[:, axis] = np.bincount(first, push, len(pushes))
         pushes[:, axis] -= np.bincount(second, push, len(pushes))
-    count = np.bincount(np.append(first, second), minlength=len(pushes))
-    pushes /= np.sqrt(np.maximum(count, 1))[:, None]
+    pairs_of_point = np.bincount(np.append(first, second), minlength=len(pushes))
+    pushes /= np.sqrt(np.maximum(pairs_of_point, 1))[:, None]
     return pushes.reshape(points.shape)
 
 
@@ -302,7 +417,7 @@ def rightward(velocity: Array, min_speed: float) -> Array:
     East for vertical velocities, and below ``min_speed``, where rounding dominates.
     """
     speed = np.linalg.norm(velocity, axis=1, keepdims=True)
-    return unit(left_of(-velocity), EAST, np.maximum(1e-3 * speed, min_speed))
+    return unit(left_of(-velocity), EAST, np.maximum(MIN_LEVEL_SHARE * speed, min_speed))
 
 
 def _other_pushes(setting: Setting, points: Array) -> Array:
@@ -335,14 +450,11 @@ SCHEDULE_SMOOTHING_TIME = 0.005
 def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
     """Return the task with nominal curves along a schedule, on a grid that resolves them."""
     setting = setting_of(task, SCHEDULE_PIECES * schedule.duration_ratio)
-    grid, nominal = setting.grid, np.zeros_like(setting.nominal)
-    nominal[:, :END_COUNT] = task.start[:, None]
-    nominal[:, -END_COUNT:] = task.goal[:, None]
-    s = np.linspace(0.0, 1.0, 12 * grid.pieces + 1)
+    grid = setting.grid
     times = np.linspace(0.0, 1.0, schedule.points.shape[1])
-    targets = interp1d(times, schedule.points, axis=1)(s)
-    fit = grid.fitting(s, SCHEDULE_SMOOTHING_TIME) @ (targets - grid.sampled(s) @ nominal)
-    nominal[:, grid.free] = inside(task.requirements.arena, fit)
+    targets = interp1d(times, schedule.points, axis=1)(_fit_samples(grid))
+    nominal = _fitted(task, grid, targets, SCHEDULE_SMOOTHING_TIME)
+    nominal[:, grid.free] = inside(task.requirements.arena, nominal[:, grid.free])
     return replace(setting, nominal=nominal)
 
 
@@ -372,20 +484,28 @@ def roundabout(setting: Setting) -> Array | None:
     to the right is ``(1 - x²)²`` times the radius of a layer's ring, and the vertical offset is
     ``(1 - x⁶)²`` times the layer's altitude.
     """
-    task, grid, separation = setting.task, setting.grid, setting.task.requirements.separation
-    s = _samples(grid)
-    points, steps = (grid.sampled(s, order) @ setting.nominal for order in (0, 1))
-    middle = grid.sampled(np.asarray(0.5)) @ setting.nominal
-    centre = np.median(middle, axis=0)
-    crowd = np.linalg.norm((middle - centre) * separation.scale, axis=-1) < TARGET_SEPARATION
-    if np.sum(crowd) < MIN_CROWD:
+    task = setting.task
+    grid = setting.grid
+    separation = task.requirements.separation
+    halfway = grid.sampled(np.asarray(0.5)) @ setting.nominal
+    centre = np.median(halfway, axis=0)
+    distance_halfway = np.linalg.norm((halfway - centre) * separation.scale, axis=-1)
+    in_crowd = distance_halfway < TARGET_SEPARATION
+    crowd = np.sum(in_crowd)
+    if crowd < MIN_CROWD:
         return None
+    # Radius (N, 1) [m] of a ring of the whole crowd, whose circumference seats all its drones
     spacing = 2.0 * TARGET_SEPARATION * separation.radius
-    ring = np.where(crowd, RING_FACTOR * spacing * np.sum(crowd) / (2.0 * math.pi), 0.0)[:, None]
+    ring = np.where(in_crowd, RING_FACTOR * spacing * crowd / (2.0 * math.pi), 0.0)[:, None]
+    s = _push_samples(grid)
+    points = grid.sampled(s) @ setting.nominal
+    velocities = grid.sampled(s, 1) @ setting.nominal
     distance = np.linalg.norm((points - centre)[..., :2], axis=-1)
-    x = np.divide(distance, DETOUR_FACTOR * ring, out=np.ones_like(distance), where=ring > 0.0)
-    lateral, vertical = (np.maximum(1.0 - x**power, 0.0) ** 2 for power in (2, CLIMB_POWER))
-    right = rightward(steps.reshape(-1, 3), 0.0).reshape(steps.shape)
+    detour = DETOUR_FACTOR * ring
+    x = np.divide(distance, detour, out=np.ones_like(distance), where=ring > 0.0)
+    lateral = np.maximum(1.0 - x**2, 0.0) ** 2
+    vertical = np.maximum(1.0 - x**CLIMB_POWER, 0.0) ** 2
+    right = rightward(velocities.reshape(-1, 3), 0.0).reshape(velocities.shape)
     offset = (ring / LAYERS * lateral)[..., None] * right
     layer = np.arange(task.drones)[:, None] % LAYERS - 0.5 * (LAYERS - 1)
     offset[..., 2] += 2.0 * TARGET_SEPARATION * separation.height * layer * vertical

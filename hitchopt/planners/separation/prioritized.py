@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +63,13 @@ MAX_ORDERS = 8
 """Maximum number of orders of priority for each clearance."""
 
 STEPS = np.array(sorted(product((-1, 0, 1), repeat=3), key=lambda step: sum(map(abs, step))))
-"""(27, 3) Steps from a point to itself, which is waiting, and to its neighbours."""
+"""(27, 3): steps from a point to itself, which is waiting, and to its neighbours."""
+
+WAITING: Indices = STEPS[0]
+"""(3,): the step of a drone that waits."""
+
+STRAIGHT_BONUS = 0.5
+"""Bonus of a step like the one after it, over squared distances in steps, which are integers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,22 +109,19 @@ class Lattice:
     @classmethod
     def of(cls, task: SeparationTask) -> Lattice | None:
         """Return the lattice of a task; None if the space is too large for one."""
-        separation, arena = task.requirements.separation, task.requirements.arena
-        ends = np.vstack([task.start, task.goal])
-        margin = MARGIN / separation.scale
-        lower = np.min(ends, axis=0) - margin
-        upper = np.max(ends, axis=0) + margin
-        if arena is not None:
-            lower = np.maximum(lower, arena.lower)
-            upper = np.minimum(upper, arena.upper)
-        size = (upper - lower) * separation.scale
+        separation = task.requirements.separation
+        box = _box(task)
+        size = (box.upper - box.lower) * separation.scale  # in separations
         spacing = SPACING
         while np.prod(np.ceil(size / spacing) + 1.0) > MAX_POINTS:
             spacing *= COARSER
         if spacing > MAX_SPACING:
             return None
         counts = np.ceil(size / spacing).astype(int) + 1
-        axes = (np.linspace(*each) for each in zip(lower, upper, counts, strict=True))
+        axes = [
+            np.linspace(lower, upper, count)
+            for lower, upper, count in zip(box.lower, box.upper, counts, strict=True)
+        ]
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         largest_move = MAX_MOVE * spacing / separation.scale[0]  # [m]
         points, clear = _moved_away(
@@ -139,12 +143,38 @@ class Lattice:
 
     def neighbourhood(self, clearance: float) -> Mask:
         """Return the mask of the offsets between points that are closer than a separation."""
-        reach = [math.ceil(clearance / each) if each > 0.0 else 0 for each in self.spacing]
-        x, y, z = (
-            (np.arange(-n, n + 1) * each) ** 2 for n, each in zip(reach, self.spacing, strict=True)
-        )
-        close: Mask = x[:, None, None] + y[:, None] + z < clearance**2 * (1.0 - TIE)
+        x, y, z = (_offsets(spacing, clearance) for spacing in self.spacing)
+        squared = (x**2)[:, None, None] + (y**2)[:, None] + z**2
+        close: Mask = squared < clearance**2 * (1.0 - TIE)
         return close
+
+
+def _offsets(spacing: float, clearance: float) -> Array:
+    """Return the offsets (2 reach + 1,) of points along an axis up to a clearance, or the next."""
+    reach = math.ceil(clearance / spacing) if spacing > 0.0 else 0
+    return np.arange(-reach, reach + 1) * spacing
+
+
+class Box(NamedTuple):
+    """A box along the axes."""
+
+    lower: Array
+    """(3,) [m], lower corner."""
+
+    upper: Array
+    """(3,) [m], upper corner."""
+
+
+def _box(task: SeparationTask) -> Box:
+    """Return the box around starts and goals, within the arena."""
+    arena = task.requirements.arena
+    ends = np.vstack([task.start, task.goal])
+    margin = MARGIN / task.requirements.separation.scale
+    lower = np.min(ends, axis=0) - margin
+    upper = np.max(ends, axis=0) + margin
+    if arena is None:
+        return Box(lower, upper)
+    return Box(np.maximum(lower, arena.lower), np.minimum(upper, arena.upper))
 
 
 def _moved_away(
@@ -168,25 +198,31 @@ class Reservations:
 
     Attributes
     ----------
+    lattice: the lattice.
+    close: mask of the offsets of points that a drone occupies, see ``Lattice.neighbourhood``.
     taken: masks (x, y, z) by time; the last one holds for all later times.
     """
 
     def __init__(self, lattice: Lattice, clearance: float) -> None:
-        self.lattice, self.close = lattice, lattice.neighbourhood(clearance)
+        self.lattice = lattice
+        self.close = lattice.neighbourhood(clearance)
         self.taken: list[Mask] = [np.zeros(lattice.clear.shape, dtype=np.bool_)]
 
     def add(self, path: Indices) -> None:
         """Reserve the points around a path (times, 3) of indices."""
-        later = max(len(path) - len(self.taken), 0)
-        self.taken += [self.taken[-1].copy() for _ in range(later)]
-        reach = np.array(self.close.shape) // 2
-        shape = np.array(self.lattice.clear.shape)
+        new_times = max(len(path) - len(self.taken), 0)
+        self.taken += [self.taken[-1].copy() for _ in range(new_times)]
         for time, taken in enumerate(self.taken):
-            point = path[min(time, len(path) - 1)]
-            lower, upper = np.maximum(point - reach, 0), np.minimum(point + reach + 1, shape)
-            box = tuple(map(slice, lower, upper))
-            part = tuple(map(slice, lower - point + reach, upper - point + reach))
-            taken[box] |= self.close[part]
+            self._occupy(taken, path[min(time, len(path) - 1)])
+
+    def _occupy(self, taken: Mask, point: Indices) -> None:
+        """Add the points around a point (3,) to a mask (x, y, z)."""
+        reach = np.array(self.close.shape) // 2
+        lower = np.maximum(point - reach, 0)
+        upper = np.minimum(point + reach + 1, taken.shape)
+        on_lattice = tuple(map(slice, lower, upper))
+        in_neighbourhood = tuple(map(slice, lower - point + reach, upper - point + reach))
+        taken[on_lattice] |= self.close[in_neighbourhood]
 
     def free(self, time: int) -> Mask:
         """Return the points (x, y, z) that are clear and not taken at a time."""
@@ -195,10 +231,13 @@ class Reservations:
 
     def free_from(self, point: Node) -> int:
         """Return the time from which a point stays free; larger than all times if never."""
-        blocked = [time for time, taken in enumerate(self.taken) if taken[point]]
-        if not blocked:
+        blocked_times = [time for time, taken in enumerate(self.taken) if taken[point]]
+        if not blocked_times:
             return 0
-        return blocked[-1] + 1 if blocked[-1] < len(self.taken) - 1 else np.iinfo(np.int64).max
+        last_blocked = blocked_times[-1]
+        if last_blocked == len(self.taken) - 1:
+            return np.iinfo(np.int64).max
+        return last_blocked + 1
 
 
 def prioritized(task: SeparationTask) -> Iterator[Schedule]:
@@ -211,19 +250,23 @@ def prioritized(task: SeparationTask) -> Iterator[Schedule]:
     ends = list(zip(starts, goals, strict=True))
     horizon = int(np.sum(lattice.clear))
     empty = Reservations(lattice, CLEARANCES[0])
-    alone = [fastest_path(empty, *each, horizon) for each in ends]
-    steps = [len(path) for path in alone if path is not None]
-    if len(steps) < task.drones:
+    paths_alone = [fastest_path(empty, start, goal, horizon) for start, goal in ends]
+    steps_alone = [len(path) for path in paths_alone if path is not None]
+    if len(steps_alone) < task.drones:
         return
-    order = sorted(range(task.drones), key=lambda drone: -steps[drone])
-    longest = max(steps)
+    order = sorted(range(task.drones), key=lambda drone: -steps_alone[drone])
+    longest = max(steps_alone)
     for clearance in CLEARANCES:
         paths = _paths(lattice, ends, order, clearance, MAX_STEPS_RATIO * longest)
         if paths is not None:
-            count = max(map(len, paths))
-            padded = [np.pad(path, ((0, count - len(path)), (0, 0)), mode="edge") for path in paths]
-            points = np.stack([lattice.along(path) for path in padded])
-            yield Schedule(points, count / longest)
+            times = max(map(len, paths))
+            points = np.stack([lattice.along(_waiting_at_goal(path, times)) for path in paths])
+            yield Schedule(points, times / longest)
+
+
+def _waiting_at_goal(path: Indices, times: int) -> Indices:
+    """Return the path (times, 3) that stays at its last point after a shorter path."""
+    return np.pad(path, ((0, times - len(path)), (0, 0)), mode="edge")
 
 
 def _paths(
@@ -269,20 +312,21 @@ def fastest_path(
         unchanged = time > len(reservations.taken) and np.array_equal(reached[-1], reached[-2])
         if time >= horizon or unchanged or not np.any(reached[-1]):
             return None
-    path, step = [np.array(goal)], STEPS[0]
-    for mask in reached[-2::-1]:
-        step = _step_back(mask, path[-1], step, np.array(start))
-        path.append(path[-1] + step)
-    return np.array(path[::-1])
+    backward = [np.array(goal)]
+    step = WAITING
+    for reached_before in reached[-2::-1]:
+        step = _step_back(reached_before, backward[-1], step, np.array(start))
+        backward.append(backward[-1] + step)
+    return np.array(backward[::-1])
 
 
 def _spread(mask: Mask) -> Mask:
     """Return the mask (x, y, z) of points and all their neighbours."""
     for axis in range(mask.ndim):
-        moved = np.moveaxis(mask, axis, 0)
-        wider = moved.copy()
-        wider[1:] |= moved[:-1]
-        wider[:-1] |= moved[1:]
+        along_axis = np.moveaxis(mask, axis, 0)
+        wider = along_axis.copy()
+        wider[1:] |= along_axis[:-1]
+        wider[:-1] |= along_axis[1:]
         mask = np.moveaxis(wider, 0, axis)
     return mask
 
@@ -290,15 +334,16 @@ def _spread(mask: Mask) -> Mask:
 def _step_back(reached: Mask, point: Indices, last: Indices, start: Indices) -> Indices:
     """Return the step (3,) from a point to one that was reached a time earlier.
 
-    Waiting comes first, then the step that leaves the least distance to the start, and of several
-    of them the last one.
+    Waiting comes first, then the step that leaves the least distance to the start. Of several such
+    steps, the one that equals ``last``, the step after it, comes first.
     """
-    before = point + STEPS
-    inside = np.all((before >= 0) & (before < reached.shape), axis=1)
-    inside[inside] = reached[tuple(before[inside].T)]
-    waiting: Indices = STEPS[0]
-    if inside[0]:
-        return waiting
-    distances = np.sum((before - start) ** 2, axis=1) - 0.5 * np.all(last == STEPS, axis=1)
-    best: Indices = STEPS[int(np.argmin(np.where(inside, distances, np.inf)))]
+    candidates = point + STEPS
+    possible = np.all((candidates >= 0) & (candidates < reached.shape), axis=1)
+    possible[possible] = reached[tuple(candidates[possible].T)]
+    waits = possible[0]
+    if waits:
+        return WAITING
+    squared_distances = np.sum((candidates - start) ** 2, axis=1)
+    costs = squared_distances - STRAIGHT_BONUS * np.all(last == STEPS, axis=1)
+    best: Indices = STEPS[int(np.argmin(np.where(possible, costs, np.inf)))]
     return best

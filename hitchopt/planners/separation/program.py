@@ -137,7 +137,7 @@ def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.f
     deviation_energy, roughness_energy = setting.grid.energies
     deviation = DEVIATION_WEIGHT * deviation_energy
     roughness = ROUGHNESS_WEIGHT * roughness_energy
-    scale = 2.0 * setting.trust / (setting.size**2 * setting.task.drones)
+    scale = 2.0 * setting.trust / (setting.length_scale**2 * setting.task.drones)
     by_deviation = deviation[free] @ (coefficients - setting.nominal)
     gradient = by_deviation + roughness[free] @ coefficients
     of_axis = scale * setting.trust * (deviation + roughness)[free, free]

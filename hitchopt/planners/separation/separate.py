@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,67 +110,104 @@ class SeparatedCurves:
         InfeasibleError: the task is infeasible, or the search found no curves; the violations name
             the pair and the time.
         """
-        report, task = progress or (lambda _: None), self.task
+        report = progress or (lambda _: None)
+        task = self.task
         _check_ends(task)
         setting = self.problem
         if task.duration is not None and task.duration < setting.bound:
             raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
         evaluations: list[CurveBounds] = []
-        for own, guess, remark in _guesses(setting):
-            report(f"guess: {remark or 'straight'}")
-            evaluation = _improved(own, guess, report)
+        for guess in _guesses(setting):
+            report(f"guess: {guess.rule or 'straight'}")
+            evaluation = _improved(guess, report)
             if evaluation.clear and evaluation.duration <= (task.duration or math.inf):
                 duration = task.duration or evaluation.duration
-                curves = own.grid.curves(evaluation.coefficients, duration)
-                return SeparationResult(curves, evaluation.closest, setting.bound, remark)
+                curves = guess.setting.grid.curves(evaluation.coefficients, duration)
+                return SeparationResult(curves, evaluation.closest, setting.bound, guess.rule)
             evaluations.append(evaluation)
         return _last_resort(task, evaluations, report)
 
 
-def _guesses(setting: Setting) -> Iterator[tuple[Setting, Array, str]]:
-    """Yield settings with guesses (N, count, 3) [m] and their rules."""
+class Guess(NamedTuple):
+    """Curves from which a search starts."""
+
+    setting: Setting
+    """The task on the time grid of the curves."""
+
+    coefficients: Array
+    """(N, count, 3) [m]"""
+
+    rule: str
+    """Which drones give way to others; empty for direct routes."""
+
+
+def _guesses(setting: Setting) -> Iterator[Guess]:
+    """Yield guesses in the order in which they are tried."""
     if evaluate(setting, setting.nominal).clear:  # no two drones meet
-        yield setting, setting.nominal, ""
+        yield Guess(setting, setting.nominal, "")
     circular = roundabout(setting)
     if circular is not None:
-        yield setting, circular, "all go around where they meet, to the right"
-    yield setting, pushed_apart(setting, SIDE), "all give way to the right where they meet"
-    for schedule in () if setting.task.tethers else prioritized(setting.task):
-        own = scheduled(setting.task, schedule)
-        yield own, own.nominal, "some wait for others to pass"
-    yield setting, pushed_apart(setting, -SIDE), "all give way to the left where they meet"
+        yield Guess(setting, circular, "all go around where they meet, to the right")
+    right = pushed_apart(setting, SIDE)
+    yield Guess(setting, right, "all give way to the right where they meet")
+    if not setting.task.tethers:
+        for schedule in prioritized(setting.task):
+            on_schedule = scheduled(setting.task, schedule)
+            yield Guess(on_schedule, on_schedule.nominal, "some wait for others to pass")
+    left = pushed_apart(setting, -SIDE)
+    yield Guess(setting, left, "all give way to the left where they meet")
 
 
-def _improved(setting: Setting, guess: Array, report: Progress) -> CurveBounds:
+def _improved(guess: Guess, report: Progress) -> CurveBounds:
     """Return the best curves that programs reach from a guess."""
-    task, idle = setting.task, 0
-    current = best = evaluate(setting, guess)
-    sides = np.zeros((0, 3), dtype=np.intp)
+    setting = guess.setting
+    current = best = evaluate(setting, guess.coefficients)
+    required_sides = np.zeros((0, 3), dtype=np.intp)
+    idle_rounds = 0
     for iteration in range(MAX_PROGRAMS):
-        if best.clear and task.drones >= LARGE_CROWD:
+        if best.clear and setting.task.drones >= LARGE_CROWD:
             break
-        planes, moving = _planes(setting, current, sides)
-        sides = planes.sides[planes.sides[:, 2] >= 0]
-        target = SPEEDUP * current.duration if current.clear else current.duration
-        duration = max(target, task.duration or MIN_DURATION_RATIO * setting.single_duration)
+        planes, moving = _planes(setting, current, required_sides)
+        between_drones = planes.sides[:, 2] >= 0
+        required_sides = planes.sides[between_drones]
+        duration = _target_duration(setting, current)
+        damping = DAMPING * DAMPING_FACTOR**idle_rounds
         try:
-            damping = DAMPING * DAMPING_FACTOR**idle
             moved = moved_curves(setting, current.coefficients, duration, planes, moving, damping)
         except ProgramError:
             break
-        current, before = evaluate(setting, moved), best
+        current = evaluate(setting, moved)
         report(f"round {iteration + 1}: {current.duration:.3g} s, separation {current.closest:.3f}")
-        best = min(before, current, key=lambda candidate: candidate.merit)
-        idle = 0 if best.merit < (1.0 - MIN_GAIN) * before.merit else idle + 1
-        if idle >= (MAX_IDLE_ROUNDS if best.clear else MAX_IDLE_ROUNDS_UNCLEAR):
-            break
-        if not best.clear:
-            continue
-        good = best.duration <= (task.duration or GOOD_RATIO * setting.single_duration)
-        fair = best.duration <= (task.duration or FAIR_RATIO * setting.single_duration)
-        if good or (fair and current.clear and idle >= MAX_IDLE_ROUNDS_FAIR):
+        improved = current.merit < (1.0 - MIN_GAIN) * best.merit
+        idle_rounds = 0 if improved else idle_rounds + 1
+        if current.merit < best.merit:
+            best = current
+        if _search_ends(setting, best, current, idle_rounds):
             break
     return best
+
+
+def _target_duration(setting: Setting, current: CurveBounds) -> float:
+    """Return the duration [s] at which the next program applies the limits."""
+    shortest = setting.task.duration or MIN_DURATION_RATIO * setting.single_duration
+    target = SPEEDUP * current.duration if current.clear else current.duration
+    return max(target, shortest)
+
+
+def _search_ends(
+    setting: Setting, best: CurveBounds, current: CurveBounds, idle_rounds: int
+) -> bool:
+    """Return whether the best curves suffice, or too many rounds have not improved them."""
+    if not best.clear:
+        return idle_rounds >= MAX_IDLE_ROUNDS_UNCLEAR
+    prescribed = setting.task.duration
+    good = best.duration <= (prescribed or GOOD_RATIO * setting.single_duration)
+    fair = best.duration <= (prescribed or FAIR_RATIO * setting.single_duration)
+    return (
+        good
+        or (fair and current.clear and idle_rounds >= MAX_IDLE_ROUNDS_FAIR)
+        or idle_rounds >= MAX_IDLE_ROUNDS
+    )
 
 
 def _planes(
@@ -179,7 +217,8 @@ def _planes(
 
     In a LARGE_CROWD only drones move that are too close to others, as long as there are any.
     """
-    task, separation = setting.task, setting.task.requirements.separation
+    task = setting.task
+    separation = task.requirements.separation
     pieces = setting.grid.pieces_of(current.coefficients)
     crowded = task.drones >= LARGE_CROWD and not current.clear
     cutoff = 1.0 + PLANE_MARGIN + (CROWD_PLANE_RANGE if crowded else PLANE_RANGE)
@@ -190,11 +229,20 @@ def _planes(
         moving[:] = False
         moving[planes.sides[close, 1:]] = True
     distance = separation.radius + 2.0 * setting.trust
-    prisms = [
+    planes_to_prisms = [
         planes_to_prism(pieces, prism, separation.radius, distance)
         for prism in task.requirements.keep_out
     ]
-    return Planes._make(map(np.concatenate, zip(planes, *prisms, strict=True))), moving
+    return _concatenated([planes, *planes_to_prisms]), moving
+
+
+def _concatenated(parts: Sequence[Planes]) -> Planes:
+    """Return all planes of the parts, in their order."""
+    return Planes(
+        sides=np.concatenate([part.sides for part in parts]),
+        normals=np.concatenate([part.normals for part in parts]),
+        gaps=np.concatenate([part.gaps for part in parts]),
+    )
 
 
 def _last_resort(
@@ -202,8 +250,8 @@ def _last_resort(
 ) -> SeparationResult:
     """Return the fastest flight at the prescribed duration, or raise InfeasibleError."""
     nearest = max(evaluations, key=lambda evaluation: evaluation.closest)
-    count = len(evaluations)
-    note = f"no route was found from {count} guesses; the search is local: others may exist"
+    guesses = len(evaluations)
+    note = f"no route was found from {guesses} guesses; the search is local: others may exist"
     if task.duration is None:
         raise InfeasibleError(nearest.violations, note)
     report("searching for a feasible duration")
@@ -219,8 +267,8 @@ def _last_resort(
 
 def _too_short(task: SeparationTask, duration: float, reason: str) -> Violation:
     """Return the violation of a task whose prescribed duration is below a feasible one [s]."""
-    digit = 10.0 ** (math.floor(math.log10(duration)) - 3)
-    rounded_up = digit * math.ceil(duration / digit * (1.0 + 1e-9))
+    last_digit = 10.0 ** (math.floor(math.log10(duration)) - 3)
+    rounded_up = last_digit * math.ceil(duration / last_digit * (1.0 + 1e-9))
     remedy = f"{reason}; allow {rounded_up:.4g} s, or raise the limits"
     limit = task.duration or math.nan
     return Violation("duration", duration, limit, "max", "s", (), "", remedy)
@@ -233,6 +281,10 @@ MIN_DURATION = 0.01
 """[s] Smallest duration, as of flights in which no drone moves."""
 
 REMEDY = "allow more time or space, or move these drones apart"
+"""Suggested change for curves that violate a limit."""
+
+END_REMEDY = "move the named drones, or relax the limit"
+"""Suggested change for starts and goals that violate a limit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,14 +317,10 @@ class CurveBounds:
 
 def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
     """Return the evaluation of curves by the certificate's continuous-time bounds."""
-    task, unit = setting.task, setting.grid.curves(coefficients, 1.0)
-    factors = [MIN_DURATION]
-    for order, cap in enumerate(setting.caps, start=1):
-        shares = PiecewisePolynomial(unit.breaks, unit.coefficients / cap[:, None, None])
-        factors.append(float(np.power(max(largest_rate(shares, order).worst, 0.0), 1.0 / order)))
-    limit, shortest = task.requirements.limits.body_rate, STRETCH * max(factors)
-    duration = turning_stretch(Swarm(task.drones), limit, (unit,), shortest)
-    checks = _checks(task, unit.stretched(duration))
+    task = setting.task
+    curves = setting.grid.curves(coefficients, 1.0)
+    duration = _shortest_duration(setting, curves)
+    checks = _checks(task, curves.stretched(duration))
     violations = (
         check.violation(f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY)
         for check in checks
@@ -282,43 +330,77 @@ def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
     return CurveBounds(coefficients, duration, closest, tuple(violations))
 
 
+def _shortest_duration(setting: Setting, curves: PiecewisePolynomial) -> float:
+    """Return the shortest duration [s], with reserves, of curves whose duration is one."""
+    durations = [MIN_DURATION]
+    for order, cap in enumerate(setting.caps, start=1):
+        over_cap = PiecewisePolynomial(curves.breaks, curves.coefficients / cap[:, None, None])
+        largest = max(largest_rate(over_cap, order).worst, 0.0)
+        durations.append(float(np.power(largest, 1.0 / order)))
+    body_rate = setting.task.requirements.limits.body_rate
+    swarm = Swarm(setting.task.drones)
+    return turning_stretch(swarm, body_rate, (curves,), STRETCH * max(durations))
+
+
+CHECKED_RULES = ("separation", "arena", "keep_out")
+"""Names of the certificate's rules that do not depend on the duration."""
+
+
 def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
-    """Return the certificate's checks that do not depend on the duration, and that of tethers."""
-    swarm = Swarm(task.drones)
-    motion = Motion.single(swarm, task.requirements, curves, ())
-    checks = [RULE_OF[name].check(motion) for name in ("separation", "arena", "keep_out")]
+    """Return the checks of CHECKED_RULES and of tethers, with the task's names."""
+    motion = Motion.single(Swarm(task.drones), task.requirements, curves, ())
+    checks = [RULE_OF[name].check(motion) for name in CHECKED_RULES]
     if task.tethers:
-        first, second, longest = task.tether_arrays
-        x = curves.coefficients
-        offsets = (x[:, first] - x[:, second]) / longest[:, None, None]
-        size = float(np.max(np.abs(x))) / float(np.min(longest))
-        bound = largest_rate(PiecewisePolynomial(curves.breaks, offsets), 0, 1.0)
-        pair = tuple(swarm.drone_names[ends[bound.item]] for ends in (first, second))
-        worst = bound.worst + ROUNDING * size
-        checks.append(Check.of("span", worst, 1.0, "max", "ratio", bound.time, pair, size))
-    names = dict(zip(swarm.drone_names, task.names, strict=True))
+        checks.append(_tether_check(task, curves))
+    return [_with_names(check, task, curves) for check in checks if check is not None]
 
-    def named(check: Check) -> Check:
-        """Return the check with the task's names of drones and the nearest prism."""
-        where = [names.get(name, name) for name in check.where]
-        if check.name == "keep_out" and len(where) == 1:
-            drone, prisms = swarm.drone_names.index(check.where[0]), task.requirements.keep_out
-            point = curves.at([check.time])[0, drone : drone + 1]
-            distances = [float(prism.clearance(point).distance[0]) for prism in prisms]
-            where.append(task.prisms[int(np.argmin(distances))])
-        return replace(check, where=tuple(where))
 
-    return [named(check) for check in checks if check is not None]
+def _tether_check(task: SeparationTask, curves: PiecewisePolynomial) -> Check:
+    """Return the check of the largest distance of tethered drones, over its limit."""
+    first, second, longest = task.tether_arrays
+    positions = curves.coefficients
+    offsets = (positions[:, first] - positions[:, second]) / longest[:, None, None]
+    coordinate_ratio = float(np.max(np.abs(positions))) / float(np.min(longest))
+    span = largest_rate(PiecewisePolynomial(curves.breaks, offsets), 0, 1.0)
+    names = Swarm(task.drones).drone_names
+    return Check.of(
+        "span",
+        worst=span.worst + ROUNDING * coordinate_ratio,
+        limit=1.0,
+        sense="max",
+        unit="ratio",
+        time=span.time,
+        where=(names[first[span.item]], names[second[span.item]]),
+        size=coordinate_ratio,
+    )
+
+
+def _with_names(check: Check, task: SeparationTask, curves: PiecewisePolynomial) -> Check:
+    """Return the check with the task's names of drones and the nearest prism."""
+    swarm_names = Swarm(task.drones).drone_names
+    task_names = dict(zip(swarm_names, task.names, strict=True))
+    where = [task_names.get(name, name) for name in check.where]
+    if check.name == "keep_out" and len(where) == 1:
+        drone = swarm_names.index(check.where[0])
+        point = curves.at([check.time])[0, drone : drone + 1]
+        prisms = task.requirements.keep_out
+        distances = [float(prism.clearance(point).distance[0]) for prism in prisms]
+        where.append(task.prisms[int(np.argmin(distances))])
+    return replace(check, where=tuple(where))
 
 
 def _check_ends(task: SeparationTask) -> None:
     """Raise InfeasibleError if starts or goals are too close, outside the arena or in a prism."""
-    ends = (task.start, "at the start (t = 0)"), (task.goal, "at the goals (the plan's end)")
     violations = [
-        check.violation(when, "move the named drones, or relax the limit")
-        for points, when in ends
-        for check in _checks(task, PiecewisePolynomial.constant([0.0, 1.0], points))
-        if not check.holds
+        *_end_violations(task, task.start, "at the start (t = 0)"),
+        *_end_violations(task, task.goal, "at the goals (the plan's end)"),
     ]
     if violations:
         raise InfeasibleError(violations)
+
+
+def _end_violations(task: SeparationTask, points: Array, when: str) -> list[Violation]:
+    """Return the violations of drones at rest at points (N, 3) [m]."""
+    at_rest = PiecewisePolynomial.constant([0.0, 1.0], points)
+    checks = _checks(task, at_rest)
+    return [check.violation(when, END_REMEDY) for check in checks if not check.holds]

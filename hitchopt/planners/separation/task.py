@@ -52,12 +52,16 @@ class SeparationTask:
                 raise InputError(name, points.shape, "(N, 3), finite", "use metres")
             points.setflags(write=False)
             object.__setattr__(self, name, points)
-        n, count = len(self.start), len(self.requirements.keep_out)
-        object.__setattr__(self, "names", self.names or tuple(f"d{i}" for i in range(n)))
-        object.__setattr__(self, "prisms", self.prisms or tuple(f"prism {k}" for k in range(count)))
-        for name, number in (("goal", n), ("names", n), ("prisms", count)):
-            if len(getattr(self, name)) != number:
-                raise InputError(name, len(getattr(self, name)), str(number), "one for each")
+        drones = len(self.start)
+        prisms = len(self.requirements.keep_out)
+        if not self.names:
+            object.__setattr__(self, "names", tuple(f"d{i}" for i in range(drones)))
+        if not self.prisms:
+            object.__setattr__(self, "prisms", tuple(f"prism {k}" for k in range(prisms)))
+        for name, required in (("goal", drones), ("names", drones), ("prisms", prisms)):
+            count = len(getattr(self, name))
+            if count != required:
+                raise InputError(name, count, str(required), "one for each")
         if self.duration is not None:
             positive("duration", self.duration)
 
@@ -156,18 +160,24 @@ class Grid:
         ----------
         smoothing_time: time constant of a penalty on the third derivative, over the duration.
         """
-        values, thirds = self.sampled(s)[:, self.free], self.sampled(s, 3)[:, self.free]
-        square = values.T @ values + smoothing_time**6 * thirds.T @ thirds
-        return np.asarray(np.linalg.solve(square, values.T), dtype=np.float64)
+        values = self.sampled(s)[:, self.free]
+        thirds = self.sampled(s, 3)[:, self.free]
+        normal_matrix = values.T @ values + smoothing_time**6 * thirds.T @ thirds
+        return np.asarray(np.linalg.solve(normal_matrix, values.T), dtype=np.float64)
 
     @cached_property
     def energies(self) -> tuple[Array, Array]:
         """Matrices (count, count) of the mean squares of a spline and of its third derivative."""
-        x, w = np.polynomial.legendre.leggauss(DEGREE + 1)  # exact for squares of splines
-        h = np.diff(self.breaks)[:, None]
-        s, weights = (self.breaks[:-1, None] + 0.5 * h * (x + 1.0)).ravel(), (0.5 * h * w).ravel()
-        value, third = self.sampled(s), self.sampled(s, 3)
-        return value.T @ (weights[:, None] * value), third.T @ (weights[:, None] * third)
+        # Gauss's rule with so many nodes is exact for squares of splines.
+        nodes, node_weights = np.polynomial.legendre.leggauss(DEGREE + 1)
+        widths = np.diff(self.breaks)[:, None]
+        s = (self.breaks[:-1, None] + 0.5 * widths * (nodes + 1.0)).ravel()
+        weights = (0.5 * widths * node_weights).ravel()
+        values = self.sampled(s)
+        thirds = self.sampled(s, 3)
+        value_energy = values.T @ (weights[:, None] * values)
+        third_energy = thirds.T @ (weights[:, None] * thirds)
+        return value_energy, third_energy
 
     @cached_property
     def rates(self) -> list[Array]:
@@ -175,10 +185,12 @@ class Grid:
 
         A derivative is in the convex hull of its coefficients.
         """
-        rates, knots = [np.eye(self.count)], self.knots
+        rates = [np.eye(self.count)]
         for k in (1, 2, 3):
-            spans = knots[DEGREE + 1 : DEGREE + 1 + self.count - k] - knots[k : self.count]
-            rates.append((DEGREE + 1 - k) * np.diff(rates[-1], axis=0) / spans[:, None])
+            starts = self.knots[k : self.count]
+            ends = self.knots[DEGREE + 1 : DEGREE + 1 + self.count - k]
+            spans = (ends - starts)[:, None]
+            rates.append((DEGREE + 1 - k) * np.diff(rates[-1], axis=0) / spans)
         return rates[1:]
 
     def pieces_of(self, coefficients: Array) -> Array:
@@ -215,8 +227,8 @@ class Setting:
     single_duration: float
     """[s] Estimate of the longest single flight around prisms."""
 
-    size: float
-    """[m] Length of the longest route."""
+    length_scale: float
+    """[m] Length of the longest route, at least the diameter of a drone's ellipsoid."""
 
     @property
     def trust(self) -> float:
