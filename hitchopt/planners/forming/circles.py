@@ -57,35 +57,48 @@ def circular_polygon(edge_lengths: Array) -> ConvexPolygon:
 
     Edges with an arc of more than MAX_ARC are shortened.
     """
-    shortest, longest = float(np.min(edge_lengths)), float(np.max(edge_lengths))
-    lengths = edge_lengths
-    radius = _radius(lengths)
-    if 2.0 * radius * math.sin(0.5 * MAX_ARC) < longest:
-        for _ in range(BISECTIONS):
-            middle = 0.5 * (shortest + longest)
-            lengths = np.minimum(edge_lengths, middle)
-            radius = _radius(lengths)
-            if 2.0 * radius * math.sin(0.5 * MAX_ARC) < middle:
-                longest = middle
-            else:
-                shortest = middle
-        lengths = np.minimum(edge_lengths, shortest)
-        radius = _radius(lengths)
-    arcs = 2.0 * np.arcsin(0.5 * lengths / radius)
+    chords = _shortened(edge_lengths)
+    radius = _radius(chords)
+    arcs = 2.0 * np.arcsin(0.5 * chords / radius)
     angles = np.cumsum(arcs) - arcs
     return ConvexPolygon(radius * np.column_stack([np.cos(angles), -np.sin(angles)]))
 
 
-def _radius(lengths: Array) -> float:
-    """Return the radius [m] of the circle that chords of these lengths (n,) [m] close.
+def _shortened(edge_lengths: Array) -> Array:
+    """Return the edges (n,) [m], at most as long as lets the longest one have MAX_ARC."""
+    longest = float(np.max(edge_lengths))
+    if not _exceeds_arc(edge_lengths, longest):
+        return edge_lengths
+    feasible = float(np.min(edge_lengths))
+    infeasible = longest
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (feasible + infeasible)
+        if _exceeds_arc(np.minimum(edge_lengths, middle), middle):
+            infeasible = middle
+        else:
+            feasible = middle
+    return np.minimum(edge_lengths, feasible)
 
-    It is half of the longest chord if they would close only beside the centre.
+
+def _exceeds_arc(chords: Array, longest: float) -> bool:
+    """Return whether the longest of the chords (n,) [m] of a circle has more than MAX_ARC."""
+    return 2.0 * _radius(chords) * math.sin(0.5 * MAX_ARC) < longest
+
+
+def _radius(chords: Array) -> float:
+    """Return the radius [m] of the circle that chords (n,) [m] close.
+
+    It is half of the longest chord if the centre of that circle is outside of the polygon.
     """
-    lower, upper = 0.5 * float(np.max(lengths)), 0.5 * float(np.sum(lengths))
+    lower = 0.5 * float(np.max(chords))
+    upper = 0.5 * float(np.sum(chords))
     for _ in range(BISECTIONS):
         middle = 0.5 * (lower + upper)
-        closes = np.sum(np.arcsin(np.minimum(0.5 * lengths / middle, 1.0))) > math.pi
-        lower, upper = (middle, upper) if closes else (lower, middle)
+        half_arcs = np.arcsin(np.minimum(0.5 * chords / middle, 1.0))
+        if np.sum(half_arcs) > math.pi:
+            lower = middle
+        else:
+            upper = middle
     return lower
 
 
@@ -94,19 +107,18 @@ class CircularHitches:
     """The hitches on circles near a goal."""
 
     goal: Hitch
+    """The hitch that cannot be tied directly."""
+
     requirements: Requirements
     """Limits and distances."""
 
     @property
     def shapes(self) -> Iterator[Hitch]:
         """Hitches without roll about the origin, whose legs keep all distances."""
-        team, limits = self.goal.team, self.requirements.limits
-        shortest = 2.0 * max(limits.leg, self.requirements.separation.radius)
+        team = self.goal.team
         tried = list[Array]()
         for size in SIZES:
-            slack = np.minimum(size.slack * shortest, MAX_SLACK_SHARE * team.cable_length)
-            edges = team.cable_length - slack
-            edges = np.minimum(edges, size.max_edge * np.min(edges))
+            edges = self._edges(size)
             if any(np.allclose(edges, other) for other in tried):
                 continue
             tried.append(edges)
@@ -114,15 +126,33 @@ class CircularHitches:
             if hitch is not None:
                 yield hitch
 
+    def _edges(self, size: CircleSize) -> Array:
+        """Return the lengths (n,) [m] of the edges of a size."""
+        cable_length = self.goal.team.cable_length
+        shortest_leg = max(self.requirements.limits.leg, self.requirements.separation.radius)
+        shortest_slack = 2.0 * shortest_leg
+        slack = np.minimum(size.slack * shortest_slack, MAX_SLACK_SHARE * cable_length)
+        edges = cable_length - slack
+        return np.minimum(edges, size.max_edge * np.min(edges))
+
     def placed(self, shape: Hitch) -> Iterator[Hitch]:
-        """Yield a shape at the goal's centroid, turned to the goal and out of there."""
-        outlines = self.goal.polygon, shape.polygon
-        goal, points = (outline.vertices - outline.centroid for outline in outlines)
-        nearest = np.angle(np.sum((goal @ [1.0, 1.0j]) * (points @ [1.0, -1.0j])))
+        """Yield a shape at the goal's centroid, turned to the goal and by PHASES from there."""
+        goal = self.goal.polygon
+        goal_points = goal.vertices - goal.centroid
+        points = shape.polygon.vertices - shape.polygon.centroid
+        angle = _nearest_angle(points, goal_points)
         for phase in PHASES:
-            turned = rotated(points, float(nearest) + phase)
-            polygon = ConvexPolygon(self.goal.polygon.centroid + turned)
+            polygon = ConvexPolygon(goal.centroid + rotated(points, angle + phase))
             yield Hitch(shape.team, polygon, shape.altitude, shape.q_legs)
+
+
+def _nearest_angle(points: Array, goal: Array) -> float:
+    """Return the angle [rad] that turns points (n, 2) about the origin nearest to others (n, 2).
+
+    The sum of squared distances is smallest.
+    """
+    conjugates = points @ [1.0, -1.0j]
+    return float(np.angle(np.sum((goal @ [1.0, 1.0j]) * conjugates)))
 
 
 def _spread(

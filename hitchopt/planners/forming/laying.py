@@ -16,7 +16,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hitchopt.geometry import shortest_offset
+from hitchopt.geometry import differences, shortest_offset
 from hitchopt.geometry.vectors import left_of
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
@@ -131,14 +131,15 @@ def levels_of(layout: Layout, order: Iterable[int] | None) -> Indices:
             levels[-1] = 2
         return levels
     levels = np.full(n, -1)
-    for k in order:
-        neighbours = levels[k - 1], levels[(k + 1) % n]
-        levels[k] = 1 + max(neighbours)
+    for cable in order:
+        level_behind = levels[cable - 1]
+        level_ahead = levels[(cable + 1) % n]
+        levels[cable] = 1 + max(level_behind, level_ahead)
     return levels
 
 
 def senses_of(layout: Layout, levels: Indices) -> Array:
-    """Return (clasps,): 1 if cable k is above cable k-1 at its clasp, else -1."""
+    """Return the senses (clasps,): 1 if cable k is above cable k-1 at its clasp, else -1."""
     senses: Array = np.sign(levels[layout.ahead] - levels[layout.behind]).astype(np.float64)
     return senses
 
@@ -296,13 +297,13 @@ def _nearest_start(
     Taut cables are at a distance [m], and landed drones separated.
     """
     team = laying.hitch.team
-    level = laying.drones_laid[:, :2]
+    laid = laying.drones_laid[:, :2]
     step = OFFSET_STEP * float(np.mean(team.cable_length))
     start = laying
     for i in range(MAX_OFFSET_STEPS):
         offsets = (i * step) * direction
         start = replace(laying, offsets=offsets)
-        taut = level + np.repeat(offsets, 2, axis=0)
+        taut = laid + np.repeat(offsets, 2, axis=0)
         if _cable_distance(team.layout, taut) < distance:
             continue
         landed = start.drones_hanging * [1.0, 1.0, 0.0]
@@ -312,13 +313,14 @@ def _nearest_start(
 
 
 def _cable_distance(layout: Layout, drones: Array) -> float:
-    """Return the minimum distance of cables of a ring to the next two, drones (2n, 2) [m]."""
-    ends = np.concatenate([drones, np.zeros((len(drones), 1))], axis=1).reshape(-1, 2, 3)
-    k = np.arange(layout.robots)
+    """Return the minimum distance [m] of cables of a ring to the two behind, drones (2n, 2) [m]."""
+    heights = np.zeros((len(drones), 1))
+    cable_ends = np.concatenate([drones, heights], axis=1).reshape(-1, 2, 3)
+    cables = np.arange(layout.robots)
     smallest = np.inf
-    for other in (k - 1, k - 2):
-        differences = ends[:, [0, 0, 1, 1]] - ends[other][:, [0, 1, 0, 1]]
-        distances = np.linalg.norm(shortest_offset(differences), axis=-1)
+    for neighbours in (cables - 1, cables - 2):
+        offsets = shortest_offset(differences(cable_ends, cable_ends[neighbours]))
+        distances = np.linalg.norm(offsets, axis=-1)
         smallest = min(smallest, float(np.min(distances)))
     return smallest
 

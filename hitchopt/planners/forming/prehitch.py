@@ -167,16 +167,20 @@ class SwapEllipses:
         start = first * math.pi
         angles = np.linspace(start, start + math.pi, TURN_ANGLES)
         usable = float(np.min(usable_accelerations(self.team, limits, self.drones(angles))))
-        size = float(max(np.max(self.half), np.max(np.abs(self.rise))))
+        semi_axis = float(max(np.max(self.half), np.max(np.abs(self.rise))))
 
         def turn(centripetal_share: float) -> PiecewisePolynomial:
             """Return the turn with a centripetal share of the acceleration, within all limits."""
-            top_rate = min(limits.speed / size, math.sqrt(centripetal_share * usable / size))
-            centripetal = top_rate * top_rate * size
+            rate_of_centripetal = math.sqrt(centripetal_share * usable / semi_axis)
+            top_rate = min(limits.speed / semi_axis, rate_of_centripetal)
+            centripetal = top_rate * top_rate * semi_axis
             remaining = usable * usable - centripetal**2
             tangential = math.sqrt(max(remaining, MIN_TANGENTIAL**2))
             clock = fastest_clock(
-                math.pi, top_rate, tangential / size, JERK_SHARE * limits.jerk / size
+                math.pi,
+                speed=top_rate,
+                acceleration=tangential / semi_axis,
+                jerk=JERK_SHARE * limits.jerk / semi_axis,
             )
             return timed_curve(
                 lambda angle, k: self.drones(start + angle, k),
@@ -216,7 +220,8 @@ class SwapEllipses:
         Clasps are on the lines from the ellipses' centres to the hitch's vertices; the ends of
         chains are at their drones.
         """
-        layout, drones = hitch.team.layout, self.drones(0.0)
+        layout = hitch.team.layout
+        drones = self.drones(0.0)
         centres = hitch.vertices.copy()
         centres[layout.clasps] = self.centres
         polygons = [centres + share * (hitch.vertices - centres) for share in CLASP_SHARES]
@@ -379,8 +384,8 @@ class PreHitch:
 def find_prehitch(hitch: Hitch, requirements: Requirements, settings: SwapSettings) -> PreHitch:
     """Return the first pre-hitch without a violation, or the one with the smallest violation.
 
-    Chords across the vertices are considered only if some other
-    candidate would not link its cables.
+    Chords across the vertices are considered only if some other candidate would not link its
+    cables.
     """
 
     def candidates() -> Iterator[tuple[float, PreHitch]]:
