@@ -66,7 +66,7 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
     load = ca.vertcat(0.0, 0.0, -symbols["load"]) if loaded else None
     edge_behind = Edge.of(point - point_behind, tension_behind, weight)
     edge_ahead = Edge.of(point_ahead - point, tension_ahead, weight)
-    directions, chords, r_leg = clasp_legs(
+    legs = clasp_legs(
         (edge_behind, edge_ahead),
         (q_leg_behind, q_leg_ahead),
         symbols["cable_length"],
@@ -75,7 +75,8 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
         Series(symbols["roll"]) if rolled else None,
         equal=equal,
     )
-    r, q = (point + chord * along for chord, along in zip(chords, directions, strict=True))
+    r = point + legs.chords.behind * legs.directions.behind
+    q = point + legs.chords.ahead * legs.directions.ahead
     pulls = [
         _pull_on_clasp(r - point, tension_behind, weight),
         _pull_on_clasp(point_behind - point, tension_behind, weight),
@@ -90,7 +91,7 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
     outputs = {
         "r": r.value,
         "q": q.value,
-        "e": r_leg.value,
+        "e": legs.r_leg.value,
         "turn": arriving[1] * leaving[0] - arriving[0] * leaving[1],
         "straight": arriving[0] * leaving[0] + arriving[1] * leaving[1],
         "residual": residual,
@@ -102,11 +103,11 @@ def clasp_function(*, weighted: bool, loaded: bool, rolled: bool, equal: bool) -
 
 def _pull_on_clasp(span: Series, tension: Series, weight: Any) -> Series:
     """Return the force [N] of a cable part on its clasp: along its chord, minus half its weight."""
-    cable, size, _ = cable_of_span(span, tension, weight)
-    along = span / size
+    part = cable_of_span(span, tension, weight)
+    along = span / part.chord
     if weight is None:
         return tension * along
-    half_weight: Series = cable * (0.5 * weight)
+    half_weight: Series = part.cable * (0.5 * weight)
     rise = along.row(2)
     pull: Series = chord_pull(tension, half_weight, 1.0 - rise * rise, rise)
     return pull * along - half_weight.upward
@@ -134,14 +135,14 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     span = Series(symbols["span"])
     tension = Series(symbols["tension"])
     weight = symbols["weight"] if weighted else None
-    cable, size, _ = cable_of_span(span, tension, weight)
-    force = -(tension / size) * span
+    part = cable_of_span(span, tension, weight)
+    force = -(tension / part.chord) * span
     if weight is not None:
         half_density = Series(0.5 * weight)
         level = span.row(0, 1)
         pull = chord_pull(tension, half_density, level.dot(level), span.row(2))
-        force = -(pull / size) * span - (half_density * size).upward
-    outputs = {"length": cable.value, "chord": size.value, "force": force.value}
+        force = -(pull / part.chord) * span - (half_density * part.chord).upward
+    outputs = {"length": part.cable.value, "chord": part.chord.value, "force": force.value}
     return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
 
 

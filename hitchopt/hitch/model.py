@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,18 +24,27 @@ from hitchopt.values import Array, Indices
 class Edge:
     """An edge of a hitch."""
 
-    along: Series  # its direction
-    cable: Series  # its cable length [m]
-    pull: Series  # along its chord [N]
-    tension: Series  # of its cable [N]
-    sag: Any  # factor of ``forces.cable_of`` for its cable [1/m²]; None without weight
+    along: Series
+    """Its direction."""
+
+    cable: Series
+    """[m], its cable length."""
+
+    pull: Series
+    """[N], along its chord."""
+
+    tension: Series
+    """[N], of its cable."""
+
+    sag: Any
+    """[1/m²], factor of ``forces.cable_of`` for its cable; None without weight."""
 
     @classmethod
     def of(cls, vector: Series, tension: Series, weight: Any) -> Edge:
         """Return the edge along a vector; ``weight`` is that of cables [N/m], or None."""
-        cable, chord, sag = cable_of_span(vector, tension, weight)
-        pull = tension if weight is None else chord_pull(tension, cable * (0.5 * weight))
-        return cls(vector / chord, cable, pull, tension, sag)
+        span = cable_of_span(vector, tension, weight)
+        pull = tension if weight is None else chord_pull(tension, span.cable * (0.5 * weight))
+        return cls(vector / span.chord, span.cable, pull, tension, span.sag)
 
     def select(self, index: Indices) -> Edge:
         """Return the edges at some indices."""
@@ -45,18 +54,41 @@ class Edge:
         return Edge(self.along.select(index), self.cable.select(index), pull, tension, sag)
 
 
-def cable_of_span(vector: Series, tension: Series, weight: Any) -> tuple[Series, Series, Any]:
-    """Return cable length and chord [m] of a span, and its factor of ``forces.cable_of``.
+class CableSpan(NamedTuple):
+    """A cable between two points."""
 
-    ``weight`` is that of cables [N/m]; None if there is none, as is then the factor.
-    """
+    cable: Series
+    """[m], its length."""
+
+    chord: Series
+    """[m], distance of the points."""
+
+    sag: Any
+    """[1/m²], factor of ``forces.cable_of``; None without weight."""
+
+
+def cable_of_span(vector: Series, tension: Series, weight: Any) -> CableSpan:
+    """Return the cable along a vector [m]; ``weight`` is that of cables [N/m], or None."""
     chord = vector.dot(vector).root
     if weight is None:
-        return chord, chord, None
+        return CableSpan(chord, chord, None)
     sag = tension.constant(weight * weight / 24.0) / (tension * tension)
     level = vector.row(0, 1)
     cable = chord + chord * sag * level.dot(level)
-    return cable, chord, sag
+    return CableSpan(cable, chord, sag)
+
+
+class ClaspLegs(NamedTuple):
+    """The legs r_{k-1} and q_k at a clasp ``p_k``."""
+
+    directions: LegPair
+    """Unit vectors from the clasp."""
+
+    chords: LegPair
+    """[m], distances of their drones from the clasp."""
+
+    r_leg: Series
+    """[m], ``e_{k-1}``, the cable length of the first leg."""
 
 
 def clasp_legs(
@@ -68,11 +100,10 @@ def clasp_legs(
     roll: Series | None,
     *,
     equal: bool = False,
-) -> tuple[LegPair, LegPair, Series]:
-    """Return directions and chords [m] of the legs r_{k-1} and q_k at ``p_k``, and ``e_{k-1}`` [m].
+) -> ClaspLegs:
+    """Return the legs at ``p_k``, where edge and r-leg of cable k-1 meet q-leg and edge of cable k.
 
-    Pairs begin with cable k-1 and end with cable k. At ``p_k`` the edge and
-    the r-leg of cable k-1 meet the q-leg and the edge of cable k.
+    Pairs begin with cable k-1 and end with cable k.
 
     Parameters
     ----------
@@ -90,14 +121,14 @@ def clasp_legs(
     r_leg = length_behind - behind.cable - q_leg_behind
     legs = LegPair(r_leg, q_leg)
     if equal and load is None and weight is None and roll is None:
-        return LegPair(-ahead.along, behind.along), legs, r_leg
+        return ClaspLegs(LegPair(-ahead.along, behind.along), legs, r_leg)
     held = behind.pull * behind.along - ahead.pull * ahead.along  # by both legs
     if load is not None:
         held = held - held.constant(load)
     onward = behind.along + ahead.along
     tensions = LegPair(behind.tension, ahead.tension)
     if weight is None:
-        return closed_triangle(held, onward, roll, tensions, None), legs, r_leg
+        return ClaspLegs(closed_triangle(held, onward, roll, tensions, None), legs, r_leg)
     half_weight = 0.5 * weight
     # Half of the lengths that meet at the clasp: edge and r-leg of cable k-1, q-leg and edge of k
     carried = (length_behind - q_leg_behind + q_leg + ahead.cable) * half_weight
@@ -107,7 +138,7 @@ def clasp_legs(
         behind=_leg_chord(r_leg, behind.sag, directions.behind),
         ahead=_leg_chord(q_leg, ahead.sag, directions.ahead),
     )
-    return directions, chords, r_leg
+    return ClaspLegs(directions, chords, r_leg)
 
 
 def _leg_chord(leg: Series, sag: Series, direction: Series) -> Series:
@@ -216,7 +247,7 @@ def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
             vertices.select(layout.ends) - vertices.select(layout.starts), tensions, weight
         )
         q_legs = _scalars(flat.q_legs)
-        directions, chords, _ = clasp_legs(
+        legs = clasp_legs(
             (edges.select(layout.behind), edges.select(layout.ahead)),
             (q_legs.select(layout.behind), q_legs.select(layout.ahead)),
             team.cable_length[layout.behind],
@@ -227,9 +258,9 @@ def _drone_jets(team: Team, flat: FlatJets, equal: bool) -> tuple[Array, Array]:
         )
         positions = flat.vertices[:, layout.anchors]  # final at a chain's ends, without legs
         distances = np.zeros((len(positions), team.drones, JET))
-        clasp_drones = 2 * layout.behind + 1, 2 * layout.ahead
-        for drones, chord, direction in zip(clasp_drones, chords, directions, strict=True):
-            positions[:, drones] += (chord * direction).jet
+        clasp_drones = (2 * layout.behind + 1, 2 * layout.ahead)
+        for drones, chord, along in zip(clasp_drones, legs.chords, legs.directions, strict=True):
+            positions[:, drones] += (chord * along).jet
             distances[:, drones] = chord.jet[..., 0, :]
     return positions, distances.reshape(len(positions), -1, 2, JET)
 
@@ -267,20 +298,18 @@ def slipping_drones(
     (J, clasps, 2, 3, 4) [m]: ``r_{k-1}`` and ``q_k`` at every clasp; nan if it has no balance.
     """
     layout = team.layout
-    behind, ahead = layout.behind, layout.ahead
+    behind = layout.behind
+    ahead = layout.ahead
+    # Vectors in the planes of the legs, onward
     if planned is None:
-        sides = vertices[:, layout.ends[ahead]] - vertices[:, layout.starts[behind]]
+        onward = vertices[:, layout.ends[ahead]] - vertices[:, layout.starts[behind]]
     else:
-        sides = planned[:, 2 * ahead] - vertices[:, layout.clasps]
+        onward = planned[:, 2 * ahead] - vertices[:, layout.clasps]
     half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
     half_legs = half_density * (legs if cables is None else cables)  # (J, n, 2, 4) [N]
     half_edges = -np.sum(half_legs, axis=2)
     half_edges[..., 0] += half_density * team.cable_length
-    forces = np.zeros(sides.shape)
-    # A clasp carries half of both cables, except for their legs at other clasps.
-    forces[:, :, 2] = half_legs[:, ahead, 1] + half_legs[:, behind, 0]
-    half_cables = half_density * (team.cable_length[ahead] + team.cable_length[behind])
-    forces[:, :, 2, 0] -= half_cables + GRAVITY * team.load
+    weights = _weights_on_clasps(team, half_legs)
     with np.errstate(all="ignore"):
         points = Series.of_jet(vertices)
         edge_directions = (points.select(layout.ends) - points.select(layout.starts)).direction
@@ -293,8 +322,8 @@ def slipping_drones(
             )
         edge_forces = edge_pulls * edge_directions
         directions = closed_triangle(
-            edge_forces.select(behind) - edge_forces.select(ahead) - Series.of_jet(forces),
-            onward=Series.of_jet(sides),
+            edge_forces.select(behind) - edge_forces.select(ahead) - Series.of_jet(weights),
+            onward=Series.of_jet(onward),
             roll=None,
             tensions=LegPair(_scalars(pulls[:, behind, 1]), _scalars(pulls[:, ahead, 0])),
             half_weights=half_leg_weights,
@@ -303,3 +332,22 @@ def slipping_drones(
         r = clasps + _scalars(legs[:, behind, 1]) * directions.behind
         q = clasps + _scalars(legs[:, ahead, 0]) * directions.ahead
         return np.stack([r.jet, q.jet], axis=2)
+
+
+def _weights_on_clasps(team: Team, half_legs: Array) -> Array:
+    """Return the jets (J, clasps, 3, 4) [N] of weights that clasps carry, and their loads.
+
+    A clasp carries half of both cables, except for their legs at other clasps.
+
+    Parameters
+    ----------
+    half_legs: (J, n, 2, 4) [N], half of the weights of legs.
+    """
+    behind = team.layout.behind
+    ahead = team.layout.ahead
+    half_density = 0.5 * GRAVITY * team.cable_density  # [N/m]
+    half_cables = half_density * (team.cable_length[ahead] + team.cable_length[behind])
+    forces = np.zeros((len(half_legs), len(ahead), 3, half_legs.shape[-1]))
+    forces[:, :, 2] = half_legs[:, ahead, 1] + half_legs[:, behind, 0]
+    forces[:, :, 2, 0] -= half_cables + GRAVITY * team.load
+    return forces

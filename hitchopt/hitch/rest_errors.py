@@ -18,7 +18,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch.energy import AXIAL_STIFFNESS, CABLE_COORDINATES, HitchEnergy, energy_of
+from hitchopt.hitch.energy import (
+    AXIAL_STIFFNESS,
+    CABLE_COORDINATES,
+    CableSlopes,
+    HitchEnergy,
+    energy_of,
+)
 from hitchopt.hitch.flight_controller import STOCK, Tube
 from hitchopt.hitch.team import Errors, Team
 from hitchopt.values import Array
@@ -40,42 +46,62 @@ def responses(energy: HitchEnergy, x: Array) -> Array:
     of a leg's tension over its edge's, as first components. Nodes x (1, nodes, 3) [m] are those of
     one sample at rest.
     """
-    nodes = energy.nodes
-    cables = np.arange(len(nodes))
-    outputs = len(cables) + 3 * len(energy.points)
     slopes = energy.linear(x)
-
-    # Derivatives B of the outputs by the nodes
-    seeds = np.zeros((*x.shape, outputs))
-    tensions = slopes.tensions[0].reshape(-1, 4, 3)
-    tensions[:, 1:3, 2] += 0.5 * energy.weight  # tensions are those at the edges' midpoints
-    for k in range(4):  # one by one, since the end of a chain occurs twice
-        seeds[0, nodes[:, k], :, cables] += tensions[:, k]
-    for axis in range(3):
-        coordinates = np.arange(len(cables) + axis, outputs, 3)
-        seeds[0, energy.points, axis, coordinates] = 1.0
+    by_nodes = _derivatives_by_nodes(energy, slopes)  # B
+    outputs = by_nodes.shape[-1]
 
     # The adjoint Y = H⁻¹ B, and what of B rigid drones cause directly
     matrix = energy.matrix(x, slopes.forces)
-    solution = energy.solved(matrix, seeds)
-    residual = seeds.reshape(-1, outputs) - matrix @ solution.reshape(-1, outputs)
+    solution = energy.solved(matrix, by_nodes[None])
+    residual = by_nodes.reshape(-1, outputs) - matrix @ solution.reshape(-1, outputs)
     adjoint = solution[0].T.swapaxes(1, 2)  # (o, nodes, 3)
     direct = residual.T.reshape(outputs, -1, 3)
 
-    by_tension = slopes.forces[0, ..., CABLE_COORDINATES]
-    pulls = slopes.softness[0, :, None] * by_tension
-    by_lengths = np.einsum("onai,nai->on", adjoint[:, nodes], pulls.reshape(-1, 4, 3))
-    by_lengths[cables, cables] -= slopes.softness[0]
     by_forces = adjoint[:, : energy.drones]
     curvatures = energy.springs(x).curvatures[0]
-    held = curvatures * by_forces
-    by_setpoints = np.where(curvatures > 0.0, held, direct[:, : energy.drones])
-    leg_pulls = energy.leg_pulls(x)[0]
-    inner_over_outer = adjoint[:, nodes[:, [1, 3]]] - adjoint[:, nodes[:, [0, 2]]]
-    by_ratios = -np.einsum("onli,nli->onl", inner_over_outer, leg_pulls).reshape(outputs, -1)
+    by_setpoints = np.where(curvatures > 0.0, curvatures * by_forces, direct[:, : energy.drones])
+    by_lengths = _derivatives_by_lengths(energy, slopes, adjoint)
+    by_ratios = _derivatives_by_ratios(energy, x, adjoint)
     return np.concatenate(
         [_as_vectors(by_lengths), by_setpoints, by_forces, _as_vectors(by_ratios)], axis=1
     )
+
+
+def _derivatives_by_nodes(energy: HitchEnergy, slopes: CableSlopes) -> Array:
+    """Return derivatives (nodes, 3, o) of the tensions at the edges' midpoints, then of points."""
+    cables = np.arange(len(energy.nodes))
+    outputs = len(cables) + 3 * len(energy.points)
+    by_nodes = np.zeros((len(energy.free), 3, outputs))
+    tensions = slopes.tensions[0].reshape(-1, 4, 3).copy()
+    tensions[:, 1:3, 2] += 0.5 * energy.weight  # the midpoint of an edge rises with both its ends
+    for node in range(4):  # one by one, since the end of a chain occurs twice
+        by_nodes[energy.nodes[:, node], :, cables] += tensions[:, node]
+    for axis in range(3):
+        coordinates = np.arange(len(cables) + axis, outputs, 3)
+        by_nodes[energy.points, axis, coordinates] = 1.0
+    return by_nodes
+
+
+def _derivatives_by_lengths(energy: HitchEnergy, slopes: CableSlopes, adjoint: Array) -> Array:
+    """Return derivatives (o, n) by the lengths of cables, from the adjoint (o, nodes, 3)."""
+    cables = np.arange(len(energy.nodes))
+    forces_by_tension = slopes.forces[0, ..., CABLE_COORDINATES]
+    forces_by_length = slopes.softness[0, :, None] * forces_by_tension
+    at_nodes = forces_by_length.reshape(-1, 4, 3)
+    by_lengths = np.einsum("onai,nai->on", adjoint[:, energy.nodes], at_nodes)
+    by_lengths[cables, cables] -= slopes.softness[0]  # a longer cable has less tension itself
+    return np.asarray(by_lengths)
+
+
+def _derivatives_by_ratios(energy: HitchEnergy, x: Array, adjoint: Array) -> Array:
+    """Return derivatives (o, 2n) by logarithms of tension ratios, from the adjoint (o, nodes, 3).
+
+    A larger tension pulls the nodes at the start and end of a leg together.
+    """
+    at_starts = adjoint[:, energy.nodes[:, [0, 2]]]
+    at_ends = adjoint[:, energy.nodes[:, [1, 3]]]
+    by_ratios = -np.einsum("onli,nli->onl", at_ends - at_starts, energy.leg_pulls(x)[0])
+    return np.asarray(by_ratios.reshape(len(adjoint), -1))
 
 
 def _as_vectors(scalars: Array) -> Array:
@@ -189,21 +215,9 @@ class FirstOrder:
         """Return the displacements by errors at nodes x (1, nodes, 3) [m]."""
         n = len(energy.nodes)
         drones = energy.drones
-        by_errors = responses(energy, x)[n:]  # of points
-        by_lengths, by_setpoints, _, by_ratios = np.split(
-            by_errors, [n, n + drones, n + 2 * drones], axis=1
-        )
-        by_friction = energy.bends(x)[0].reshape(-1, 1) * by_ratios
-        derivatives = np.concatenate([by_lengths, by_setpoints, by_friction], axis=1)
-        of_drones = sizes.drone.level * np.array([1.0, 1.0, sizes.drone.ratio])
-        largest = np.concatenate(
-            [
-                np.full((n, 3), sizes.cable),
-                np.tile(of_drones, (drones, 1)),
-                np.full((2 * n, 3), sizes.friction),
-            ]
-        )
-        moves = (largest * derivatives).reshape(-1, 3, len(largest), 3)  # (points, 3, errors, 3)
+        largest = _largest_errors(n, drones, sizes)
+        # Moves (points, 3, errors, 3) by the components of every largest error
+        moves = (largest * _derivatives_of_points(energy, x)).reshape(-1, 3, len(largest), 3)
         ellipsoids = np.einsum("pijc,pkjc->jpik", moves, moves)
         squared_axes, directions = np.linalg.eigh(enclosing_ellipsoids(ellipsoids))
         radii = np.sqrt(np.maximum(squared_axes[:, -1], 0.0))
@@ -217,6 +231,28 @@ class FirstOrder:
             moves=np.einsum("pijc,jc->pi", moves, worst),
             worst_errors=largest * worst,
         )
+
+
+def _derivatives_of_points(energy: HitchEnergy, x: Array) -> Array:
+    """Return derivatives (3 points, 5n, 3) by errors in the order of ``FirstOrder``."""
+    n = len(energy.nodes)
+    drones = energy.drones
+    by_errors = responses(energy, x)[n:]
+    by_lengths, by_setpoints, _, by_ratios = np.split(
+        by_errors, [n, n + drones, n + 2 * drones], axis=1
+    )
+    # By the capstan equation, a ratio's logarithm is friction times the angle at the vertex.
+    by_friction = energy.bends(x)[0].reshape(-1, 1) * by_ratios
+    return np.concatenate([by_lengths, by_setpoints, by_friction], axis=1)
+
+
+def _largest_errors(cables: int, drones: int, sizes: ErrorSizes) -> Array:
+    """Return the largest errors (5n, 3) in the order of ``FirstOrder``."""
+    of_lengths = np.full((cables, 3), sizes.cable)
+    of_setpoint = sizes.drone.level * np.array([1.0, 1.0, sizes.drone.ratio])
+    of_setpoints = np.tile(of_setpoint, (drones, 1))
+    of_friction = np.full((2 * cables, 3), sizes.friction)
+    return np.concatenate([of_lengths, of_setpoints, of_friction])
 
 
 def _settled_with(team: Team, samples: Mapping[str, Array], errors: Array) -> Array:

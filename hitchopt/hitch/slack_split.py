@@ -92,8 +92,15 @@ each other make it cycle."""
 CYCLE_STEP = 1e-3
 """[m] Smallest step of a search that cycles."""
 
+MIN_DEVIATION = 1e-12
+"""[m²] Deviation below which leg lengths equal their reference."""
+
 UNEVEN_FRACTION = 0.3
 """Fraction of a cable's slack in one of its legs, where a search starts from uneven splits."""
+
+MIN_OFFSET = 1e-9
+"""[m] Distance of two bodies below which they touch: the offset of their middles then separates
+them."""
 
 MIN_SLOPE = 1e-9
 """Smallest slope, along the normal of a wall, of drones that do not slide parallel to the wall."""
@@ -234,7 +241,10 @@ class LegTask:
         bodies = LegBodies.within_bounds(self)
         best = bodies.reference_kept() or bodies.refined(self.reference, first)
         along_path = len(self.reference) > 1
-        if along_path or (self.kept_by(best) and (first or best.deviation <= 1e-12)):
+        if along_path:
+            return best
+        is_reference = best.deviation <= MIN_DEVIATION
+        if self.kept_by(best) and (first or is_reference):
             return best
         for fractions in self._uneven_fractions:
             split = bodies.refined(fractions * self.slack, first)
@@ -264,8 +274,10 @@ class LegTask:
         cosines = dot(edges[layout.ahead], edges[layout.behind])
         sharpest = layout.clasps[int(first_smallest(cosines, 1.0))]
         cables = np.arange(layout.robots)
-        onward = (cables - sharpest) % layout.robots % 2 == 0
-        back = (sharpest - 1 - cables) % layout.robots % 2 == 1
+        steps_ahead = (cables - sharpest) % layout.robots
+        steps_behind = (sharpest - 1 - cables) % layout.robots
+        onward = steps_ahead % 2 == 0
+        back = steps_behind % 2 == 1
         equal = np.ones_like(onward)
         has_short_q_leg = [equal, ~equal, onward, ~onward, back, ~back]
         fractions = np.where(has_short_q_leg, UNEVEN_FRACTION, 1.0 - UNEVEN_FRACTION)
@@ -405,6 +417,7 @@ class Iterate:
     """Leg lengths of an iteration, with the nodes and distances at these lengths."""
 
     split: LegLengths
+    """The leg lengths."""
 
     nodes: Array
     """(J·count, 2 or 3) [m], positions."""
@@ -423,6 +436,7 @@ class LegBodies:
     """
 
     task: LegTask
+    """The problem for the leg lengths."""
 
     start: Array
     """(J, n) [m], leg lengths of the initial guess."""
@@ -626,17 +640,17 @@ class LegBodies:
         variable = self.variable.reshape(-1)
         dimensions = self.points.shape[-1]
         middles = nodes[pairs.first].mean(axis=1) - nodes[pairs.second].mean(axis=1)
-        normals = unit(iterate.offsets, unit(middles, EAST[:dimensions]), 1e-9)
+        normals = unit(iterate.offsets, unit(middles, EAST[:dimensions]), MIN_OFFSET)
         pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)
         kind = pairs.kind[pair]
         limits = limits_of(task.requirements.separation)[kind]
-        nu = normals[pair] * scales_of(task.requirements)[kind, :dimensions]
+        gradients = normals[pair] * scales_of(task.requirements)[kind, :dimensions]
         margins = task.margins[kind, pairs.polygon[pair]] * (1.0 + PROGRAM_RESERVE)
-        base_distances = np.sum(nu * (lines.base[first] - lines.base[second]), axis=1)
+        base_distances = np.sum(gradients * (lines.base[first] - lines.base[second]), axis=1)
         lower = margins * limits - base_distances
         columns = np.stack([variable[first], variable[second]])
-        first_slopes = np.sum(nu * lines.slope[first], axis=1)
-        second_slopes = -np.sum(nu * lines.slope[second], axis=1)
+        first_slopes = np.sum(gradients * lines.slope[first], axis=1)
+        second_slopes = -np.sum(gradients * lines.slope[second], axis=1)
         slopes = np.stack([first_slopes, second_slopes])
         # Rows that hold for all lengths within the bounds are omitted.
         shortest, longest = (bound.reshape(-1)[columns] for bound in task.bounds)

@@ -290,8 +290,7 @@ def cable_along(team: Team, chords: Array, tensions: Array) -> Array:
     with np.errstate(all="ignore"):  # chords of zero length are left out below
         chord = Series.of_jet(chords)
         tension = Series.of_jet(tensions[..., None, :])
-        cable, _, _ = cable_of_span(chord, tension, weight)
-        cable_jets = cable.jet[..., 0, :]
+        cable_jets = cable_of_span(chord, tension, weight).cable.jet[..., 0, :]
     has_chord = chords[..., 0].any(axis=-1, keepdims=True)  # false for legs at a chain's ends
     return np.where(has_chord, cable_jets, 0.0)
 
