@@ -45,18 +45,23 @@ MAX_HEIGHT_ERROR = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Crossings of the chords of pairs of cables first < second; other pairs have none.
-
-    Chords passed through each other ``count`` times, with signs, the last time about ``time`` [s].
-    The count is not ``certain`` if an end touched a chord, or if chords touch at either end of the
-    motion.
-    """
+    """Crossings of the chords of pairs of cables; pairs that are not listed have none."""
 
     first: Indices
+    """(pairs,), the first cable of each pair."""
+
     second: Indices
+    """(pairs,), the second cable, with a higher number."""
+
     count: Indices
+    """(pairs,): how often the chords have passed through each other, with signs."""
+
     certain: Flags
+    """(pairs,): whether the count is certain, as it is unless an end touches a chord, or chords
+    touch at either end of the motion."""
+
     time: Array
+    """(pairs,) [s], about the last crossing."""
 
 
 class SpansAcross(NamedTuple):
@@ -273,20 +278,52 @@ def _crossing_height(chords: Array) -> CrossingHeight:
     return CrossingHeight(crosses, height)
 
 
-def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
-    """Return the heights of a crossing beyond an object, on spans in the order of time (spans, 4).
+class HeightsBeyond(NamedTuple):
+    """Heights of a cable over another one where they cross beyond an object, seen from above.
+
+    They are those of chords, on spans of time; nan where a plane separates them, 0 where they may
+    touch.
+    """
+
+    start: Array
+    """(spans,) [m], at the start of each span."""
+
+    end: Array
+    """(spans,) [m], at its end."""
+
+    lowest: Array
+    """(spans,) [m], lower bound on the span."""
+
+    highest: Array
+    """(spans,) [m], upper bound on the span."""
+
+    @property
+    def backward(self) -> HeightsBeyond:
+        """Views of the heights as they follow each other backward in time."""
+        return HeightsBeyond(
+            start=self.end[::-1],
+            end=self.start[::-1],
+            lowest=self.lowest[::-1],
+            highest=self.highest[::-1],
+        )
+
+    def first(self, count: int) -> HeightsBeyond:
+        """Return views of the heights on the first spans."""
+        return HeightsBeyond(*(heights[:count] for heights in self))
+
+
+def heights_beyond(motion: Motion, ahead: int, behind: int) -> HeightsBeyond:
+    """Return the heights of a cable over another one beyond an object, in the order of time.
 
     The chord of the cable ``ahead`` from its first contact to its q-drone crosses that of the cable
-    ``behind`` from its last contact to its r-drone. Its height over the other one [m], where they
-    cross seen from above, is given at the start and the end of each span, with its lowest and
-    highest value. It is nan where a plane separates them and 0 where they may touch.
+    ``behind`` from its last contact to its r-drone.
     """
     both_chords = outer_chords(motion)[:, [2 * ahead, 2 * behind + 1]]
     chords = both_chords.reshape(len(both_chords), 1, 4, *both_chords.shape[3:])
     pieces = np.arange(len(chords))
     spans = TimeSpans(motion, motion.drones.breaks, pieces, np.zeros_like(pieces))
     starts = list[Array]()
-    rows = list[Array]()
+    parts = list[Array]()
     for depth in range(MAX_HALVINGS):
         if not len(spans):
             break
@@ -301,14 +338,14 @@ def heights_beyond(motion: Motion, ahead: int, behind: int) -> Array:
         at_end = spans.at(np.ones(len(spans))).read(chords)
         start_height = _crossing_height(at_start).height.low
         end_height = _crossing_height(at_end).height.low
-        heights = np.stack([start_height, end_height, height.low, height.high], axis=1)
-        heights[~crosses] = 0.0
-        heights[separated] = np.nan
+        heights = np.stack([start_height, end_height, height.low, height.high])
+        heights[:, ~crosses] = 0.0
+        heights[:, separated] = np.nan
         starts.append(spans.times(np.zeros(len(spans)))[done])
-        rows.append(heights[done])
+        parts.append(heights[:, done])
         spans = spans.take(~done).halves()
     in_order = np.argsort(np.concatenate(starts), kind="stable")
-    return np.asarray(np.concatenate(rows)[in_order])
+    return HeightsBeyond(*np.concatenate(parts, axis=1)[:, in_order])
 
 
 def outer_chords(motion: Motion) -> Array:
@@ -335,10 +372,12 @@ def height_gaps(motion: Motion) -> Array:
     def heights(cables: Indices, fractions: Array) -> Array:
         """Return the heights of cables at fractions of their chords (clasps, pieces, …) [m]."""
         on_chord = np.where((fractions > 0.0) & (fractions < 1.0), fractions, np.nan)
-        place = np.full(motion.team.robots, np.nan)  # from -1 at q to 1 at r
-        place[cables] = 2.0 * on_chord - 1.0
-        at_first = q[:, 2] + 0.5 * (1.0 + place) * chords[:, 2] - catenaries.depth(place)
-        return np.asarray(at_first[cables][:, None, None] + np.moveaxis(lifts[:, cables], 1, 0))
+        parameter = np.full(motion.team.robots, np.nan)  # from -1 at q to 1 at r
+        parameter[cables] = 2.0 * on_chord - 1.0
+        on_chords = q[:, 2] + 0.5 * (1.0 + parameter) * chords[:, 2]
+        heights_at_start = on_chords - catenaries.depth(parameter)
+        lifts_of_cables = np.moveaxis(lifts[:, cables], 1, 0)
+        return np.asarray(heights_at_start[cables][:, None, None] + lifts_of_cables)
 
     offset = (q[behind] - q[ahead])[:, :2]
     chord_ahead = chords[ahead][:, :2]

@@ -22,6 +22,7 @@ import numpy as np
 from hitchopt.checks.bodies import Bodies
 from hitchopt.checks.cable_states import contradictions
 from hitchopt.checks.chords import (
+    HeightsBeyond,
     chord_crossings,
     drones_inside_hanging_cables,
     height_gaps,
@@ -141,6 +142,7 @@ class Contradiction(NamedTuple):
     """Cables and pairs of cables that contradict the state of a phase."""
 
     phase: Phase
+    """The phase."""
 
     pairs: Indices
     """(k,), ``i n + j`` for pairs; cables are pairs with themselves."""
@@ -405,15 +407,15 @@ class Ties:
             heights = heights_beyond(motion, int(layout.ahead[clasp]), int(layout.behind[clasp]))
             runs = list[LyingRun]()
             if after_rolling:
-                runs.append(LyingRun.followed(heights, contact_column=0))
+                runs.append(LyingRun.followed(heights))
             if before_rolling:
-                runs.append(LyingRun.followed(heights[::-1], contact_column=1))
+                runs.append(LyingRun.followed(heights.backward))
                 lying_after[i] = runs[-1].above
             wrong[i] |= any(not run.valid for run in runs)
             if after_rolling:
                 wrong[i] |= any(run.above != self.lying[i] for run in runs)
-            lowest = np.min(heights, axis=1)
-            highest = np.max(heights, axis=1)
+            lowest = np.min(heights, axis=0)
+            highest = np.max(heights, axis=0)
             wrong[i] |= bool(np.any(lowest * highest <= 0.0))  # crossings at other times
         self.numbers[:] = 0
         self.lying[:] = lying_after
@@ -469,23 +471,25 @@ class LyingRun(NamedTuple):
     """True if the cables lie on each other next to rolling, and never pass each other."""
 
     @classmethod
-    def followed(cls, heights: Array, contact_column: int) -> LyingRun:
-        """Return the run, and set its heights to infinity: only other crossings may touch.
+    def followed(cls, heights: HeightsBeyond) -> LyingRun:
+        """Return the run, and set its heights to infinity: the crossings are accounted for.
 
         Parameters
         ----------
-        heights: (spans, 4) of ``heights_beyond``, starting at the span next to rolling.
-        contact_column: index of the height at that end of a span which is next to rolling.
+        heights: of spans in an order that starts at the one next to rolling.
         """
-        crosses = ~np.isnan(heights[:, 0])
+        crosses = ~np.isnan(heights.start)
         count = int(np.sum(np.logical_and.accumulate(crosses)))
         above = 0
         if count:  # on the span on which they begin, or cease, to cross
-            lowest, highest = heights[count - 1, 2:]
+            lowest = heights.lowest[count - 1]
+            highest = heights.highest[count - 1]
             above = int(lowest > 0.0 and highest > 0.0) - int(lowest < 0.0 and highest < 0.0)
-        touch = abs(heights[0, contact_column]) <= MAX_LAID_GAP
-        stay = np.all(above * heights[:count] >= -MAX_LAID_GAP)
-        heights[:count] = np.inf
+        touch = abs(heights.start[0]) <= MAX_LAID_GAP
+        run = heights.first(count)
+        stay = np.all(above * np.array(run) >= -MAX_LAID_GAP)
+        for values in run:
+            values[:] = np.inf
         return cls(above, valid=bool(above != 0 and touch and stay))
 
 
