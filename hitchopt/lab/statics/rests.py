@@ -23,16 +23,29 @@ from hitchopt.hitch.rest_errors import MAX_RESIDUAL, planned_rest
 from hitchopt.hitch.team import Errors, Team
 from hitchopt.lab.flights.recordings import Windows
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import States
 from hitchopt.values import Array
 
-REPEATABILITY = 0.01  # Smallest standard deviation of trims from flight to flight [m]
-MIN_RATIO = 2.0  # Smallest trim over its standard error that is written
-MIN_WINDOWS = 3  # Smallest number of windows at a rest
-WINDOW_MOVES = 1e-4  # [m] Largest distance of a window's setpoints from those of its rest
+REPEATABILITY = 0.01
+"""[m] Smallest standard deviation of trims from flight to flight."""
 
-LENGTH_ERRORS = 3.0  # Largest error of a cable's length over its standard error
-LENGTH_BIAS = 0.003  # [m] Largest bias of measured lengths, in perturbed simulated flights
-ROUNDING = 0.001  # [m] Step to which errors are rounded up
+MIN_RATIO = 2.0
+"""Smallest trim over its standard error that is written."""
+
+MIN_WINDOWS = 3
+"""Smallest number of windows at a rest."""
+
+WINDOW_MOVES = 1e-4
+"""[m] Largest distance of a window's setpoints from those of its rest."""
+
+LENGTH_ERRORS = 3.0
+"""Largest error of a cable's length over its standard error."""
+
+LENGTH_BIAS = 0.003
+"""[m] Largest bias of measured lengths, in perturbed simulated flights."""
+
+ROUNDING = 0.001
+"""[m] Step to which errors are rounded up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,13 +102,14 @@ class DronesAtRests(OneLine):
         friction is as planned, since a flight that moves its clasps determines little of the
         remaining friction.
         """
-        cable, drone = planned.cable_length, planned.drone
-        largest = float(np.max(lengths))
-        if math.isfinite(largest):
-            cable = _rounded_up(LENGTH_ERRORS * largest + LENGTH_BIAS)
+        cable_length = planned.cable_length
+        largest_deviation = float(np.max(lengths))
+        if math.isfinite(largest_deviation):
+            cable_length = _rounded_up(LENGTH_ERRORS * largest_deviation + LENGTH_BIAS)
+        drone = planned.drone
         if not math.isnan(self.largest_error):
             drone = _rounded_up(self.largest_error)
-        return Errors(cable, drone, planned.friction)
+        return Errors(cable_length, drone, planned.friction)
 
 
 def _rounded_up(size: float) -> float:
@@ -111,31 +125,39 @@ def drones_at_rests(
     ``conditions`` are those of ``equilibrium``; ``lengths`` (n,) [m] are measured cables, in the
     order of edges. A rest is used if it has three windows and the conditions have an equilibrium.
     """
-    team, states = motion.team, states_at_rests(motion)
-    times, offsets = list[float](), list[Array]()
-    for k in range(0 if states is None else len(states.t)):
-        assert states is not None
-        rest = states[[k]]
-        moves = np.max(length(windows.positions - rest.positions), axis=1)
-        near = moves <= WINDOW_MOVES + SAME_PLACE
+    team = motion.team
+    rests = states_at_rests(motion)
+    if rests is None:
+        return DronesAtRests.without_rests(team)
+    times = list[float]()
+    offsets = list[Array]()
+    for index in range(len(rests.t)):
+        rest = rests[[index]]
+        distances = np.max(length(windows.positions - rest.positions), axis=1)
+        at_rest = distances <= WINDOW_MOVES + SAME_PLACE
         expected = _expected(team, rest, conditions, lengths)
-        if np.count_nonzero(near) < MIN_WINDOWS or expected is None:
+        if np.count_nonzero(at_rest) < MIN_WINDOWS or expected is None:
             continue
         times.append(float(rest.t[0]))
-        offsets.append(np.mean(windows.drones[near], axis=0) - expected)
-    places = np.array(offsets).reshape(-1, team.drones, 3)
+        offsets.append(np.mean(windows.drones[at_rest], axis=0) - expected)
+    by_place = np.array(offsets).reshape(-1, team.drones, 3)
     listed = team.listed
-    return DronesAtRests(np.array(times), places[:, listed], team.trim[listed])
+    return DronesAtRests(np.array(times), by_place[:, listed], team.trim[listed])
 
 
-def _expected(team: Team, rest: Any, conditions: Mapping[str, Any], lengths: Array) -> Array | None:
-    """Return positions of drones (2n, 3) [m] at a rest in equilibrium; None without one."""
+def _expected(
+    team: Team, rest: States, conditions: Mapping[str, Any], lengths: Array
+) -> Array | None:
+    """Return positions of drones (2n, 3) [m] at a rest in equilibrium; None without one.
+
+    ``rest`` is a single sample; other arguments are those of ``drones_at_rests``.
+    """
     if np.all(np.isinf(conditions["stiffness"])):
         return np.asarray(rest.positions[0])
-    planned = (rest.positions, rest.vertices, rest.tensions, rest.cable_forces)
-    samples = planned_rest(team, *planned) | {"cable_length": lengths[None]}
-    energy = energy_of(team, conditions, samples)
+    planned = planned_rest(team, rest.positions, rest.vertices, rest.tensions, rest.cable_forces)
+    measured = planned | {"cable_length": lengths[None]}
+    energy = energy_of(team, conditions, measured)
     nodes = energy.at_rest()
-    if not np.max(np.abs(energy.slopes(nodes))) <= MAX_RESIDUAL:  # nan as well
-        return None
-    return np.asarray(nodes[0, : energy.drones])
+    residual = np.max(np.abs(energy.slopes(nodes)))
+    is_at_rest = residual <= MAX_RESIDUAL  # a residual of nan is not
+    return np.asarray(nodes[0, : energy.drones]) if is_at_rest else None
