@@ -420,13 +420,14 @@ def test_contacts_of_two_cables_are_told_apart_by_where_they_are_along_them() ->
         flex=np.array([[0, 1], [1, 0], [0, 1], [0, -1]]),
         elem=np.array([[2, 17], [17, 2], [17, 2], [2, 2]]),
         efc_address=np.arange(4),
+        pos=np.zeros((4, 3)),
     )
     data = SimpleNamespace(contact=contact, efc_force=np.array([1.0, 2.0, 3.0, 4.0]))
     world: Any = SimpleNamespace(data=data, cable_vertices=np.array([0, 21, 42]))
-    contacts, clasps, forces = ClaspContacts(world, team).now()
-    assert contacts.tolist() == [0, 1, 2]
-    assert clasps.tolist() == [0, 0, 1]
-    assert forces.tolist() == [1.0, 2.0, 3.0]
+    at_clasps = ClaspContacts(world, team).now()
+    assert at_clasps.contacts.tolist() == [0, 1, 2]
+    assert at_clasps.clasps.tolist() == [0, 0, 1]
+    assert at_clasps.forces.tolist() == [1.0, 2.0, 3.0]
 
 
 @pytest.mark.parametrize("name", ["two_robots_drum", "grip_drum"])

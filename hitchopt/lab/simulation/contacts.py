@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,20 +13,30 @@ from scipy.spatial.distance import cdist
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import contact_forces
-from hitchopt.lab.simulation.task import Cargo, Task
+from hitchopt.lab.simulation.task import Cargo, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, World
 from hitchopt.values import Array
 
-# Smallest contact force of a clasp, over the plan's. Cables that only cross also press on each
-# other, by weight and deviations of drones, and some of them have a linking number of one
-MIN_BEARING_RATIO = 0.3
+Strings = NDArray[np.str_]
 
-SMOOTHING = 0.05  # Time constant of the transfer of a load between nodes [s]
-MIN_FORCE = 1e-9  # Smallest normal force of a contact [N]
-EXCLUDED_LENGTH = 2.0  # Section of its own cable that a drone cannot touch, over its radius
-LANDED_HEIGHT = 0.2  # Height below which a drone may touch its own cable [m]
+MIN_BEARING_RATIO = 0.3
+"""Smallest contact force of a clasp, over the plan's. Cables that only cross also press on each
+other, by weight and deviations of drones, and some of them have a linking number of one."""
+
+SMOOTHING = 0.05
+"""[s] Time constant of the transfer of a load between nodes."""
+
+MIN_FORCE = 1e-9
+"""[N] Smallest normal force of a contact."""
+
+EXCLUDED_LENGTH = 2.0
+"""Section of its own cable that a drone cannot touch, over its radius."""
+
+LANDED_HEIGHT = 0.2
+"""[m] Height below which a drone may touch its own cable."""
+
 NO_POSITIONS = np.zeros((0, 3))
-GROUND, DRONE, CABLE, OBJECT = range(4)  # Kinds of bodies in contact
+"""[m] Positions of no drones."""
 
 
 def least_bearing(task: Task) -> Array:
@@ -33,69 +45,114 @@ def least_bearing(task: Task) -> Array:
     It is a fraction of the contact force without friction, which is ``|T (u_{k-1} + u_k)|`` for
     equal tensions; 0 if a cable has no tension.
     """
-    by_part, t = [], task.states.t - task.states.t[0]
-    for part in task.teams:
-        team, motion, T = part.team, part.motion, part.states.tensions
-        bearing = np.zeros((len(t), len(team.layout.clasps)))
-        taut = np.all(T > 0.0, axis=-1)
-        if motion is not None and motion.has_wraps:  # edges bend around an object
-            layout, vertices = team.layout, part.states.vertices[taut]
-            first, last = np.moveaxis(motion.contacts.at(t[taut]), -2, 0)
-            ends = first - vertices[:, layout.starts], vertices[:, layout.ends] - last
-        else:
-            ends = (team.layout.edges(part.states.vertices[taut]),) * 2
-        leaving, arriving = map(unit, ends)
-        forces = contact_forces(leaving, T[taut], team.topology, arriving)
-        bearing[taut] = MIN_BEARING_RATIO * forces
-        by_part.append(bearing)
-    return np.concatenate(by_part, axis=1)
+    times = task.states.t - task.states.t[0]
+    return np.concatenate([_least_bearing(part, times) for part in task.teams], axis=1)
+
+
+def _least_bearing(part: TeamTask, times: Array) -> Array:
+    """Return the forces (samples, clasps) [N] of one team, at times from the task's start [s]."""
+    layout = part.team.layout
+    tensions = part.states.tensions
+    bearing = np.zeros((len(times), len(layout.clasps)))
+    taut = np.all(tensions > 0.0, axis=-1)
+    vertices = part.states.vertices[taut]
+    if part.motion is not None and part.motion.has_wraps:  # edges bend around an object
+        first_contacts, last_contacts = np.moveaxis(part.motion.contacts.at(times[taut]), -2, 0)
+        leaving = unit(first_contacts - vertices[:, layout.starts])
+        arriving = unit(vertices[:, layout.ends] - last_contacts)
+    else:
+        leaving = arriving = unit(layout.edges(vertices))
+    forces = contact_forces(leaving, tensions[taut], part.team.topology, arriving)
+    bearing[taut] = MIN_BEARING_RATIO * forces
+    return bearing
+
+
+class ContactsAtClasps(NamedTuple):
+    """Contacts that press at clasps."""
+
+    contacts: Index
+    """(c,), their numbers among all contacts."""
+
+    clasps: Index
+    """(c,), their clasps."""
+
+    forces: Array
+    """(c,) [N], normal forces."""
+
+
+class CableContacts(NamedTuple):
+    """All contacts of one step, or of several, with their bodies by flexes; -1 for other bodies."""
+
+    flexes: Index
+    """(contacts, 2)"""
+
+    elements: Index
+    """(contacts,), elements of the second flex, the segments of its cable."""
+
+    rows: Index
+    """(contacts,), rows of the constraints; -1 for contacts without a force."""
+
+    forces: Array
+    """(contacts,) [N], normal forces."""
+
+    positions: Array
+    """(contacts, 3) [m]"""
+
+    @classmethod
+    def of_step(cls, world: World) -> CableContacts:
+        """Return the contacts of the last step; forces have no meaning for those without a row."""
+        contact = world.data.contact
+        # Friction cones are elliptic: the normal force comes first.
+        normal_forces = np.maximum(world.data.efc_force[contact.efc_address], 0.0)
+        return cls(
+            flexes=contact.flex.copy(),
+            elements=contact.elem[:, 1].copy(),
+            rows=contact.efc_address.copy(),
+            forces=np.asarray(normal_forces),
+            positions=contact.pos.copy(),
+        )
+
+    @classmethod
+    def of_steps(cls, steps: Sequence[CableContacts]) -> CableContacts:
+        """Return the contacts of several steps, step after step."""
+        return cls(*(np.concatenate(columns) for columns in zip(*steps, strict=True)))
 
 
 class ClaspContacts:
     """Contact forces between neighbouring cables and their centres, averaged over steps."""
 
     def __init__(self, world: World, team: Team) -> None:
-        self._world, layout = world, team.layout
-        self._clasps = ranks = np.arange(len(layout.clasps))
-        # Clasps by pairs of flexes: where the second cable begins, and where it ends. The last row
-        # and column are those of contacts with other bodies, whose flex is -1
-        begins = np.full((team.robots + 1,) * 2, -1)
-        begins[layout.behind, layout.ahead] = ranks
-        either = np.maximum(begins, begins.T)
-        self._begins, self._ends = (np.where(x >= 0, x, either) for x in (begins, begins.T))
-        self._clasps_twice = bool(np.any(self._begins != self._ends))
+        self._world = world
+        layout = team.layout
+        self._clasps = np.arange(len(layout.clasps))
+        # Clasp of a contact by both its flexes: where the second cable begins, and where it ends.
+        # The last row and column are those of contacts with other bodies, whose flex is -1.
+        begins = np.full((team.robots + 1, team.robots + 1), -1)
+        begins[layout.behind, layout.ahead] = self._clasps
+        in_any_order = np.maximum(begins, begins.T)
+        self._where_begins = np.where(begins >= 0, begins, in_any_order)
+        self._where_ends = np.where(begins.T >= 0, begins.T, in_any_order)
+        self._clasps_twice = bool(np.any(self._where_begins != self._where_ends))
         self._segments = np.diff(world.cable_vertices) - 1
-        # Of every step since the last call of ``collect``: flexes, elements of the second one,
-        # rows of the constraints, normal forces and positions of all contacts
-        self._steps: list[tuple[Index, Index, Index, Array, Array]] = []
+        self._steps: list[CableContacts] = []  # since the last call of ``collect``
 
-    def now(self) -> tuple[Index, Index, Array]:
-        """Return contacts (c,) of the last step, their clasps (c,) and normal forces (c,) [N]."""
-        contact = self._world.data.contact
-        contacts, clasp = self._at_clasps(contact.flex, contact.elem[:, 1], contact.efc_address)
-        return contacts, clasp, self._normal_forces()[contacts]
+    def now(self) -> ContactsAtClasps:
+        """Return the contacts at clasps of the last step."""
+        return self._at_clasps(CableContacts.of_step(self._world))
 
-    def _normal_forces(self) -> Array:
-        """Return the normal forces (contacts,) [N]; meaningless for contacts without a row."""
-        data = self._world.data  # cones are elliptic: the normal force comes first
-        return np.asarray(np.maximum(data.efc_force[data.contact.efc_address], 0.0))
-
-    def _at_clasps(self, flex: Index, element: Index, rows: Index) -> tuple[Index, Index]:
-        """Return indices (c,) of the contacts at clasps that have forces, and their clasps (c,)."""
-        one, other = flex.T
-        clasp = self._begins[one, other]
+    def _at_clasps(self, contacts: CableContacts) -> ContactsAtClasps:
+        """Return the contacts at clasps that have forces."""
+        first, second = contacts.flexes.T
+        clasps = self._where_begins[first, second]
         if self._clasps_twice:
-            at_end = element >= 0.5 * self._segments[other]
-            clasp = np.where(at_end, self._ends[one, other], clasp)
-        (chosen,) = np.nonzero((clasp >= 0) & (rows >= 0))
-        return chosen, clasp[chosen]
+            at_end = contacts.elements >= 0.5 * self._segments[second]
+            clasps = np.where(at_end, self._where_ends[first, second], clasps)
+        (pressing,) = np.nonzero((clasps >= 0) & (contacts.rows >= 0))
+        return ContactsAtClasps(pressing, clasps[pressing], contacts.forces[pressing])
 
     def gather(self) -> None:
         """Add the contacts of the last step."""
-        contact = self._world.data.contact
-        columns = (contact.flex, contact.elem[:, 1], contact.efc_address)
-        flex, element, rows = (column.copy() for column in columns)
-        self._steps.append((flex, element, rows, self._normal_forces(), contact.pos.copy()))
+        self._steps.append(CableContacts.of_step(self._world))
 
     def collect(self, minimum: Array | float = 0.0) -> tuple[Array, Array]:
         """Return vertices and forces since the last call, and reset.
@@ -103,15 +160,17 @@ class ClaspContacts:
         Vertices (clasps, 3) [m] are centres of the contact force; nan for forces below ``minimum``
         (clasps,) [N]. Forces (clasps,) [N] are mean sums of normal forces.
         """
-        total, moment = np.zeros(len(self._clasps)), np.zeros((len(self._clasps), 3))
-        count = max(len(self._steps), 1)
+        total = np.zeros(len(self._clasps))
+        moment = np.zeros((len(self._clasps), 3))
+        steps = max(len(self._steps), 1)
         if self._steps:
-            *columns, force, place = map(np.concatenate, zip(*self._steps, strict=True))
-            chosen, clasp = self._at_clasps(*columns)
-            pressing = force[chosen] * (clasp == self._clasps[:, None])
-            total, moment = pressing.sum(axis=1), pressing @ place[chosen]
+            contacts = CableContacts.of_steps(self._steps)
+            pressing = self._at_clasps(contacts)
+            forces_by_clasp = pressing.forces * (pressing.clasps == self._clasps[:, None])
+            total = forces_by_clasp.sum(axis=1)
+            moment = forces_by_clasp @ contacts.positions[pressing.contacts]
             self._steps.clear()
-        forces = total / count
+        forces = total / steps
         bears = (forces > 0.0) & (forces >= minimum)
         vertices = np.full_like(moment, np.nan)
         vertices[bears] = moment[bears] / total[bears, None]
@@ -125,10 +184,12 @@ class HungLoads:
     """
 
     def __init__(self, world: World, team: Team) -> None:
-        self._world, self._mass, self._contacts = world, team.load, ClaspContacts(world, team)
-        self._cable = np.repeat(np.arange(team.robots), np.diff(world.cable_vertices))
+        self._world = world
+        self._mass = team.load
+        self._contacts = ClaspContacts(world, team)
+        self._cable_of_node = np.repeat(np.arange(team.robots), np.diff(world.cable_vertices))
         self._bodies = world.model.flex_vertbodyid
-        self._empty = world.model.body_mass[self._bodies]
+        self._own_mass = world.model.body_mass[self._bodies]
         self._on_nodes = np.zeros((len(team.load), len(self._bodies)))  # fractions of a load
 
     def apply(self, shares: Array, seconds: float) -> None:
@@ -137,18 +198,24 @@ class HungLoads:
         ``shares`` (n,) are the fractions of its halves of loads that each cable carries. Clasps
         without contact lose their loads.
         """
-        data = self._world.data
-        chosen, clasp, force = self._contacts.now()
-        force = np.maximum(force, MIN_FORCE)
-        force = force / np.bincount(clasp, force, len(self._mass))[clasp]
-        node = self._world.cable_vertices[data.contact.flex[chosen]] + data.contact.elem[chosen]
-        target = np.zeros_like(self._on_nodes)
-        for end in (0, 1):  # of both elements that touch
-            np.add.at(target, (clasp[:, None], node + end), 0.25 * force[:, None])
+        target = self._nodes_in_contact()
         decay = np.exp(-seconds / SMOOTHING)
         self._on_nodes = decay * self._on_nodes + (1.0 - decay) * target
-        added = self._mass @ self._on_nodes * shares[self._cable]
-        self._world.model.body_mass[self._bodies] = self._empty + added
+        hung_mass = self._mass @ self._on_nodes * shares[self._cable_of_node]
+        self._world.model.body_mass[self._bodies] = self._own_mass + hung_mass
+
+    def _nodes_in_contact(self) -> Array:
+        """Return the fractions (clasps, nodes) of loads on the nodes that now touch at clasps."""
+        contact = self._world.data.contact
+        contacts, clasps, forces = self._contacts.now()
+        forces = np.maximum(forces, MIN_FORCE)
+        fractions = forces / np.bincount(clasps, forces, len(self._mass))[clasps]
+        # First nodes (c, 2) of both elements that touch; each element carries half, at both ends
+        nodes = self._world.cable_vertices[contact.flex[contacts]] + contact.elem[contacts]
+        on_nodes = np.zeros_like(self._on_nodes)
+        for end in (0, 1):
+            np.add.at(on_nodes, (clasps[:, None], nodes + end), 0.25 * fractions[:, None])
+        return on_nodes
 
 
 def touching(
@@ -160,49 +227,89 @@ def touching(
     [m] are drones with ``names`` that are not simulated. Drones are ellipsoids, cables points:
     between two nodes a cable is at most 2 mm closer. Cables of different teams do collide.
     """
-    scale = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
-    count, names = len(world.drones), [*world.drone_names, *names]
-    drones = np.concatenate([world.drones, passing]) * scale
-    drone, node = np.nonzero(cdist(drones, world.nodes * scale) <= 1.0)
-    cable = world.node_cables[node]
-    index = node - world.cable_vertices[cable]
-    from_end = np.where(drone % 2 == 0, index, world.ropes.segments[cable] - index)
-    distant = from_end * world.ropes.segment_lengths[cable] > EXCLUDED_LENGTH * BODY_RADIUS
-    distant &= drones[drone, 2] / scale[2] > world.ground + LANDED_HEIGHT
-    foreign = (drone // 2 != cable) | distant  # on another cable, or far along the own one
-    pairs = sorted({*zip(drone[foreign].tolist(), cable[foreign].tolist(), strict=True)})
-    flexes = world.data.contact.flex
-    between = flexes[np.all(flexes >= 0, axis=1)]
-    across = between[world.teams[between[:, 0]] != world.teams[between[:, 1]]]
-    crossings = sorted({(i, k) for i, k in across.tolist()})
-    close = np.argwhere(cdist(drones[:count], drones) <= 2.0).tolist()  # two ellipsoids
+    drone_names = [*world.drone_names, *names]
+    positions = np.concatenate([world.drones, passing])
     return [
-        *((names[i], names[j]) for i, j in close if i < j),
-        *((names[i], world.cable_names[k]) for i, k in pairs),
-        *((world.cable_names[i], world.cable_names[k]) for i, k in crossings),
+        *((drone_names[i], drone_names[j]) for i, j in _touching_drones(world, positions)),
+        *((drone_names[i], world.cable_names[k]) for i, k in _drones_at_cables(world, positions)),
+        *((world.cable_names[i], world.cable_names[k]) for i, k in _cables_across_teams(world)),
     ]
+
+
+ELLIPSOID_SCALE = 1.0 / np.array([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
+"""(3,) [1/m], scale of coordinates in which the body of a drone is a unit ball."""
+
+
+def _touching_drones(world: World, positions: Array) -> list[tuple[int, int]]:
+    """Return pairs i < j of touching drones, of which i is simulated; positions (d, 3) [m]."""
+    centres = positions * ELLIPSOID_SCALE
+    simulated = centres[: len(world.drone_bodies)]
+    close = np.argwhere(cdist(simulated, centres) <= 2.0)  # two ellipsoids
+    return [(i, j) for i, j in close.tolist() if i < j]
+
+
+def _drones_at_cables(world: World, positions: Array) -> list[tuple[int, int]]:
+    """Return sorted pairs of drones, at positions (d, 3) [m], and the cables that they touch.
+
+    A drone may touch its own cable near their joint, and when it has landed.
+    """
+    distances = cdist(positions * ELLIPSOID_SCALE, world.nodes * ELLIPSOID_SCALE)
+    drones, nodes = np.nonzero(distances <= 1.0)
+    cables = world.node_cables[nodes]
+    from_first_node = nodes - world.cable_vertices[cables]
+    from_last_node = world.ropes.segments[cables] - from_first_node
+    segments_from_drone = np.where(drones % 2 == 0, from_first_node, from_last_node)
+    lengths_from_drone = segments_from_drone * world.ropes.segment_lengths[cables]
+    is_far_along = lengths_from_drone > EXCLUDED_LENGTH * BODY_RADIUS
+    is_flying = positions[drones, 2] > world.ground + LANDED_HEIGHT
+    is_own = drones // 2 == cables
+    forbidden = ~is_own | (is_far_along & is_flying)
+    return sorted({*zip(drones[forbidden].tolist(), cables[forbidden].tolist(), strict=True)})
+
+
+def _cables_across_teams(world: World) -> list[tuple[int, int]]:
+    """Return sorted pairs of cables of different teams in contact."""
+    flexes = world.data.contact.flex
+    of_cables = flexes[np.all(flexes >= 0, axis=1)]
+    across = of_cables[world.teams[of_cables[:, 0]] != world.teams[of_cables[:, 1]]]
+    return sorted({(i, k) for i, k in across.tolist()})
+
+
+class BodyKind(IntEnum):
+    """Kinds of bodies that objects may touch."""
+
+    GROUND = 0
+    DRONE = 1
+    CABLE = 2
+    OBJECT = 3
 
 
 class ObjectContacts:
     """Contacts of objects: forbidden ones, and all contacts with cables."""
 
     def __init__(self, world: World, cargo: Cargo) -> None:
-        self._world, self._cargo, self._lifted = world, cargo, cargo.lifted
-        bodies, objects = world.model.nbody, world.object_bodies
-        counts = np.diff(world.cable_vertices)
-        self._kind, self._rank = np.full(bodies, GROUND), np.full(bodies, -1)
+        self._world = world
+        self._cargo = cargo
+        self._lifted = cargo.lifted
+        bodies = world.model.nbody
+        cable_bodies = world.model.flex_vertbodyid
+        nodes = np.diff(world.cable_vertices)
+        self._kind = np.full(bodies, BodyKind.GROUND)
         self._names = np.full(bodies, "the ground", dtype=object)
-        for kind, chosen, names in (
-            (CABLE, world.model.flex_vertbodyid, np.repeat(world.cable_names, counts)),
-            (DRONE, world.drone_bodies, world.drone_names),  # the ends of cables
-            (OBJECT, objects, cargo.names),
-        ):
-            self._kind[chosen], self._names[chosen] = kind, names
-        self._rank[objects] = np.arange(len(objects))
+        self._classify(cable_bodies, BodyKind.CABLE, np.repeat(world.cable_names, nodes))
+        self._classify(world.drone_bodies, BodyKind.DRONE, world.drone_names)  # ends of cables
+        self._classify(world.object_bodies, BodyKind.OBJECT, cargo.names)
         self._team = np.full(bodies, "", dtype=object)
-        self._team[world.model.flex_vertbodyid] = np.repeat(world.teams, counts)
-        self._untouched = np.zeros(len(objects), dtype=np.bool_)
+        self._team[cable_bodies] = np.repeat(world.teams, nodes)
+        # Index of the object of each body; -1 for other bodies
+        self._object = np.full(bodies, -1)
+        self._object[world.object_bodies] = np.arange(len(world.object_bodies))
         self._holder = np.array([cargo.holders.get(name, "") for name in cargo.names], dtype=object)
+
+    def _classify(self, bodies: Index, kind: BodyKind, names: Sequence[str] | Strings) -> None:
+        """Set the kind and the names of bodies."""
+        self._kind[bodies] = kind
+        self._names[bodies] = names
 
     def wrong(self, index: int) -> list[tuple[str, str]]:
         """Return the forbidden contacts of objects at a sample of the plan, by name.
@@ -211,29 +318,35 @@ class ObjectContacts:
         """
         if not self._cargo.objects:
             return []
-        item, body = self._pairs()
-        held, is_lifted = self._cargo.held[index], np.append(self._lifted[index], False)
-        kind, lifted = self._kind[body], is_lifted[item] | is_lifted[self._rank[body]]
-        held = held[item] & (self._holder[item] == self._team[body])
-        forbidden = np.where(kind == CABLE, ~held, (kind == DRONE) | lifted)
-        named = zip(self._names[body[forbidden]], item[forbidden], strict=True)
+        objects, bodies = self._pairs()
+        kind = self._kind[bodies]
+        held_by_team = self._holder[objects] == self._team[bodies]
+        held = self._cargo.held[index][objects] & held_by_team
+        is_lifted = np.append(self._lifted[index], False)  # the last one is for other bodies
+        lifted = is_lifted[objects] | is_lifted[self._object[bodies]]
+        forbidden = np.where(kind == BodyKind.CABLE, ~held, (kind == BodyKind.DRONE) | lifted)
+        named = zip(self._names[bodies[forbidden]], objects[forbidden], strict=True)
         return sorted({(str(other), self._cargo.names[i]) for other, i in named})
 
     @property
     def cables(self) -> NDArray[np.bool_]:
         """Return whether cables touch each object (objects,)."""
-        touched = self._untouched.copy()
-        if not len(touched):
-            return touched
-        thing, body = self._pairs()
-        touched[thing[self._kind[body] == CABLE]] = True
+        touched = np.zeros(len(self._world.object_bodies), dtype=np.bool_)
+        if len(touched):
+            objects, bodies = self._pairs()
+            touched[objects[self._kind[bodies] == BodyKind.CABLE]] = True
         return touched
 
     def _pairs(self) -> tuple[Index, Index]:
         """Return indices of objects in contact (contacts,), and the bodies that touch them."""
         contact = self._world.data.contact
-        geoms = contact.geom[np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)]
-        bodies = self._world.model.geom_bodyid[geoms]
-        chosen = bodies[np.any(self._rank[bodies] >= 0, axis=1)]
-        rows, own = np.arange(len(chosen)), np.argmax(self._rank[chosen] >= 0, axis=1)
-        return self._rank[chosen[rows, own]], chosen[rows, 1 - own]
+        has_force = np.all(contact.geom >= 0, axis=1) & (contact.efc_address >= 0)
+        bodies = self._world.model.geom_bodyid[contact.geom[has_force]]
+        is_object = self._object[bodies] >= 0
+        of_objects = np.any(is_object, axis=1)
+        bodies = bodies[of_objects]
+        first_object = np.argmax(is_object[of_objects], axis=1)
+        rows = np.arange(len(bodies))
+        touched = bodies[rows, first_object]
+        touching_bodies = bodies[rows, 1 - first_object]
+        return self._object[touched], touching_bodies
