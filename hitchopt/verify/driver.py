@@ -25,7 +25,8 @@ from .statics import vertex_errors
 from .teams import Pair, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
-GROSS, JUMP = 10.0, 0.01  # ratio to a limit, and jump [m], of curves that are no plan at all
+GROSS = 10.0  # ratio to a limit from which on curves are no plan at all
+JUMP = 0.01  # [m] largest jump of curves that are a plan
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
 NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
 PASSING = {"proven", NO_LIMIT, STATED}  # verdicts that do not fail

@@ -21,15 +21,21 @@ USUAL = {"cable_length": 0.01, "drone": None, "friction": 0.0}  # largest errors
 TAUT = 0.9  # fraction of the team's tension
 SAME = 1e-6  # [m] of drones at the same rest
 BEYOND = 2.0  # factor of the difference to first order
-LEVELS, ITERATIONS = np.linspace(0.1, 1.0, 10), 30  # of errors, and of Newton's method
+LEVELS = np.linspace(0.1, 1.0, 10)  # fractions of the errors, one after the other
+ITERATIONS = 30  # of Newton's method, at each level
 SOLVED = 1e-9  # [m] largest last step
 STEP = 1e-30  # step of complex-step derivatives
 
-# Default gains kp of controllers over the mass [1/s²], horizontal and vertical; kd of px4 [1/s]
-PER_MASS = {"lee": (7.0, 7.0), "pid": (51.0 * DEGREE_OF_TILT,) * 2, "px4": (1.71, 4.0)}
-MELLINGER = 0.40, 1.25  # [N/m]
-PX4_DAMPING = 1.8, 4.0
-PX4_P, PX4_VELOCITY = ((0.0, 2.0), (0.0, 1.5)), ((1.2, 5.0), (2.0, 15.0))  # level, upright
+# Horizontal and vertical gains
+PER_MASS = {  # [1/s²] default gains kp of controllers over the mass
+    "lee": (7.0, 7.0),
+    "pid": (51.0 * DEGREE_OF_TILT, 51.0 * DEGREE_OF_TILT),
+    "px4": (1.71, 4.0),
+}
+MELLINGER = (0.40, 1.25)  # [N/m] default gains kp of mellinger
+PX4_DAMPING = (1.8, 4.0)  # [1/s] default gains kd of px4 over the mass
+PX4_P = ((0.0, 2.0), (0.0, 1.5))  # [1/s] smallest and largest gains of position
+PX4_VELOCITY = ((1.2, 5.0), (2.0, 15.0))  # [1/s] smallest and largest gains of velocity
 
 
 def loop_stiffness(kind: dict[str, Any]) -> Array:
