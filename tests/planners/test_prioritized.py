@@ -78,6 +78,17 @@ def test_a_corridor_without_room_to_pass_has_no_schedule() -> None:
     assert not list(prioritized(SeparationTask(task.start, task.goal, walls)))
 
 
+def test_flights_within_a_step_of_the_lattice_have_no_schedule() -> None:
+    start = CORNER + np.array([[-1.0, 0.0, 0.0], [1.0, 0.5, 0.3]])
+    goal = start + 1e-4
+    task = SeparationTask(start, goal, Requirements(separation=SEPARATION))
+    assert not list(prioritized(task))
+    shortest = ho.separate(ho.Problem(ho.Swarm(2), start, [ho.Fly(goal)])).duration
+    hurried = ho.Problem(ho.Swarm(2), start, [ho.Fly(goal, duration=0.95 * shortest)])
+    with pytest.raises(ho.InfeasibleError, match="allow"):
+        ho.separate(hurried)
+
+
 def test_paths_are_fastest_and_keep_out_of_reserved_points() -> None:
     task = corridor(0.15)
     lattice = Lattice.of(task)

@@ -256,6 +256,8 @@ def prioritized(task: SeparationTask) -> Iterator[Schedule]:
         return
     order = sorted(range(task.drones), key=lambda drone: -steps_alone[drone])
     longest = max(steps_alone)
+    if longest == 1:  # all drones stay at their points of the lattice
+        return
     for clearance in CLEARANCES:
         paths = _paths(lattice, ends, order, clearance, MAX_STEPS_RATIO * longest)
         if paths is not None:
