@@ -15,7 +15,7 @@ from hitchopt.checks import Check
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import ROUNDING
-from hitchopt.errors import InfeasibleError, Progress, Violation
+from hitchopt.errors import InfeasibleError, Progress, Violation, rounded_up
 from hitchopt.hitch import Swarm
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.guesses import pushed_apart, roundabout, scheduled, setting_of
@@ -267,9 +267,7 @@ def _last_resort(
 
 def _too_short(task: SeparationTask, duration: float, reason: str) -> Violation:
     """Return the violation of a task whose prescribed duration is below a feasible one [s]."""
-    last_digit = 10.0 ** (math.floor(math.log10(duration)) - 3)
-    rounded_up = last_digit * math.ceil(duration / last_digit * (1.0 + 1e-9))
-    remedy = f"{reason}; allow {rounded_up:.4g} s, or raise the limits"
+    remedy = f"{reason}; allow {rounded_up(duration, 4):.4g} s, or raise the limits"
     limit = task.duration or math.nan
     return Violation("duration", duration, limit, "max", "s", (), "", remedy)
 
