@@ -459,7 +459,7 @@ def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
 
 
 MIN_CROWD = 32
-"""Number of drones meeting at the same time above which a roundabout is used."""
+"""Smallest number of drones meeting at the same time for which a roundabout is used."""
 
 LAYERS = 2
 """Number of altitudes of a roundabout, which drones take in turn; it divides the rings' radius."""

@@ -80,8 +80,8 @@ CROWD_PLANE_RANGE = 0.5
 """The same in crowds."""
 
 LARGE_CROWD = 256
-"""Number of drones above which a program moves only those that are too close, and the search ends
-with the first clear curves: programs that couple all drones would need too much time."""
+"""Smallest number of drones for which a program moves only those that are too close, and the search
+ends with the first clear curves: programs that couple all drones would need too much time."""
 
 CLOSE_RANGE = 0.1
 """Separation [1] in excess of the limit below which such drones are too close."""
