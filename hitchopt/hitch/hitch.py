@@ -85,7 +85,7 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
     cable_length = team.cable_length[shortest]
     remedy = "shorten the edge or lengthen the cable"
     if edge_length < cable_length:
-        remedy = "it sags by its weight: raise team.tension or lower team.cable_density"
+        remedy = "it sags under its weight: raise team.tension or lower team.cable_density"
     facts = f"edge {shortest} is {edge_length:.6g} m long on a cable of {cable_length:.6g} m"
     remedy = f"{facts}: {remedy}"
     if edge_length > UNIT_ERROR_RATIO * cable_length:

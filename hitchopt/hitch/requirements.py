@@ -70,8 +70,8 @@ class Limits(OneLine):
         float,
         Key(
             units.SHARE,
-            "Fraction of the acceleration and jerk limits that plans use; below 1, stops can "
-            "begin at every time",
+            "Fraction of the acceleration and jerk limits that plans use; below 1, stops can begin "
+            "at any time",
         ),
     ] = 1.0
     tracking: Annotated[

@@ -305,7 +305,7 @@ def _report(simulation: Simulation, folder: Path, source: Path) -> None:
     is_comparable = plan is not None and len(plan.teams) == 1 and simulation.loss is None
     if simulation.errors.t.size and is_comparable:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(source)])
-        say(f"LaTeX table, of the plan without the rest after it: {command}")
+        say(f"LaTeX table of the plan, without the rest after it: {command}")
     for failure in simulation.outcome.failures:
         status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{status}: t = {failure.time:.2f} s, {failure.words}", err=True)

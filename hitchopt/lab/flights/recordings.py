@@ -382,7 +382,7 @@ def _in_recorded_order(rows: Array) -> Array:
         digits = next((n for n in range(9, 17) if f"{earlier:.{n}g}" != f"{later:.{n}g}"), 17)
         times = f"{earlier:.{digits}g} s is followed by {later:.{digits}g} s"
         remedy = "specify one flight, in the order in which it was recorded"
-        raise FileError(f"times do not ascend: {times}; {remedy}")
+        raise FileError(f"times do not increase: {times}; {remedy}")
     return rows[steps > 0.0]
 
 

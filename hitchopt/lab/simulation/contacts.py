@@ -195,8 +195,8 @@ class HungLoads:
     def apply(self, shares: Array, seconds: float) -> None:
         """Distribute the loads over the nodes at their clasps for the next ``seconds``.
 
-        ``shares`` (n,) are the fractions of its halves of loads that each cable carries. Clasps
-        without contact lose their loads.
+        Each cable carries half of the loads at its clasps, times its share in ``shares`` (n,).
+        Clasps without contact lose their loads.
         """
         target = self._nodes_in_contact()
         decay = np.exp(-seconds / SMOOTHING)

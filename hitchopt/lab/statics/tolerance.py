@@ -174,7 +174,9 @@ def tolerance(
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
     if times.ndim != 1:
-        raise InputError("t", t, "one time, or a list of them", "specify times [s] in one row")
+        raise InputError(
+            "t", t, "one time, or a list of them", "pass a one-dimensional array of times [s]"
+        )
     rest = equilibrium(motion, times, **conditions)
     parts = [_range(motion, rest, i, errors, conditions) for i in range(len(times))]
     return Tolerance(errors, rest, *(np.stack(values) for values in zip(*parts, strict=True)))

@@ -90,7 +90,8 @@ TURN_ANGLES = 25
 """Number of angles of half a turn at which usable accelerations are computed."""
 
 MIN_TANGENTIAL = 1e-6
-"""[m/s²] Smallest acceleration along an ellipse, if the centripetal one takes all."""
+"""[m/s²] Smallest acceleration along an ellipse, if the centripetal acceleration uses all of the
+limit."""
 
 CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Fractions of the line from pre-hitch to hitch that are candidates for the clasps."""
