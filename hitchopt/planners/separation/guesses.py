@@ -452,7 +452,8 @@ def scheduled(task: SeparationTask, schedule: Schedule) -> Setting:
     setting = setting_of(task, SCHEDULE_PIECES * schedule.duration_ratio)
     grid = setting.grid
     times = np.linspace(0.0, 1.0, schedule.points.shape[1])
-    targets = interp1d(times, schedule.points, axis=1)(_fit_samples(grid))
+    points_at = interp1d(times, schedule.points, axis=1)
+    targets = np.asarray(points_at(_fit_samples(grid)), dtype=np.float64)
     nominal = _fitted(task, grid, targets, SCHEDULE_SMOOTHING_TIME)
     nominal[:, grid.free] = inside(task.requirements.arena, nominal[:, grid.free])
     return replace(setting, nominal=nominal)

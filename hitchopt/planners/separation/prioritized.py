@@ -152,7 +152,7 @@ class Lattice:
 def _offsets(spacing: float, clearance: float) -> Array:
     """Return the offsets (2 reach + 1,) of points along an axis up to a clearance, or the next."""
     reach = math.ceil(clearance / spacing) if spacing > 0.0 else 0
-    return np.arange(-reach, reach + 1) * spacing
+    return np.asarray(np.arange(-reach, reach + 1) * spacing, dtype=np.float64)
 
 
 class Box(NamedTuple):
