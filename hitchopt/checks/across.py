@@ -375,7 +375,7 @@ def radius_across(
         if check.name in BY_SLACK:
             slack = max(check.worst - check.number, 0.0)
             radius = slack / DISTANCES[check.name].approach(error)
-            terms.append(WorstCase(radius, check.time, check.where))
+            terms.append(WorstCase(radius, check.time, check.where, binding=check.name))
 
     def above(scale: Array, **options: Any) -> Iterator[Moving]:
         """Yield what is below drones of all pairs of teams."""

@@ -76,6 +76,7 @@ class Check(OneLine):
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
     custom: whether it is a custom rule, which ``hitchopt verify`` does not prove.
+    binding: name of the check that determines ``tracking_radius``; empty for other quantities.
     """
 
     name: str
@@ -89,6 +90,7 @@ class Check(OneLine):
     method: str = "continuous"
     gamma: float | None = None
     custom: bool = False
+    binding: str = ""
 
     @classmethod
     def of(
@@ -102,6 +104,7 @@ class Check(OneLine):
         where: tuple[str, ...],
         size: float = 1.0,
         gamma: float | None = None,
+        binding: str = "",
     ) -> Check:
         """Return the check; it holds without a limit, or within its tolerance for ``size``.
 
@@ -117,7 +120,9 @@ class Check(OneLine):
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
         bound = outward if limit is None else with_tolerance(limit, sense, size)
         holds = bool(worst >= bound if sense == "min" else worst <= bound)
-        return cls(name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma)
+        return cls(
+            name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma, binding=binding
+        )
 
     @property
     def title(self) -> str:
@@ -168,7 +173,9 @@ class Check(OneLine):
         return f"{broken}, t = {self.time:.4g} s"
 
     def violation(self, when: str, remedy: str) -> Violation:
-        """Return a check that does not hold as a violation."""
+        """Return a check that does not hold as a violation; its remedy begins with what binds."""
+        if self.binding:
+            remedy = f"limited by {self.binding}; {remedy}"
         return Violation(
             self.name, self.worst, self.number, self.sense, self.unit, self.where, when, remedy
         )
@@ -339,6 +346,7 @@ def stated_rule(check: Check) -> StatedRule:
 def _entry(check: Check) -> dict[str, Any]:
     """Return a check's entry in ``certificate.json``; gamma and custom are omitted if unset."""
     entry = asdict(check) | {"where": list(check.where)}
+    del entry["binding"]
     entry |= {"worst": check.worst if check.is_evaluated else None}
     if check.gamma is None:
         del entry["gamma"]

@@ -26,7 +26,8 @@ class WorstCase:
 
     The quantity is close to it at ``time`` [s] and ``where``, names of drones, cables or vertices.
     ``size`` is the largest length that enters, as in ``with_tolerance``. ``limit`` replaces the
-    rule's limit if items such as drones have their own limits.
+    rule's limit if items such as drones have their own limits. ``binding`` is the name of the check
+    that determines the quantity, if it follows from several.
     """
 
     worst: float
@@ -34,6 +35,7 @@ class WorstCase:
     where: tuple[str, ...] = ()
     size: float = 1.0
     limit: float | None = None
+    binding: str = ""
 
     def check(
         self,
@@ -52,6 +54,7 @@ class WorstCase:
             self.where,
             self.size,
             gamma,
+            self.binding,
         )
 
 

@@ -32,6 +32,7 @@ import numpy as np
 
 from hitchopt.checks.arena import ARENA, drone_wall_gap
 from hitchopt.checks.bodies import drones_of
+from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.clearance import CABLE_CLEARANCE, KEEP_OUT, OBJECT_CLEARANCE
 from hitchopt.checks.crossing import CROSSING
@@ -87,7 +88,8 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         *_span_radii(motion),
     ]
     for check, span in _hanging_spans(motion, results):
-        terms.append(WorstCase(_hanging_radius(span, check), check.time, check.where))
+        radius = _hanging_radius(span, check)
+        terms.append(WorstCase(radius, check.time, check.where, binding=check.name))
     smallest_term = min(terms, key=lambda term: term.worst)
     for result in results["separation"]:
         smallest_term = _pair_radius(motion, result.check, smallest_term)
@@ -117,7 +119,8 @@ def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator
             is_free = result.states <= FREE_STATES
             approach = rule.approach.free if is_free else rule.approach.hitched
             check = result.check
-            yield WorstCase(_slack(check) / approach(gamma), check.time, check.where)
+            radius = _slack(check) / approach(gamma)
+            yield WorstCase(radius, check.time, check.where, binding=check.name)
 
 
 def _downwash_radii(motion: Motion, results: SpanResults) -> Iterator[WorstCase]:
@@ -133,7 +136,8 @@ def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
         return
     closest = worst(Drones.of(motion), partial(drone_wall_gap, on_floor=False), "min")
     drone = motion.team.drone_names[closest.item]
-    yield WorstCase(max(closest.worst, 0.0), closest.time, (drone,))
+    radius = max(closest.worst, 0.0)
+    yield WorstCase(radius, closest.time, (drone,), binding=ARENA.name)
 
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:
@@ -141,7 +145,8 @@ def _span_radii(motion: Motion) -> Iterator[WorstCase]:
     for span in motion.spans(FREE_STATES - {CableState.DRAWN}):
         tightest = worst(Drones.of(span), _excess, "min")
         cable = cable_names(span)[tightest.item // 2]
-        yield WorstCase(max(0.5 * tightest.worst, 0.0), tightest.time, (cable,))
+        radius = max(0.5 * tightest.worst, 0.0)
+        yield WorstCase(radius, tightest.time, (cable,), binding=SPAN.name)
 
 
 def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check, Motion]]:
@@ -239,7 +244,8 @@ def touching_radius(
     ellipsoid = Ellipsoid(ellipsoid_axes(requirements))
     shifts = replace(pairs.flattened(requirements.height_ratio), shape=ellipsoid)
     pair = smallest(shifts, incumbent=2.0 * term.worst)
-    return smaller_case(term, max(0.5 * pair.worst, lower), shifts, pair)
+    closest = smaller_case(term, max(0.5 * pair.worst, lower), shifts, pair)
+    return term if closest is term else replace(closest, binding="separation")
 
 
 def ellipsoid_axes(requirements: Requirements) -> Array:
@@ -359,7 +365,7 @@ def downwash_radius(
     for moving in pairs(scale, formula=_error, shape=partial(Wash, axes=axes)):
         pair = smallest(moving, incumbent=least.worst * approach)
         least = smaller_case(least, max(pair.worst, 0.0) / approach, moving, pair)
-    return least
+    return replace(least, binding=DOWNWASH.name)
 
 
 TRACKING_RADIUS = ReportRule(

@@ -69,6 +69,33 @@ def test_the_radius_matches_samples(name: str) -> None:
         assert 0.95 * least - 1e-6 <= check.worst <= least * (1.0 + 1e-4)
 
 
+DISTANCE_KEYS = {"separation": "radius", "cable_clearance": "cable", "crossing": "crossing"}
+"""Keys of ``Separation`` by the checks whose limits they are."""
+
+
+@pytest.mark.parametrize("name", sorted(MOTIONS.keys() - {"crossing"}))  # there drones touch
+def test_only_a_larger_distance_of_the_binding_check_lowers_the_radius(name: str) -> None:
+    motion = MOTIONS[name]()
+    check = radius_of(motion)
+    lowering = set()
+    for distance, key in DISTANCE_KEYS.items():
+        separation = motion.requirements.separation
+        larger = replace(separation, **{key: getattr(separation, key) + 1e-5})
+        stricter = replace(motion.requirements, separation=larger)
+        if radius_of(motion.replaced(requirements=stricter)).worst < check.worst - 1e-7:
+            lowering.add(distance)
+    assert check.binding in {*DISTANCE_KEYS, "legs", "arena", "span"}
+    assert lowering == {check.binding} & DISTANCE_KEYS.keys()
+
+
+def test_a_refusal_names_the_distance_that_limits_the_radius() -> None:
+    motion = with_tracking(planned("triangle").motion, 0.3)
+    check = radius_of(motion)
+    assert not check.holds
+    words = f"; limited by {check.binding}; use longer cables"
+    assert words in str(check.violation("at rest", tracking.TRACKING_RADIUS.remedy))
+
+
 def with_tracking(motion: Motion, tracking: float | ho.Tube | None) -> Motion:
     limits = replace(motion.requirements.limits, tracking=tracking)
     return replace(motion, requirements=replace(motion.requirements, limits=limits))
