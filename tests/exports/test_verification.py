@@ -112,7 +112,7 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "words"), [(("d0", "b", "c"), "d0 is missing"), (("a", "b"), "more of them")]
+    ("names", "words"), [(("d0", "b", "c"), "d0 is missing"), (("a", "b"), "more drones")]
 )
 def test_other_drones_are_refused(names: tuple[str, ...], words: str) -> None:
     with pytest.raises(FileError, match=words):
