@@ -290,7 +290,7 @@ class PlannedClasps(NamedTuple):
     """(…), the share of the displacement that applies."""
 
 
-def balanced(
+def step_toward_balance(
     clasps: Array,
     tensions: Array,
     arms: Array,
@@ -319,20 +319,21 @@ def balanced(
     rotation = left_of(polygon) / size
     along_x = 0.0 * rotation + [1.0, 0.0]
     along_y = 0.0 * rotation + [0.0, 1.0]
-    moves = np.stack([along_x, along_y, rotation])
+    rigid_moves = np.stack([along_x, along_y, rotation])  # (3, …, n, 2)
 
     def residual(polygon: Array) -> Array:
         """Return the unbalanced horizontal force, and moment over size (…, 3) [N]."""
         heights = _raised(polygon, z, pulls, contacts, weight)
         forces = pulls[..., None] * unit(_parts(polygon, heights, contacts))
-        forces[..., 2] = cross(contacts, forces) / size
-        return np.asarray(load * [1.0, 1.0, 0.0] - np.sum(forces, axis=(-3, -2)))
+        moments = cross(contacts, forces) / size
+        loads = np.stack([forces[..., 0], forces[..., 1], moments], axis=-1)
+        return np.asarray(load * [1.0, 1.0, 0.0] - np.sum(loads, axis=(-3, -2)))
 
-    after = residual(polygon + DIFFERENCE_STEP * moves)
-    before = residual(polygon - DIFFERENCE_STEP * moves)
+    after = residual(polygon + DIFFERENCE_STEP * rigid_moves)
+    before = residual(polygon - DIFFERENCE_STEP * rigid_moves)
     stiffness = np.moveaxis(before - after, 0, -1) / (2.0 * DIFFERENCE_STEP)
-    amounts = _damped_solution(stiffness, residual(polygon))
-    moved = polygon + np.einsum("j...ni,...j->...ni", moves, amounts)
+    lengths = _damped_solution(stiffness, residual(polygon))
+    moved = polygon + np.einsum("j...ni,...j->...ni", rigid_moves, lengths)
     if planned is not None:
         share = planned.share[..., None, None]
         moved = planned.positions + share * (moved - planned.positions)
@@ -344,7 +345,7 @@ def balanced(
 
 
 def _damped_solution(stiffness: Array, residual: Array) -> Array:
-    """Return the amounts (…, 3) of three moves that cancel a residual (…, 3) in least squares.
+    """Return the lengths (…, 3) [m] of three moves that cancel a residual (…, 3), in least squares.
 
     The damping is DAMPING times the norm of the stiffness (…, 3, 3).
     """
@@ -352,8 +353,8 @@ def _damped_solution(stiffness: Array, residual: Array) -> Array:
     damping = (DAMPING * norms)[..., None, None] ** 2 * np.eye(3)
     transposed = np.swapaxes(stiffness, -2, -1)
     right_side = transposed @ residual[..., None]
-    amounts: Array = np.linalg.solve(transposed @ stiffness + damping, right_side)[..., 0]
-    return amounts
+    lengths: Array = np.linalg.solve(transposed @ stiffness + damping, right_side)[..., 0]
+    return lengths
 
 
 def _raised(polygon: Array, z: Array, pulls: Array, contacts: Array, weight: Array) -> Array:

@@ -34,8 +34,8 @@ from hitchopt.hitch.holding import (
     Bends,
     PlannedClasps,
     Wraps,
-    balanced,
     edge_ratios,
+    step_toward_balance,
     straight_parts,
     wraps_around,
 )
@@ -561,7 +561,7 @@ class GripHold(HoldingHitch):
             before = np.concatenate([polygon - centre, heights[..., None]], axis=-1)
             arms = wraps.contacts - centre
             displaced_from = PlannedClasps(planned - centre, load_share)
-            after = balanced(before, state.tension, arms, load, displaced_from)
+            after = step_toward_balance(before, state.tension, arms, load, displaced_from)
             polygon = centre + after[..., :2]
             heights = after[..., 2]
             wraps = wraps_around(section, polygon, bends)

@@ -330,25 +330,26 @@ def assign_robots(
     ends = outline.vertices[layout.ends]
     q = drones[0::2, None, :2]
     r = drones[1::2, None, :2]
-    straight = np.sum((q - starts) ** 2, axis=-1) + np.sum((r - ends) ** 2, axis=-1)
-    crossed = np.sum((q - ends) ** 2, axis=-1) + np.sum((r - starts) ** 2, axis=-1)
-    cost = np.minimum(straight, crossed)
+    direct_cost = np.sum((q - starts) ** 2, axis=-1) + np.sum((r - ends) ** 2, axis=-1)
+    flipped_cost = np.sum((q - ends) ** 2, axis=-1) + np.sum((r - starts) ** 2, axis=-1)
+    cost = np.minimum(direct_cost, flipped_cost)
     slack = team.cable_length[:, None] - outline.edge_lengths
     if evenness:
         cost += evenness * (slack - np.mean(slack)) ** 2
-    size = float(np.max(cost))
+    largest_cost = float(np.max(cost))
     is_short = slack < 2.0 * leg
-    penalty = is_short * (1.0 + size) * len(cost)
-    cost = cost + TIE * size * _preference(team.robots) + penalty
-    robots, edges = linear_sum_assignment(cost)
+    penalty = is_short * (1.0 + largest_cost) * len(cost)
+    preference = TIE * largest_cost * _preference(team.robots)
+    robots, edges = linear_sum_assignment(cost + preference + penalty)
     robot_of_edge = robots[np.argsort(edges)]
 
     every_edge = np.arange(team.robots)
-    gain = straight[robot_of_edge, every_edge] - crossed[robot_of_edge, every_edge]
+    gain = direct_cost[robot_of_edge, every_edge] - flipped_cost[robot_of_edge, every_edge]
     chords = drones[1::2, :2][robot_of_edge] - drones[0::2, :2][robot_of_edge]
-    turns_clockwise = cross(chords, ends - starts) < -TIE * size
+    tie = TIE * largest_cost
+    turns_clockwise = cross(chords, ends - starts) < -tie
     # For equal costs cables turn counter-clockwise
-    flipped = np.where(np.abs(gain) > TIE * size, gain > 0.0, turns_clockwise)
+    flipped = np.where(np.abs(gain) > tie, gain > 0.0, turns_clockwise)
     return Assignment(tuple(robot_of_edge.tolist()), tuple(flipped.tolist()))
 
 

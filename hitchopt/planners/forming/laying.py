@@ -290,11 +290,12 @@ def _largest_sag(team: Team, drones: Array) -> float:
 
 
 def _nearest_start(
-    laying: Laying, direction: Array, distance: float, separation: Separation
+    laying: Laying, direction: Array, min_cable_distance: float, separation: Separation
 ) -> Laying:
-    """Return the laying with the smallest offsets along directions (n, 2), or the largest ones.
+    """Return the laying with the smallest offsets along directions (n, 2) that keep distances.
 
-    Taut cables are at a distance [m], and landed drones separated.
+    Taut cables are at least at a distance [m], and landed drones separated. If no offset keeps
+    them, it is the laying with the largest one.
     """
     team = laying.hitch.team
     laid = laying.drones_laid[:, :2]
@@ -303,8 +304,8 @@ def _nearest_start(
     for i in range(MAX_OFFSET_STEPS):
         offsets = (i * step) * direction
         start = replace(laying, offsets=offsets)
-        taut = laid + np.repeat(offsets, 2, axis=0)
-        if _cable_distance(team.layout, taut) < distance:
+        taut_ends = laid + np.repeat(offsets, 2, axis=0)
+        if _cable_distance(team.layout, taut_ends) < min_cable_distance:
             continue
         landed = start.drones_hanging * [1.0, 1.0, 0.0]
         if smallest_separation(landed[None], separation) >= MIN_SEPARATION:

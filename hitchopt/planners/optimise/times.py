@@ -160,18 +160,19 @@ def acceleration_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows
     """
     drones = path.team.robots + np.arange(path.team.drones)
     at_knots = accelerations(path.table[:, path.columns.nodes[drones]], times)
-    sizes = length(at_knots.values)
-    spare = _spare_at_knots(path, limits)
-    knot, drone = np.nonzero(sizes > MIN_SHARE * spare)
-    size = sizes[knot, drone]
+    magnitudes = length(at_knots.values)
+    reachable = _reachable_accelerations(path, limits)
+    knot, drone = np.nonzero(magnitudes > MIN_SHARE * reachable)
+    acceleration = magnitudes[knot, drone]
     direction = unit(at_knots.values[knot, drone])
     before, after = at_knots.times[:, knot]
+    # The acceleration is 2 (v_after - v_before) / (before + after), of velocities in both steps
     per_velocity = 2.0 / (before + after)
     per_move_before = _divided(per_velocity, before)
     per_move_after = _divided(per_velocity, after)
     weights = np.stack([per_move_before, -per_move_before - per_move_after, per_move_after], axis=1)
     speed_before, speed_after = np.sum(at_knots.velocities[:, knot, drone] * direction, axis=-1)
-    per_time = 0.5 * size * per_velocity
+    per_time = 0.5 * acceleration * per_velocity
     by_time_before = per_move_before * speed_before - per_time
     by_time_after = -per_move_after * speed_after - per_time
     return TimedRows(
@@ -180,11 +181,11 @@ def acceleration_rows(path: KnotPath, limits: Limits, times: Array) -> TimedRows
         by_place=weights[..., None] * direction[:, None],
         steps=knot[:, None] + np.array([-1, 0]),
         by_time=np.stack([by_time_before, by_time_after], axis=1),
-        spare=np.maximum(spare[knot, drone], size) - size,
+        spare=np.maximum(reachable[knot, drone], acceleration) - acceleration,
     )
 
 
-def _spare_at_knots(path: KnotPath, limits: Limits) -> Array:
+def _reachable_accelerations(path: KnotPath, limits: Limits) -> Array:
     """Return the accelerations (J + 1, 2n) [m/s²] that drones can reach in all directions."""
     index = np.searchsorted(path_grid(GRID), np.linspace(0.0, 1.0, path.steps + 1))
     loads = demands_along(path.path, limits).loads[np.minimum(index, GRID)]

@@ -451,6 +451,13 @@ def _points_of(pieces: Array) -> Array:
     return np.swapaxes(pieces @ weights.T, 1, 2)
 
 
+BOUNDING_SHARE = 0.5
+"""Share of its squared distance above which a plane through a hull's nearest point bounds the hull.
+
+The share is 1 without rounding if the origin is outside, and at most 0 if it is inside.
+"""
+
+
 def hull_points(differences: Array) -> Array:
     """Return the points (m, 3) nearest to the origin of the convex hulls of points (m, 3, k).
 
@@ -469,8 +476,9 @@ def hull_points(differences: Array) -> Array:
             nearest = np.where(nearer, candidate, nearest)
             smallest = np.where(nearer, squared, smallest)
     # A plane through the nearest point bounds the hull unless the origin is inside.
-    products = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
-    return np.where(products > 0.5 * smallest, nearest, 0.0).T
+    lowest_product = np.min(np.einsum("dm,dkm->km", nearest, points), axis=0)
+    is_bounding = lowest_product > BOUNDING_SHARE * smallest
+    return np.where(is_bounding, nearest, 0.0).T
 
 
 def _of_simplex(start: Array, edges: list[Array]) -> tuple[Array, NDArray[np.bool_]]:
