@@ -343,7 +343,7 @@ def page(store: Store, limit: float, machine: str) -> str:
             "",
             "## Morphs of irregular pairs",
             "",
-            "Solved pairs/all pairs: median–95th percentile of processor time over the solved "
+            "Solved/all pairs of `problems/irregular_pairs.json`: median–95th percentile of processor time over the solved "
             "pairs [s].",
             *table(["method \\ n", *heads, "all"], morph_rows(store)),
             "![Processor time and share of solved pairs over the number of robots, by "

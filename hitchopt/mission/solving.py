@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -62,8 +63,8 @@ def _with_tracking_advice(
         return error
     if tube == Tube.of(team.tracking):
         advice = (
-            f"choose a stiffer controller, since its tracking errors of {tube} add to this "
-            "distance; set limits.tracking only to measured errors"
+            f"use stiffer gains or another controller, since its tracking errors of {tube} add to "
+            "this distance; set limits.tracking only to measured errors"
         )
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} adds to this distance"
@@ -84,6 +85,22 @@ def _with_tracking_advice(
             violations.append(replace(each, remedy=own + of_two))
         else:
             violations.append(each)
+    return InfeasibleError(violations, error.note)
+
+
+def _with_tilt_advice(
+    error: InfeasibleError, requirements: Requirements, team: Team
+) -> InfeasibleError:
+    """Return an error that says where controllers, not ``limits.tilt``, limit the tilt."""
+    largest_tilt = float(np.min(team.max_tilt))
+    if requirements.limits.tilt < largest_tilt:
+        return error
+    by_controllers = f"the controllers tilt by at most {math.degrees(largest_tilt):.3g}°"
+    violations = list[Violation]()
+    for violation in error.violations:
+        is_silent = violation.constraint == "tilt" and by_controllers not in violation.remedy
+        remedy = f"{violation.remedy}; {by_controllers}" if is_silent else violation.remedy
+        violations.append(replace(violation, remedy=remedy))
     return InfeasibleError(violations, error.note)
 
 
@@ -164,6 +181,7 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         raise
     except InfeasibleError as error:
         advised = _with_tracking_advice(error, mission.requirements, mission.team)
+        advised = _with_tilt_advice(advised, mission.requirements, mission.team)
         raise advised.of_team(mission.name) from None
 
 

@@ -37,7 +37,7 @@ from hitchopt.view.style import COLOURS, DASHES, INK, LIMIT_COLOUR, draw_lines, 
 SIZE = (13.0, 7.2)  # Width and height of the picture [inch]
 HEIGHTS = (1.0, 1.7)  # Height ratios of a row of panels and the plan below it
 # Edges of the plots, and of a plan or a storyboard on their left, as fractions of the figure
-PLOT_EDGES = {"left": 0.585, "right": 0.935, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
+PLOT_EDGES = {"left": 0.585, "right": 0.915, "bottom": 0.15, "top": 0.85, "hspace": 0.1}
 PLAN_EDGES = {"left": 0.055, "right": 0.505, "bottom": 0.15, "top": 0.85}
 STORYBOARD_EDGES = {"left": 0.012, "right": 0.515, "bottom": 0.03, "top": 0.85}
 LEGEND_GAP = 0.17  # Distance of the legend from a plan below panels, as a fraction of its height

@@ -76,6 +76,8 @@ TENSE["mission"][0]["transport_object"]["tension"] = 1.6
 LOADED = plans.drum(mass=0.82, friction=3.0)
 LOADED["limits"]["tilt_deg"] = 70
 LOADED["team"] |= {"cable_length": 2.15, "cable_friction": 0.0, "cable_density": 0.0}
+PX4_DRUM = plans.drum() | {"limits": {"tilt_deg": 60, "tracking": 0.001}}
+PX4_DRUM["team"]["quadrotor"] = {"mass": 0.132, "max_thrust": 2.6, "controller": "px4"}
 LOW = plans.tray() | {"arena": {"lower": [-3, -3, 0], "upper": [3, 3, 0.53]}}
 LOW["start"]["hitch"]["altitude"] = 0.5
 SMALL = plans.drum()
@@ -105,6 +107,8 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (steps_of(plans.tray(), {"enclose": {"object": "table"}}), "objects.table.fixed",
      "false if it is lifted"),
     ({**plans.drum(), "limits": {}}, "tilt", "need limits.tilt_deg of 51, above 45.*1.29 N or"),
+    (PX4_DRUM, "tilt", "of 1.3 N need a tilt of 45.1°, but the controllers tilt by at most 45°; or "
+     "grasp with a tension of 1.29 N or less"),
     (plans.drum(mass=0.13), "grip", r"lower objects.drum.mass, or request a different tension"),
     (steps_of(plans.drum(), ENCLOSED_DRUM, {"grasp": {"object": "drum"}}), "objects.drum.rim",
      "grasp it by: grip"),

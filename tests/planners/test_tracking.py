@@ -298,7 +298,7 @@ def test_smaller_errors_are_advised_only_where_distances_lack_no_more(
     }
     with pytest.raises(InfeasibleError, match="arena") as refused:
         ho.solve(ho.problem_from_dict(data))
-    assert ("stiffer controller" in str(refused.value)) is advised
+    assert ("stiffer gains or another controller" in str(refused.value)) is advised
 
 
 SOFT = ho.Quadrotor(0.25, 5.5, controller="px4", gains={"kp": 2.5, "kd": 1.25})

@@ -22,6 +22,7 @@ from pictured import made_certificate, make_motion
 from plans import planned
 
 import hitchopt as ho
+from hitchopt.checks import Certificate, Check
 from hitchopt.checks.separation import closeness
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Phase
@@ -131,6 +132,17 @@ def test_curves_are_the_plan_s_worst_values_at_the_joints_too(
     size = 2.0 * np.array([separation.radius, separation.radius, separation.height])
     ratios = np.linalg.norm(offsets / size, axis=-1) + np.where(same, np.inf, 0)
     np.testing.assert_allclose(ratio.values, np.min(ratios, axis=(1, 2)), rtol=1e-9)
+
+
+def test_small_worst_values_are_not_cut_off() -> None:
+    small = Check("speed", True, 0.003751, 0.8, "max", "m/s", 1.1, ("q0",))
+    certificate = Certificate(2.0, (small,))
+    figure = draw_summary(ho.Flight.of(make_motion(4)), certificate)
+    figure.canvas.draw()
+    (label,) = [
+        text for axes in figure.axes for text in axes.texts if "0.003751" in text.get_text()
+    ]
+    assert label.get_window_extent().x1 <= figure.bbox.x1
 
 
 @pytest.mark.parametrize("share", [False, True])

@@ -488,9 +488,16 @@ def check_pull(tension: float, team: Team, requirements: Requirements) -> None:
     if binding == "tilt":
         tilt = np.degrees(requirements.limits.tilt)
         tilt_of_pull = np.degrees(np.arctan(tension / (GRAVITY * team.mass[0])))
-        suggested = np.ceil(tilt_of_pull) + TILT_RESERVE
-        raised = f"limits.tilt_deg of {suggested:.0f}, above {tilt:.3g}"
-        remedy = f"horizontal pulls of {tension:.3g} N need {raised}; or {remedy}"
+        largest_tilt = np.degrees(np.min(team.max_tilt))
+        if tilt_of_pull < largest_tilt:
+            suggested = min(np.ceil(tilt_of_pull) + TILT_RESERVE, largest_tilt)
+            needed = f"limits.tilt_deg of {suggested:.3g}, above {tilt:.3g}"
+        else:
+            needed = (
+                f"a tilt of {tilt_of_pull:.3g}°, but the controllers tilt by at most "
+                f"{largest_tilt:.3g}°"
+            )
+        remedy = f"horizontal pulls of {tension:.3g} N need {needed}; or {remedy}"
     violation = Violation(binding, tension, limit, "max", "N", (), "to grip at rest", remedy)
     raise InfeasibleError([violation])
 
