@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 import hitchopt as ho
-from hitchopt.hitch.holding import Grip, balanced, grip_capacity, wraps_around
+from hitchopt.hitch.holding import Grip, grip_capacity, step_toward_balance, wraps_around
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.carrying.polygons import GripTask, best_grip
 from hitchopt.values import Array
@@ -156,7 +156,7 @@ def test_moved_clasps_bear_the_load(section: ho.Section, polygon: Array, load: l
         return wraps.contacts - section.centroid
 
     for _ in range(12):
-        before, clasps = clasps, balanced(clasps, tensions, arms(), np.asarray(load))
+        before, clasps = clasps, step_toward_balance(clasps, tensions, arms(), np.asarray(load))
         steps.append(float(np.max(np.abs(clasps - before))))
     assert all(later < 0.1 * step + 1e-14 for step, later in pairwise(steps[2:]))
     at = np.pad(arms(), ((0, 0), (0, 0), (0, 1)))  # in the plane of contact
