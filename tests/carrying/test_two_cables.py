@@ -96,6 +96,15 @@ def test_drum_is_tied_carried_and_untied() -> None:
     assert np.all(x * v - y * u < 0.0)  # the object is on the right of both
 
 
+def test_the_tension_that_a_drum_needs_is_that_of_the_documentation() -> None:
+    """About 0.4 m g/μ for the limit of 1.5, to which the grip is proportional."""
+    motion, grip = cycle().motion, cycle().certificate["grip"]
+    drum = motion.requirements.objects["drum"]
+    tension = float(np.max(motion.team.tension)) * 1.5 / grip.worst
+    assert grip.limit == 1.5
+    assert 0.36 < tension * drum.friction / (drum.mass * GRAVITY) < 0.4
+
+
 def test_drones_are_pulled_along_their_cables_in_every_state() -> None:
     motion = tied()
     times = np.linspace(0.0, motion.duration, 60)
