@@ -187,7 +187,7 @@ def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) 
         read_flown(file)
     with pytest.raises(FileError, match="is not the plan that was exported"):
         read_exported(file, other / PLAN)
-    with pytest.raises(FileError, match=r"holds no export\.json"):
+    with pytest.raises(FileError, match=r"contains no export\.json"):
         read_exported(saved)
     assert read_exported(file, saved / PLAN).task.duration == pytest.approx(plan.duration)
     assert manifest["plan_digest"]
