@@ -174,7 +174,7 @@ def test_nobody_flies_below_the_ground() -> None:
     """The floor of an arena is the ground."""
     for low, altitude in ((0.0, -1.0), (-1.0, 1.2)):
         below = [0.0, 0.0, low]
-        with pytest.raises(ho.InfeasibleError, match="over the ground"):
+        with pytest.raises(ho.InfeasibleError, match="above the ground"):
             forming(LINES + below, LINES * MIRROR + below, altitude=altitude)
     arena, below = ho.Arena([-5.0, -5.0, -3.0], [5.0, 5.0, 3.0]), [0.0, 0.0, -3.0]
     forming(LINES + below, LINES * MIRROR + below, altitude=-1.0, arena=arena)

@@ -281,7 +281,8 @@ def test_forming_with_friction_ends_with_settling() -> None:
     worked, left, given = (settled(form(each), tied=False) for each in ("auto", False, 20.0))
     smooth = settled(form(), tied=False, friction=0.0)
     assert worked.phases[-1].name == "settle"
-    assert worked.duration == pytest.approx(left.duration + SWINGS * SWING)
+    # Swings that are scaled up to half of the friction take a little longer
+    assert worked.duration - left.duration == pytest.approx(SWINGS * SWING, rel=0.02)
     assert given.duration == pytest.approx(left.duration + 20.0)
     assert "settle" not in {phase.name for phase in (*left.phases, *smooth.phases)}
     ends = [plan.at(plan.duration).positions for plan in (worked, left, given)]
