@@ -4,7 +4,7 @@ Checks within a team and between teams compare them (``checks.distances``).
 
 - Taut cables are straight between drones, contacts and vertices (``spans.cable_parts``).
 - A cable that hangs, or lies on the ground (CableState.GROUND), is in the vertical sheet below its
-chord, no deeper than a cable that leads straight down and up again.
+  chord, no deeper than a cable that leads straight down and up again.
 - A laid cable (CableState.LAYING) is in the air, too: its drones hold it taut and lay it across its
   neighbours. It is in the sheet from its chord down to its largest sag.
 - A cable that is clasped or tightened, or the reverse, is somewhere between its chord and its route

@@ -566,7 +566,7 @@ FORMULAS = (
 )
 
 HEAVY_REMEDY = (
-    "raise the tension, or use lighter cables (team.cable_density): these sag too far to balance"
+    "raise the tension, or use lighter cables (team.cable_density), if these sag too far to balance"
 )
 """Remedy for clasps of cables so heavy that the model of their sag is too coarse."""
 

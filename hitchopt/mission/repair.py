@@ -74,7 +74,7 @@ COARSE_SIZES = (0.1, 0.25, 0.6, 1.5)
 """Relative sizes of changes of problems whose plans take long."""
 
 COARSE_LOWERING = tuple(size / (1.0 + size) for size in COARSE_SIZES)
-"""The same of changes that lower a quantity towards zero."""
+"""Relative sizes of changes that lower a quantity of such problems towards zero."""
 
 QUICK_SHARE = 0.2
 """Share of the time for small changes: if none succeeds in it, COARSE_SIZES are tried."""
@@ -94,9 +94,8 @@ MAX_CHANGES = 3
 MAX_ROUNDS = 2 * MAX_CHANGES
 """Maximum number of changes in one suggestion if several changes of one quantity count each."""
 
-PULL_SHARE = (
-    0.9  # Largest tension of suggestions over the largest horizontal pull, since motion needs more
-)
+PULL_SHARE = 0.9
+"""Largest tension of suggestions over the largest horizontal pull, since motion needs more."""
 
 ROUTE_BUDGET = 12.0  # The same where each plan needs a search for routes [s]
 

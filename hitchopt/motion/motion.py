@@ -477,8 +477,7 @@ class Motion(OneLine):
         """Return the motion with other values of some fields.
 
         Curves that are derived from other fields alone are derived from their new values. Only
-        phases are
-        checked: polynomials come from motions that were checked on construction.
+        phases are checked: polynomials come from motions that were checked on construction.
         """
         motion = object.__new__(type(self))
         old_values = {name: vars(self)[name] for name in self.__dataclass_fields__}

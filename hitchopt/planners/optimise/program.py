@@ -517,13 +517,13 @@ class DifferenceForms(NamedTuple):
     """
 
     values: Array
-    """Of the function."""
+    """Form of the function."""
 
     slopes: Array
-    """Of its first derivative by s, by differences."""
+    """Form of its first derivative with respect to s, by differences."""
 
     bends: Array
-    """Of its second derivative by s, by differences."""
+    """Form of its second derivative with respect to s, by differences."""
 
 
 def _difference_forms(steps: int) -> DifferenceForms:
