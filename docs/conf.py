@@ -16,6 +16,8 @@ sys.path.insert(0, str(HERE))
 from generators.math_markup import add_renderer  # noqa: E402
 from generators.site_pages import write_pages  # noqa: E402
 
+import hitchopt  # noqa: E402
+
 project = "hitchopt"
 author = "The hitchopt developers"
 release = version = metadata.version("hitchopt")
@@ -47,6 +49,10 @@ autodoc_member_order = "bysource"
 autodoc_class_signature = "mixed"
 autodoc_default_options = {"members": True}
 numpydoc_show_class_members = False
+autosummary_filename_map = {
+    f"hitchopt.{name}": f"hitchopt.steps.{name}" for name in hitchopt.PUBLIC_NAMES["steps"]
+}
+"""``hitchopt.Morph`` and ``hitchopt.morph`` are one file where cases are not distinguished."""
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!hitchopt\.\w+$).*")]
 """Signatures name types of other packages, and such as are not public."""

@@ -43,6 +43,13 @@ from hitchopt.single_steps import hold as hold, land as land, morph as morph, mo
 from hitchopt.single_steps import move_vertex as move_vertex, open_vertex as open_vertex
 from hitchopt.single_steps import release as release, settle as settle, transport as transport
 from hitchopt.stages import route as route, time as time
+from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
+from hitchopt.steps import Enclose as Enclose, FollowVertex as FollowVertex, Form as Form
+from hitchopt.steps import Grasp as Grasp, Hold as Hold, Land as Land, Leave as Leave, Lift as Lift
+from hitchopt.steps import Loosen as Loosen, Morph as Morph, MoveEdge as MoveEdge
+from hitchopt.steps import MoveVertex as MoveVertex, OpenVertex as OpenVertex, Release as Release
+from hitchopt.steps import SetDown as SetDown, Settle as Settle, Tie as Tie, Transport as Transport
+from hitchopt.steps import TransportObject as TransportObject, Untie as Untie
 from hitchopt.steps.flying import Fly as Fly
 
 __version__: str

@@ -47,6 +47,10 @@ def test_public_names_have_words_and_others_are_refused() -> None:
         _ = hitchopt.nonsense  # type: ignore[attr-defined]
 
 
+def test_every_step_is_a_name_at_the_top() -> None:
+    assert [getattr(hitchopt, kind.__name__) for kind in STEPS] == [*STEPS]
+
+
 def test_names_in_rooms_are_refused_with_their_place() -> None:
     for room, names in hitchopt.ROOM_NAMES.items():
         for name in names:
