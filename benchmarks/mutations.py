@@ -100,7 +100,7 @@ MUTATIONS = (
     Mutation("downwash.py", "np.max(team.max_thrust)", "np.min(team.max_thrust)", "checks/test_downwash.py", "the weakest drone in place of the strongest"),
     Mutation("bodies.py", "np.where(turning, _middles(motion, drones), vertices)", "vertices", "checks/test_bodies.py", "clasps in place of pairs that turn"),
     Mutation("bodies.py", "0.5 * (q_ahead + r_behind)", "0.5 * q_ahead + 0.0 * r_behind", "checks/test_bodies.py", "a factor of middles of pairs"),
-    Mutation("drones.py", '"vertex_speed", "m/s", 1, Points)', '"vertex_speed", "m/s", 1, Drones)', "triangle", "drones in place of vertices"),
+    Mutation("drones.py", "    over=Points,\n", "    over=Drones,\n", "triangle", "drones in place of vertices"),
 )  # fmt: skip
 
 

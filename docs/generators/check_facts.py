@@ -1,11 +1,11 @@
-"""The page of checks: facts of each from the registry, and the code of its formulas."""
+"""The table of checks, and the page with their facts from the registry and formulas."""
 
 from __future__ import annotations
 
 import inspect
 from typing import Any
 
-from hitchopt.checks.registry import REPORTS, RULES
+from hitchopt.checks.registry import QUANTITIES, REPORTS, RULES
 from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, WorstOverSpans
 from hitchopt.motion.motion import CableState
 
@@ -17,6 +17,12 @@ INTRODUCTION = """# Checks and formulas
 What the registry says of every check of {doc}`the certificate </explanation/certificate>`, and the code that computes it, over
 `Enclosed` values: polynomials with the radius of a ball around them.
 """
+
+
+def write_check_table() -> str:
+    """Return the table of what each check proves, and what not."""
+    rows = [f"| `{each.name}` | {each.proves} | {each.unproven} |" for each in QUANTITIES]
+    return "\n".join(["| check | bounds, for all t | does not prove |", "|---|---|---|", *rows, ""])
 
 
 def write_check_facts() -> dict[str, str]:
@@ -44,7 +50,7 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
     free_remedy = rule.free_remedy if rule.free_remedy != rule.remedy else ""
     return {
         "`worst`": f"{_unit(rule.unit)}; {SENSES[rule.sense]}",
-        "limit": "set by the problem" if callable(rule.limit) else f"{rule.limit:g}",
+        "limit": _limit(rule),
         "while cables are": "in any state" if states == set(CableState) else names,
         "checked in exports": f"yes{limit}" if exported else "no",
         "what helps": rule.remedy + (f"; while cables hang: {free_remedy}" if free_remedy else ""),
@@ -52,9 +58,16 @@ def _facts_of_check(rule: CheckRule) -> dict[str, str]:
 
 
 def _facts_of_report(rule: ReportRule | FlightReport) -> dict[str, str]:
-    limit = "`limits.tracking`, if stated; otherwise it is only reported"
-    limit = limit if isinstance(rule, ReportRule) else "none: it is only reported"
+    limit = f"`{rule.key}`, if stated; otherwise" if rule.key else "none:"
+    limit += " it is only reported"
     return {"`worst`": _unit(rule.unit), "limit": limit}
+
+
+def _limit(rule: CheckRule) -> str:
+    """Return the limit of a check, or the key that sets it."""
+    if not callable(rule.limit):
+        return f"{rule.limit:g}"
+    return f"`{rule.key}`" if rule.key else "set by the problem"
 
 
 def _formulas(rule: CheckRule) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from generators.check_facts import write_check_page
+from generators.check_facts import write_check_page, write_check_table
 from generators.gallery_page import write_gallery
 from generators.problem_collection import ROOT
 from generators.schema_page import write_schema_page, write_study_page
@@ -16,6 +16,7 @@ def write_pages() -> None:
     texts = {DOCS / "reference/generated/problem_file.md": write_schema_page(), **write_gallery()}
     texts[DOCS / "reference/generated/study_file.md"] = write_study_page()
     texts[DOCS / "reference/generated/formulas.md"] = write_check_page()
+    texts[DOCS / "reference/generated/checks.inc"] = write_check_table()
     texts[DOCS / "how_to/generated/scripts.md"] = write_script_page()
     for path, text in texts.items():
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ ratio (``Requirements.height_ratio``): errors are then within a ball, and no dis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -38,7 +38,7 @@ from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase, largest_error
 from hitchopt.checks.solids import PlacedObject, Solid, from_above, pairs_with_shape, placed_objects
 from hitchopt.checks.spans import ROUNDING, cable_names, cached, flight_magnitude, magnitude
-from hitchopt.checks.tracking import RULES, downwash_radius, touching_radius
+from hitchopt.checks.tracking import downwash_radius, slack_rules, touching_radius
 from hitchopt.hitch.pairs import DISTANCES, DistanceRule
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, same_object
@@ -357,25 +357,25 @@ def check_across(
     return None if math.isinf(closest.worst) else closest.check(rule, limit)
 
 
-BY_SLACK = frozenset(DISTANCES) & {rule.name for rule in RULES}
-"""Names of checks between teams whose slack bounds the radius."""
-
-
 def radius_across(
-    flight: Flight, requirements: Requirements, checks: Iterable[Check | None], gamma: float
+    flight: Flight,
+    requirements: Requirements,
+    between: Mapping[CheckRule, Check | None],
+    gamma: float,
 ) -> WorstCase:
     """Return the largest tracking error with which teams keep their distances [m].
 
-    Heights are divided by the ``height_ratio`` of the requirements, also in ``checks``, which are
-    those between teams.
+    Heights are divided by the ``height_ratio`` of the requirements, also in the checks ``between``
+    teams.
     """
     error = largest_error(gamma)
     terms = [WorstCase(math.inf, 0.0)]
-    for check in filter(None, checks):
-        if check.name in BY_SLACK:
+    for rule in slack_rules(between):
+        check = between[rule]
+        if check is not None and rule.name in DISTANCES:
             slack = max(check.worst - check.number, 0.0)
-            radius = slack / DISTANCES[check.name].approach(error)
-            terms.append(WorstCase(radius, check.time, check.where, binding=check.name))
+            radius = slack / DISTANCES[rule.name].approach(error)
+            terms.append(WorstCase(radius, check.time, check.where, binding=rule.name))
 
     def above(scale: Array, **options: Any) -> Iterator[Moving]:
         """Yield what is below drones of all pairs of teams."""

@@ -15,14 +15,7 @@ from hitchopt.checks.certificate import Check
 from hitchopt.checks.distances import UNBOUNDED, Flags
 from hitchopt.checks.drones import Drones, SagTerms, edge_sags, leg_sags
 from hitchopt.checks.objects import placed_corners
-from hitchopt.checks.rule import (
-    Approach,
-    CheckRule,
-    Evaluator,
-    WorstCase,
-    WorstOverSpans,
-    largest_error,
-)
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.solids import placed_objects
 from hitchopt.checks.spans import (
     ROUNDING,
@@ -181,6 +174,10 @@ ARENA = CheckRule(
     ARENA_REMEDY,
     remedy_at=_arena_remedy,
     exported_limit=EXPORTED_LIMIT,
-    approach=Approach(largest_error, lambda _: 1.0),
+    group="distances",
+    key="arena",
+    bodies=(("drones", "walls"), ("cables", "walls"), ("held", "walls")),
+    proves="the minimum distance [m] of a drone, taut cable or held object to a wall",
+    unproven="where propellers reach: drones are points",
 )
 """Drones, taut cables and held objects stay in the arena."""

@@ -188,6 +188,11 @@ CABLE_LENGTH = CheckRule(
     ),
     free_remedy="use a longer cable, or a smaller polygon",
     ease="length",
+    group="cables",
+    bodies=(("cables",),),
+    is_error=True,
+    proves="the largest relative error of a cable's length: 1e-4 is 0.2 mm of 2 m",
+    unproven="how far it stretches",
     exported_limit=EXPORTED_LIMIT,
 )
 """Relative error of a cable's length; during tightening, the missing length; of laid cables, the
@@ -201,6 +206,10 @@ SPAN = CheckRule(
     (Evaluator(WorstOverSpans(Cables, _span_ratio, "max", _size), FREE_STATES, exported=True),),
     "use a longer cable, a smaller polygon, or place the drones closer together",
     ease="length",
+    group="cables",
+    bodies=(("cables",),),
+    proves="the largest distance between the drones of a free cable, over its length",
+    unproven="what lies between them",
 )
 """Largest distance of a free cable's drones over its length: below 1, it hangs."""
 
@@ -359,4 +368,17 @@ JUMPS_AND_RANGES = Evaluator(
     _worst_tension, FREE_STATES | TAUT_STATES, formulas=(_pull_jump, _thrust_jump, _out_of_range)
 )
 
-TENSION = CheckRule("tension", "N", "max", TENSION_LIMIT, (JUMPS_AND_RANGES,), whole=True)
+TENSION = CheckRule(
+    "tension",
+    "N",
+    "max",
+    TENSION_LIMIT,
+    (JUMPS_AND_RANGES,),
+    whole=True,
+    group="forces",
+    bodies=(("cables",),),
+    is_error=True,
+    proves="the largest jump [N] of a tension, pull or thrust, or distance of a tension from its "
+    "range, for legs widened by friction",
+    unproven="the real pull, which depends on stiffness: `hitchopt statics`",
+)

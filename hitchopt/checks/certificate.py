@@ -20,24 +20,16 @@ TOLERANCE = 1e-9
 """Tolerance of checks, relative to the limit or to the largest length that enters."""
 
 
-GROUPS = {
-    "distances": (
-        "separation", "cable_clearance", "crossing", "keep_out", "downwash", "object_clearance",
-        "arena", "tracking_radius", "vertex_error",
-    ),
-    "motion": ("speed", "acceleration", "jerk", "vertex_speed", "body_rate"),
-    "forces": ("thrust", "tilt", "equilibrium", "tension", "grip", "hinge", "support"),
-    "cables": ("legs", "cable_length", "span", "convexity", "interlacing"),
-    "timing": ("continuity", "stoppable", "survivable", "duration"),
-}  # fmt: skip
-"""Checks under the headings of the certificate's table; the rest goes under "other"."""
+GROUPS = ("distances", "motion", "forces", "cables", "timing")
+"""Headings of the certificate's table, in order."""
+
+OTHER = "other"
+"""Heading of checks of no group."""
 
 CUSTOM = "custom rules"
 """Heading of custom rules, which ``hitchopt verify`` does not prove."""
 
-ERRORS = ("cable_length", "equilibrium", "tension")  # checks of errors, titled as such in tables
 TIE = 1e-9  # relative difference of utilization up to which checks tie
-RATE_CHECKS = (*GROUPS["motion"], "thrust", "tilt")  # Checks that faster motion utilizes more
 # Largest margin of a check that binds: planners keep margins, and the search for the worst value
 # adds its own
 BINDING = 0.02
@@ -75,8 +67,10 @@ class Check(OneLine):
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
-    custom: whether it is a custom rule, which ``hitchopt verify`` does not prove.
     binding: name of the check that determines ``tracking_radius``; empty for other quantities.
+    group: heading in the table: one of GROUPS, CUSTOM or OTHER.
+    is_error: whether the quantity is an error, titled as such in tables.
+    derivative: highest time derivative of positions in the quantity; 0 for none.
     """
 
     name: str
@@ -89,8 +83,10 @@ class Check(OneLine):
     where: tuple[str, ...]
     method: str = "continuous"
     gamma: float | None = None
-    custom: bool = False
     binding: str = ""
+    group: str = OTHER
+    is_error: bool = False
+    derivative: int = 0
 
     @classmethod
     def of(
@@ -105,29 +101,36 @@ class Check(OneLine):
         size: float = 1.0,
         gamma: float | None = None,
         binding: str = "",
+        **metadata: Any,
     ) -> Check:
         """Return the check; it holds without a limit, or within its tolerance for ``size``.
 
         Files cannot store infinities and nan: they become the largest number and the worst one. An
         infinite worst value that holds is the extremum of an empty set; ``where`` is then empty.
+        ``metadata`` are ``group``, ``is_error`` and ``derivative``.
         """
         largest = sys.float_info.max
         if limit is not None:
             limit = float(limit)
         if worst == _empty_value(sense):
-            return cls(name, True, float(worst), limit, sense, unit, float(time), (), gamma=gamma)
+            metadata |= {"gamma": gamma}
+            return cls(name, True, float(worst), limit, sense, unit, float(time), (), **metadata)
         outward = -largest if sense == "min" else largest
         worst = outward if math.isnan(worst) else min(max(float(worst), -largest), largest)
         bound = outward if limit is None else with_tolerance(limit, sense, size)
         holds = bool(worst >= bound if sense == "min" else worst <= bound)
-        return cls(
-            name, holds, worst, limit, sense, unit, float(time), where, gamma=gamma, binding=binding
-        )
+        metadata |= {"gamma": gamma, "binding": binding}
+        return cls(name, holds, worst, limit, sense, unit, float(time), where, **metadata)
+
+    @property
+    def custom(self) -> bool:
+        """Return whether it is a custom rule, which ``hitchopt verify`` does not prove."""
+        return self.group == CUSTOM
 
     @property
     def title(self) -> str:
         """The name in tables, which states whether the quantity is an error."""
-        return f"{self.name} error" if self.name in ERRORS else self.name
+        return f"{self.name} error" if self.is_error else self.name
 
     @property
     def row(self) -> dict[str, str]:
@@ -254,23 +257,12 @@ class Certificate(OneLine):
     @property
     def groups(self) -> dict[str, tuple[Check, ...]]:
         """The checks under the headings of the table, in its order."""
-        heading = {name: title for title, names in GROUPS.items() for name in names}
         groups: dict[str, tuple[Check, ...]] = {}
-        for title in (*GROUPS, "other"):
-            checks = tuple(
-                check for check in self._built_in if heading.get(check.name, "other") == title
-            )
+        for heading in (*GROUPS, OTHER, CUSTOM):
+            checks = tuple(check for check in self.checks if check.group == heading)
             if checks:
-                groups[title] = checks
-        custom = tuple(check for check in self.checks if check.custom)
-        if custom:
-            groups[CUSTOM] = custom
+                groups[heading] = checks
         return groups
-
-    @property
-    def _built_in(self) -> tuple[Check, ...]:
-        """The checks that are not custom rules."""
-        return tuple(check for check in self.checks if not check.custom)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -294,9 +286,9 @@ class Certificate(OneLine):
     def binding(self) -> tuple[str, ...]:
         """Names of the checks that limit the plan's speed, closest to its limit first.
 
-        They are those of RATE_CHECKS with a worst value within 2 % of the limit.
+        Their worst values, of derivatives of positions, are within 2 % of the limit.
         """
-        rates = [check for check in self.limited if check.name in RATE_CHECKS]
+        rates = [check for check in self.limited if check.derivative]
         near = [check for check in rates if check.utilization >= -BINDING]
         return tuple(check.name for check in sorted(near, key=lambda check: -check.utilization))
 
@@ -345,13 +337,21 @@ def stated_rule(check: Check) -> StatedRule:
 
 def _entry(check: Check) -> dict[str, Any]:
     """Return a check's entry in ``certificate.json``; gamma and custom are omitted if unset."""
-    entry = asdict(check) | {"where": list(check.where)}
-    del entry["binding"]
-    entry |= {"worst": check.worst if check.is_evaluated else None}
-    if check.gamma is None:
-        del entry["gamma"]
-    if not check.custom:
-        del entry["custom"]
+    entry: dict[str, Any] = {
+        "name": check.name,
+        "holds": check.holds,
+        "worst": check.worst if check.is_evaluated else None,
+        "limit": check.limit,
+        "sense": check.sense,
+        "unit": check.unit,
+        "time": check.time,
+        "where": list(check.where),
+        "method": check.method,
+    }
+    if check.gamma is not None:
+        entry["gamma"] = check.gamma
+    if check.custom:
+        entry["custom"] = True
     return entry
 
 

@@ -587,6 +587,13 @@ EQUILIBRIUM = CheckRule(
         Evaluator(_bent_residual, BENT, formulas=(_kink,)),
     ),
     remedy_at=_balance_remedy,
+    group="forces",
+    bodies=(("clasps",),),
+    is_error=True,
+    proves="the largest force residual at a clasp, over the smaller tension; the excess of a leg's "
+    r"pull, over its edge's, beyond $e^{\pm\mu\theta}$ (friction); infinite if cables do not press "
+    "on each other",
+    unproven="stiffness: vertices stay within millimetres only while drones are in place",
 )
 
 
@@ -680,4 +687,8 @@ CONVEXITY = CheckRule(
     0.0,
     (Evaluator(_smallest_angle, HITCHED_STATE, formulas=(_exterior,)),),
     "use an intermediate polygon, in two morphs",
+    group="cables",
+    bodies=(("clasps",),),
+    proves="the smallest exterior angle of the outline [deg]",
+    unproven="that a nearly straight corner is robust",
 )

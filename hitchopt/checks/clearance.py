@@ -46,7 +46,7 @@ from hitchopt.checks.hanging import (
     drones_and_own_cables,
 )
 from hitchopt.checks.objects import placed_corners
-from hitchopt.checks.rule import Approach, CheckRule, Evaluator, largest_error
+from hitchopt.checks.rule import CheckRule, Evaluator
 from hitchopt.checks.separation import OTHER_LEGS, leg_remedy
 from hitchopt.checks.solids import (
     PlacedObject,
@@ -161,7 +161,12 @@ CABLE_CLEARANCE = CheckRule(
     "or allow a smaller separation.cable",
     "length",
     remedy_at=partial(leg_remedy, distance="separation.cable"),
-    approach=Approach(lambda gamma: 1.0 + largest_error(gamma), lambda _: 2.0),
+    group="distances",
+    key="separation.cable",
+    bodies=(("drones", "cables"), ("cables", "ground")),
+    proves="the minimum distance [m] of a drone to any cable part that does not end at it, and of "
+    "hanging cables to the ground",
+    unproven="how ropes swing, and touch while pairs swap",
 )
 """Distance of cables from other drones and the ground; horizontal while they lie on it.
 
@@ -189,7 +194,11 @@ KEEP_OUT = CheckRule(
     ),
     (Evaluator(nearest(_drones_and_bodies), exported=True, formulas=(gap, Solid.normals)),),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
-    approach=Approach(lambda _: 1.0, lambda _: 1.0),
+    group="distances",
+    key="separation.radius",
+    bodies=(("drones", "objects"),),
+    proves="the minimum distance [m] of a drone to an object, or of a single drone to a prism",
+    unproven="prisms for hitches",
 )
 """Distance of drones from prisms and objects: at least the radius of their ellipsoids."""
 
@@ -451,7 +460,12 @@ OBJECT_CLEARANCE = CheckRule(
     "form and release farther from objects or higher above them, or allow a smaller "
     "separation.object",
     remedy_at=_rim_remedy,
-    approach=Approach(largest_error, largest_error),
+    group="distances",
+    key="separation.object",
+    bodies=(("cables", "objects"), ("held", "objects"), ("held", "ground")),
+    proves="the minimum distance [m] of a cable to an object that it does not hold, and of a "
+    "carried object to others and the ground",
+    unproven="distances of holding cables, which may touch",
 )
 """Distance of cables and held objects from other objects.
 

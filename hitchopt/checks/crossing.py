@@ -21,7 +21,7 @@ from hitchopt.checks.bodies import (
     taut_parts,
 )
 from hitchopt.checks.distances import Flags, Hulls, Moving, gap, nearest
-from hitchopt.checks.rule import Approach, CheckRule, Evaluator, largest_error
+from hitchopt.checks.rule import CheckRule, Evaluator
 from hitchopt.checks.spans import cable_names, clasped_pairs, pair_of, phase_parts
 from hitchopt.hitch.pairs import CROSSING as CROSSING_PAIR
 from hitchopt.hitch.pairs import DISTANCES, TautBodies
@@ -126,7 +126,12 @@ CROSSING = CheckRule(
     "shorten the legs that meet (a shorter cable or a larger polygon), "
     "choose other leg lengths, or lower separation.crossing",
     "place the robots farther apart, or lower separation.crossing",
-    approach=Approach(lambda gamma: 2.0 * largest_error(gamma), lambda _: 2.0),
+    group="distances",
+    key="separation.crossing",
+    bodies=(("cables", "cables"),),
+    proves="the minimum distance [m] between taut parts that share no clasp; of hanging cables as "
+    "seen from above",
+    unproven="neighbours that are being clasped or released, which may touch",
 )
 """Cable parts that share no clasp keep a distance.
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar, Generic, TypeVar
 
-from hitchopt.checks.certificate import Check
+from hitchopt.checks.certificate import CUSTOM, Check
 from hitchopt.checks.clasps import clasp_names
 from hitchopt.checks.drones import Drones, Points
-from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.spans import MotionSpans, leg_vectors
 from hitchopt.errors import InputError, OneLine
 from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
@@ -162,7 +162,9 @@ class Rule(ByValue, Generic[S]):
         """The record by which certificates evaluate it."""
         worst = WorstOverSpans(self.over, self._bound, self.sense)
         evaluators = (Evaluator(worst, self.over.states),)
-        return CheckRule(self.name, self.unit, self.sense, self.limit, evaluators, self.remedy)
+        return CheckRule(
+            self.name, self.unit, self.sense, self.limit, evaluators, self.remedy, group=CUSTOM
+        )
 
     def check(self, motion: Motion) -> Check:
         """Return the check of one team's motion.
@@ -173,8 +175,8 @@ class Rule(ByValue, Generic[S]):
         check = self.check_rule.check(motion)
         if check is None:
             empty = math.inf if self.sense == "min" else -math.inf
-            check = Check.of(self.name, empty, self.limit, self.sense, self.unit, 0.0, ())
-        return replace(check, custom=True)
+            check = WorstCase(empty, 0.0).check(self.check_rule, self.limit)
+        return check
 
     def _bound(self, spans: S) -> Bound:
         """Return the bound of the formula's value; raise InputError if it is not one number."""

@@ -149,6 +149,12 @@ DOWNWASH = CheckRule(
     _limit,
     (Evaluator(nearest(_scaled_cases, scaled=True), exported=True, formulas=(below,)),),
     "fly higher above what the downwash would move, or next to it, or lower separation.height",
+    group="distances",
+    key="separation.height",
+    bodies=(("drones", "movable"), ("drones", "taut")),
+    proves="the minimum distance of drones' lower half ellipsoids from taut cables and objects of "
+    "other teams that the thrust could move, 1 if they touch",
+    unproven="wakes below the ellipsoid, on hanging cables, and within a team",
 )
 """Lower halves of drones' ellipsoids meet no object that they would move, and no taut cable of
 another team."""

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.checks.certificate import with_tolerance
-from hitchopt.checks.rule import Approach, CheckRule, Evaluator, WorstOverSpans
+from hitchopt.checks.rule import CheckRule, Evaluator, WorstOverSpans
 from hitchopt.checks.spans import (
     ROUNDING,
     UPWARD,
@@ -355,7 +355,14 @@ def _norm(spans: MotionSpans, order: int) -> Bound:
     return spans.derivative(part, order).norm_upper
 
 
-def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drones) -> CheckRule:
+def _rate_rule(
+    name: str,
+    unit: str,
+    order: int,
+    proves: str,
+    unproven: str,
+    over: type[MotionSpans] = Drones,
+) -> CheckRule:
     """Return the rule that compares the norm of a derivative with ``Limits.with_reserve.name``."""
     evaluator = Evaluator(
         WorstOverSpans(over, partial(_norm, order=order), "max", 0.0),
@@ -371,13 +378,39 @@ def _rate_rule(name: str, unit: str, order: int, over: type[MotionSpans] = Drone
         f"raise limits.{name}",
         ease="time",
         derivative=order,
+        group="motion",
+        key=f"limits.{name}",
+        bodies=(("vertices",),) if over is Points else (("drones",),),
+        proves=proves,
+        unproven=unproven,
     )
 
 
-SPEED = _rate_rule("speed", "m/s", 1)
-ACCELERATION = _rate_rule("acceleration", "m/s²", 2)
-JERK = _rate_rule("jerk", "m/s³", 3)
-VERTEX_SPEED = _rate_rule("vertex_speed", "m/s", 1, Points)
+SPEED = _rate_rule(
+    "speed",
+    "m/s",
+    1,
+    "the largest speed of a drone",
+    "the speed of a drone that deviates from its plan",
+)
+ACCELERATION = _rate_rule(
+    "acceleration",
+    "m/s²",
+    2,
+    "the largest acceleration of a drone",
+    "that motors can produce it: see `thrust` and `tilt`",
+)
+JERK = _rate_rule(
+    "jerk", "m/s³", 3, "the largest jerk of a drone", "jumps of the jerk between pieces"
+)
+VERTEX_SPEED = _rate_rule(
+    "vertex_speed",
+    "m/s",
+    1,
+    "the largest speed of a vertex while the hitch exists",
+    "the speed of real crossings, which friction and sag displace",
+    over=Points,
+)
 
 
 def thrust_share(spans: Drones) -> Bound:
@@ -400,6 +433,12 @@ THRUST = CheckRule(
     "use a drone with more thrust, or lower team.cable_density",
     "tension",
     derivative=2,
+    group="forces",
+    key="team.quadrotor.max_thrust",
+    bodies=(("drones",),),
+    proves="the largest norm of m (a + g ẑ) − cable force [N], of the drone nearest to its own "
+    "`max_thrust`",
+    unproven="thrust for gusts, downwash and wrong tensions",
 )
 """The largest thrust of the drone closest to its own ``max_thrust``."""
 
@@ -414,6 +453,11 @@ TILT = CheckRule(
     "raise limits.tilt_deg, or lower team.cable_density",
     "tension",
     derivative=2,
+    group="forces",
+    key="limits.tilt_deg",
+    bodies=(("drones",),),
+    proves="the largest angle of a thrust from vertical [deg]",
+    unproven="attitudes that correct errors",
 )
 
 
@@ -434,6 +478,11 @@ BODY_RATE = CheckRule(
     "raise limits.body_rate_deg",
     ease="time",
     derivative=3,
+    group="motion",
+    key="limits.body_rate_deg",
+    bodies=(("drones",),),
+    proves="the largest turning rate of a thrust vector [deg/s], if limited",
+    unproven="rates that correct errors",
 )
 
 
@@ -465,9 +514,16 @@ LEGS = CheckRule(
     (Evaluator(WorstOverSpans(Legs, _length, "min", magnitude), TAUT_STATES),),
     "use a longer cable, a smaller polygon, or a smaller limits.leg",
     ease="length",
-    approach=Approach(lambda gamma: 1.0 + gamma, lambda _: 1.0),
+    group="cables",
+    key="limits.leg",
+    bodies=(("drones", "vertices"),),
+    proves="the shortest leg while the hitch exists [m]",
+    unproven="the ends of a chain, which have no legs",
 )
 """The shortest leg ``|q_k - p_k|`` or ``|r_k - p_{k+1}|``; ``where`` is ``q-leg k``."""
+
+LIMITS = (SPEED, ACCELERATION, JERK, VERTEX_SPEED, THRUST, TILT, BODY_RATE, LEGS)
+"""The checks of this module, in the certificate's order."""
 
 
 def largest_rate(

@@ -235,6 +235,10 @@ GRIP = CheckRule(
     (Evaluator(_slipping, TAUT_STATES | FREE_STATES, formulas=FORMULAS),),
     "lower the object's mass, raise the tension, or use rougher cables",
     whole=True,  # relative to the start of holds
+    group="forces",
+    bodies=(("held",),),
+    proves="slip load over load, μ Σ T θ over m (g + a_z), with the worst friction at the clasps",
+    unproven="the stated friction; that cables lie at one height",
 )
 
 
@@ -385,6 +389,10 @@ HINGE = CheckRule(
     _hinge_limit,
     (Evaluator(_lowest_hinge, HITCHED_STATE, formulas=(hinge_height,)),),
     "tie higher above the centre of mass",
+    group="forces",
+    bodies=(("held",),),
+    proves="the smallest height [m] of two clasps above the centre of mass that they carry",
+    unproven="how far the object swings about them",
 )
 """Two clasps are a hinge: an object hangs upright from them, but falls over if its centre of mass
 is above them."""

@@ -122,6 +122,9 @@ CONTINUITY = CheckRule(
     "far from the origin rounding causes jumps: subtract an offset from all coordinates; near it, "
     "please report this",
     whole=True,
+    group="timing",
+    proves="the largest sum of jumps in position [m], velocity or acceleration",
+    unproven="jumps of the jerk, which are allowed",
 )
 """No jumps at joints of pieces."""
 
@@ -134,6 +137,10 @@ DURATION = CheckRule(
     (Evaluator(lambda motion, _: WorstCase(motion.duration, float(motion.drones.breaks[-1]))),),
     "raise limits.duration, or the limits of motion",
     whole=True,
+    group="timing",
+    key="limits.duration",
+    proves="the duration [s], if it is limited",
+    unproven="the time for uploads and pauses",
 )
 """Duration of the plan, exact: the difference of two stored numbers."""
 
@@ -537,4 +544,8 @@ INTERLACING = CheckRule(
     (Evaluator(_interlacing_errors, FREE_STATES | TAUT_STATES),),
     "place the drones so that cables need not pass each other",
     whole=True,
+    group="cables",
+    proves="the number of cable pairs with a wrong {term}`crossing number`, and of cables not in "
+    "their phase's state",
+    unproven="that ropes with friction clasp; how an initial hitch was tied",
 )

@@ -27,10 +27,11 @@ from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.distances import GROUND, UNBOUNDED
 from hitchopt.checks.downwash import DOWNWASH
 from hitchopt.checks.linking import CONTINUITY, DURATION, INTERLACING
-from hitchopt.checks.rule import CheckRule, FlightReport, ReportRule, SpanResult
+from hitchopt.checks.rule import CheckRule, FlightReport, Quantity, ReportRule, SpanResult
 from hitchopt.checks.spans import value_cache
 from hitchopt.checks.tracking import GAMMA, TRACKING_RADIUS
 from hitchopt.checks.vertex_errors import VERTEX_ERROR
+from hitchopt.hitch.pairs import Kind
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
@@ -43,14 +44,7 @@ RULES = (
     separation.SEPARATION,
     clearance.CABLE_CLEARANCE,
     crossing.CROSSING,
-    drones.SPEED,
-    drones.ACCELERATION,
-    drones.JERK,
-    drones.VERTEX_SPEED,
-    drones.THRUST,
-    drones.TILT,
-    drones.BODY_RATE,
-    drones.LEGS,
+    *drones.LIMITS,
     cables.CABLE_LENGTH,
     cables.SPAN,
     clasps.EQUILIBRIUM,
@@ -67,7 +61,7 @@ RULES = (
     support.SUPPORT,
     DURATION,
 )
-"""One rule per check; a new check needs one record and one line here."""
+"""One rule per check, in the order of a certificate."""
 
 PART_REPORTS = (TRACKING_RADIUS,)
 """Reports of each team whose values of a joined motion follow from those of its parts."""
@@ -81,20 +75,47 @@ FLIGHT_REPORTS = (stops.STOPPABLE,)
 REPORTS = (*TEAM_REPORTS, *FLIGHT_REPORTS)
 """Quantities that a certificate reports after its checks, usually without a limit."""
 
+SURVIVABLE = Quantity(
+    "survivable",
+    "1",
+    "min",
+    group="timing",
+    proves="the fraction of (drone, time) whose loss has a certified reaction; only by `check "
+    "--survivable`",
+    unproven="the fall of the lost drone, which is sampled",
+)
+"""Quantity that is computed on request only."""
+
+QUANTITIES: tuple[Quantity, ...] = (*RULES, *REPORTS, SURVIVABLE)
+"""All quantities of certificates."""
+
 RULE_OF = {rule.name: rule for rule in RULES}
 """The rules by name."""
 
-Report = ReportRule | FlightReport
-TeamResults = dict[str, tuple[SpanResult, ...]]
-"""Results of one team's checks, by the rules' names."""
+RULE_OF_KEY = {rule.key: rule for rule in RULES if rule.key.startswith("limits.")}
+"""The rules by the key of their limit among ``limits`` of problem files."""
 
-NAMES = (*RULE_OF, *(report.name for report in REPORTS), "survivable")
+Report = ReportRule | FlightReport
+TeamResults = dict[CheckRule, tuple[SpanResult, ...]]
+"""Results of one team's checks."""
+
+NAMES = tuple(quantity.name for quantity in QUANTITIES)
 """Names of all checks, which custom rules cannot take."""
 
 _CERTIFICATES: WeakKeyDictionary[Motion | Flight, Certificate] = WeakKeyDictionary()
 """Certificates that this process has computed; those of a team that flies alone by its motion.
 
 They have no custom rules."""
+
+
+def rules_of(*kinds: Kind) -> tuple[CheckRule, ...]:
+    """Return the rules that limit bodies of these kinds, alone or in pairs with each other."""
+    return tuple(rule for rule in RULES if any(set(bodies) <= set(kinds) for bodies in rule.bodies))
+
+
+def distances_of(*kinds: Kind) -> tuple[CheckRule, ...]:
+    """Return the rules of distances between bodies of these kinds."""
+    return tuple(rule for rule in RULES if any(set(pair) <= set(kinds) for pair in rule.pairs))
 
 
 @runtime_checkable
@@ -190,7 +211,7 @@ def _certified(
         with value_cache():
             for rule in RULES:
                 announce(flown, rule)
-                results[rule.name] = rule.span_results(flown.motion)
+                results[rule] = rule.span_results(flown.motion)
         return results
 
     of_teams = [(flown, results_of(flown)) for flown in flight.teams]
@@ -201,7 +222,7 @@ def _certified(
         """Return the check of a rule, in all teams and between them."""
         checks = list[Check | None]()
         for flown, results in of_teams:
-            worst = worst_of(span.check for span in results[rule.name])
+            worst = worst_of(span.check for span in results[rule])
             checks.append(_label(worst, flown))
         return worst_of([*checks, between.get(rule)])
 
@@ -281,7 +302,7 @@ def _radius_between_teams(
     requirements = tracking.flattened(flight.requirements)
     if requirements is not flight.requirements:
         between = {rule: check_across(rule, flight, requirements) for rule in RULES}
-    radius = radius_across(flight, requirements, between.values(), gamma)
+    radius = radius_across(flight, requirements, between, gamma)
     return radius.check(report, report.limit(requirements), gamma)
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from hitchopt.checks.certificate import Check, with_tolerance, worst_of
+from hitchopt.checks.certificate import OTHER, Check, with_tolerance, worst_of
 from hitchopt.checks.spans import MotionSpans, runs_of
+from hitchopt.hitch.pairs import Bodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import CableState, Motion
@@ -37,24 +38,22 @@ class WorstCase:
     limit: float | None = None
     binding: str = ""
 
-    def check(
-        self,
-        rule: CheckRule | ReportRule | FlightReport,
-        limit: float | None,
-        gamma: float | None = None,
-    ) -> Check:
-        """Return the check of a rule."""
+    def check(self, quantity: Quantity, limit: float | None, gamma: float | None = None) -> Check:
+        """Return the check of a quantity."""
         return Check.of(
-            rule.name,
+            quantity.name,
             self.worst,
             limit if self.limit is None else self.limit,
-            rule.sense,
-            rule.unit,
+            quantity.sense,
+            quantity.unit,
             self.time,
             self.where,
             self.size,
             gamma,
             self.binding,
+            group=quantity.group,
+            is_error=quantity.is_error,
+            derivative=quantity.derivative,
         )
 
 
@@ -124,20 +123,6 @@ class Evaluator:
     formulas: tuple[object, ...] = ()
 
 
-@dataclass(frozen=True)
-class Approach:
-    """The approach of two bodies per radius of tracking errors, as functions of γ.
-
-    Drones are within the radius of their plan, vertices within γ times the radius.
-    """
-
-    hitched: Callable[[float], float]
-    """The approach with a hitch, whose taut cables have their vertices' errors."""
-
-    free: Callable[[float], float]
-    """The approach without a hitch, where cables have the errors of their drones."""
-
-
 def largest_error(gamma: float) -> float:
     """Return the largest error of a body per radius of tracking errors."""
     return max(1.0, gamma)
@@ -155,8 +140,8 @@ REPORT_IT = "this plan must not be flown; please report it"
 
 
 @dataclass(frozen=True, eq=False)
-class CheckRule:
-    """A check of the certificate, and its metadata."""
+class Quantity:
+    """What certificates, tables and the documentation say of a quantity."""
 
     name: str
     """The name, as in ``Check``."""
@@ -166,6 +151,32 @@ class CheckRule:
 
     sense: str
     """``min`` or ``max``, as in ``Check``."""
+
+    _: KW_ONLY
+
+    group: str = OTHER
+    """The heading in tables, as in ``Check``."""
+
+    proves: str = ""
+    """What it bounds for all t, in the documentation."""
+
+    unproven: str = ""
+    """What it does not prove, in the documentation."""
+
+    key: str = ""
+    """The key of its limit in problem files; empty if the limit is fixed."""
+
+    is_error: bool = False
+    """True if tables title it as an error."""
+
+    derivative: int = 0
+    """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
+    is undefined where the next lower derivative jumps, and decreases in slow motion."""
+
+
+@dataclass(frozen=True, eq=False)
+class CheckRule(Quantity):
+    """A check of the certificate."""
 
     limit: float | Callable[[Motion], float | None]
     """The limit, or a function of a motion that returns it; None if there is nothing to check."""
@@ -183,9 +194,9 @@ class CheckRule:
     """The kind of change that repairs try: ``time`` (slower or shorter motion), ``length`` (of
     legs) or ``tension`` (lower, or less weight); empty for none."""
 
-    derivative: int = 0
-    """The highest time derivative of positions that enters the quantity; 0 for none. The quantity
-    is undefined where the next lower derivative jumps, and decreases in slow motion."""
+    bodies: tuple[Bodies, ...] = ()
+    """Kinds of the bodies that it limits, alone or in pairs that keep a distance. Tables of
+    distances, tracking errors and repairs follow from them."""
 
     whole: bool = False
     """True if a joined motion is checked as a whole, since its parts do not cover the joints."""
@@ -193,13 +204,25 @@ class CheckRule:
     exported_limit: float | None = None
     """The limit for exported curves, if different."""
 
-    approach: Approach | None = None
-    """The approach of the bodies of a distance, for ``tracking_radius``; None if that bounds the
-    radius for the pairs of bodies, or if tracking errors do not enter."""
-
     remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
     """A function that returns the suggested change at a violated check of a hitch, if its geometry
     decides; empty for ``remedy``."""
+
+    @property
+    def pairs(self) -> tuple[Bodies, ...]:
+        """Pairs of kinds of bodies that keep a distance."""
+        return tuple(bodies for bodies in self.bodies if len(bodies) == 2)
+
+    def approach(self, gamma: float, *, hitched: bool) -> float:
+        """Return the largest approach of two bodies per radius of tracking errors.
+
+        Drones are within the radius of their plan, vertices within ``gamma`` times the radius. Taut
+        cables of a hitch end at both; without a hitch, cables have the errors of their drones.
+        """
+        of_hitch = largest_error(gamma)
+        errors = {"drones": 1.0, "vertices": gamma, "held": of_hitch}
+        errors["cables"] = of_hitch if hitched else 1.0
+        return max(sum(errors.get(kind, 0.0) for kind in pair) for pair in self.pairs)
 
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
@@ -237,20 +260,17 @@ class CheckRule:
         return tuple(results)
 
 
-SpanResults = Mapping[str, Sequence[SpanResult]]
-"""Results of a motion's checks, by the rules' names."""
+SpanResults = Mapping[CheckRule, Sequence[SpanResult]]
+"""Results of a motion's checks."""
 
 
 @dataclass(frozen=True, eq=False)
-class ReportRule:
+class ReportRule(Quantity):
     """A quantity that a certificate reports, from a motion, its checks' results and ``gamma``.
 
     If the requirements state a limit, it is always checked, with remedies.
     """
 
-    name: str
-    unit: str
-    sense: str
     evaluate: Callable[[Motion, SpanResults, float], WorstCase | None]
     limit: Callable[[Requirements], float | None]
     remedy: str
@@ -268,16 +288,13 @@ class ReportRule:
 
 
 @dataclass(frozen=True, eq=False)
-class FlightReport:
+class FlightReport(Quantity):
     """A quantity of a whole flight that a certificate reports; it has no limit.
 
     A joined motion is evaluated as a whole, since processes may begin in one part and end in the
     next.
     """
 
-    name: str
-    unit: str
-    sense: str
     evaluate: Callable[[Flight], WorstCase]
 
     def check(self, flight: Flight) -> Check:

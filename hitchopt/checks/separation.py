@@ -123,6 +123,11 @@ SEPARATION = CheckRule(
     "or allow a smaller separation.radius",
     "length",
     remedy_at=partial(leg_remedy, distance="separation.radius"),
+    group="distances",
+    key="separation.radius",
+    bodies=(("drones", "drones"),),
+    proves="the minimum distance between two drones, 1 if their ellipsoids touch",
+    unproven="that the ellipsoid is large enough for your drones",
 )
 """The ellipsoids of drones do not intersect."""
 

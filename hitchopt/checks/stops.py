@@ -531,4 +531,13 @@ def _longest_stop(flight: Flight) -> WorstCase:
     return WorstCase(float(longest[worst]), float(begins[worst]))
 
 
-STOPPABLE = FlightReport("stoppable", "s", "max", _longest_stop)
+STOPPABLE = FlightReport(
+    "stoppable",
+    "s",
+    "max",
+    _longest_stop,
+    group="timing",
+    proves="the longest time [s] from a command until all drones rest "
+    "({doc}`/explanation/stopping`)",
+    unproven="stops from another clock rate; that a half-tied hitch can stay",
+)

@@ -259,4 +259,9 @@ SUPPORT = CheckRule(
     (Evaluator(_force_lines, TAUT_STATES | FREE_STATES, formulas=(force_line,)),),
     "carry it more slowly, or hold it farther out or closer to its centre of mass",
     whole=True,
+    group="forces",
+    bodies=(("held",),),
+    proves="the minimum distance [m] by which the line of weight and inertia passes inside the "
+    "clasps; minus infinity if an object floats, leaves its clasps or exceeds friction",
+    unproven="swing or slip in gusts",
 )

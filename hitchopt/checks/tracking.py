@@ -14,7 +14,7 @@ distances. That makes the ellipsoid a ball and lengthens no distance, so all of 
 ``limits.tracking``, if stated, is the limit; then the distances of cables and carried objects from
 other objects are included.
 
-It follows from the bounds of the checks, which hold for all t, and the ``approach`` of each rule.
+It follows from the bounds of the checks, which hold for all t, and the ``bodies`` of each rule.
 Only pairs of drones at different heights, spans of free cables, hanging cables, and what is below
 drones are bounded separately. Other checks do not enter: constant errors change no rate; forces and
 shapes of displaced hitches are not bounded; cables that keep their distances do not pass through
@@ -34,13 +34,13 @@ from hitchopt.checks.arena import ARENA, drone_wall_gap
 from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import CABLE_CLEARANCE, KEEP_OUT, OBJECT_CLEARANCE
-from hitchopt.checks.crossing import CROSSING
+from hitchopt.checks.clearance import CABLE_CLEARANCE, OBJECT_CLEARANCE
 from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smaller_case, smallest
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
-from hitchopt.checks.drones import LEGS, Drones
+from hitchopt.checks.drones import Drones
 from hitchopt.checks.hanging import cable_displacement
-from hitchopt.checks.rule import ReportRule, SpanResult, SpanResults, WorstCase
+from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult, SpanResults, WorstCase
+from hitchopt.checks.separation import SEPARATION
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import shortest_offset, unit
 from hitchopt.hitch.requirements import Requirements
@@ -53,10 +53,7 @@ from hitchopt.values import Array
 GAMMA = 1.0
 """Default ratio of vertex errors to drone errors."""
 
-RULES = (CABLE_CLEARANCE, CROSSING, LEGS, ARENA, KEEP_OUT, OBJECT_CLEARANCE)
-"""Checks whose slack bounds the radius; the last one only if ``limits.tracking`` is stated."""
-
-HANGING_CHECKS = ("cable_clearance", "object_clearance")
+HANGING_CHECKS = (CABLE_CLEARANCE, OBJECT_CLEARANCE)
 """Distances of cables that hang."""
 
 HALVINGS = 40
@@ -91,7 +88,7 @@ def _radius(motion: Motion, results: SpanResults, gamma: float) -> WorstCase:
         radius = _hanging_radius(span, check)
         terms.append(WorstCase(radius, check.time, check.where, binding=check.name))
     smallest_term = min(terms, key=lambda term: term.worst)
-    for result in results["separation"]:
+    for result in results[SEPARATION]:
         smallest_term = _pair_radius(motion, result.check, smallest_term)
     return replace(smallest_term, worst=smallest_term.worst * (1.0 - ROUNDING))
 
@@ -102,30 +99,36 @@ def _flattened_results(motion: Motion, results: SpanResults) -> tuple[Motion, Sp
     if requirements is motion.requirements:
         return motion, results
     flat = motion.replaced(requirements=requirements)
-    rules = [rule for rule in RULES if rule.limit_of(flat) is not None]
-    return flat, {**results, **{rule.name: rule.span_results(flat) for rule in rules}}
+    return flat, {**results, **{rule: rule.span_results(flat) for rule in slack_rules(results)}}
+
+
+def slack_rules(rules: Iterable[CheckRule]) -> list[CheckRule]:
+    """Return the rules of distances in metres, whose slack bounds the radius.
+
+    Distances in units of ellipsoids bound it for pairs of bodies.
+    """
+    return [rule for rule in rules if rule.pairs and rule.unit == "m"]
 
 
 def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator[WorstCase]:
     """Yield the radii [m] that follow from slacks of checks, over the approach of two bodies."""
     is_limited = bool(motion.requirements.limits.tube.level)
-    for rule in RULES:
-        if rule.approach is None or (rule is OBJECT_CLEARANCE and not is_limited):
+    for rule in slack_rules(results):
+        if rule is OBJECT_CLEARANCE and not is_limited:
             continue
-        for result in results[rule.name]:
+        for result in results[rule]:
             on_floor = rule is ARENA and result.states != TAUT_STATES
-            if on_floor or (rule.name in HANGING_CHECKS and _is_hanging(result)):
+            if on_floor or (rule in HANGING_CHECKS and _is_hanging(result)):
                 continue
-            is_free = result.states <= FREE_STATES
-            approach = rule.approach.free if is_free else rule.approach.hitched
+            hitched = not result.states <= FREE_STATES
             check = result.check
-            radius = _slack(check) / approach(gamma)
+            radius = _slack(check) / rule.approach(gamma, hitched=hitched)
             yield WorstCase(radius, check.time, check.where, binding=check.name)
 
 
 def _downwash_radii(motion: Motion, results: SpanResults) -> Iterator[WorstCase]:
     """Yield the radius [m] with which drones keep off objects below them, if that is checked."""
-    if results[DOWNWASH.name]:
+    if results[DOWNWASH]:
         pairs = partial(drones_above_objects, motion)
         yield downwash_radius(pairs, motion.requirements, 1.0)
 
@@ -155,11 +158,11 @@ def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check
     In some phases they hang close to obstacles, in others they move farther with their ends.
     """
     limited = bool(motion.requirements.limits.tube.level)
-    for name in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
-        hanging = [result for result in results[name] if _is_hanging(result)]
+    for rule in HANGING_CHECKS if limited else HANGING_CHECKS[:1]:
+        hanging = [result for result in results[rule] if _is_hanging(result)]
         spans = motion.spans(hanging[0].states) if hanging else ()
         for result, span in zip(hanging, spans, strict=True):
-            if not limited or name != CABLE_CLEARANCE.name:
+            if not limited or rule is not CABLE_CLEARANCE:
                 yield result.check, span
                 continue
             for part in phase_parts(span):
@@ -245,7 +248,7 @@ def touching_radius(
     shifts = replace(pairs.flattened(requirements.height_ratio), shape=ellipsoid)
     pair = smallest(shifts, incumbent=2.0 * term.worst)
     closest = smaller_case(term, max(0.5 * pair.worst, lower), shifts, pair)
-    return term if closest is term else replace(closest, binding="separation")
+    return term if closest is term else replace(closest, binding=SEPARATION.name)
 
 
 def ellipsoid_axes(requirements: Requirements) -> Array:
@@ -378,4 +381,9 @@ TRACKING_RADIUS = ReportRule(
     "smaller measured error",
     free_remedy="place the robots farther apart and farther from objects, use stiffer gains, or "
     "set limits.tracking to a smaller measured error",
+    group="distances",
+    key="limits.tracking",
+    proves="the largest error [m] that all drones may have simultaneously without violating a "
+    "distance ({doc}`/explanation/tracking`)",
+    unproven="the actual errors of your drones",
 )

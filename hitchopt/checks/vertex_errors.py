@@ -147,4 +147,8 @@ VERTEX_ERROR = ReportRule(
     "or lower team.errors to what was measured",
     free_remedy="",
     assumes_gamma=False,
+    group="distances",
+    key="limits.vertex_error",
+    proves="the largest error [m] of a vertex at rest, in the worst case of `team.errors`",
+    unproven="objects, integrals; second order is estimated",
 )

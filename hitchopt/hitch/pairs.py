@@ -1,8 +1,8 @@
 """Minimum distances of bodies, and the pairs of a taut hitch that keep them.
 
-``DISTANCES`` has the limits of all distances and how tracking errors between teams shorten them;
-checks, planners and start times read it. How errors within a team shorten distances is the
-``approach`` of each check's rule. ``TautBodies`` has the pairs of one hitch.
+``DISTANCES`` has the limits of all distances and the bodies of different teams that keep them, from
+which follows how tracking errors shorten them; checks, planners and start times read it. Bodies and
+errors within a team are those of each check's rule. ``TautBodies`` has the pairs of one hitch.
 
 Nodes are those of ``Layout.routes``. Bodies are pairs of nodes: first all drones (both nodes the
 same), then the taut cable parts of ``Layout.parts``. Cables need not form a single ring.
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,28 @@ MIN_GAP = 1e-4
 the largest jump at a joint."""
 
 
+Kind = Literal[
+    "drones",
+    "vertices",
+    "clasps",
+    "cables",
+    "taut",
+    "held",
+    "objects",
+    "movable",
+    "walls",
+    "ground",
+]
+"""Kinds of bodies: ``taut`` are parts of taut cables, ``held`` objects that a team holds,
+``movable`` those that downwash would move, ``walls`` those of the arena."""
+
+Bodies = tuple[Kind, ...]
+"""The kind of single bodies, or both kinds of a pair."""
+
+FIXED: frozenset[Kind] = frozenset({"objects", "movable", "walls", "ground"})
+"""Kinds of bodies that do not move with a team."""
+
+
 @dataclass(frozen=True)
 class DistanceRule:
     """A distance that bodies keep, within a team and between teams.
@@ -51,49 +74,34 @@ class DistanceRule:
     Parameters
     ----------
     check: name of the check.
-    kinds: kinds of bodies that keep it; ``taut`` are parts of taut cables, ``objects`` those of a
-        team, ``movable`` those of them that downwash would move.
+    kinds: kinds of bodies of different teams that keep it; ``objects`` are those of a team.
     limit: minimum distance [m], or ratio.
-    approach: approach of two bodies of different teams per radius of tracking errors, by the larger
-        one of 1 and γ.
     """
 
     check: str
-    kinds: tuple[tuple[str, str], ...]
+    kinds: tuple[tuple[Kind, Kind], ...]
     limit: Callable[[Separation], float]
-    approach: Callable[[float], float]
+
+    def approach(self, error: float) -> float:
+        """Return the largest approach of two bodies of different teams per radius of errors.
+
+        Drones are within the radius of their plan, cables and objects within ``error`` times it.
+        """
+        return max(sum(1.0 if kind == "drones" else error for kind in pair) for pair in self.kinds)
 
 
 DISTANCES = {
     rule.check: rule
     for rule in (
-        DistanceRule("separation", (("drones", "drones"),), lambda _: 1.0, lambda _: 2.0),
-        DistanceRule(
-            "cable_clearance",
-            (("drones", "cables"),),
-            lambda s: max(s.cable, MIN_GAP),
-            lambda ratio: 1.0 + ratio,
-        ),
-        DistanceRule(
-            "crossing",
-            (("cables", "cables"),),
-            lambda s: max(s.crossing, MIN_GAP),
-            lambda ratio: 2.0 * ratio,
-        ),
-        DistanceRule(
-            "keep_out", (("drones", "objects"),), lambda s: s.radius, lambda ratio: 1.0 + ratio
-        ),
-        DistanceRule(
-            "downwash",
-            (("drones", "taut"), ("drones", "movable")),
-            lambda _: 1.0,
-            lambda ratio: 1.0 + ratio,
-        ),
+        DistanceRule("separation", (("drones", "drones"),), lambda _: 1.0),
+        DistanceRule("cable_clearance", (("drones", "cables"),), lambda s: max(s.cable, MIN_GAP)),
+        DistanceRule("crossing", (("cables", "cables"),), lambda s: max(s.crossing, MIN_GAP)),
+        DistanceRule("keep_out", (("drones", "objects"),), lambda s: s.radius),
+        DistanceRule("downwash", (("drones", "taut"), ("drones", "movable")), lambda _: 1.0),
         DistanceRule(
             "object_clearance",
             (("cables", "objects"), ("objects", "objects")),
             lambda s: max(s.object, MIN_GAP),
-            lambda ratio: 2.0 * ratio,
         ),
     )
 }

@@ -17,9 +17,12 @@ import numpy as np
 
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.drones import largest_at_rest, thrust_share
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.linking import CONTINUITY
+from hitchopt.checks.registry import SURVIVABLE, distances_of, rules_of
+from hitchopt.checks.rule import WorstCase
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY
+from hitchopt.hitch.pairs import FIXED
 from hitchopt.live.abort import straight_down, until_stop
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
@@ -62,10 +65,12 @@ FALL_STEP = 0.02  # Time between samples of a free fall [s]
 DEFAULT_INTERVAL = 1.0  # Default interval of the sampled times of losses [s]
 MIN_SAMPLES = 8  # Minimum number of sampled times of losses
 
-# Checks of the drones' vertical landing (without the cables, which fold on the ground), and of the
+# Rules of the drones' vertical landing (without the cables, which fold on the ground), and of the
 # team's motion before, both including the lost drone's path
-LAND_CHECKS = ["separation", "speed", "acceleration", "jerk", "thrust", "tilt", "arena", "keep_out"]
-DESCENT_CHECKS = [*LAND_CHECKS, "cable_clearance", "crossing", "legs", "continuity"]
+LAND_RULES = rules_of("drones", *FIXED)
+DESCENT_RULES = tuple(
+    dict.fromkeys([*LAND_RULES, *distances_of("drones", "cables", "vertices"), CONTINUITY])
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,10 +228,10 @@ def _with_descent(motion: Motion, time: float) -> tuple[Motion, Check | None]:
     motion = stopped.motion
     if motion.phases[-1].formed or not motion.team.has_cables:
         motion = _with_common_descent(motion)  # hanging cables would be dragged on the ground
-    checks = [RULE_OF[name].check(motion) for name in DESCENT_CHECKS]
+    checks = [rule.check(motion) for rule in DESCENT_RULES]
     if np.max(_heights(motion)) > GROUND_TOLERANCE:
         landing = straight_down(motion)
-        checks += [RULE_OF[name].check(landing) for name in LAND_CHECKS]
+        checks += [rule.check(landing) for rule in LAND_RULES]
         motion = append_motion(motion, landing)
     return motion, next((each for each in checks if each is not None and not each.holds), None)
 
@@ -282,5 +287,5 @@ def survivable(
                     spans.append(UnsurvivableSpan(name, start, end, str(error)))
     share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in spans)
     time = spans[0].start if spans else 0.0
-    check = Check("survivable", True, share, None, "min", "1", time, tuple(where), "sampled")
-    return check, spans
+    worst = WorstCase(share, time, tuple(where))
+    return replace(worst.check(SURVIVABLE, None), method="sampled"), spans

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import RULE_OF_KEY, distances_of
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
@@ -226,7 +226,9 @@ FORCE_CHECKS = checks_relaxed_by("tension")  # Constraints that another tension 
 DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan or more time repairs."""
 
-DISTANCE_CHECKS = frozenset({"crossing", "cable_clearance", "separation", "tracking_radius"})
+DISTANCE_CHECKS = frozenset(rule.name for rule in distances_of("drones", "cables")) | {
+    "tracking_radius"
+}
 """Constraints that more distance repairs."""
 
 LOAD_CHECKS = frozenset({"load"})
@@ -244,8 +246,6 @@ MAX_TILT_DEG = 80.0
 LOAD_SHARE = 0.95
 """First mass to try, as a fraction of the maximum mass at rest, since carrying adds forces."""
 
-CHECK_OF_LIMIT = {"leg": "legs"}  # Names of checks that differ from their limits
-
 
 def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     """Yield the knobs of a problem; safety distances are never changed."""
@@ -253,12 +253,13 @@ def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
     yield from _team_knobs(problem, violations)
     yield from _object_knobs(problem, violations)
     for name, limit in keys_of(Limits).items():
-        value, rule = getattr(problem.limits, name), RULE_OF.get(CHECK_OF_LIMIT.get(name, name))
+        key = f"limits.{limit.name}"
+        value, rule = getattr(problem.limits, name), RULE_OF_KEY.get(key)
         if value is None or rule is None:
             continue
         old, check = limit.to_file(value), PLAN_DURATION if name == "duration" else rule.name
         covers = frozenset({check}) | (DURATION_CHECKS if rule.derivative else frozenset())
-        knob = Knob(f"limits.{limit.name}", old, rule.unit, covers=covers)
+        knob = Knob(key, old, rule.unit, covers=covers)
         max_size = MAX_TILT_DEG / old - 1.0 if name == "tilt" else math.inf
         if rule.sense == "min":
             yield replace(knob, sign=-1)

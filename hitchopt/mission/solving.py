@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.checks import merged
-from hitchopt.checks.registry import with_rules
+from hitchopt.checks.registry import RULES, with_rules
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Tube
@@ -45,9 +45,7 @@ AT_START = "at the start (t = 0)"  # When a limit is violated before the first s
 UNPLANNED = "not checked yet: steps "  # Start of the note on steps that were not planned
 
 
-WIDENED = frozenset(
-    {"separation", "cable_clearance", "crossing", "legs", "arena", "keep_out", "object_clearance"}
-)
+WIDENED = frozenset(rule.name for rule in RULES if rule.pairs)
 """Checks of distances that ``limits.tracking`` increases."""
 
 

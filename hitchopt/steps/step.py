@@ -20,6 +20,7 @@ from hitchopt.errors import InputError, OneLine, Progress, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
+from hitchopt.hitch.pairs import FIXED
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import HoldBy, Motion, concatenated
@@ -258,8 +259,8 @@ class Knob:
 
 
 ALTITUDE_CHECKS = frozenset(
-    {"arena", "cable_clearance", "keep_out", "object_clearance", "downwash", "tracking_radius"}
-)
+    rule.name for rule in RULES if any(not FIXED.isdisjoint(pair) for pair in rule.pairs)
+) | {"tracking_radius"}
 """Constraints that another altitude may repair."""
 
 

@@ -203,8 +203,8 @@ def team_radius(below: Motion, place: Array) -> float:
     """Return the tracking radius of what is between a group and a drone that hovers."""
     drone = lines(place[None], place[None], seconds=below.duration)
     flight = Flight((TeamMotion("a", below), TeamMotion("s", drone)))
-    checks = [check_across(RULE_OF[name], flight) for name in DISTANCES]
-    return radius_across(flight, flight.requirements, checks, 1.0).worst
+    between = {RULE_OF[name]: check_across(RULE_OF[name], flight) for name in DISTANCES}
+    return radius_across(flight, flight.requirements, between, 1.0).worst
 
 
 def test_planned_drones_fly_over_what_they_would_move_in_height() -> None:

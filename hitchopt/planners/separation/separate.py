@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from hitchopt.checks import Check
 from hitchopt.checks.drones import largest_rate
-from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.registry import distances_of
 from hitchopt.checks.spans import ROUNDING
 from hitchopt.errors import InfeasibleError, Progress, Violation, rounded_up
 from hitchopt.hitch import Swarm
+from hitchopt.hitch.pairs import FIXED
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.separation.guesses import pushed_apart, roundabout, scheduled, setting_of
 from hitchopt.planners.separation.prioritized import prioritized
@@ -340,14 +341,14 @@ def _shortest_duration(setting: Setting, curves: PiecewisePolynomial) -> float:
     return turning_stretch(swarm, body_rate, (curves,), STRETCH * max(durations))
 
 
-CHECKED_RULES = ("separation", "arena", "keep_out")
-"""Names of the certificate's rules that do not depend on the duration."""
+CHECKED_RULES = distances_of("drones", *FIXED)
+"""The certificate's rules that do not depend on the duration."""
 
 
 def _checks(task: SeparationTask, curves: PiecewisePolynomial) -> list[Check]:
     """Return the checks of CHECKED_RULES and of tethers, with the task's names."""
     motion = Motion.single(Swarm(task.drones), task.requirements, curves, ())
-    checks = [RULE_OF[name].check(motion) for name in CHECKED_RULES]
+    checks = [rule.check(motion) for rule in CHECKED_RULES]
     if task.tethers:
         checks.append(_tether_check(task, curves))
     return [_with_names(check, task, curves) for check in checks if check is not None]
