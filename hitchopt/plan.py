@@ -451,4 +451,20 @@ def read_requested_plan(file: Path) -> SavedPlan:
         except InputError as error:
             reason = " ".join(str(error).split())
             raise FileError(f"{file}: the problem in it differs: {reason}") from error
+        if differences := [*_contradicted(file)]:
+            raise FileError("\n".join(differences))
     return saved
+
+
+def _contradicted(file: Path) -> Iterator[str]:
+    """Yield messages on keys of the problem in a plan file that its flight contradicts."""
+    from hitchopt.verify import UnreadableError, read, requested
+
+    try:
+        plans, _ = read(file)
+    except UnreadableError as error:
+        raise FileError(f"{file}: not a plan, or a damaged one: {error}") from error
+    for plan in plans:
+        for row in requested(plan):
+            if row.verdict == "violated":
+                yield f"{file}: the problem in it differs: {row.where}"

@@ -337,8 +337,6 @@ def check(
         if picture is not None:
             say(f"drew the closest neighbours over time to {picture}")
     certificate.raise_if_violated()
-    if differences := [*_differences_from_request(path)]:
-        raise FileError("\n".join(differences))
     reason = "differs from the table that was written with the certificate; solve again"
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
     if changed := [*_changed_others(flight, path), *changed]:
@@ -346,23 +344,6 @@ def check(
     stated = ", ".join(rule.name for rule in certificate.not_recomputed)
     say(f"certified; recomputed from {path}" + (f", but not {stated}" if stated else ""))
     show_notes(ho.Plan(flight, certificate, problem=saved.problem))
-
-
-def _differences_from_request(path: Path) -> Iterator[str]:
-    """Yield messages on keys of the problem that the plan contradicts, as ``verify`` compares them.
-
-    Keys of the problem's team, limits and ends of steps are compared earlier, when a plan is read.
-    """
-    from hitchopt.verify import UnreadableError, read, requested
-
-    try:
-        plans, _ = read(path)
-    except UnreadableError as error:
-        raise _unverifiable(path, error) from error
-    for plan in plans:
-        for row in requested(plan):
-            if row.verdict == "violated":
-                yield f"{path}: the problem in it differs: {row.where}"
 
 
 def _unverifiable(path: Path, error: Exception) -> FileError:

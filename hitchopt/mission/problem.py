@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -32,15 +32,12 @@ from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
 from hitchopt.steps import STEP_KINDS, STEPS
-from hitchopt.steps.carrying import goal_of
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
 from hitchopt.steps.step import (
     LEGS,
     LEGS_TEXT,
     TRIANGLE,
     Polygon,
-    RequestedHold,
-    RequestedRest,
     SlackSplit,
     Stage,
     Step,
@@ -262,7 +259,7 @@ class TeamMission:
 
     @property
     def request(self) -> dict[str, Any]:
-        """The request that its plan must satisfy (``hitchopt.motion.request``)."""
+        """The start and requirements of its plan (``hitchopt.motion.request``)."""
         start: dict[str, Any] = {"drones": self.start}
         team = self.team
         if isinstance(self.start, HitchStart | Hitch):
@@ -275,7 +272,7 @@ class TeamMission:
             team = team.of_problem
         elif self.form is not None and self.form.assign == "fixed":
             start["assignment"] = Assignment.fixed(team.robots).to_dict()
-        return request_fields(team, self.requirements, start, [*_requested_steps(self)])
+        return request_fields(team, self.requirements, start)
 
     @property
     def form(self) -> Form | None:
@@ -286,30 +283,6 @@ class TeamMission:
     def start_outline(self) -> Outline | None:
         """Outline at the start; None for free cables and single drones."""
         return self.start.polygon if isinstance(self.start, HitchStart | Hitch) else None
-
-
-def _requested_steps(mission: TeamMission) -> Iterator[dict[str, Any]]:
-    """Yield the request of every step, as ``request.mission_of``, without planners' choices."""
-    requirements, team = mission.requirements, mission.team
-    outline, stage = mission.start_outline, _ObjectStage()
-    altitude: float | None = getattr(mission.start, "altitude", None)
-    holds = dict[str, RequestedHold]()
-    for step in mission.steps:
-        name, objects = getattr(step, "object", stage.name), {**requirements.objects}
-        if name and (hold := step.requested_hold(team, objects[name])) is not None:
-            holds = {name: hold}
-        outline, stage = step.checked_polygon_after(team, outline), stage.after(step, objects)
-        shown = step.shown_at_end(team, requirements)
-        if name:
-            moved = {name: objects[name].moved_to(goal_of(step, requirements, name))}
-            requirements = replace(requirements, objects=objects | moved)
-        altitude = None if hasattr(step, "object") else shown.get("altitude", altitude)
-        after = RequestedRest(
-            outline, stage.outline_specified, altitude, stage.stage, holds, requirements.objects
-        )
-        yield step.request(after, shown)
-        if stage.stage in (Stage.FREE, Stage.AROUND):
-            holds = {}
 
 
 def resolved_start(name: str, team: Team, start: Any) -> Any:

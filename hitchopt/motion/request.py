@@ -1,6 +1,7 @@
-"""Requests: team, requirements, start and results of steps, as records and JSON values.
+"""Requests: team, requirements and start, as records and JSON values.
 
 Problems state the request, motions imply it, and both are compared with the keys of problem files.
+Steps are compared by the table of ``hitchopt.verify.request``.
 Plan files store records in the same form: fields by their names, arrays as lists.
 Robots are in the order of the problem.
 """
@@ -12,12 +13,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from functools import cache
-from itertools import groupby
 from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
@@ -26,7 +25,7 @@ from hitchopt.hitch.quadrotor import MEASURED, Quadrotor
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import JOINT, SETTLE, WAIT, Motion, Phase
+from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.values import Array
@@ -41,7 +40,7 @@ TOLERANCE = 1e-9
 """Largest relative difference of equal numbers: conversion of angles to degrees rounds them."""
 
 POSITION_TOLERANCE = 1e-6
-"""[m] Largest difference of a plan's start, and of the ends of its steps, from the request."""
+"""[m] Largest difference of a plan's start from the request."""
 
 OMITTED: dict[type, tuple[str, ...]] = {
     Quadrotor: MEASURED,
@@ -50,11 +49,8 @@ OMITTED: dict[type, tuple[str, ...]] = {
 }
 """Fields of records that plan files omit where they are None."""
 
-SLACK = {"request.start": POSITION_TOLERANCE, "request.mission": POSITION_TOLERANCE}
+SLACK = {"request.start": POSITION_TOLERANCE}
 """Largest differences of numbers by the beginning of their keys."""
-
-TENSION_SLACK = 1e-4
-"""[N] Largest excess over a range of tensions, as in the check ``tension``."""
 
 
 def encoded(value: Any) -> Any:
@@ -200,7 +196,7 @@ def request_of(motion: Motion) -> dict[str, Any]:
     requirements = replace(motion.requirements, objects=objects_at(motion))
     drones = motion.drones.coefficients[0, ..., 0]
     if not team.has_cables:
-        return request_fields(team, requirements, {"drones": drones}, mission_of(motion))
+        return request_fields(team, requirements, {"drones": drones})
     in_order = drones[team.listed]
     assignment = motion.assignment or Assignment.fixed(team.robots)
     start: dict[str, Any] = {
@@ -214,26 +210,21 @@ def request_of(motion: Motion) -> dict[str, Any]:
             "altitude": float(np.mean(vertices[:, 2])),
             "legs": motion.legs.coefficients[0, :, 0, 0],
         }
-    return request_fields(team.of_problem, requirements, start, mission_of(motion))
+    return request_fields(team.of_problem, requirements, start)
 
 
 def request_fields(
-    team: Team,
-    requirements: Requirements,
-    start: Mapping[str, Any],
-    mission: Sequence[Mapping[str, Any]],
+    team: Team, requirements: Requirements, start: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Return a team and requirements as records, a start and a mission as JSON values.
+    """Return a team and requirements as records, and a start as JSON values.
 
-    The start has ``hitch``, ``drones`` or both; steps of the mission have some of the keys of
-    ``mission_of``.
+    The start has ``hitch``, ``drones`` or both.
     """
     names = [field.name for field in fields(requirements) if field.name not in PLANNER_ONLY]
     return {
         "start": encoded(start),  # compared first: other drones differ in much else
         "team": team,
         **{name: getattr(requirements, name) for name in names},
-        "mission": encoded(mission),
     }
 
 
@@ -253,47 +244,12 @@ def _placed(body: SolidObject, pose: Array) -> SolidObject:
     return with_fields(body, at=pose[:3], yaw=math.atan2(pose[4], pose[3]))
 
 
-def _steps(motion: Motion) -> list[list[Phase]]:
-    """Return the phases of every step, in order."""
-    return [list(phases) for _, phases in groupby(motion.phases, lambda phase: phase.step)]
-
-
-def mission_of(motion: Motion) -> list[dict[str, Any]]:
-    """Return the result of every step."""
-    breaks = motion.drones.breaks
-    results = list[dict[str, Any]]()
-    for phases in _steps(motion):
-        last = max(int(np.argmin(np.abs(breaks - phases[-1].end))) - 1, 0)
-        poses = motion.poses.coefficients[last, ..., -1]
-        objects = dict(zip(motion.requirements.objects, poses, strict=True))
-        if not motion.team.has_cables:
-            drones = motion.drones.coefficients[last, ..., -1]
-            results.append({"drones": drones, "objects": objects})
-            continue
-        ranges = [phase.tension for phase in phases if phase.tension is not None]
-        holds = [(phase.hold.object, phase.hold.by) for phase in phases if phase.hold is not None]
-        vertices = motion.vertices.coefficients[last, ..., -1]
-        is_formed = bool(motion.formed[last])
-        step: dict[str, Any] = {
-            "tension": [np.min(ranges), np.max(ranges)] if ranges else None,
-            "holds": [*dict.fromkeys(holds)],
-            "polygon": vertices[:, :2] if is_formed else None,
-            "altitude": float(np.mean(vertices[:, 2])) if is_formed else None,
-            "legs": motion.legs.coefficients[last, :, 0, -1] if is_formed else None,
-            "heights": motion.drones.coefficients[last, :, 2, -1],
-            "objects": objects,
-        }
-        results.append(step)
-    return results
-
-
 def check_request(request: Mapping[str, Any], flight: Flight) -> None:
-    """Raise InputError with the key if a flight differs from a problem's request.
+    """Raise InputError with the key if teams, limits or starts of a flight differ from a request.
 
-    Keys that the problem does not specify are not compared. A step may use less than the requested
-    range of tensions. For several teams, the request maps their names to their requests. ``others``
-    maps the names of external plans to their start times ``at`` [s] and, if specified, their paths
-    ``plan``.
+    Keys that the problem does not specify are not compared. For several teams, the request maps
+    their names to their requests. ``others`` maps the names of external plans to their start times
+    ``at`` [s] and, if specified, their paths ``plan``.
     """
     teams = {key: value for key, value in request.items() if key != "others"}
     if "others" in request:
@@ -342,85 +298,11 @@ def _unsagged(given: Mapping[str, Any], actual: Mapping[str, Any], motion: Motio
     return {"legs": given["legs"]} if is_sag else {}
 
 
-def _visited(places: Array, wanted: Sequence[Sequence[float]]) -> list[Array]:
-    """Return those of positions (k, 3) that are nearest to others (m, 3), in the latter's order."""
-    visited = list[Array]()
-    first = 0
-    for place in wanted:
-        distances = np.linalg.norm(places[first:] - np.asarray(place), axis=1)
-        is_near = distances <= POSITION_TOLERANCE
-        first += int(np.argmax(is_near) if np.any(is_near) else np.argmin(distances))
-        visited.append(places[first])
-    return visited
-
-
 def _check_team(request: Mapping[str, Any], motion: Motion) -> None:
     """Raise InputError with the key if one team's motion differs from its request."""
     actual = request_of(motion)
-    results = actual.pop("mission")
-    steps = request["mission"]
     start = {
         key: _with_keys_of(given, actual["start"].get(key), motion)
         for key, given in request["start"].items()
     }
-    team_request = {key: value for key, value in request.items() if key != "mission"}
-    check_same("request", team_request, actual | {"start": start}, "as requested", SLACK)
-    if len(steps) != len(results):
-        bound = f"{len(steps)} as requested"
-        raise InputError("request.mission", f"{len(results)} steps", bound, REMEDY)
-    for index, (phases, requested, result) in enumerate(
-        zip(_steps(motion), steps, results, strict=True)
-    ):
-        result["seconds"] = _seconds_before_settling(motion, phases)
-        if _is_within_range(result.get("tension"), requested.get("tension")):
-            result["tension"] = requested.get("tension")
-        route = requested.get("route")
-        if route is not None:
-            result["route"] = route | _flown_route(motion, phases, route)
-        compared = {key: result.get(key) for key in requested}
-        compared |= _unsagged(requested, compared, motion)
-        check_same(f"request.mission[{index}]", requested, compared, "as requested", SLACK)
-
-
-def _pieces_between(motion: Motion, start: float, end: float) -> NDArray[np.bool_]:
-    """Return the pieces (pieces,) whose middles are between two times [s]."""
-    breaks = motion.drones.breaks
-    middles = 0.5 * (breaks[:-1] + breaks[1:])
-    return np.asarray((middles > start) & (middles < end))
-
-
-def _seconds_before_settling(motion: Motion, phases: Sequence[Phase]) -> float:
-    """Return the duration [s] of a step without waiting, and without settling at its end.
-
-    Of a step that only settles, it is the whole duration.
-    """
-
-    def is_settling(phase: Phase) -> bool:
-        """Return whether it is a phase of settling in which no vertex moves."""
-        if phase.name != SETTLE:
-            return False
-        pieces = _pieces_between(motion, phase.start, phase.end)
-        travel = np.ptp(motion.vertices.coefficients[pieces], axis=(0, -1))
-        return not np.any(travel > JOINT)
-
-    flown = [phase for phase in phases if phase.name != WAIT]
-    before_settling = [phase for phase in flown if not is_settling(phase)] or flown
-    return sum(phase.end - phase.start for phase in before_settling)
-
-
-def _is_within_range(used: Sequence[float] | None, requested: Sequence[float] | None) -> bool:
-    """Return whether a step used no tensions [N] beyond those requested."""
-    if used is None:
-        return True
-    smallest, largest = requested or (0.0, 0.0)
-    return smallest - TENSION_SLACK <= used[0] and used[1] <= largest + TENSION_SLACK
-
-
-def _flown_route(
-    motion: Motion, phases: Sequence[Phase], route: Mapping[str, Any]
-) -> dict[str, Any]:
-    """Return the largest height [m] of a carried object, and the positions that it has visited."""
-    pieces = _pieces_between(motion, phases[0].start, phases[-1].end)
-    index = [*motion.requirements.objects].index(route["object"])
-    places = motion.poses.coefficients[pieces, index, :3, -1]
-    return {"highest": float(np.max(places[:, 2])), "via": _visited(places, route["via"])}
+    check_same("request", request, actual | {"start": start}, "as requested", SLACK)

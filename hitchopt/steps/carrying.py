@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
@@ -58,7 +58,6 @@ from hitchopt.steps.step import (
     Knob,
     ObjectOf,
     Place,
-    RequestedHold,
     RolledLegs,
     Seconds,
     Stage,
@@ -72,7 +71,7 @@ from hitchopt.steps.step import (
     plan_to,
     planner_of,
 )
-from hitchopt.steps.straddling import Tie, Untie, check_hinge, hold_by_tying
+from hitchopt.steps.straddling import Tie, Untie, check_hinge
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
@@ -487,11 +486,6 @@ class TensionStep(Step):
         """Return the tensions (n,) [N] while the object is held."""
         return team.tension if self.tension is None else np.full(team.robots, self.tension)
 
-    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:
-        """Return the hold with the team's tension and its own."""
-        by = HoldBy(self.method_for(body))
-        return RequestedHold.with_tensions(by, team, team.tension, self.tension_for(team))
-
     def knobs(self) -> Iterator[Knob]:
         """Yield the tension, and the knobs of all steps."""
         yield from super().knobs()
@@ -830,12 +824,6 @@ class TransportObject(TensionStep):
                 sideways = (offset @ side + (distance + radius)) * side
                 yield np.array([*(start[:2] + forward + sideways), altitude])
 
-    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:
-        """Return the hold; two robots tie their cables around the object."""
-        if team.robots == 2:
-            return hold_by_tying(team, self.tension_for(team))
-        return super().requested_hold(team, body)
-
     def advice(self, check: str, key: str) -> str:
         """Return the advice for keeping clear of obstacles."""
         is_obstacle = check in OBSTACLE_CHECKS
@@ -844,13 +832,6 @@ class TransportObject(TensionStep):
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
         """Return the goal, turned by ``yaw``."""
         return np.append(self.to, body.yaw + self.yaw)
-
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return the route of the object: its greatest height, and its waypoints."""
-        via = [] if self.via is None else self.via.tolist()
-        flight_height = self.flight_height(requirements.objects[self.object])
-        highest = max([flight_height, *(z for _, _, z in via)])
-        return {"route": {"object": self.object, "highest": highest, "via": via}}
 
     def flight_height(self, body: SolidObject) -> float:
         """Return the height of the object's base on its flight [m]."""

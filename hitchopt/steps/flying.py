@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from hitchopt.hitch.team import MAX_DRONES
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.steps.step import RequestedRest, Stage, Step, StepPlan, StepTask
+from hitchopt.steps.step import Stage, Step, StepPlan, StepTask
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented, points
 from hitchopt.values.units import DURATION
@@ -66,14 +66,6 @@ class Fly(Step):
         """Return the step; raise InputError unless there is one goal per drone."""
         check_count("goal", self.goal, team)
         return self
-
-    def request(self, after: RequestedRest, shown: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the goal, and the prescribed duration."""
-        of_all_steps = super().request(after, shown)
-        request: dict[str, Any] = {"drones": self.goal, "objects": of_all_steps["objects"]}
-        if "seconds" in of_all_steps:
-            request["seconds"] = of_all_steps["seconds"]
-        return request
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the flight.

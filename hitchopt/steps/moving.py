@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -18,7 +18,6 @@ from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
-from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.steps.certified_motions import (
     End,
@@ -721,10 +720,6 @@ class Transport(HitchStep):
     to: Annotated[Array, Key(POINT3, "Goal [x, y, z] of its centroid [m]", [0, 0, 1])]
     yaw: Yaw = 0.0
     duration: Seconds = None
-
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return the altitude of the hitch."""
-        return {"altitude": float(self.to[2])}
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid and moved to the goal."""

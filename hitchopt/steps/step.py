@@ -23,10 +23,10 @@ from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import MAX_ROBOTS
-from hitchopt.motion.motion import HoldBy, Motion, concatenated
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
-from hitchopt.planners.carrying.planner import LOW_OPENING_TENSION, GraspState, MovePlanner
+from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.values import Array, ByValue, Indices, finite, per_robot
 from hitchopt.values.fields import (
@@ -473,57 +473,6 @@ class Stage(StrEnum):
     LIFTED = "a lifted object"
 
 
-@dataclass(frozen=True)
-class RequestedHold:
-    """The request for an object that cables hold, until they release it."""
-
-    by: HoldBy
-    """Method of holding it."""
-
-    tension: tuple[float, float]
-    """[N] Range of the tensions of cables."""
-
-    @classmethod
-    def with_tensions(
-        cls, by: HoldBy, team: Team, *tensions: Array, lowest: float = math.inf
-    ) -> RequestedHold:
-        """Return the hold for tensions (n,) [N] of cables, the ``lowest`` while they open [N].
-
-        Gripping edges have less tension than their legs, which lean against friction.
-        """
-        smallest = min(LOW_OPENING_TENSION, lowest, *map(np.min, tensions))
-        largest = max(map(np.max, tensions))
-        if by is HoldBy.GRIP:
-            smallest *= math.exp(-math.pi * team.cable_friction)
-        return cls(by, (smallest, largest))
-
-
-@dataclass(frozen=True, eq=False)
-class RequestedRest:
-    """The request for the state at rest after a step.
-
-    Planners choose outlines around objects, and their altitudes.
-    """
-
-    outline: Outline | None
-    """Outline of the hitch; None without one."""
-
-    outline_stated: bool
-    """True if the file states the outline."""
-
-    altitude: float | None
-    """[m] Altitude of the hitch; None if the planner chooses it."""
-
-    stage: Stage
-    """Stage of the hitch with respect to an object, or to an open vertex."""
-
-    holds: Mapping[str, RequestedHold]
-    """Holds of held objects, by name."""
-
-    objects: Mapping[str, SolidObject]
-    """Objects at their poses, by name."""
-
-
 @dataclass(frozen=True, eq=False)
 class Step(Record, ABC):
     """A step of a mission; its fields are annotated with the keys of the problem file."""
@@ -618,43 +567,6 @@ class Step(Record, ABC):
         ``below`` is the height of the surface below it [m].
         """
         return None
-
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return the values of the step's keys that a motion shows, at its end or on its route.
-
-        Names and units are those of ``hitchopt.motion.request.mission_of``; the requirements have
-        the objects at their poses before the step. A stored plan that contradicts them is not a
-        plan of its problem.
-        """
-        return shown_legs(vars(self).get("legs"))
-
-    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
-        """Return how the step holds its object afterwards; None if it does not take hold."""
-        return None
-
-    def request(self, after: RequestedRest, shown: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the values that the plan must show at the step's end.
-
-        Names and units are those of ``hitchopt.motion.request.mission_of``; ``shown`` is what
-        ``shown_at_end`` returns.
-        """
-        tensions = [hold.tension for hold in after.holds.values()]
-        request: dict[str, Any] = {
-            "tension": tensions[0] if tensions else getattr(self, "tension", None),
-            "holds": [(name, hold.by.value) for name, hold in after.holds.items()],
-            "objects": {name: body.pose for name, body in after.objects.items()},
-        }
-        if after.outline is None and after.stage not in (Stage.GRASPED, Stage.LIFTED):
-            request |= {"polygon": None, "altitude": None}
-        elif after.outline is not None and after.outline_stated and not self.blends:
-            request["polygon"] = after.outline.vertices
-        if after.outline is not None and after.altitude is not None:
-            request["altitude"] = after.altitude
-        if not self.blends:
-            request |= shown
-        if self.prescribed_duration is not None:
-            request["seconds"] = self.prescribed_duration
-        return request
 
     def advice(self, check: str, key: str) -> str:  # noqa: ARG002
         """Return specific advice if its motion violates a check; ``key`` is its key in files."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import rotated, turn
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.motion.motion import HoldBy, Motion, concatenated
+from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
@@ -23,7 +23,6 @@ from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.steps.step import (
     Knob,
     ObjectOf,
-    RequestedHold,
     Seconds,
     Stage,
     Step,
@@ -107,12 +106,6 @@ def _check_two(team: Team, remedy: str) -> None:
         raise InputError("topology", team.topology, f"closed {where}", "leave team.topology out")
 
 
-def hold_by_tying(team: Team, tension: Array) -> RequestedHold:
-    """Return the hold of an object around which cables are tied with tensions (n,) [N]."""
-    lowest = tying_tension(team)
-    return RequestedHold.with_tensions(HoldBy.GRIP, team, team.tension, tension, lowest=lowest)
-
-
 @documented
 @dataclass(frozen=True)
 class Tie(Step):
@@ -159,10 +152,6 @@ class Tie(Step):
         """Return the tensions (n,) [N] with which cables are tied."""
         return np.full(team.robots, tying_tension(team) if self.tension is None else self.tension)
 
-    def requested_hold(self, team: Team, body: SolidObject) -> RequestedHold | None:  # noqa: ARG002
-        """Return the hold with the tension at which cables are tied, and the team's."""
-        return hold_by_tying(team, self.tension_for(team))
-
     def height_for(self, body: SolidObject, requirements: Requirements) -> float:
         """Return the height of the clasps above the object's base [m]."""
         if self.at is not None:
@@ -173,11 +162,6 @@ class Tie(Step):
             highest = min(highest, body.rim.height - RIM_DISTANCE)
         preferred = min(float(body.centre_of_mass[2]) + PREFERRED_HINGE, highest)
         return min(max(lowest, preferred), body.upper - EDGE)
-
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:  # noqa: ARG002
-        """Return the altitude of the clasps, unless the planner chooses it."""
-        base = float(requirements.objects[self.around].at[2])
-        return {} if self.at is None else {"altitude": base + self.at}
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to tie the cables around the object."""

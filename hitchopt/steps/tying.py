@@ -123,10 +123,6 @@ class Form(Step):
         """The order of laying, robots from bottom to top; None for alternating levels."""
         return None if isinstance(self.order, str) else np.asarray(self.order, dtype=np.intp)
 
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:
-        """Return the altitude and the legs of the hitch."""
-        return super().shown_at_end(team, requirements) | {"altitude": self.altitude}
-
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to tie the hitch.
 
@@ -578,10 +574,6 @@ class Land(Step):
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False
     duration: Seconds = None
-
-    def shown_at_end(self, team: Team, requirements: Requirements) -> dict[str, Any]:
-        """Return the heights of drones on the ground."""
-        return {"heights": np.full(team.drones, requirements.floor)}
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the descent to the ground."""

@@ -106,7 +106,7 @@ def length_error(s: Spans, k: Index) -> Line:
         excess = excess + chord + chord * x[:2].dot(x[:2]) * pulled * pulled * (1.0 / 24.0)
     for b in range(len(p.bodies)):
         share = p.load_share.on(s, b)
-        excess = excess - share * share * p.length_loss[b, s.piece, k, None]
+        excess = excess - share * share * p.rim.length_loss[b, s.piece, k, None]
     return maximum(excess.norm(), *errors) * (1.0 / p.length[k])
 
 
@@ -140,8 +140,9 @@ def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line]
     chords = s.leg_chord(2 * k), s.edge(k)[0], s.leg_chord(2 * j + 1), s.edge(j)[1]
     factor, body_force, weights = s.zero + 1.0, s.zero * UP, []
     for b, body in enumerate(p.bodies):
-        share, (mass, x, y) = p.load_share.on(s, b), p.shares[b, s.piece, c, :, None].swapaxes(0, 1)
-        factor = factor - share * share * p.pull_loss[b, s.piece, None]
+        share = p.load_share.on(s, b)
+        mass, x, y = p.rim.shares[b, s.piece, c, :, None].swapaxes(0, 1)
+        factor = factor - share * share * p.rim.pull_loss[b, s.piece, None]
         a = s.rotated(b, s.world(b, body.centre, 2))
         moment = (a[0] * x + a[1] * y) * UP * (body.centre[2] - body.height)
         inertia = (moment - s.point(p.begin[k], 2) * mass).where(p.moving[b, s.piece])

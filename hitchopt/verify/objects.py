@@ -162,7 +162,7 @@ def resting(p: Plan, b: int) -> Iterator[Row]:
     def drift(s: Spans, j: Index) -> Line:
         """Return drifts of clasps since the start of the hold, and from depths below the rim."""
         x, at = s.local(b, s.point(p.begin[j])), places[s.piece, j]
-        depth, lifted = p.rim_depth[b, s.piece, None], p.lifted[b, s.piece, None]
+        depth, lifted = p.rim.depth[b, s.piece, None], p.lifted[b, s.piece, None]
         upper = np.where(lifted, depth, 0.0) - rim.lower
         outside = np.where(rim.depth(at[:, :2]) > CONTACT_TOL, 0.0, 1.0)[:, None]
         return maximum((x[:2] - at[:, :2]).norm(), -x[2] + rim.lower - depth, x[2] + upper, outside)

@@ -7,9 +7,10 @@ import math
 import re
 import unicodedata
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -252,7 +253,6 @@ class Plan:
         self.points = Curve(np.concatenate([drones, *on_cables], axis=1), self.h)
         used = drones, *(x[self.taut] for x in on_cables)
         self.size = max(float(np.max(np.abs(x), initial=0.0)) for x in used)
-        self.length_loss, self.pull_loss, self.rim_depth, self.shares = rim_loads(self)
         # Ramps: tensions rise from 0, or fall to it, at rest next to pieces without a hitch.
         still = np.delete(self.points.c[0], self.edges[1:3].ravel(), axis=1)
         rest = np.all(np.ptp(still, axis=-1) <= REST_TOL, axis=(1, 2))
@@ -262,6 +262,11 @@ class Plan:
             reached[:-1] |= rest[:-1] & reached[1:]
         self.ramp = reached & self.taut
         self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
+
+    @cached_property
+    def rim(self) -> RimLoads:
+        """Effects of resting bodies on cables, which only proofs need."""
+        return rim_loads(self)
 
     def _read_quadrotors(self, team: dict[str, Any]) -> None:
         """Read masses and thrusts (N, 1) of drones."""
@@ -440,15 +445,28 @@ def midpoints(vertices: Array, n: int) -> Array:
     return np.stack([middle, middle], 2)
 
 
-def rim_loads(p: Plan) -> tuple[Array, Array, Array, Array]:
-    """Return the effects of resting bodies on cables, at starts of pieces; 0 without a body.
+class RimLoads(NamedTuple):
+    """Effects of resting bodies on cables, at starts of pieces; 0 without a body.
 
     A rim on the clasps bends legs: below it they are horizontal, beyond it they rise with ``sin α =
-    W / (2 Σ T)`` for a weight W of body and edges. The horizontal length l of each leg shortens the
-    cable by ``l (1 / cos α - 1)`` (o, m, n), and the rim reduces the pull of edges by ``1 - cos α``
-    (o, m), both with the squared load share. Vertices are ``tan α`` times the mean l below it
-    (o, m). Shares (o, m, n, 3) of the body's mass and moments are least-squares solutions.
+    W / (2 Σ T)`` for a weight W of body and edges, on a horizontal length l of each leg.
     """
+
+    length_loss: Array
+    """(o, m, n) [m] by which cables are shorter, ``l (1 / cos α - 1)`` at the full load share."""
+
+    pull_loss: Array
+    """(o, m) Share by which the rim reduces the pull of edges, ``1 - cos α`` at the full share."""
+
+    depth: Array
+    """(o, m) [m] of vertices below the rim, ``tan α`` times the mean l."""
+
+    shares: Array
+    """(o, m, n, 3) of the body's mass and moments, by least squares."""
+
+
+def rim_loads(p: Plan) -> RimLoads:
+    """Return the effects of resting bodies on the cables of a plan."""
     length_loss, pull_loss, depth = np.zeros(p.holding.shape), *np.zeros((2, *p.rest.shape))
     shares = np.zeros((*p.holding.shape, 3))
     for b, q in np.argwhere(p.rest & p.active & p.closed).tolist():
@@ -468,7 +486,7 @@ def rim_loads(p: Plan) -> tuple[Array, Array, Array, Array]:
                 low, high = np.where(inside, y, low), np.where(inside, high, y)
             length_loss[b, q] = (np.roll(low[0], 1) + np.roll(low[1], -1)) * (1.0 / cosine - 1.0)
             depth[b, q] = np.mean(np.sum(low, axis=0)) * 0.5 * sine / cosine
-    return length_loss, pull_loss, depth, shares
+    return RimLoads(length_loss, pull_loss, depth, shares)
 
 
 def read(path: Path) -> tuple[list[Plan], list[Plan]]:

@@ -33,6 +33,8 @@ class Step(NamedTuple):
     p: Plan
     pieces: Items
     phases: list[dict[str, Any]]
+    before: Array
+    """Vertices (P, 3) that it starts from: the goals of a step that goes on without a stop."""
 
     def points(self, end: int, of: slice) -> Array:
         """Return points (k, 3) at the step's start (0) or end (-1)."""
@@ -40,10 +42,7 @@ class Step(NamedTuple):
 
     def vertices(self, end: int = -1) -> Array:
         """Return vertices (P, 3); nan without a hitch."""
-        tied = self.p.taut[self.pieces[end]]
-        return (
-            self.points(end, self.p.V) if tied else np.full((self.p.V.stop - self.p.N, 3), np.nan)
-        )
+        return vertices_at(self.p, self.pieces[end], end)
 
     def drones(self, end: int = -1) -> Array:
         """Return drones (N, 3) in the order of the problem."""
@@ -96,6 +95,12 @@ class Step(NamedTuple):
         return duration_of(own or self.phases)
 
 
+def vertices_at(p: Plan, piece: int, end: int) -> Array:
+    """Return vertices (P, 3) at the start (0) or end (-1) of a piece; nan without a hitch."""
+    vertices = p.points.c[0][piece, p.V, :, end]
+    return np.asarray(vertices if p.taut[piece] else np.full_like(vertices, np.nan))
+
+
 def duration_of(phases: list[dict[str, Any]]) -> float:
     """Return the sum of the phases' durations [s]."""
     return float(sum(phase["end"] - phase["start"] for phase in phases))
@@ -117,11 +122,53 @@ def polygon(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     return s.vertices()[:, :2] - np.array(value, dtype=float)
 
 
-def moved_to(s: Step, value: Any, step: Mapping[str, Any], key: str, by: float) -> Shown:
+def moved_vertices(step: Mapping[str, Any], count: int) -> list[int]:
+    """Return the indices of the vertices, of ``count``, that the keys of a step move."""
+    if "polygon" in step:
+        return [*range(count)]
+    if "edge" in step:
+        return [int(step["edge"]), (int(step["edge"]) + 1) % count]
+    return [int(step["vertex"])] if "vertex" in step else []
+
+
+def goals_after(s: Step, step: Mapping[str, Any]) -> Array:
+    """Return the vertices (P, 3) that the keys of a step lead to."""
+    goals = s.before.copy()
+    moved = moved_vertices(step, len(goals))
+    if step.get("by") is not None:
+        goals[moved, :2] += step["by"]
+    elif (places := step.get("polygon", step.get("to"))) is not None:
+        goals[moved, :2] = places
+    return goals
+
+
+def moved_to(s: Step, value: Any, step: Mapping[str, Any], by: float) -> Shown:
     """Return differences of a vertex, or of both ends of an edge, from goals, or from offsets."""
-    first = int(step[key])
-    both = [first, (first + 1) % len(s.vertices())] if key == "edge" else [first]
-    return (s.vertices() - by * s.vertices(0))[both, :2] - np.array(value, dtype=float)
+    moved = moved_vertices(step, len(s.before))
+    return (s.vertices() - by * s.before)[moved, :2] - np.array(value, dtype=float)
+
+
+def others_stay(s: Step, _value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return how far vertices move that the step does not name, and the heights of all."""
+    moves = s.vertices() - s.before
+    moves[moved_vertices(step, len(moves)), :2] = 0.0
+    return moves
+
+
+def nothing_moves(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return how far drones and objects move."""
+    curves = s.p.points.c[0][:, : s.p.N], s.p.poses.c[0]
+    return max(float(np.max(np.ptp(x[s.pieces], axis=(0, -1)), initial=0.0)) for x in curves)
+
+
+def holds(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if an object is held at the end, or if none is."""
+    return unless(bool(np.any(s.p.held[:, s.pieces[-1]])) is not value)
+
+
+def untied(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
+    """Return no difference if there is no hitch at the end."""
+    return unless(s.p.taut[s.pieces[-1]])
 
 
 def centroid(s: Step) -> Array:
@@ -366,10 +413,10 @@ STEP_KEYS: dict[str, Shows] = {
     "swap": swap,
     "settle": settled,
     "form.by": tied_by,
-    "move_vertex.to": partial(moved_to, key="vertex", by=0.0),
-    "move_vertex.by": partial(moved_to, key="vertex", by=1.0),
-    "move_edge.to": partial(moved_to, key="edge", by=0.0),
-    "move_edge.by": partial(moved_to, key="edge", by=1.0),
+    "move_vertex.to": partial(moved_to, by=0.0),
+    "move_vertex.by": partial(moved_to, by=1.0),
+    "move_edge.to": partial(moved_to, by=0.0),
+    "move_edge.by": partial(moved_to, by=1.0),
     "path": path,
     "speed": speed,
     "transport.to": lambda s, x, _: centroid(s) - np.array(x, dtype=float),
@@ -388,13 +435,38 @@ STEP_KEYS: dict[str, Shows] = {
     "via": via,
     "goal": flown,
     "on_the_ground": grounded,
+    "nothing_moves": nothing_moves,
+    "others_stay": others_stay,
+    "holds": holds,
+    "untied": untied,
 }
 """Functions by key, or by step and key, for the difference of a plan from a key's request."""
 
-IMPLIED = {"blend": False}, {"land": {"on_the_ground": True}}
-"""Keys that every step has unless it states them, and keys of single steps."""
+IMPLIED: dict[str, dict[str, Any]] = {
+    "hold": {"nothing_moves": True},
+    "release": {"untied": True},
+    "land": {"on_the_ground": True},
+    "morph": {"others_stay": True},
+    "move_vertex": {"others_stay": True},
+    "move_edge": {"others_stay": True},
+    "follow_vertex": {"others_stay": True},
+    "adjust": {"others_stay": True},
+    "settle": {"others_stay": True},
+    "close_vertex": {"others_stay": True},
+    "grasp": {"holds": True},
+    "lift": {"holds": True},
+    "carry": {"holds": True},
+    "set_down": {"holds": True},
+    "tie": {"holds": True},
+    "enclose": {"holds": False},
+    "loosen": {"holds": False},
+    "leave": {"holds": False},
+    "untie": {"holds": False},
+    "transport_object": {"holds": False},
+}
+"""What steps do by their names, in the form of keys; every step ends at rest unless it blends."""
 
-OF_END = {"polygon", "altitude", "legs", "to", "by"}
+OF_END = {"polygon", "altitude", "legs", "to", "by", "others_stay"}
 """Keys of the end of a step, which steps that go on without a stop do not show."""
 
 
@@ -468,7 +540,7 @@ def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
 
 def start_faults(p: Plan) -> Iterator[Fault]:
     """Yield keys of the start where the plan begins elsewhere."""
-    start, s = p.asked["start"], Step(p, np.array([0]), p.phases[:1])
+    start, s = p.asked["start"], Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0))
     hitch, drones = (start.get(x) if isinstance(start, dict) else None for x in ("hitch", "drones"))
     shown = dict[str, Any]()
     if hitch:
@@ -492,20 +564,32 @@ def step_faults(p: Plan) -> Iterator[Fault]:
     steps = [[*phases] for _, phases in groupby(p.phases, key=lambda x: x["step"])]
     words = f"mission has {len(mission)} steps, and the plan {len(steps)}"
     yield float(p.breaks[0]), len(steps) != len(mission), words
+    goals: Array | None = None  # of a step that goes on without a stop
     for i, (phases, step) in enumerate(zip(steps, mission, strict=False)):
         start, end = float(phases[0]["start"]), float(phases[-1]["end"])
         within = (p.breaks[:-1] >= start - POS_TOL) & (p.breaks[1:] <= end + POS_TOL)
         moving = [x for x in phases if x["name"] != "wait"] or phases
-        s = Step(p, np.flatnonzero(within), moving)
+        pieces = np.flatnonzero(within)
+        s = Step(p, pieces, moving, vertices_at(p, pieces[0], 0) if goals is None else goals)
         ((name, keys),) = step.items()
+        goals = goals_after(s, keys) if keys and keys.get("blend") else None
+        yield end, wider_tensions(s, keys or {}), f"mission[{i}].{name}.tension is not as requested"
         for key, off in differences(s, name, keys or {}):
             yield end, not off <= CLOSE, f"mission[{i}].{name}.{key} is not as requested"
 
 
+def wider_tensions(s: Step, keys: Mapping[str, Any]) -> bool:
+    """Return whether phases of a step without holds state tensions that it does not request."""
+    value = keys.get("tension")
+    low, high = (value["min"], value["max"]) if isinstance(value, dict) else (math.inf, -math.inf)
+    is_holding = any(x["hold"] for x in s.phases)
+    ranges = [x["tension"] for x in s.phases if x["tension"] is not None and not is_holding]
+    return any(x[0] < low - TAUT_TOL or x[1] > high + TAUT_TOL for x in ranges)
+
+
 def differences(s: Step, name: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     """Yield keys of a step with the plan's difference from each; inf without such a value."""
-    every, single = IMPLIED
-    for key, value in {**every, **single.get(name, {}), **keys}.items():
+    for key, value in {"blend": False, **IMPLIED.get(name, {}), **keys}.items():
         shows = STEP_KEYS.get(f"{name}.{key}", STEP_KEYS.get(key))
         not_shown = key in OF_END and keys.get("blend")
         if shows is None or value is None or value == "auto" or not_shown:

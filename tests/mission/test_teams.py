@@ -59,10 +59,6 @@ def test_every_team_has_its_steps_of_all_items() -> None:
     a, b = problem.teams.values()
     assert [step.name for step in a.steps] == ["hold", "transport", "hold"]
     assert [flight.prescribed_duration for flight in b.steps] == [None, 4.0]
-    assert {name: len(request["mission"]) for name, request in problem.request.items()} == {
-        "a": 3,
-        "b": 2,
-    }
 
 
 def test_records_make_the_problem_of_the_file() -> None:
