@@ -24,7 +24,9 @@ from hitchopt.motion.motion import JOINT
 from hitchopt.motion.states import flight_states_at
 from hitchopt.values import Array, positive
 
-COMMANDS = ("pause", "resume", "back", "abort", "land")
+COMMANDS = ("pause", "resume", "back", "abort", "land", "end")
+"""Commands: ``end`` continues an abort or a landing that was commanded before, or lands."""
+
 OPERATOR = "operator"  # name of the operator's link
 MAX_ATTEMPTS = 6  # number of nearest entries of an abort table that are tried
 LEAD = 0.2  # time by which setpoints are computed ahead, and commands delayed [s]
@@ -45,25 +47,43 @@ class FleetSetpoints:
     feed_forward: Array  # (drones, 3) [m/s²], ``a - G F / m``, for controllers without cable model
 
 
+@dataclass(frozen=True, eq=False)
+class Landing:
+    """The continuation of a plan by an entry of an abort table."""
+
+    command: str  # abort or land
+    rest: float  # plan time at which it begins [s]
+    player: Player  # from this rest on
+
+
 class CommandedPlan:
-    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables."""
+    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables.
+
+    An abort or a landing stands: a pause delays it, and ``resume`` or ``end`` continues it.
+    """
 
     def __init__(self, flight: Flight, tables: Mapping[str, AbortTable]) -> None:
         self.flight = flight
         self._player = _player_at(flight, 0.0, 0.0)
         player = cache(lambda entry: _player_at(entry.flight, entry.start + entry.seconds, 1.0))
         self._landings = {
-            command: [(entry.rest, player(entry)) for entry in table.entries]
+            command: [Landing(command, entry.rest, player(entry)) for entry in table.entries]
             for command, table in tables.items()
         }
-        self._landing: Player | None = None
+        self._landing: Landing | None = None  # commanded, and not begun
+        self._paused = False  # whether it waits for a command
         self.descending = False  # whether the landing itself has started
         self.started = False  # whether the plan has left its start
 
     @property
     def resting(self) -> bool:
         """Return whether all drones are at rest and not about to move."""
-        return self._player.resting and self._landing is None
+        return self._player.resting and (self._landing is None or self._paused)
+
+    @property
+    def landing(self) -> bool:
+        """Return whether an abort or a landing was commanded, which stands."""
+        return self.descending or self._landing is not None
 
     @property
     def landed(self) -> bool:
@@ -79,8 +99,8 @@ class CommandedPlan:
 
         Those of drones that have landed have no cable forces: on the floor they would tip drones.
         """
-        if self._landing is not None and self._player.resting:
-            self._player, self._landing = self._landing, None
+        if self._landing is not None and self._player.resting and not self._paused:
+            self._player, self._landing = self._landing.player, None
             self.descending = True
         flight, setpoints = self._player.flight, self._player.step(seconds)
         states, team = flight_states_at(flight, [setpoints.time]), flight.team
@@ -103,35 +123,46 @@ class CommandedPlan:
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
-        if command in self._landings:
+        if command in ("abort", "land"):
             return self._land(command)
-        if self.descending and command == "back":
-            raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
+        if command == "end" or (command == "resume" and self.landing):
+            return self._land("land" if self._landing is None else self._landing.command)
+        if command == "back" and self.landing:
+            raise InfeasibleError([], "back: the landing stands; pause and resume it only")
         seconds = getattr(self._player, command)()
         self.started = self.started or command == "resume"
-        self._landing = None
-        return f"{command}: takes {seconds:.2f} s"
+        self._paused = command == "pause"
+        waiting = "" if self._landing is None else f"; resume continues {self._landing.command}"
+        return f"{command}: takes {seconds:.2f} s{waiting}"
 
     def _land(self, command: str) -> str:
-        """Move the clock to the nearest rest with a landing, preferably a later one.
+        """Move the clock to the rest of the commanded landing, or to the nearest with a landing.
 
-        No object that is now at rest on its support moves.
+        A moving clock preferably continues to a later one. No object that is now at rest on its
+        support moves.
         """
         if self.descending:
-            return f"landing continues, in {self._player.resume():.2f} s"
-        time = self._player.time
+            seconds, self._paused = self._player.resume(), False
+            return f"landing continues, in {seconds:.2f} s"
+        time, commanded = self._player.time, self._landing
         refusal = InfeasibleError([], f"{command}: the plan has no such landing")
+
+        def preference(landing: Landing) -> tuple[bool, bool, float]:
+            is_behind = landing.rest < time and not self._player.resting
+            return landing is not commanded, is_behind, abs(landing.rest - time)
+
         landings = [
-            x for x in self._landings[command] if not moves_standing(self.flight, time, x[0])
+            x
+            for x in self._landings.get(command, ())
+            if not moves_standing(self.flight, time, x.rest)
         ]
-        nearest = sorted(landings, key=lambda x: (x[0] < time, abs(x[0] - time)))
-        for rest, landing in nearest[:MAX_ATTEMPTS]:
+        for landing in sorted(landings, key=preference)[:MAX_ATTEMPTS]:
             try:
-                seconds = self._player.seek(rest)
+                seconds = self._player.seek(landing.rest)
             except InfeasibleError as error:
                 refusal = error
             else:
-                self._landing = landing
+                self._landing, self._paused = landing, False
                 return f"{command}: begins in {seconds:.2f} s"
         raise refusal
 
@@ -225,15 +256,15 @@ class SetpointStream:
     def _queue_command(self, command: str, now: float) -> None:
         """Queue an operator's command, or report why it is not allowed now."""
         plan = self._plan
-        if command == "end":
-            command = "land" if plan.started else "quit"
+        if command == "end" and not plan.started:
+            command = "quit"
         if command == "toggle":
             command = "resume" if plan.resting else "pause"
         refusal = ""
         if command == "quit":
             self._quit = not plan.started and self._job is None and not self._queue
             refusal = "" if self._quit else "drones have left their start; land first"
-        elif command in ("resume", "back"):
+        elif command in ("resume", "back") and not plan.landing:
             refusal = self._reason_to_stay(now)
         if command not in ("pause", "resume", "quit") and not plan.started:
             refusal = "the plan has not begun"
@@ -274,10 +305,10 @@ class SetpointStream:
                 self._say("no operator is connected, and the plan has not begun: the stream ends")
                 self._quit = True
         elif self._job is None and now - self._last_reaction >= delay:
-            is_moving = not (plan.descending or plan.resting)
+            is_moving = not (plan.landing or plan.resting)
             if is_moving if is_brief else plan.resting and not plan.landed:
                 self._last_reaction = now
-                self._queue.append("pause" if is_brief else "land")
+                self._queue.append("pause" if is_brief else "end")
 
     def _run_command(self) -> None:
         """Start the next command, or report the result of the current one."""
