@@ -29,8 +29,8 @@ from benchmarks.replay import (
     smoothed,
     tilt_rms_deg,
 )
+from hitchopt.drones.controllers import HELD, ONE_MARKER
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import HELD, ONE_MARKER
 from hitchopt.lab.flights.hover import DroneHover, HoverSeries, calibrate_hover
 from hitchopt.lab.flights.recordings import RecordedFlight
 

@@ -28,10 +28,10 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from hitchopt.cli.output import known_text, table
+from hitchopt.drones.controllers import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.errors import FileError, OneLine
 from hitchopt.geometry.vectors import dot, left_of, length
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight, interpolated
 from hitchopt.lab.simulation.estimator import Filter, rotation

@@ -12,7 +12,7 @@ from hitchopt.geometry import ConvexArc as ConvexArc, ConvexPolygon as ConvexPol
 from hitchopt.geometry import regular_polygon as regular_polygon
 from hitchopt.hitch import Hitch as Hitch, Quadrotor as Quadrotor, Swarm as Swarm, Team as Team
 from hitchopt.hitch.casadi_model import model as model
-from hitchopt.hitch.flight_controller import Gains as Gains, Tube as Tube
+from hitchopt.drones.controllers import Gains as Gains, Tube as Tube
 from hitchopt.hitch.requirements import Arena as Arena, Limits as Limits, Prism as Prism
 from hitchopt.hitch.requirements import Separation as Separation
 from hitchopt.lab.feedback import Feedback as Feedback

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 import hitchopt as ho
 from hitchopt.api import Mission
-from hitchopt.hitch.flight_controller import Gains
+from hitchopt.drones.controllers import Gains
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.others import Other

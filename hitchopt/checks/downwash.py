@@ -24,8 +24,8 @@ from hitchopt.checks.objects import in_object_frame
 from hitchopt.checks.rule import CheckRule, Evaluator
 from hitchopt.checks.solids import PlacedObject, Solid, placed_objects
 from hitchopt.checks.spans import ROUNDING, magnitude
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.hitch.pairs import DISTANCES
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Team
 from hitchopt.motion.motion import Motion

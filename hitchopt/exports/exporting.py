@@ -21,6 +21,7 @@ from hitchopt.checks.certificate import Certificate, Check
 from hitchopt.checks.drones import largest_rate
 from hitchopt.checks.registry import certificate_of, certify
 from hitchopt.checks.tracking import TRACKING_RADIUS
+from hitchopt.drones.controllers import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
 from hitchopt.errors import (
     FileError,
     HitchoptError,
@@ -47,7 +48,6 @@ from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, places_t
 from hitchopt.exports.tension import TensionPolicy
 from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.flight_controller import RECORDED_TUBE, STOCK, Gains, Tube, stiffest_gains
 from hitchopt.hitch.forces import SLACK
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import tracking_warnings, weightless_notes

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.certificate import Check
+from hitchopt.drones.controllers import CONTROLLERS, STOCK
 from hitchopt.errors import InputError, UnsupportedError, contained
 from hitchopt.exports.contents import FileContents
 from hitchopt.exports.firmware import refuse_controllers
@@ -20,7 +21,6 @@ from hitchopt.exports.held_tension import REST_TIME, held_tension
 from hitchopt.exports.options import STORAGES, ExportOptions, registered_formats
 from hitchopt.exports.placing import AXES, Fleet, ReferenceFrame
 from hitchopt.hitch import Team
-from hitchopt.hitch.flight_controller import CONTROLLERS, STOCK
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.states import (
     HOVER,

@@ -23,9 +23,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hitchopt.checks.drones import largest_rate
+from hitchopt.drones.controllers import DAMPING_RATIO
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
 from hitchopt.hitch import Team
-from hitchopt.hitch.flight_controller import DAMPING_RATIO
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import prolonged

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InputError
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import Edge, cable_of_span, clasp_legs
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import Team

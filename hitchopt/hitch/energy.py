@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices
 

@@ -22,10 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, Violation, rounded_up
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
 from hitchopt.values import Array

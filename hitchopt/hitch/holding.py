@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.quadrotor import GRAVITY, Quadrotor
 from hitchopt.errors import InfeasibleError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import cross, dot, first_smallest, left_of, length, turn, unit
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
-from hitchopt.hitch.quadrotor import GRAVITY, Quadrotor
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.objects import Section

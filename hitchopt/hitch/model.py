@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.hitch.forces import LegPair, cable_forces, chord_pull, closed_triangle, shortening
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.series import JET, Series
 from hitchopt.hitch.team import Team
 from hitchopt.values import Array, Indices

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from hitchopt.drones.controllers import TRACKING, Tube
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import ConvexPolygon
-from hitchopt.hitch.flight_controller import TRACKING, Tube
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.values import Array, ByValue, check_instance, sequence, units

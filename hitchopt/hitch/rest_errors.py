@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hitchopt.drones.controllers import STOCK, Tube
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.energy import (
     AXIAL_STIFFNESS,
@@ -25,7 +26,6 @@ from hitchopt.hitch.energy import (
     HitchEnergy,
     energy_of,
 )
-from hitchopt.hitch.flight_controller import STOCK, Tube
 from hitchopt.hitch.team import Errors, Team
 from hitchopt.values import Array
 

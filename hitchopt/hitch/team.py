@@ -10,12 +10,12 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     TRACKING,
     Tube,
 )
-from hitchopt.hitch.quadrotor import GRAVITY, Quadrotor, Quadrotors, kinds_of, quadrotors
+from hitchopt.drones.quadrotor import GRAVITY, Quadrotor, Quadrotors, kinds_of, quadrotors
+from hitchopt.errors import InputError, OneLine
 from hitchopt.values import (
     Array,
     ByValue,

@@ -22,11 +22,12 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.drones.controllers import CONTROLLERS
+from hitchopt.drones.firmware import Parameters
 from hitchopt.errors import InputError, UnsupportedError, optional_module
-from hitchopt.exports.firmware import Parameters, describe_differences
+from hitchopt.exports.firmware import describe_differences
 from hitchopt.exports.formats.crazyflie import LANDED
 from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.hitch.flight_controller import CONTROLLERS
 from hitchopt.live.fly import FleetSetpoints
 from hitchopt.motion.states import Attitudes, attitudes
 from hitchopt.values import MAX_COORDINATE, Array

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.registry import RULE_OF_KEY, distances_of
+from hitchopt.drones.controllers import MIN_TRACKING, Tube, stiffest_gains
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
-from hitchopt.hitch.flight_controller import MIN_TRACKING, Tube, stiffest_gains
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import Rim

@@ -12,11 +12,11 @@ import numpy as np
 
 from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES
+from hitchopt.drones.quadrotor import Quadrotor, quadrotors
 from hitchopt.errors import InputError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_remedy
-from hitchopt.hitch.quadrotor import Quadrotor, quadrotors
 from hitchopt.hitch.requirements import (
     Arena,
     Limits,

@@ -14,9 +14,9 @@ import numpy as np
 
 from hitchopt.checks import merged
 from hitchopt.checks.registry import RULES, with_rules
+from hitchopt.drones.controllers import CONTROLLERS, FlightController, Tube
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
 from hitchopt.hitch import GRAVITY, Hitch, Team
-from hitchopt.hitch.flight_controller import CONTROLLERS, FlightController, Tube
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from hitchopt.drones.quadrotor import MODEL_NAMES, MODELS
 from hitchopt.geometry import ConvexPolygon, regular_polygon
 from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.quadrotor import MODEL_NAMES, MODELS
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.mission.objects import SECTION_KEYS, ObjectKeys
 from hitchopt.mission.problem import HITCH_LIMITS, HITCH_SEPARATION, SwarmTeam

@@ -16,9 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.controllers import Tube
 from hitchopt.errors import InputError, OneLine, UnsupportedError
 from hitchopt.hitch import Swarm, Team
-from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Arena, Requirements, Separation
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
 from hitchopt.motion.retiming import (

@@ -20,10 +20,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.quadrotor import MODELS
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.quadrotor import MODELS
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject

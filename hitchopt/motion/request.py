@@ -18,10 +18,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from hitchopt.drones.quadrotor import MEASURED, Quadrotor
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Swarm, Team
-from hitchopt.hitch.quadrotor import MEASURED, Quadrotor
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import dot, left_of, length, turn, unit
 from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.holding import Grip
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team

@@ -18,11 +18,11 @@ from hitchopt import verify
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import UnsupportedError, Violation
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.flight import Flight, TeamMotion

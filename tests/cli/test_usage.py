@@ -28,9 +28,9 @@ from hitchopt.checks.registry import QUANTITIES
 from hitchopt.cli.failures import SafeGroup
 from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, progress_in, say, table
 from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
+from hitchopt.drones.quadrotor import MODELS
 from hitchopt.errors import FileError, UnsupportedError, Violation
 from hitchopt.exports.options import registered_formats
-from hitchopt.hitch.quadrotor import MODELS
 from hitchopt.lab.sweeps.study import study_from_dict
 from hitchopt.mission.loading import parse_problem, problem_schema
 from hitchopt.mission.template import for_team

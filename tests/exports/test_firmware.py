@@ -15,13 +15,12 @@ from hypothesis import strategies as st
 from ruamel.yaml import YAML
 
 import hitchopt as ho
+from hitchopt.drones.firmware import CONTROLLER_NUMBERS, Parameters
 from hitchopt.exports.contents import read_manifest
 from hitchopt.exports.firmware import (
-    CONTROLLERS,
     SETTINGS,
-    Parameters,
     describe_differences,
-    px4_parameters,
+    px4_team_parameters,
     team_parameters,
 )
 from hitchopt.exports.options import HOMES
@@ -65,7 +64,7 @@ def commanded(parameters: Parameters, offset: Array, slower: Array, summed: Arra
 @settings(max_examples=60, deadline=None)
 def test_the_law_answers_errors_as_the_team_s_loop(kind: ho.Quadrotor) -> None:
     parameters, loop = of_team(kind), kind.loop
-    assert parameters["stabilizer"] == {"estimator": 2, "controller": CONTROLLERS[loop.name]}
+    assert parameters["stabilizer"] == {"estimator": 2, "controller": CONTROLLER_NUMBERS[loop.name]}
     for term, (level, upright) in enumerate((loop.kp, loop.kd, loop.ki)):
         errors = np.zeros((3, 3))
         errors[term] = [0.1, -0.2, 0.3]
@@ -101,7 +100,7 @@ def test_drones_of_one_shape_turn_as_the_stock_crazyflie_does(mass: float, lift:
 
 
 def test_unnamed_controllers_are_left_to_the_pilot() -> None:
-    assert CONTROLLERS == {"pid": 1, "mellinger": 2, "lee": 5}  # stabilizer.controller
+    assert CONTROLLER_NUMBERS == {"pid": 1, "mellinger": 2, "lee": 5}  # stabilizer.controller
     filter_alone = {
         "stabilizer": {"estimator": 2, "controller": 2},
         "kalman": {"pNAcc_xy": 20.0, "pNAcc_z": 20.0},
@@ -148,7 +147,7 @@ def test_px4_gets_gains_within_its_ranges_and_the_loop_follows(
 ) -> None:
     gains = {"kp": kp, "kd": kd, "ki": ki}
     kind = ho.Quadrotor(mass, 20.0 * mass, controller="px4", gains=gains)
-    found = px4_parameters(ho.Team(3, 2.4, quadrotor=kind))["r1"]
+    found = px4_team_parameters(ho.Team(3, 2.4, quadrotor=kind))["r1"]
     for name, (least, most) in RANGES.items():
         assert least <= found[name] <= most
     for axes, i in (("XY", LEVEL), ("Z", UPRIGHT)):
@@ -177,7 +176,7 @@ def test_clipped_gains_of_px4_are_reported(tmp_path: Path) -> None:
 @pytest.mark.parametrize("gains", [None, {"kp": [0.3, 0.9], "kd": [0.4, 0.7], "ki": [0.1, 0.2]}])
 def test_px4_gets_the_gains_that_are_stated(gains: dict[str, Any] | None) -> None:
     kind = ho.Quadrotor(controller="px4", gains=gains)
-    found = px4_parameters(ho.Team(3, 2.4, quadrotor=kind))["q2"]
+    found = px4_team_parameters(ho.Team(3, 2.4, quadrotor=kind))["q2"]
     assert {"MPC_ACC_DECOUPLE": 0, "MPC_USE_HTE": 0}.items() <= found.items()
     assert len(found) == (2 if gains is None else 8)
     for axes, i in (("XY", LEVEL), ("Z", UPRIGHT)) if gains else ():

@@ -16,7 +16,7 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
-from hitchopt.exports.firmware import firmware_parameters
+from hitchopt.drones.firmware import firmware_parameters
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.storage.yaml_file import read_yaml

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.replay import cable_pulls
-from hitchopt.hitch.flight_controller import ONE_MARKER
+from hitchopt.drones.controllers import ONE_MARKER
 from hitchopt.lab.flights.recordings import RecordedFlight, Signal, Track
 from hitchopt.lab.simulation.estimator import Filter
 from hitchopt.values import Array

@@ -12,7 +12,7 @@ from refusals import Refusal, assert_refused
 
 import hitchopt as ho
 from hitchopt import Arena, ConvexPolygon, Hitch, InfeasibleError, Limits, Separation
-from hitchopt.hitch.quadrotor import MODELS, Quadrotor
+from hitchopt.drones.quadrotor import MODELS, Quadrotor
 from hitchopt.hitch.team import Assignment, Swarm, Team
 from hitchopt.planners.forming import SwapSettings
 

@@ -20,10 +20,7 @@ from scipy.spatial.transform import Rotation
 from scripted import hanging_task, regular_hitch, resting_task
 
 import hitchopt as ho
-from hitchopt.errors import InputError
-from hitchopt.geometry.vectors import axial_vector, cross_product, skew_matrix
-from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     CONTROLLERS,
     FIRMWARE,
     HELD,
@@ -32,6 +29,9 @@ from hitchopt.hitch.flight_controller import (
     FlightController,
     stiffest_gains,
 )
+from hitchopt.errors import InputError
+from hitchopt.geometry.vectors import axial_vector, cross_product, skew_matrix
+from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import flown_team, received, resolved
 from hitchopt.lab.simulation.estimator import (

@@ -12,10 +12,10 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.drones.controllers import HELD
 from hitchopt.errors import FileError, InputError, UnsupportedError
 from hitchopt.exports.contents import PLAN_COPY
 from hitchopt.exports.format import format_of
-from hitchopt.hitch.flight_controller import HELD
 from hitchopt.lab.simulation.commands import flown_gains, flown_team, resolved, streamed
 from hitchopt.lab.simulation.exported import (
     BEFORE,

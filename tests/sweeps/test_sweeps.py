@@ -19,8 +19,8 @@ from click.testing import CliRunner
 
 import hitchopt as ho
 from hitchopt.cli import main
+from hitchopt.drones.controllers import Gains
 from hitchopt.errors import FileError
-from hitchopt.hitch.flight_controller import Gains
 from hitchopt.lab.simulation.settings import (
     CALM,
     DRONES,

@@ -37,6 +37,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.controllers import UNSTATED_LATENCY
+from hitchopt.drones.firmware import CONTROLLER_NUMBERS
 from hitchopt.errors import FileError, InfeasibleError, Violation
 from hitchopt.exports.contents import (
     NOTE,
@@ -46,7 +48,7 @@ from hitchopt.exports.contents import (
     separator_findings,
     warning,
 )
-from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, team_parameters
+from hitchopt.exports.firmware import SETTINGS, team_parameters
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions
 from hitchopt.exports.parts import cut_into_parts
@@ -60,7 +62,6 @@ from hitchopt.exports.refit import (
     round_points,
 )
 from hitchopt.hitch import Team
-from hitchopt.hitch.flight_controller import UNSTATED_LATENCY
 from hitchopt.motion.flight import Flight
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import file_bytes
@@ -77,7 +78,7 @@ class CrazyflieFormat(Format):
     """A format of trajectories for upload into a Crazyflie's memory."""
 
     frames = ("enu", "nwu")
-    controllers = tuple(CONTROLLERS)
+    controllers = tuple(CONTROLLER_NUMBERS)
     has_gains = True
     feed_forward = (
         "not in these files: the on-board controller has no model of the cable; setpoints that "

@@ -33,7 +33,7 @@ import numpy as np
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.errors import FileError, InfeasibleError
 from hitchopt.exports.contents import FileContents, present_columns, separator_findings
-from hitchopt.exports.firmware import px4_notes, px4_parameters
+from hitchopt.exports.firmware import px4_notes, px4_team_parameters
 from hitchopt.exports.format import ExportTask, Format, FormatOutput
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Team
@@ -83,7 +83,7 @@ class MavsdkDroneShow(Format):
 
     def parameters(self, team: Team, options: ExportOptions) -> Mapping[str, Any]:
         """Return the PX4 parameters of all drones, by name in the plan."""
-        return {"parameters": px4_parameters(team, options.stiffness, options.damping)}
+        return {"parameters": px4_team_parameters(team, options.stiffness, options.damping)}
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the rows of all drones; raises InfeasibleError if they cannot take off."""

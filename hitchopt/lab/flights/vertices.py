@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.special import stdtrit
 
+from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import cross, left_of, length, unit
-from hitchopt.hitch.quadrotor import GRAVITY
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.flights.recordings import Track, plan_at, taut_at
 from hitchopt.lab.simulation.task import TeamTask

@@ -16,14 +16,14 @@ drones are assumed to be scaled with inertia. Motors lag individually.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 
+from hitchopt.drones.controllers import FlightController
+from hitchopt.drones.firmware import attitude_loop
 from hitchopt.geometry.vectors import axial_vector, cross_product, length
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import FlightController
 from hitchopt.lab.simulation.control import ARM, MOMENT_SHARES, UP, PositionGains, desired_attitudes
 from hitchopt.lab.simulation.estimator import RATE, READINGS, Estimator
 from hitchopt.lab.simulation.settings import MOTOR_LAG
@@ -44,26 +44,6 @@ MAX_SPEED = 1.1  # Largest velocity setpoint of pid for an offset, along an axis
 
 # Signs of the moments about the body's axes by motors in an X configuration
 MOMENT_SIGNS = np.array([[-1, -1, -1], [-1, 1, 1], [1, 1, -1], [1, -1, 1]], dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class AttitudeGains:
-    """Gains of an attitude loop over the moments of inertia; pairs are tilt and yaw."""
-
-    stiffness: tuple[float, float]  # of an angle [1/s²]
-    damping: tuple[float, float]  # of a rate [1/s]
-    lead: float = 0.0  # of an angular acceleration
-    integral: tuple[float, float] = (0.0, 0.0)  # of the integral of an angle [1/s³]
-
-
-# Gains of the firmware over a Crazyflie's moments of inertia, 1.66e-5 and 2.93e-5 kg m²; a motor
-# has 1.9 µN per unit of its command, 3.25 cm from the axes. The rate loop of px4 is a typical one
-ATTITUDES: Mapping[str, AttitudeGains] = {
-    "mellinger": AttitudeGains((1040.0, 228.0), (149.0, 22.8), 1.49),
-    "lee": AttitudeGains((422.0, 273.0), (69.4, 68.4), 0.0, (1810.0, 1025.0)),
-    "pid": AttitudeGains((636.0, 78.0), (106.0, 13.0), 1.06, (318.0, 13.0)),
-    "px4": AttitudeGains((130.0, 28.0), (20.0, 10.0)),
-}
 
 
 def per_axis(loops: Sequence[FlightController], name: str) -> Array:
@@ -97,7 +77,7 @@ class Autopilots:
         self.gains = PositionGains(self._kp, self._kd, self._ki, feed_forward)
         self._feed_forward = feed_forward[:, None]
         self._tilt = np.array([loop.max_tilt for loop in loops])[:, None]
-        gains = ATTITUDES[self._name]
+        gains = attitude_loop(self._name)
         pairs = [gains.stiffness, gains.damping, (gains.lead, 0.0), gains.integral]
         self._attitude_gains = np.array(pairs)[:, [0, 0, 1]]
         self._integrates_attitudes = any(gains.integral)

@@ -9,12 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError, InputError
-from hitchopt.exports.exporting import Export, export_flight
-from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
-from hitchopt.exports.options import ExportOptions
-from hitchopt.hitch import Quadrotor, Team
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     CONTROLLERS,
     HELD,
     STOCK,
@@ -22,6 +17,11 @@ from hitchopt.hitch.flight_controller import (
     Gains,
     latency_scale,
 )
+from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.exports.exporting import Export, export_flight
+from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
+from hitchopt.exports.options import ExportOptions
+from hitchopt.hitch import Quadrotor, Team
 from hitchopt.lab.simulation.settings import DRONES, ESTIMATORS, IDEAL, Settings
 from hitchopt.lab.simulation.task import RATE, Commands, Received, Task, TeamTask
 from hitchopt.motion.flight import Flight

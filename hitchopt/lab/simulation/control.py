@@ -24,10 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from hitchopt.drones.quadrotor import MEASURED, Quadrotor, kinds_of
 from hitchopt.errors import FileError, InputError
 from hitchopt.geometry.vectors import axial_vector, cross_product, left_of, length, unit
 from hitchopt.hitch import GRAVITY, Team
-from hitchopt.hitch.quadrotor import MEASURED, Quadrotor, kinds_of
 from hitchopt.lab.feedback import Feedback
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task

@@ -18,9 +18,9 @@ from math import floor, isfinite, pi, sqrt, tan
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from hitchopt.drones.controllers import EstimatorParameters
 from hitchopt.geometry.vectors import axial_vector, cross_product, dot, length, skew_matrix
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import EstimatorParameters
 from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
 

@@ -17,18 +17,19 @@ from typing import Any
 
 import numpy as np
 
-from hitchopt.errors import FileError, InputError, UnsupportedError
-from hitchopt.exports.contents import MANIFEST, PLAN_COPY, listed_names, read_manifest
-from hitchopt.exports.firmware import CONTROLLERS, SETTINGS, mapping_at
-from hitchopt.exports.format import Format, format_of
-from hitchopt.exports.formats.crazyflie import LANDED, CrazyflieFormat
-from hitchopt.exports.placing import ReferenceFrame
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     PX4_RANGES,
     EstimatorParameters,
     FlightController,
     Gains,
 )
+from hitchopt.drones.firmware import CONTROLLER_NUMBERS
+from hitchopt.errors import FileError, InputError, UnsupportedError
+from hitchopt.exports.contents import MANIFEST, PLAN_COPY, listed_names, read_manifest
+from hitchopt.exports.firmware import SETTINGS, mapping_at
+from hitchopt.exports.format import Format, format_of
+from hitchopt.exports.formats.crazyflie import LANDED, CrazyflieFormat
+from hitchopt.exports.placing import ReferenceFrame
 from hitchopt.lab.simulation.commands import (
     CURVE_RATES,
     PACKET_RATES,
@@ -323,7 +324,7 @@ def _controller(part: ExportedPart) -> str:
     if PX4_RANGES.keys() <= part.parameters[0].keys():
         return "px4"
     value = mapping_at(part.parameters[0], "stabilizer").get("controller")
-    return next((name for name, number in CONTROLLERS.items() if number == value), "")
+    return next((name for name, number in CONTROLLER_NUMBERS.items() if number == value), "")
 
 
 def _loops(part: ExportedPart, task: Task) -> tuple[FlightController, ...]:

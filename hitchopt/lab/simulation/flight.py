@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.controllers import EstimatorParameters, FlightController
 from hitchopt.errors import InfeasibleError, InputError, Progress, UnsupportedError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY
-from hitchopt.hitch.flight_controller import EstimatorParameters, FlightController
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
 from hitchopt.lab.simulation.commands import flown_team, received, resolved

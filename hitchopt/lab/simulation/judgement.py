@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
+from hitchopt.drones.controllers import Tube
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.flight_controller import Tube
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hitchopt.drones.controllers import Tube
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.flight_controller import Tube
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.flight import SimulatedFlight
 from hitchopt.lab.simulation.judgement import (

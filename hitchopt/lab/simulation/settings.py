@@ -11,8 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
-from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     CONTROLLERS,
     FIRMWARE,
     HELD,
@@ -20,6 +19,7 @@ from hitchopt.hitch.flight_controller import (
     EstimatorParameters,
     Gains,
 )
+from hitchopt.errors import InputError, OneLine
 from hitchopt.values import WORD, nonnegative
 from hitchopt.values.fields import (
     ANYTHING,

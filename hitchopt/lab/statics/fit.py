@@ -17,12 +17,12 @@ from typing import Annotated, Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from hitchopt.drones.quadrotor import Quadrotor, kinds_of
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.drawings import drawing_of_geometry, format_size, read_drawing
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.holding import SUGGESTIONS, Capacity, Grip, grip_capacity
-from hitchopt.hitch.quadrotor import Quadrotor, kinds_of
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject

@@ -14,12 +14,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hitchopt.drones.quadrotor import Quadrotor
 from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import cross, left_of, length, turn, unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip
-from hitchopt.hitch.quadrotor import Quadrotor
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Section, SolidObject
 from hitchopt.values import Array, Indices

@@ -11,8 +11,7 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InputError, OneLine
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     CONTROLLERS,
     TRACKING,
     FlightController,
@@ -21,6 +20,7 @@ from hitchopt.hitch.flight_controller import (
     Tube,
     stiffest_gains,
 )
+from hitchopt.errors import InputError, OneLine
 from hitchopt.values import (
     LIST,
     MAPPING,

@@ -11,13 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import hitchopt as ho
-from hitchopt.errors import InputError
-from hitchopt.hitch.flight_controller import (
+from hitchopt.drones.controllers import (
     CONTROLLERS,
     FlightController,
     Gains,
     stiffest_gains,
 )
+from hitchopt.errors import InputError
 
 RETUNED = {"kp": 4.75, "kd": 1.32, "ki": 0}
 
