@@ -32,7 +32,10 @@ ROWS: dict[str, tuple[Rows, ...]] = {
     "crossing": (*TAUT, teams.between_plans),
     "tension": (driver.jumps, cables.taut_cables),
     **dict.fromkeys(("span", "drawn"), (tying.free_cables,)),
-    "grip": (objects.gripped, cables.taut_cables),
+    "grip": (objects.gripped,),
+    "wrap": (objects.gripped,),
+    "bend": (cables.taut_cables,),
+    "passing": (tying.bent_cables,),
     **dict.fromkeys(("hinge", "support"), (objects.hinged,)),
 }
 """Functions of ``verify`` that have the rows of a limit."""

@@ -392,9 +392,14 @@ def _show_verified(path: Path) -> None:
                 progress(f"checked: {row.name}")
     except UnreadableError as error:
         raise _unverifiable(path, error) from error
-    heads = ["check", "worst", "limit", "unit", "where", "when"]
-    heads += ["verdict"] * any(row.verdict != "proven" for row in rows)
-    content = [dict(zip(heads, cells(row), strict=False)) for row in rows]
+    heads = ["check", "worst", "with errors", "limit", "unit", "where", "when", "verdict"]
+    content = [dict(zip(heads, cells(row), strict=True)) for row in rows]
+    for head, is_shown in (
+        ("with errors", any(row["with errors"] for row in content)),
+        ("verdict", any(row.verdict != "proven" for row in rows)),
+    ):
+        if not is_shown:
+            content = [{key: row[key] for key in row if key != head} for row in content]
     say(f"{table('Limits', content)}\n\n{verdict(rows)}", verified=[row._asdict() for row in rows])
     if any(row.verdict not in PASSING for row in rows):
         exit_infeasible()

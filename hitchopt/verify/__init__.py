@@ -14,8 +14,9 @@ proven``).
 Rounding: a polynomial has an error of ``2**-48`` of its coordinates, its k-th derivative one of
 ``2**-48 2^k N!/(N-k)! / h^k`` of its largest difference of consecutive coefficients (degree N,
 duration h of a piece). As in the certificate, the tolerance of a limit is 1e-9 of the largest of
-itself and the coordinates. With ``limits.tracking``, distances are larger by the effect of tracking
-errors of all drones. Excluded are ``stoppable`` and ``survivable``, and the tracking radius unless
+itself and the coordinates. With ``limits.tracking``, distances are proven twice: of the plan, as in
+the certificate, and with the tracking errors of all drones, which bound ``tracking_radius``.
+Excluded are ``stoppable`` and ``survivable``, and the tracking radius unless
 it is limited.
 """
 

@@ -60,7 +60,8 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove(*p.crossing_limit, pairs, lambda s, i, j: near(s.segment(i), s.segment(j)))
     speed = "vertex_speed m/s max", lim["vertex_speed"]
     yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())
-    yield prove("legs m min", lim["leg"], legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
+    least = lim["leg"] + 2.0 * p.tracking  # vertices may be off as far as drones
+    yield prove("legs m min", least, legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
     yield prove("cable_length 1 max", 1e-4, cables, length_error)
     yield prove("equilibrium 1 max", 5e-3, clasps, force_residual)
     closed = clasps.select(p.state[clasps.piece] == "hitched")
@@ -68,13 +69,13 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     if p.weight or np.any(p.load) or np.any(p.active):
         yield prove("contact 1 max", 0.0, closed, contact)
     yield prove("convexity deg min", 0.0, clasps, exterior_angle)
-    yield prove("convexity turn min", 0.0, Spans.of(p, p.formed, [0], ["outline"]), turn_margin)
+    yield prove("outline_turn deg min", 0.0, Spans.of(p, p.formed, [0], ["outline"]), turn_margin)
     yield prove("tension N max", 1e-4, cables, range_excess)
     if p.frictional:
         yield prove("equilibrium 1 max", 5e-3, legs, friction_excess)
     if p.has_contacts:
         straight = Spans.of(p, on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
-        yield prove("grip bend max", 2 * WRAP_TOL, straight, bend)
+        yield prove("bend 1 max", 2 * WRAP_TOL, straight, bend)
 
 
 def friction_excess(s: Spans, i: Index) -> Line:

@@ -30,6 +30,10 @@ JUMP = 0.01  # [m] largest jump of curves that are a plan
 STATED = "not recomputed"  # rules of the user, whose formulas are not in the file
 NO_LIMIT = "no limit"  # height above z = 0, which is only the ground if there is an arena
 PASSING = {"proven", NO_LIMIT, STATED}  # verdicts that do not fail
+ORDER = "violated", "not proven", "proven"  # of verdicts, the worst first
+# Rows that tracking errors of drones change
+DISTANCES = "separation", "cable_clearance", "crossing", "object_clearance", "keep_out", "downwash"
+ERRING = frozenset({*DISTANCES, "arena", "ground", "legs", "span"})
 
 
 def jumps(p: Plan, *, rests: bool = False) -> Iterator[Row]:
@@ -185,14 +189,20 @@ def hopeless(p: Plan) -> Iterator[Row]:
 
 def plan_rows(p: Plan) -> Iterator[Row]:
     """Yield the rows of all checks, several for some limits."""
-    taut = (taut_cables,) if np.any(p.taut) else ()
-    bent = (bent_cables,) if np.any(p.bent) else ()
-    for check in (consistency, drones, *taut, *bent, *((free_cables,) if p.n else ())):
-        yield from check(p)
-    of_bodies = resting, gripped, hinged, clear_objects, clear_held
-    for check_of, b in product(of_bodies, range(len(p.bodies))):
+    yield from (*consistency(p), *distances(p))
+    for check_of, b in product((resting, gripped, hinged, clear_held), range(len(p.bodies))):
         yield from check_of(p, b)
     yield from (*jumps(p), *interlacing(p), *vertex_errors(p))
+
+
+def distances(p: Plan) -> Iterator[Row]:
+    """Yield the rows of drones, cables and objects, with all distances."""
+    taut = (taut_cables,) if np.any(p.taut) else ()
+    bent = (bent_cables,) if np.any(p.bent) else ()
+    for check in (drones, *taut, *bent, *((free_cables,) if p.n else ())):
+        yield from check(p)
+    for b in range(len(p.bodies)):
+        yield from clear_objects(p, b)
 
 
 def stated_rules(p: Plan) -> Iterator[Row]:
@@ -213,42 +223,66 @@ def verify(path: str | Path) -> Iterator[Row]:
 
 def proofs(own: Sequence[Plan], others: Sequence[Plan]) -> Iterator[Row]:
     """Yield a row for every limit of the plans of teams, next to other plans."""
-    order = "violated", "not proven", "proven"
     if rows := [row for p in own for row in hopeless(p)]:
         yield from {row.name: row for row in rows}.values()
         return
-    rows = [row for p in own for row in (*requested(p), *plan_rows(p))]
+    exact = [p.without_errors() for p in own]
+    rows = [row for p in exact for row in (*requested(p), *plan_rows(p))]
     if len(own) + len(others) > 1:
         rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
         rows += (row for row in rests if row.name == "continuity")
+    rows += between_teams(exact, others, (0.0, 0.0))
+    tube = max(p.tube[0] for p in own), max(p.tube[1] for p in own)
+    of_errors = list[Row]()
+    if tube[0]:
+        of_errors = [row for p in own for row in distances(p.proving(ERRING))]
+        of_errors += between_teams(own, others, tube)
+    errors = {row.name: row for row in worst_rows(of_errors)}
+    for row in worst_rows(rows):
+        erring = errors.get(row.name)
+        worst = row if erring is None else with_errors(row, erring)
+        passes = worst.name != "ground" or worst.verdict == "proven"
+        yield worst if passes else worst._replace(verdict=NO_LIMIT)
+
+
+def between_teams(
+    own: Sequence[Plan], others: Sequence[Plan], tube: tuple[float, float]
+) -> Iterator[Row]:
+    """Yield the rows of distances between teams, and to other plans, with errors of drones [m]."""
     keys = own[0].settings["separation"]
-    off = max(p.tube[0] for p in own), max(p.tube[1] for p in own)
     wide = {key: max(p.settings["separation"][key] for p in own) for key in keys}
     for p, q in combinations([*own, *others], 2):
         if p in own:
-            one, two = Pair(p, q, wide, off), Pair(q, p, wide, off)
-            rows += [*between_plans(one), *object_distances(one), *object_distances(two)]
-    rows = [row for row in rows if row.samples]
-    for name, unit in dict.fromkeys((row.name, row.unit) for row in rows):
-        same = [row for row in rows if (row.name, row.unit) == (name, unit)]
-        sign = 1.0 if same[0].sense == "min" else -1.0
+            one, two = Pair(p, q, wide, tube), Pair(q, p, wide, tube)
+            yield from (*between_plans(one), *object_distances(one), *object_distances(two))
 
-        def rank(row: Row, sign: float = sign) -> tuple[int, float]:  # limits of teams may differ
-            return order.index(row.verdict), sign * (row.worst - row.limit) / abs(row.limit or 1.0)
 
-        worst = min(same, key=rank)
-        verdict = NO_LIMIT if name == "ground" and worst.verdict != "proven" else worst.verdict
-        yield worst._replace(verdict=verdict, samples=sum(row.samples for row in same))
+def worst_rows(rows: Sequence[Row]) -> Iterator[Row]:
+    """Yield the worst row of every quantity; limits of teams and drones may differ."""
+    proven = [row for row in rows if row.samples]
+    for quantity in dict.fromkeys((row.name, row.unit) for row in proven):
+        same = [row for row in proven if (row.name, row.unit) == quantity]
+        worst = min(same, key=lambda row: (ORDER.index(row.verdict), -row.excess))
+        yield worst._replace(samples=sum(row.samples for row in same))
+
+
+def with_errors(row: Row, erring: Row) -> Row:
+    """Return a row with the value that tracking errors leave, and the worse verdict of both.
+
+    Errors widen some limits, and shorten other distances: the value is as far from the row's limit.
+    """
+    verdict = min(row.verdict, erring.verdict, key=ORDER.index)
+    value = row.limit + erring.worst - erring.limit
+    return row._replace(verdict=verdict, with_errors=value, samples=row.samples + erring.samples)
 
 
 def cells(row: Row) -> tuple[str, ...]:
-    """Return cells of a row: check, worst, limit, unit, place, time and verdict."""
-    shape, sense = row.unit in ("turn", "wrap", "bend"), "≥" if row.sense == "min" else "≤"
-    name, unit = (f"{row.name} ({row.unit})", "") if shape else (row.name, row.unit.strip("1"))
+    """Return cells of a row: check, worst, with errors, limit, unit, place, time and verdict."""
     worst = "–" if np.isnan(row.worst) else f"{row.worst:.5g}"
-    limit = f"{sense} {row.limit:.4g}"
+    erring = "" if np.isnan(row.with_errors) else f"{row.with_errors:.5g}"
+    limit = f"{'≥' if row.sense == 'min' else '≤'} {row.limit:.4g}"
     when = "" if row.verdict == STATED else f"{row.time:.3f} s"
-    return name, worst, limit, unit, row.where, when, row.verdict
+    return row.name, worst, erring, limit, row.unit.strip("1"), row.where, when, row.verdict
 
 
 def verdict(rows: Sequence[Row]) -> str:
@@ -272,7 +306,7 @@ def main(arguments: Sequence[str]) -> int:
     try:
         for row in verify(arguments[0]):
             rows.append(row)
-            sys.stdout.write("{:16} {:>10} {:8} {:5} {:16} {:>9} {}\n".format(*cells(row)))
+            sys.stdout.write("{:16} {:>10} {:>11} {:8} {:5} {:16} {:>9} {}\n".format(*cells(row)))
     except UnreadableError as error:
         sys.stderr.write(f"{arguments[0]}: not a plan, or a damaged one: {error}\n")
         return 2

@@ -35,8 +35,10 @@ def drones(p: Plan) -> Iterator[Row]:
     for k, header in enumerate(("speed m/s max", "acceleration m/s² max", "jerk m/s³ max"), 1):
         limit = lim[header.split()[0]] * (lim["reserve"] if k > 1 else 1.0)  # reserved for stops
         yield prove(header, limit, s, lambda s, i, k=k: s.point(i, k).norm())
-    share, tilt = 1.0 / p.max_thrust, lim["tilt"] * DEGREES
-    yield prove("thrust share max", 1.0, s, lambda s, i: thrust(s, i).norm() * share[i])
+    for most in np.unique(p.max_thrust).tolist():  # drones of one kind have one limit
+        kind = Spans.of(p, p.all_pieces, np.flatnonzero(p.max_thrust == most), p.names)
+        yield prove("thrust N max", most, kind, lambda s, i: thrust(s, i).norm())
+    tilt = lim["tilt"] * DEGREES
     yield prove("tilt deg max", tilt, s, lambda s, i: angle(thrust(s, i), s.zero + UP) * DEGREES)
     if lim["body_rate"] is not None:
         yield prove("body_rate deg/s max", lim["body_rate"] * DEGREES, s, turning)

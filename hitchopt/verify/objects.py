@@ -248,9 +248,9 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
     slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
     yield prove("grip 1 min", 1.5, Spans.of(p, on & slides, [0], [body.name]), grip_ratio)
     yield prove("equilibrium 1 max", 5e-3, Spans.of(p, on, [0], [body.name]), residual)
-    yield prove("grip wrap max", 3 * WRAP_TOL, Spans.of(p, on, cables, p.cables), wrap_error)
+    yield prove("wrap m max", 3 * WRAP_TOL, Spans.of(p, on, cables, p.cables), wrap_error)
     yield prove(
-        "grip wrap max", CONTACT_TOL, Spans.of(p, on & p.active[b], [0], [body.name]), rotation
+        "wrap m max", CONTACT_TOL, Spans.of(p, on & p.active[b], [0], [body.name]), rotation
     )
 
 
@@ -282,6 +282,6 @@ def hinged(p: Plan, b: int) -> Iterator[Row]:
 
     loaded = held & np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
     clasps = Spans.of(p, loaded, range(p.n), p.labels[p.V])
-    yield prove("hinge m min", HINGE + p.tracking * p.ratio, clasps, hinge)
+    yield prove("hinge m min", HINGE + max(p.tube), clasps, hinge)
     standing = held & p.bent & (not body.fixed)
     yield prove("support m min", 0.0, Spans.of(p, standing, [0], [body.name]), foot)

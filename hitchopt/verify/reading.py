@@ -6,7 +6,8 @@ import json
 import math
 import re
 import unicodedata
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
+from copy import copy
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -158,6 +159,7 @@ class Plan:
     """
 
     erring_bodies = 1  # of drones and what is below them: objects that stand have no errors
+    only: Set[str] = frozenset()  # names of the rows to prove; empty for all
     asked: dict[str, Any] = {}  # noqa: RUF012  # of the problem: the sections of this team alone
     stated: Sequence[dict[str, Any]] = ()  # rules of the user, whose formulas are not in the file
 
@@ -189,13 +191,13 @@ class Plan:
             return np.asarray(ends[:, self.drone].reshape(x.shape))
         return x
 
-    def _set_distances(self, separation: dict[str, float], tube: tuple[float, float]) -> None:
-        """Set minimum distances, widened by horizontal and vertical tracking errors [m].
+    def set_distances(self, separation: dict[str, float], tube: tuple[float, float]) -> None:
+        """Set minimum distances, widened by horizontal and vertical errors of drones [m].
 
         Where heights are divided by ``ratio`` of the errors, errors are within a ball, and no
         distance is longer.
         """
-        self.sep, self.tube, (error, height) = dict(separation), tube, tube
+        self.sep, (error, height) = dict(separation), tube
         self.tracking, self.ratio = error, max(1.0, height / error) if error else 1.0
         self.scale = 0.5 / self._semi_axes(separation, error)
         for key, factor in (("radius", 1.0), ("cable", 2.0), ("crossing", 2.0), ("object", 1.0)):
@@ -206,6 +208,18 @@ class Plan:
         names = "cable_clearance", "crossing", "object_clearance"
         limits = ((f"{x} m min", max(float(self.sep[x.split("_")[0]]), MIN_GAP)) for x in names)
         self.cable_limit, self.crossing_limit, self.object_limit = limits
+
+    def without_errors(self) -> Plan:
+        """Return the plan of drones without tracking errors."""
+        plan = copy(self)
+        plan.set_distances(self.settings["separation"], (0.0, 0.0))
+        return plan
+
+    def proving(self, names: Set[str]) -> Plan:
+        """Return the plan of which only some rows are proven."""
+        plan = copy(self)
+        plan.only = names
+        return plan
 
     def _semi_axes(self, separation: dict[str, float], error: float) -> Array:
         """Return those of the ellipsoid that contains a drone's one and a ball of errors.
@@ -219,8 +233,8 @@ class Plan:
     def _read(self, s: dict[str, Any]) -> None:
         team, self.breaks, self.phases = s["team"], self.file[f"{self.folder}breaks"], s["phases"]
         self.limits, self.arena, label = dict(s["limits"]), s["arena"], self.label
-        self._set_distances(s["separation"], tube_of(self.limits["tracking"]))
-        self.limits["leg"] += 2.0 * self.tracking  # vertices may be off as far as drones
+        self.tube = tube_of(self.limits["tracking"])
+        self.set_distances(s["separation"], self.tube)
         self.h, self.n = np.diff(self.breaks), int(team.get("robots", 0))
         m, n, self.closed = len(self.h), self.n, team.get("topology") == "closed"
         N, P = 2 * n or int(team["drones"]), n if self.closed else n + (n > 0)

@@ -35,7 +35,10 @@ DEPTH = 46  # halvings
 
 
 class Row(NamedTuple):
-    """Verdict on a limit: the worst sampled value, its time [s] and place."""
+    """Verdict on a limit: the worst sampled value, its time [s] and place.
+
+    ``with_errors`` is the worst value as tracking errors may change it; nan if they do not.
+    """
 
     name: str
     unit: str
@@ -46,6 +49,13 @@ class Row(NamedTuple):
     time: float
     where: str
     samples: int
+    with_errors: float = math.nan
+
+    @property
+    def excess(self) -> float:
+        """Return the excess of the worst value over its limit, relative or over a limit of 0."""
+        sign = 1.0 if self.sense == "max" else -1.0
+        return sign * (self.worst - self.limit) / abs(self.limit or 1.0)
 
 
 class Spans:
@@ -239,6 +249,8 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
     and the columns of their items.
     """
     name, unit, sense = header.split()
+    if s.plan.only and name not in s.plan.only:
+        return Row(name, unit, "not proven", math.nan, limit, sense, math.nan, "", samples=0)
     sign = 1.0 if sense == "min" else -1.0
     target = sign * limit - TOLERANCE * max(abs(limit), s.plan.size if unit == "m" else 0.0)
     worst, time, where, verdict, samples, depth = math.inf, 0.0, "", "proven", 0, 0

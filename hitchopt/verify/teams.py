@@ -32,7 +32,7 @@ class Pair(Plan):
         breaks = np.concatenate([p.breaks, q.breaks])
         self.breaks = np.unique(breaks)
         self.h = np.diff(self.breaks)
-        self._set_distances(separation, tube)
+        self.set_distances(separation, tube)
 
     def pieces(self, time: Array) -> Iterator[Items]:
         """Yield pieces of each plan at times (m,), the first or last one beyond its duration."""

@@ -90,8 +90,8 @@ def bent_cables(p: Plan) -> Iterator[Row]:
         return minimum(*gaps)
 
     yield prove("equilibrium 1 max", 5e-3, legs, residual)
-    yield prove("crossing m min", MIN_GAP, both, opposite)
-    yield prove("crossing m min", SAG_TOL, both, apart)
+    yield prove("passing m min", MIN_GAP, both, opposite)
+    yield prove("passing m min", SAG_TOL, both, apart)
     cable, parts = p.segments[:, 2], p.segment_names
     pairs = np.argwhere((cable[:, None] == 0) & (cable == 1))
     loose = Spans.of(p, p.bent & ~np.any(p.held, axis=0), pairs, parts, parts)

@@ -37,7 +37,10 @@ SLOW = (
     *("carry_tray", "grip_drum", "tie_carry_untie", "roll_32_gon", "form_triangle", "open_arc"),
     *("form_twelve_gon", "lay_triangle"),
 )
-OWN = {"request", "consistency", "cable_loops", "contact", "penetration", "rim", "ground", "laid"}
+OWN = {
+    *("request", "consistency", "cable_loops", "contact", "penetration", "rim", "ground", "laid"),
+    *("outline_turn", "bend", "wrap", "passing", "drawn"),
+}
 """Limits that the certificate counts to others, or to infinity where they are broken."""
 
 PROVEN = "proven: every limit holds at all times"
@@ -54,23 +57,49 @@ def saved(name: str, folder: Path) -> ho.Plan:
 )
 def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
     plan = saved(name, tmp_path)
-    rows = [row for row in second.verify(tmp_path) if row.unit not in ("turn", "wrap", "bend")]
+    rows = [*second.verify(tmp_path)]
     assert {row.verdict for row in rows} == {"proven"}
     found = {row.name: row for row in rows}
     for check in plan.certificate.checks:
         if check.name in {"tracking_radius", "vertex_error", "stoppable"} or not check.is_evaluated:
             continue
-        row = found.pop(check.name)
-        worst = row.worst * (check.limit or 1.0) if row.unit == "share" else row.worst
-        widened = row.limit != check.limit or check.name in {"separation", "span"}
-        if plan.flight.requirements.limits.tracking and widened and row.unit != "share":
-            sign = 1.0 if check.sense == "min" else -1.0  # by errors of drones
-            assert sign * row.worst <= sign * check.worst + 0.02 * abs(check.worst)
-            continue
+        row, limit = found.pop(check.name), check.number
+        assert (row.unit, row.sense) == (check.unit, check.sense)
+        assert row.limit == pytest.approx(limit, rel=1e-12)
         jumps = check.name == "downwash"  # as a body passes the height of a drone
         share = 0.002 if name in GROUPS and not jumps else 0.02
-        assert worst == pytest.approx(check.worst, rel=share, abs=share * (check.limit or 1e-3))
+        worst = pytest.approx(check.worst, rel=share, abs=share * (limit or 1e-3))
+        assert row.worst == worst
+        erring = plan.flight.requirements.limits.tracking and check.name in driver.ERRING
+        assert np.isnan(row.with_errors) is not bool(erring)
+        if erring:
+            sign = 1.0 if check.sense == "min" else -1.0
+            assert sign * limit <= sign * row.with_errors < sign * row.worst
     assert found.keys() <= OWN
+
+
+def test_errors_stand_in_a_column_of_their_own(tmp_path: Path) -> None:
+    """Both bodies of a distance err; cables are as long as chords that are longer at both ends."""
+    error, polygon = 0.02, [[0, -0.8], [-0.4, 0.5], [0.4, 0.5]]
+    start = ho.Hitch.spread(
+        ho.Team(robots=3, cable_length=2.4), [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0
+    )
+    arena = ho.Arena([-4, -4, -9], [4, 4, 9])
+    limits = ho.Limits(tracking=error)
+    plan = ho.morph(start, polygon, limits=limits, arena=arena)
+    plan.save(tmp_path, rate=10.0, picture=False)
+    rows = {row.name: row for row in second.verify(tmp_path)}
+    for name, change in (("cable_clearance", 2.0), ("crossing", 2.0), ("legs", 2.0)):
+        row, check = rows[name], plan.certificate[name]
+        assert row.limit == pytest.approx(check.limit, rel=1e-12)
+        assert row.worst == pytest.approx(check.worst, rel=0.02)
+        assert row.with_errors == pytest.approx(row.worst - change * error, abs=2e-3)
+    assert rows["separation"].worst == pytest.approx(plan.certificate["separation"].worst, rel=0.02)
+    assert 1.0 <= rows["separation"].with_errors < rows["separation"].worst
+    assert rows["arena"].with_errors == pytest.approx(rows["arena"].worst - error, abs=2e-3)
+    others = [row for row in rows.values() if row.name not in driver.ERRING]
+    assert np.all(np.isnan([row.with_errors for row in others]))
+    assert "with errors" in CliRunner().invoke(main, ["verify", str(tmp_path)]).output
 
 
 @pytest.mark.parametrize("factor", [0.6, 1.6])
@@ -260,7 +289,7 @@ def test_lowest_points_of_hanging_cables_are_found_exactly(length: float) -> Non
 )
 def test_what_stays_undecided_is_not_proven(limit: float, verdict: str) -> None:
     """A parabola touches the limit of zero, so that no width of spans decides."""
-    plan: Any = SimpleNamespace(h=np.ones(1), breaks=np.arange(2.0))
+    plan: Any = SimpleNamespace(h=np.ones(1), breaks=np.arange(2.0), only=())
     line = np.linspace(-0.3, 0.7, 6)
     plan.points = Curve(np.tile(line, (1, 1, 3, 1)), plan.h)
     first = np.zeros(1, dtype=int)
