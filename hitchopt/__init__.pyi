@@ -21,7 +21,7 @@ from hitchopt.lab.flights.readers import read_flight as read_flight
 from hitchopt.lab.simulation.report import simulate as simulate
 from hitchopt.lab.statics.calibrate import calibrate as calibrate
 from hitchopt.lab.statics.equilibrium import equilibrium as equilibrium
-from hitchopt.lab.statics.fit import fit as fit
+from hitchopt.outline_fit import fit as fit
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
 from hitchopt.lab.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
 from hitchopt.live.player import Player as Player

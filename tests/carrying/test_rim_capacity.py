@@ -9,9 +9,9 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.hitch.requirements import Limits, Requirements
-from hitchopt.lab.statics.fit import fit
 from hitchopt.motion.loads import RIM_CUT
 from hitchopt.objects import Rim, Section
+from hitchopt.outline_fit import fit
 from hitchopt.planners.carrying.capacity import CUT_RESOLUTION, best_rim_hold, team_for_rim
 from hitchopt.planners.carrying.holds import RestHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw

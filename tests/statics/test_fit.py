@@ -18,7 +18,7 @@ from hitchopt.cli import main
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.statics.files import save_fit
-from hitchopt.lab.statics.fit import Holding
+from hitchopt.outline_fit import Holding
 from hitchopt.planners.fitting import (
     enclosing_polygon,
     fitting_lengths,

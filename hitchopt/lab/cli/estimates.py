@@ -345,7 +345,7 @@ def _rest_tables(calibration: Calibration) -> list[str]:
 
 def _fit_options() -> Sequence[click.Option]:
     """Return the option for the object and the team of a fit."""
-    from hitchopt.lab.statics.fit import FitTask
+    from hitchopt.outline_fit import FitTask
     from hitchopt.values.fields import keys_of
 
     task, quadrotor = keys_of(FitTask), keys_of(ho.Quadrotor)

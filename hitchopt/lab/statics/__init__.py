@@ -1,1 +1,1 @@
-"""Statics: hitches at rest, teams calibrated from recordings, and hitches fitted to objects."""
+"""Statics: hitches at rest, and teams calibrated from recordings."""

@@ -17,8 +17,8 @@ from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.holding import Grip
 from hitchopt.lab.statics.equilibrium import Equilibrium
-from hitchopt.lab.statics.fit import GRIP, REST, Fit
 from hitchopt.lab.statics.tolerance import Tolerance
+from hitchopt.outline_fit import GRIP, REST, Fit
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.view import style
 
