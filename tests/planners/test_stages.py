@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import hitchopt as ho
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.planners.timing.following import distances_from
+from hitchopt.planners.timing.timed_motion import fastest_motion, motion_by
+from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
 SQUARE = ho.regular_polygon(4, 1.2)
@@ -165,3 +171,68 @@ def test_paths_that_begin_slowly_are_timed(power: int) -> None:
 
     motion = ho.time(ho.Path.of(ho.Team(3, 2.4), slow))
     assert np.ptp(motion.vertices.at([0.0, motion.duration])[:, 0, 1]) == pytest.approx(0.1)
+
+
+def turning_triangle(amplitude: float, waves: int) -> Callable[[float], Array]:
+    """Return a function of s by which a triangle turns, and sways along a line in waves."""
+
+    def vertices(s: float) -> Array:
+        cosine, sine = np.cos(0.4 * s), np.sin(0.4 * s)
+        swayed: Array = ho.regular_polygon(3, 1.126).vertices @ [[cosine, sine], [-sine, cosine]]
+        return swayed + amplitude * np.sin(2.0 * np.pi * waves * s) * np.array([1.0, 0.3])
+
+    return vertices
+
+
+def distance_from(path: ho.Path, motion: ho.Motion) -> float:
+    """Return the largest distance [m] of vertices from the path, all at one s, at samples."""
+    shapes = path.vertices.at(np.linspace(0.0, 1.0, 20_001)).reshape(20_001, -1, 3)
+    t = np.random.default_rng(3).uniform(0.0, motion.duration, 300)
+    to_shapes = (np.max(np.linalg.norm(shapes - x, axis=-1), axis=1) for x in motion.vertices.at(t))
+    return max(float(np.min(distances)) for distances in to_shapes)
+
+
+@pytest.mark.parametrize(("amplitude", "waves"), [(0.05, 2), (0.004, 60), (0.001, 128)])
+def test_motions_follow_paths_that_sway(amplitude: float, waves: int) -> None:
+    path = ho.Path.of(ho.Team(3, 2.4), turning_triangle(amplitude, waves))
+    motion = ho.time(path)
+    assert ho.certify(motion).certified
+    assert distance_from(path, motion) < 1.1e-4
+
+
+def test_distances_from_a_path_are_upper_bounds_and_close() -> None:
+    """Of motions on fewer pieces than they need, which leave the path between breakpoints."""
+    path = ho.Path.of(ho.Team(3, 2.4), turning_triangle(0.02, 8))
+    _, clock = fastest_motion(path, Requirements())
+    for pieces in (6, 12, 24):
+        coarse = replace(clock, knots=np.linspace(0.0, clock.knots[-1], pieces + 1))
+        motion = motion_by(path, Requirements(), coarse)
+        progress = PiecewisePolynomial.through_jets(coarse.breaks, coarse.jets())
+        bounds = distances_from(path, motion, progress)
+        t = np.random.default_rng(pieces).uniform(0.0, motion.duration, 5000)
+        offsets = motion.vertices.at(t) - path.vertices.at(progress.at(t).clip(0.0, 1.0))
+        sampled = np.max(np.linalg.norm(offsets, axis=-1), axis=1)
+        piece = np.searchsorted(coarse.breaks, t) - 1
+        assert np.all(sampled <= bounds[piece])
+        assert np.max(bounds) < 1.5 * np.max(sampled) + 1e-3
+        assert np.max(bounds) > 1e-4
+
+
+def test_paths_that_turn_too_often_are_refused_where_they_do() -> None:
+    rng = np.random.default_rng(5)
+    knots = ho.regular_polygon(3, 1.126).vertices + rng.uniform(-0.01, 0.01, (12_000, 3, 2))
+    with pytest.raises(ho.InputError, match=r"path = 'left by .* m near s = 0\.\d+'.* or split it"):
+        ho.time(ho.Path.of(ho.Team(3, 2.4), knots))
+
+
+@pytest.mark.parametrize(
+    "vertices",
+    [
+        lambda s: TRIANGLE * (1.0 + 0.1 * s) + 0.05 * np.exp(-(((s - 0.5013) * 3000.0) ** 2)),
+        lambda s: TRIANGLE + 0.05 * np.sin(32_000.0 * np.pi * s),
+        lambda s: TRIANGLE * (np.nan if 0.7001 < s < 0.7012 else 1.0),
+    ],
+)
+def test_functions_that_differ_from_every_spline_are_refused(vertices: Any) -> None:
+    with pytest.raises(ho.InputError, match="vertices"):
+        ho.Path.of(ho.Team(3, 2.4), vertices)

@@ -88,6 +88,23 @@ def motion_along(
     InfeasibleError: ``duration`` is shorter than the limits permit.
     TimingError: no timing was found.
     """
+    return within_limits(fastest_motion(path, requirements).motion, duration)
+
+
+class ClockedMotion(NamedTuple):
+    """A motion along a path, and the clock that gives the path parameter over time."""
+
+    motion: Motion
+    clock: Clock
+
+
+def fastest_motion(path: FlatPath, requirements: Requirements) -> ClockedMotion:
+    """Return the fastest motion along a path; between samples it may exceed limits.
+
+    Raises
+    ------
+    TimingError: no timing was found.
+    """
     limits = requirements.limits
     demands = demands_along(path, limits, GRID)
     if limits.body_rate is not None:  # the body rate is about jerk over thrust per mass
@@ -100,10 +117,19 @@ def motion_along(
     while True:
         clock = first_clock(profile, ramp, time_mesh(profile, ramp, refinement))
         clock = jerk_limited(clock, lambda s: Demands.along(path, limits, s))
-        motion = _motion(path, requirements, clock)
+        motion = motion_by(path, requirements, clock)
         if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
-            break
+            return ClockedMotion(motion, clock)
         refinement *= 2
+
+
+def within_limits(motion: Motion, duration: float | None = None) -> Motion:
+    """Return a motion slowed down until its limits hold, or in a prescribed duration [s].
+
+    Raises
+    ------
+    InfeasibleError: ``duration`` is shorter than the limits permit.
+    """
     fastest = needed_stretch(motion) * motion.duration
     if duration is None:
         return in_duration(motion, max(fastest, MIN_DURATION))
@@ -111,7 +137,7 @@ def motion_along(
     return in_duration(motion, duration)
 
 
-def _motion(path: FlatPath, requirements: Requirements, clock: Clock) -> Motion:
+def motion_by(path: FlatPath, requirements: Requirements, clock: Clock) -> Motion:
     """Return the motion with the path's value and three derivatives at every breakpoint."""
     breaks = clock.breaks
     progress = clock.jets()
