@@ -176,16 +176,20 @@ def joint_error(errors: Sequence[InputError]) -> InputError:
 
 
 class UnitWarning(UserWarning):
-    """A value so unusual that its unit may be wrong, such as degrees for radians."""
+    """A value so unusual that its unit may be wrong, such as degrees for radians.
 
-    def __init__(self, key: str, words: str) -> None:
+    ``factor`` converts it from the unit that was probably meant; None if none is known.
+    """
+
+    def __init__(self, key: str, words: str, factor: float | None = None) -> None:
         self.key = key
         self.words = words
+        self.factor = factor
         super().__init__(f"{key}: {words}")
 
     def within(self, parent: str) -> UnitWarning:
         """Return the warning with its key prefixed by that of the enclosing mapping ``parent``."""
-        return UnitWarning(_nested_key(parent, self.key), self.words)
+        return UnitWarning(_nested_key(parent, self.key), self.words, self.factor)
 
 
 class FaultWarning(UserWarning):

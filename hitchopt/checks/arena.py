@@ -29,6 +29,7 @@ from hitchopt.checks.spans import (
 from hitchopt.errors import EXCHANGED
 from hitchopt.motion.loads import held_pieces
 from hitchopt.motion.motion import TAUT_STATES, HoldBy, Motion
+from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.search import worst
@@ -37,6 +38,12 @@ from hitchopt.values import Array, known
 EXPORTED_LIMIT = -1e-4
 """[m] Limit of exported curves, which may pass a wall by this distance, as for a drone at rest on
 the floor."""
+
+FLOOR = "arena.lower[2]"
+"""Key of the floor."""
+
+CEILING = "arena.upper[2]"
+"""Key of the ceiling."""
 
 FRACTIONS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 """Points along a span: the polygon through them, with the full sag at all inner ones, is below the
@@ -127,9 +134,14 @@ def _part_wall_gap(spans: Parts) -> Bound:
 
 
 def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
-    """Return the minimum distance of a held object to a wall or the ceiling [m]."""
+    """Return the minimum distance of a held object to a wall or the ceiling [m].
+
+    Objects that are fixed, such as columns, may touch both.
+    """
     cases = [WorstCase(math.inf, 0.0)]
     for name, body, pose in placed_objects(motion):
+        if body.fixed:
+            continue
         held = held_pieces(motion, name, HoldBy.REST) | held_pieces(motion, name, HoldBy.GRIP)
         for slab in body.slabs:
             corners = placed_corners(pose, slab)
@@ -147,18 +159,57 @@ def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
 ARENA_REMEDY = "enlarge the arena, or keep the hitch farther from its walls"
 
 
-def _arena_remedy(motion: Motion, _check: Check) -> str:
+def nearest_wall(motion: Motion, check: Check) -> str:
+    """Return the key of the wall nearest to what is at it in a check, such as ``arena.upper[2]``.
+
+    It is empty if the motion has no arena.
+    """
+    arena = motion.requirements.arena
+    if arena is None:
+        return ""
+    time = float(np.clip(check.time, *motion.drones.breaks[[0, -1]]))
+    names = motion.team.drone_names
+    named = [names.index(name) for name in check.where if name in names]
+    drones = motion.drones.at(time)
+    points = drones[named] if named else np.concatenate([drones, motion.vertices.at(time)])
+    for index, (name, body) in enumerate(motion.requirements.objects.items()):
+        if name in check.where:
+            points = _corners(body, motion.poses.at(time)[index])
+    gaps = np.stack([np.min(points, axis=0) - arena.lower, arena.upper - np.max(points, axis=0)])
+    side, axis = np.unravel_index(int(np.argmin(gaps)), gaps.shape)
+    return f"arena.{('lower', 'upper')[side]}[{axis}]"
+
+
+def _corners(body: SolidObject, pose: Array) -> Array:
+    """Return points (m, 3) [m] as far out as an object with a pose x, y, z, cosine, sine (5,)."""
+    x, y, z, cosine, sine = pose
+    corners = list[Array]()
+    for slab in body.slabs:
+        level = slab.section.core @ [[cosine, sine], [-sine, cosine]] + [x, y]
+        for reach in (-slab.section.rounding, slab.section.rounding):
+            for height in (slab.lower, slab.upper):
+                corners.append(np.insert(level + reach, 2, z + height, axis=1))
+    return np.concatenate(corners)
+
+
+def _arena_remedy(motion: Motion, check: Check) -> str:
     """Return the suggested change, and whether drones were inside with x and y exchanged."""
     arena = motion.requirements.arena
     if arena is None:
         return ""
+    wall = nearest_wall(motion, check)
+    change = f"move the wall outward ({wall}), or keep the hitch farther from it"
+    if wall == FLOOR:
+        change = "fly higher above the floor"
+    elif wall == CEILING:
+        change = f"raise the ceiling ({wall}), or fly lower"
     places = motion.drones.at(motion.drones.breaks)[..., :2]
 
     def are_inside(level: Array) -> bool:
         return bool(np.all((level >= arena.lower[:2]) & (level <= arena.upper[:2])))
 
     exchanged = not are_inside(places) and are_inside(places[..., ::-1])
-    return ARENA_REMEDY + EXCHANGED * exchanged
+    return change + EXCHANGED * exchanged
 
 
 ARENA = CheckRule(

@@ -377,10 +377,8 @@ TRACKING_RADIUS = ReportRule(
     "min",
     _radius,
     limit=lambda requirements: requirements.limits.tube.level or None,
-    remedy="use longer cables, larger polygons or stiffer gains, or set limits.tracking to a "
-    "smaller measured error",
-    free_remedy="place the robots farther apart and farther from objects, use stiffer gains, or "
-    "set limits.tracking to a smaller measured error",
+    remedy="use stiffer gains, or set limits.tracking to a smaller measured error",
+    free_remedy="",
     group="distances",
     key="limits.tracking",
     proves="the largest error [m] that all drones may have simultaneously without violating a "

@@ -5,8 +5,10 @@ A knob is a number of the problem that can be raised or lowered.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +18,7 @@ import numpy as np
 
 from hitchopt.checks.registry import RULE_OF_KEY, distances_of
 from hitchopt.drones.controllers import MIN_TRACKING, Tube, stiffest_gains
-from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
+from hitchopt.errors import InfeasibleError, InputError, OneLine, UnitWarning, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Quadrotor
 from hitchopt.hitch.requirements import Limits
@@ -37,7 +39,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.storage.yaml_file import split_key, with_value
 from hitchopt.values import Array
-from hitchopt.values.fields import keys_of, with_fields
+from hitchopt.values.fields import Key, keys_of, with_fields
 
 DIGITS = 3  # Number of significant digits of a suggested value
 
@@ -378,6 +380,56 @@ def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
     if isinstance(kind.tracking, Tube):
         values["tracking"] = vars(kind.tracking)
     return values
+
+
+def unit_change(problem: Problem) -> Change | None:
+    """Return the change of all values that seem to be in another unit; None without any."""
+    combined: Change | None = None
+    changed = problem
+    for place, record in _records(problem):
+        for name, declared in keys_of(type(record)).items():
+            value = _plain_numbers(declared.to_file(getattr(record, name)))
+            key = f"{place}.{declared.name}"
+            factor = None if value is None else _unit_factor(declared, key, value)
+            if factor is None:
+                continue
+            converted = np.round(np.multiply(value, factor), DECIMALS).tolist()
+            edits = (Edit(key, converted),)
+            changed = with_edits(changed, edits)
+            is_number = isinstance(value, float)
+            old = value if is_number else "as given"
+            new = converted if is_number else f"multiplied by {factor:g}"
+            unit = declared.file_kind.unit if is_number else ""
+            change = Change(key, "", old, new, unit, 0.0, changed, edits)
+            combined = change if combined is None else change.after(combined)
+    return combined
+
+
+def _records(problem: Problem) -> Iterator[tuple[str, Any]]:
+    """Yield the problem's records with their places in the file."""
+    yield "team", problem.team
+    if isinstance(problem.start, HitchStart):
+        yield "start.hitch", problem.start
+    for i, step in enumerate(problem.mission):
+        yield f"mission[{i}].{step.name}", step
+
+
+def _plain_numbers(value: Any) -> Any:
+    """Return a number or lists of numbers; None for other values."""
+    if isinstance(value, Outline):
+        return value.vertices.tolist()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return value if isinstance(value, float) else None
+
+
+def _unit_factor(declared: Key, key: str, value: Any) -> float | None:
+    """Return the factor that converts a value from the unit that was probably meant, if any."""
+    with warnings.catch_warnings(record=True) as caught, contextlib.suppress(InputError):
+        warnings.simplefilter("always", UnitWarning)
+        declared.from_file(key, value)
+    factors = [w.message.factor for w in caught if isinstance(w.message, UnitWarning)]
+    return factors[0] if factors else None
 
 
 def retuning_changes(problem: Problem) -> Iterator[Change]:

@@ -44,6 +44,7 @@ from hitchopt.mission.changes import (
     roll_changes,
     size_of,
     spread_changes,
+    unit_change,
     vertex_changes,
 )
 from hitchopt.mission.problem import Problem
@@ -87,6 +88,10 @@ MAX_SIZE_RATIO = 4.0
 
 MAX_SUGGESTIONS = 3
 """Maximum number of suggestions."""
+
+MAX_GROWTH = 20.0
+"""Largest increase of a length in suggestions, over its value or extent: if more is needed, another
+value is wrong."""
 
 MAX_CHANGES = 3
 """Maximum number of changes in one suggestion."""
@@ -246,6 +251,10 @@ class _Search:
         """Return up to three suggestions, smallest first."""
         problem, error, broken = self._problem, self._error, self._broken
         changed, max_changes = self._already_changed, self._max_changes
+        if not changed and isinstance(
+            in_units := self._verdict_of(unit_change(problem)), Suggestion
+        ):
+            return (in_units,)
         knobs = [x for x in knobs_of(problem, error.violations) if max_changes or x.key in changed]
         sufficient = [knob for knob in knobs if broken <= knob.covers]
         if any(BEST_ROUTE in each.when for each in error.violations):
@@ -358,14 +367,23 @@ class _Search:
 
 
 def _smallest(suggestions: Iterable[Suggestion]) -> tuple[Suggestion, ...]:
-    """Return up to three suggestions, smallest first, none that adds changes to a smaller one."""
-    by_size = sorted(suggestions, key=lambda s: round(s.change.size, SIZE_DECIMALS))
+    """Return up to three suggestions, smallest first, none that adds changes to a smaller one.
+
+    Those with a length that grows by more than MAX_GROWTH are left out.
+    """
+    plausible = (each for each in suggestions if not any(map(_is_absurd, each.change.together())))
+    by_size = sorted(plausible, key=lambda s: round(s.change.size, SIZE_DECIMALS))
     smallest = list[tuple[frozenset[str], Suggestion]]()
     for each in by_size:
         keys = frozenset(change.key for change in each.change.together())
         if not any(fewer < keys for fewer, _ in smallest):
             smallest.append((keys, each))
     return tuple(each for _, each in smallest[:MAX_SUGGESTIONS])
+
+
+def _is_absurd(change: Change) -> bool:
+    """Return whether a change makes a length, or all lengths, grow by more than MAX_GROWTH."""
+    return change.unit in {"m", "times"} and change.relative > MAX_GROWTH
 
 
 def _faults(error: InfeasibleError) -> dict[tuple[str, int], tuple[float, float]]:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hitchopt.checks import merged
+from hitchopt.checks.arena import ARENA, nearest_wall
 from hitchopt.checks.registry import RULES, with_rules
 from hitchopt.drones.controllers import CONTROLLERS, FlightController, Tube
 from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
@@ -343,7 +344,10 @@ def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> Infeasibl
         indices = [p.step for p in certified.motion.phases if p.start <= check.time <= p.end]
         neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
         is_blended = check.name != "duration" and any(step.blends for step in neighbours)
-        of_steps = (steps[k].advice(check.name, f"mission[{k}].{steps[k].name}") for k in indices)
+        binding = check.binding or check.name
+        if binding == ARENA.name:
+            binding = nearest_wall(certified.motion, check)
+        of_steps = (steps[k].advice(binding, f"mission[{k}].{steps[k].name}") for k in indices)
         advice = next(filter(None, of_steps), "omit blend" if is_blended else "")
         violations.append(replace(violation, remedy=_remedy(violation, advice)))
     return InfeasibleError(violations, error.note)

@@ -180,17 +180,20 @@ def _phases_at(check: Check, flight: Flight) -> list[Phase]:
 
 
 def _remedy(check: Check, flight: Flight, rules: Sequence[Rule[Any]]) -> str:
-    """Return the suggested change for a violated check."""
+    """Return the suggested change for a violated check, and for the check that determines it."""
     rule_of: dict[str, CheckRule | ReportRule] = {
         **RULE_OF,
         **{report.name: report for report in TEAM_REPORTS},
         **{rule.name: rule.check_rule for rule in rules},
     }
     rule = rule_of[check.name]
+    if check.binding in rule_of:
+        binding = replace(check, name=check.binding, binding="")
+        return f"{_remedy(binding, flight, rules)}, or {rule.remedy}"
     phases = _phases_at(check, flight)
     is_free = bool(phases) and not any(phase.formed for phase in phases)
     remedy = rule.free_remedy if is_free else ""
-    if not is_free and isinstance(rule, CheckRule) and len(flight.teams) == 1:
+    if not remedy and isinstance(rule, CheckRule) and len(flight.teams) == 1:
         remedy = rule.remedy_at(flight.teams[0].motion, check)
     return remedy or rule.remedy
 

@@ -569,7 +569,10 @@ class Step(Record, ABC):
         return None
 
     def advice(self, check: str, key: str) -> str:  # noqa: ARG002
-        """Return specific advice if its motion violates a check; ``key`` is its key in files."""
+        """Return specific advice if its motion violates a check; ``key`` is its key in files.
+
+        ``check`` is the name of the check that binds, or the key of a wall of the arena.
+        """
         return ""
 
     def least_increase(

@@ -9,6 +9,7 @@ from typing import Annotated, ClassVar, Self
 
 import numpy as np
 
+from hitchopt.checks.arena import CEILING, FLOOR
 from hitchopt.checks.grips import MIN_HINGE
 from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import rotated, turn
@@ -21,6 +22,7 @@ from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import MovePlanner, check_pull, tying_tension
 from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.steps.step import (
+    ALTITUDE_CHECKS,
     Knob,
     ObjectOf,
     Seconds,
@@ -212,11 +214,19 @@ class Tie(Step):
             raise InputError(key, height, bound, "tie it there")
         return height
 
+    def advice(self, check: str, key: str) -> str:
+        """Return the advice for keeping below a ceiling, or above the floor."""
+        if check == CEILING:
+            return f"tie it lower ({key}.at), or use shorter cables"
+        return f"tie it higher ({key}.at)" if check == FLOOR else ""
+
     def knobs(self) -> Iterator[Knob]:
         """Yield the height, and the knobs of all steps."""
         yield from super().knobs()
         if self.at is not None:
-            yield Knob("at", self.at, "m", covers=frozenset({"hinge"}))
+            knob = Knob("at", self.at, "m", covers=ALTITUDE_CHECKS | {"hinge"})
+            yield knob
+            yield replace(knob, sign=-1, covers=ALTITUDE_CHECKS)
 
 
 def _along(drones: Array) -> Array:

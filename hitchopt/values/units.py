@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -56,12 +56,18 @@ def quantity(
     """
     (low, high), (minimum, maximum) = usual, allowed
 
+    def likely(number: float) -> OtherUnit | None:
+        """Return the most plausible other unit of a value, if there is one."""
+        plausible = [OtherUnit(*each) for each in others if low <= number * each[1] <= high]
+        if not plausible or not number:
+            return None
+        middle = math.sqrt(max(low, 1e-3) * min(high, 1e3)) if typical is None else typical
+        return likely_unit(number, plausible, middle)
+
     def remedy(number: float, fallback: str = "") -> str:
         """Return a remedy: the value in the most plausible other unit, or the fallback."""
-        plausible = [(name, number * size) for name, size in others if low <= number * size <= high]
-        if plausible and number:
-            middle = math.sqrt(max(low, 1e-3) * min(high, 1e3)) if typical is None else typical
-            return likely_unit(plausible, middle)
+        if meant := likely(number):
+            return meant.remedy(number)
         return fallback or (f"convert it to {unit}" if unit else "use a plain number")
 
     def check(key: str, value: object) -> float:
@@ -78,7 +84,9 @@ def quantity(
             raise InputError(key, value, bound, remedy(number))
         if not low <= number <= high:
             words = f"{number:g} {unit}; usual values are {low:.3g} to {high:.3g} {unit}"
-            warn_of_unit(UnitWarning(key, f"{words}; {remedy(number)}"))
+            meant = likely(number)
+            factor = None if meant is None else meant.size
+            warn_of_unit(UnitWarning(key, f"{words}; {remedy(number)}", factor))
         return number
 
     schema = {"type": "number", "minimum": minimum, "maximum": maximum}
@@ -93,10 +101,20 @@ def quantity(
     return Kind((SCALAR,), check, schema, unit, degrees)
 
 
-def likely_unit(values: Sequence[tuple[str, float]], typical: float) -> str:
-    """Return a remedy: the value, among those in several units, closest to a typical one."""
-    name, value = min(values, key=lambda each: abs(math.log(abs(each[1]) / typical)))
-    return f"if {name} were meant, {value:.3g}"
+class OtherUnit(NamedTuple):
+    """A unit that may have been meant."""
+
+    name: str
+    size: float  # of one, in the expected unit
+
+    def remedy(self, number: float) -> str:
+        """Return a remedy: the value of a number in this unit."""
+        return f"if {self.name} were meant, {number * self.size:.3g}"
+
+
+def likely_unit(number: float, units: Sequence[OtherUnit], typical: float) -> OtherUnit:
+    """Return the unit in which a number is closest to a typical value."""
+    return min(units, key=lambda unit: abs(math.log(abs(number * unit.size) / typical)))
 
 
 def within_usual(kind: Kind, usual: float, typical: float) -> Kind:
@@ -109,9 +127,10 @@ def within_usual(kind: Kind, usual: float, typical: float) -> Kind:
         checked = kind.check(key, value)
         largest = float(np.max(np.abs(checked), initial=0.0)) if np.ndim(checked) else 0.0
         if largest > usual:
-            values = [(name, largest * size) for name, size in LENGTHS if largest * size <= usual]
+            units = [OtherUnit(*each) for each in LENGTHS if largest * each[1] <= usual]
             words = f"{largest:g} m; usual coordinates are within ±{usual:g} m"
-            warn_of_unit(UnitWarning(key, f"{words}; {likely_unit(values, typical)}"))
+            meant = likely_unit(largest, units, typical)
+            warn_of_unit(UnitWarning(key, f"{words}; {meant.remedy(largest)}", meant.size))
         return checked
 
     return replace(kind, check=check)

@@ -178,8 +178,9 @@ def turning_triangle(amplitude: float, waves: int) -> Callable[[float], Array]:
 
     def vertices(s: float) -> Array:
         cosine, sine = np.cos(0.4 * s), np.sin(0.4 * s)
-        swayed: Array = ho.regular_polygon(3, 1.126).vertices @ [[cosine, sine], [-sine, cosine]]
-        return swayed + amplitude * np.sin(2.0 * np.pi * waves * s) * np.array([1.0, 0.3])
+        turned = ho.regular_polygon(3, 1.126).vertices @ [[cosine, sine], [-sine, cosine]]
+        sway = amplitude * np.sin(2.0 * np.pi * waves * s)
+        return np.asarray(turned + sway * np.array([1.0, 0.3]))
 
     return vertices
 

@@ -80,7 +80,8 @@ def distances_from(path: Path, motion: Motion, progress: PiecewisePolynomial) ->
     drone_x, drone_s = x[::DRONE_STRIDE], s[:, ::DRONE_STRIDE]
     drones = drone_jets(path.team, path.flat(drone_s.ravel(), 1)).positions[..., 0]
     drones = drones.reshape(*drone_s.shape, *motion.drones.shape)
-    return np.maximum(bounds, np.max(_largest(_at(motion.drones, drone_x) - drones), axis=1))
+    drones_apart = np.max(_largest(_at(motion.drones, drone_x) - drones), axis=1)
+    return np.asarray(np.maximum(bounds, drones_apart))
 
 
 def _at(part: PiecewisePolynomial, x: Array) -> Array:
