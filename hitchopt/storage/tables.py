@@ -33,18 +33,19 @@ MAX_HEAD_LINES = 50  # Lines that are searched for the column names
 COMMENT = re.compile(r"^\s*#.*|\s#(?!\d).*")
 COMMENT_SIGN = re.compile(r"^\s*#+\s*")  # The sign of a comment at the start of a line
 DECIMAL_COMMA = re.compile(r"\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*")
+MINUS = "\N{MINUS SIGN}"  # As spreadsheets in Swedish, Norwegian and Finnish write it
 SWAP_SIGNS = str.maketrans(",.", ".,")  # A point among decimal commas becomes an invalid comma
 COMMA_REMEDY = "decimal commas need semicolons between cells, and no points in numbers"
 
 
 def text_lines(path: Path) -> Iterator[str]:
-    """Yield a file's lines without line breaks; invalid bytes become U+FFFD."""
+    """Yield a file's lines without line breaks; invalid bytes become U+FFFD, U+2212 a hyphen."""
     with opened(path) as file:
         is_utf16 = file.read(2) in (b"\xff\xfe", b"\xfe\xff")
         file.seek(0)
         encoding = "utf-16" if is_utf16 else "utf-8-sig"
         with io.TextIOWrapper(file, encoding, errors="replace") as text:
-            yield from (line.rstrip("\n") for line in text)
+            yield from (line.rstrip("\n").replace(MINUS, "-") for line in text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,12 +172,26 @@ def numeric_table(lines: Lines, source: str, first: int = 1) -> Table:
         if number < first:
             continue
         rows = {s: _cells(_without_comment(line).rstrip(",; \t"), s) for s in SEPARATORS}
-        counts = {s: sum(map(_is_any_number, cells)) for s, cells in rows.items()}
-        if any(counts.values()):
-            numeric = [s for s, cells in rows.items() if counts[s] == len(cells)]
-            separator = numeric[0] if numeric else max(counts, key=lambda s: counts[s])
+        if any(any(map(_is_any_number, cells)) for cells in rows.values()):
+            separator = _separator_of(islice(lines(), number - 1, number - 1 + MAX_HEAD_LINES))
             return Table(source, lines, separator, (), len(rows[separator]), number)
     raise FileError(f"{source}: has no line of numbers")
+
+
+def _separator_of(lines: Iterable[str]) -> str:
+    """Return the separator by which most lines have the width of the first and only numbers.
+
+    Of several, it is the one by which the first line has the most: 0,0 are two whole numbers rather
+    than one with a decimal comma.
+    """
+    texts = [_without_comment(line).rstrip(",; \t") for line in lines]
+
+    def numbers(separator: str) -> tuple[int, int]:
+        """Return the number of such lines, and of numbers in the first one."""
+        first, *rest = ([*map(_is_any_number, _cells(text, separator))] for text in texts)
+        return sum(len(row) == len(first) and all(row) for row in [first, *rest]), sum(first)
+
+    return max(SEPARATORS, key=numbers)
 
 
 def headings(lines: Lines) -> Iterator[str]:

@@ -12,6 +12,7 @@ import json
 import math
 import re
 import sys
+import unicodedata
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -50,6 +51,12 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Plain]], ...] = (
     ),
 )
 """Patterns of plain scalars other than strings, and their parsers; the first match is used."""
+
+LOOKALIKES = {
+    **dict.fromkeys(map(ord, "\u2212\u2010\u2011\u2012\u2013\ufe63\uff0d"), "-"),
+    **dict.fromkeys(map(ord, "\u00a0\u2007\u2009\u200a\u202f\u3000\ufeff\u200b"), " "),
+}
+"""Characters that look like a minus or a blank, as word processors and web pages write them."""
 
 TEXT_KEYS = "a mapping whose keys are text", "write the key as a name, and decimals with a point"
 """Bound and remedy of keys that are not strings."""
@@ -194,6 +201,10 @@ class _Reader:
             if "block" in context or "mapping values" in reason:
                 remedy += " or the one above: entries of one list or mapping are indented alike, "
                 remedy += "those of a list begin with `- `, keys end with `: `"
+            lines = self.text.splitlines()[: mark.line + 1] if mark is not None else []
+            for number in dict.fromkeys(each.line for each in (begin, mark) if each is not None):
+                if number < len(lines) and (lookalike := _lookalike(lines[number])):
+                    remedy = f"line {number + 1} has {lookalike}"
             raise FileError(f"{self.name}{place}: is not YAML ({reason}); {remedy}") from None
 
     def _node(self, event: Any, path: list[str | int]) -> Node:
@@ -201,7 +212,7 @@ class _Reader:
         start = event.start_mark
         node = Node(None, self.place, start.index, event.end_mark.index, start.column)
         if isinstance(event, events.ScalarEvent):
-            node.value = _scalar(event)
+            node.value = self._scalar(event)
         self.budget.spend(path, node.value)
         if isinstance(event, events.CollectionStartEvent):
             self._fill(node, path, is_mapping=isinstance(event, events.MappingStartEvent))
@@ -243,7 +254,7 @@ class _Reader:
         self._check_plain(event)
         if not isinstance(event, events.ScalarEvent):
             raise self._error("a key must be a word; quote it if it is meant as text")
-        key = _scalar(event)
+        key = self._scalar(event)
         if not isinstance(key, str):
             raise InputError(_path_in_problem(path), key, *TEXT_KEYS)
         if len(key) > MAX_TEXT:
@@ -253,8 +264,30 @@ class _Reader:
             raise InputError(key_path([*path, key]), "(twice)", "given once", remedy)
         return key
 
+    def _scalar(self, event: Any) -> Plain:
+        """Return the value of a scalar; FileError if it only looks like a number or a key."""
+        text, value = event.value, _scalar(event)
+        plain = text.translate(LOOKALIKES)
+        if plain != text and event.implicit[0]:
+            is_number = not isinstance(_plain_scalar(plain.strip()), str)
+            is_syntax = plain.startswith("- ") or (": " in plain and ": " not in text)
+            if is_number or is_syntax or plain != plain.strip():
+                raise self._error(f"{text[:60]!r} has {_lookalike(text)}")
+        return value
+
     def _error(self, reason: str) -> FileError:
         return FileError(f"{self.place}: {reason}")
+
+
+def _lookalike(text: str) -> str:
+    """Return what to do with the first character of LOOKALIKES in a text; "" without one."""
+    character = next((each for each in text if ord(each) in LOOKALIKES), "")
+    if not character:
+        return ""
+    name = unicodedata.name(character, "a character").lower()
+    plain = LOOKALIKES[ord(character)]
+    remedy = f"write {plain!r}" if plain.strip() else "write a blank"
+    return f"the character U+{ord(character):04X} ({name}); {remedy}"
 
 
 def _scalar(event: Any) -> Plain:

@@ -47,6 +47,11 @@ BOXES: list[tuple[str, str, float]] = [
     ("a.txt", "\ufeffx [m];y [m]\n0;0\n0,4;0\n0,4;0,3\n0;0,3\n", 1.0),
     ("a.csv", "0\t0\n0.4\t0\n\n0.4\t0.3  # a corner\n0\t0.3", 1.0),
     ("a.csv", "0, 0;\n0.4, 0;\n0.4, 0.3;\n0, 0.3;\n", 1.0),
+    ("a.csv", "0,0\n0.4,0\n0.4,0.3\n0,0.3\n", 1.0),  # whole numbers, no decimal comma
+    ("a.csv", "0,0\n4,0\n4,3\n0,3\n", 10.0),
+    ("a.csv", "0,0;0\n0,4;0\n0,4;0,3\n0;0,3\n", 1.0),
+    ("a.csv", "x;y\n\u22120,4;\u22120,3\n0;\u22120,3\n0;0\n\u22120,4;0\n", 1.0),
+    ("a.csv", "\u22120.4,\u22120.3\n0,-0.3\n0,0\n-0.4,0\n", 1.0),
 ]
 """Files with a box of 0.4 m by 0.3 m, times a factor."""
 

@@ -14,7 +14,9 @@ from plans import PROBLEMS
 from hitchopt.errors import FileError, HitchoptError, InputError
 from hitchopt.mission.loading import load_problem
 from hitchopt.storage.yaml_file import (
+    Node,
     parse_yaml,
+    read_node,
     read_yaml,
     split_key,
     value_at,
@@ -30,6 +32,11 @@ SCALARS: list[tuple[str, object]] = [
     ('"\\ud83d"', "\ufffd"), ("-.INF", -math.inf), ("1e999", math.inf), ("|\n  1\n", "1\n"),
 ]
 # fmt: on
+
+
+@pytest.mark.parametrize("text", ["3 \u2013 5 robots", "5\u00a0m", "A \u2212 B", "\u00e9\u2009t"])
+def test_text_may_have_what_resembles_a_minus_or_a_blank(text: str) -> None:
+    assert parse_yaml(f"title: {text}") == {"title": text}
 
 
 @pytest.mark.parametrize(("text", "value"), SCALARS, ids=[repr(text) for text, _ in SCALARS])
@@ -53,6 +60,14 @@ REFUSED: list[tuple[str, type[HitchoptError], str]] = [
     ("a: {b: 2,4}", InputError, "a name, and decimals with a point"),
     ('x: "\\U99999999"', FileError, "is not YAML"),
     ("x: \x07", FileError, "is not YAML"),
+    ("x: [0, \u22120.6]", FileError, "text:1:8: '\u22120.6' has the character U+2212"),
+    ("x: \u22121", FileError, "(minus sign); write '-'"),
+    ("x: \u20132", FileError, "U+2013 (en dash); write '-'"),
+    ("x: 2\u202f", FileError, "U+202F (narrow no-break space); write a blank"),
+    ("x:\n-\u00a0hold: 1", FileError, "U+00A0 (no-break space); write a blank"),
+    ("- a\n-\u00a0hold: 1", FileError, "line 2 has the character U+00A0"),
+    ("a:\n\u00a0\u00a0b: 1", FileError, "U+00A0"),
+    ("a:\u00a01", FileError, "U+00A0"),
     ("x: !!python/none", FileError, "text:1:4: tags (!) are not allowed; remove it"),
     ("x: *a", FileError, "aliases (*) are not allowed; write the value out"),
     ("? [1, 2]\n: 3", FileError, "text:1:3: a key must be a word"),
@@ -222,3 +237,38 @@ def test_the_file_holds_what_was_done(order: list[int], line: str, brackets: boo
     ):
         assert value_at(parse_yaml(changed), path) == expected
     assert brackets or ("\r\n" in added) is (line == "\r\n")
+
+
+def overhanging(text: str) -> list[int]:
+    """Return the lines within brackets that are not indented more than the key above them.
+
+    YAML 1.2 refuses them, and editors mark them; many parsers accept them. Only the last bracket
+    may be below its key.
+    """
+    starts, found = [0, *(i + 1 for i, each in enumerate(text) if each == "\n")], list[int]()
+
+    def visit(node: Node) -> None:
+        for child in node.children.values():
+            if not child.flow:
+                visit(child)
+                continue
+            for number, start in enumerate(starts, 1):
+                indent = len(text[start:]) - len(text[start:].lstrip(" "))
+                is_last = start + indent == child.end - 1 and indent == node.column
+                if child.start < start < child.end and indent <= node.column and not is_last:
+                    found.append(number)
+
+    visit(read_node(text))
+    return found
+
+
+@pytest.mark.parametrize("path", sorted(PROBLEMS.rglob("*.yaml")), ids=lambda path: path.stem)
+def test_examples_are_yaml_to_editors(path: Path) -> None:
+    if "bad" not in path.parts:
+        assert overhanging(path.read_text(encoding="utf-8")) == []
+
+
+def test_brackets_that_close_too_early_are_found() -> None:
+    assert overhanging("a:\n  - b: {c: [\n      1\n    ], d: 2}\n") == [4]
+    assert overhanging("a: [\n  1,\n  2\n  ]\n") == []
+    assert overhanging("a: [\n  1,\n2\n]\n") == [3]
