@@ -122,7 +122,11 @@ __all__ = sorted(_MODULES)  # noqa: PLE0605, the names above
 def __getattr__(name: str) -> object:
     """Import a public name from its module."""
     if name == "__version__":
-        return import_module("importlib.metadata").version("hitchopt")
+        metadata = import_module("importlib.metadata")
+        try:
+            return metadata.version("hitchopt")
+        except metadata.PackageNotFoundError:
+            return "unknown: this checkout is not installed"
     if name in _ROOMS:
         raise AttributeError(
             f"module 'hitchopt' has '{name}' in a room: from {_ROOMS[name]} import {name}"

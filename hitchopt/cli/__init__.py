@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import click
 
+import hitchopt
 from hitchopt.cli.failures import SafeGroup
 
 # Commands and their modules in hitchopt, by headings of the help
@@ -25,12 +26,26 @@ COMMANDS = {
 }
 
 
+def print_version(context: click.Context, _option: click.Parameter, value: bool) -> None:
+    """Print the version and exit if the option is given."""
+    if value and not context.resilient_parsing:
+        click.echo(f"hitchopt, version {hitchopt.__version__}")
+        context.exit()
+
+
 @click.group(
     cls=SafeGroup,
     sections=COMMANDS,
     context_settings={"help_option_names": ["-h", "--help"], "show_default": True},
 )
-@click.version_option(package_name="hitchopt", message="hitchopt, version %(version)s")
+@click.option(
+    "--version",
+    is_flag=True,
+    expose_value=False,
+    is_eager=True,
+    callback=print_version,
+    help="Show the version and exit.",
+)
 def main() -> None:
     """Plan how teams of quadrotors tie, reshape and untie polygonal cable hitches in midair.
 

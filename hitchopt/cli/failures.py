@@ -43,6 +43,10 @@ class SafeGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the commands and their full summaries under their headings."""
+        if self.help is None:
+            with formatter.indentation():
+                formatter.write_paragraph()
+                formatter.write_text("python -OO removes all descriptions: run it without.")
         for heading, names in self.sections.items():
             commands = [(name, self.get_command(ctx, name)) for name in names]
             rows = [(name, each.get_short_help_str(MAX_SUMMARY)) for name, each in commands if each]

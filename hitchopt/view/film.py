@@ -17,7 +17,7 @@ from hitchopt.errors import InputError, optional_module
 from hitchopt.values import Array
 from hitchopt.view.painter import Camera, Painter, draw_painting
 from hitchopt.view.scene import Scene
-from hitchopt.view.style import atomic_write, draw_lines, facts
+from hitchopt.view.style import atomic_write, draw_lines, facts, own_style
 
 FRAME_SIZE = (12.8, 7.2)  # Size of a frame [inch]
 RESOLUTION = 100  # Resolution of a frame [1/inch]
@@ -32,6 +32,7 @@ MIN_DRONE_SIZE = 0.012  # Minimum radius of a drone, as a fraction of the frame'
 SMOOTHING_TIME = 1.5  # Standard deviation of the smoothing of the camera's motion [s]
 
 
+@own_style()
 def save_film(
     path: Path, scene: Scene, title: str = "", progress: Callable[[float], None] | None = None
 ) -> None:

@@ -129,6 +129,7 @@ def panels(flight: Flight, states: States) -> tuple[Panel, ...]:
     return (Panel("separation", "minimum\nseparation [–]", ratios, 1.0), rates, forces)
 
 
+@style.own_style()
 def draw_summary(
     flight: Flight, certificate: Certificate, title: str = "", width: float | None = None
 ) -> Figure:
@@ -238,6 +239,7 @@ def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) 
             write(axes[0], "\n".join(lines), (middle, 1.0), (0, 4), **look)
 
 
+@style.own_style()
 def draw_closeness(flight: Flight, closest: Closeness, width: float | None = None) -> Figure:
     """Return the picture of the spans' bounds as steps and the closest pairs as curves.
 

@@ -125,6 +125,19 @@ def verdict(certificate: Certificate) -> str:
     return "; ".join(parts)
 
 
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Draw in matplotlib's default style, whatever style or matplotlibrc users have.
+
+    A decorator of all functions that create or write figures: dark styles hide black curves, and
+    TeX or a font may be missing.
+    """
+    from matplotlib import style
+
+    with style.context("default"):
+        yield
+
+
 def new_figure(
     size: tuple[float, float],
     layout: Literal["constrained"] | None = "constrained",
@@ -178,6 +191,7 @@ def headline(figure: Figure, title: str, words: str) -> None:
     figure.suptitle(f"{name}\n{words}".strip(), **look)
 
 
+@own_style()
 def save_figure(figure: Figure, file: Path | str | IO[bytes], dpi: int | None = None) -> None:
     """Write a figure as PNG, SVG or PDF, according to the file name's extension.
 

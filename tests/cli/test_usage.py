@@ -133,6 +133,49 @@ def test_help_is_light_and_names_every_command() -> None:
     assert run("--version", code=0).stdout.split()[-1] == metadata.version("hitchopt")
 
 
+def test_a_checkout_that_is_not_installed_has_no_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing(name: str) -> str:
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", missing)
+    assert "version unknown: this checkout is not installed" in run("--version", code=0).stdout
+
+
+def test_the_help_says_why_it_has_no_descriptions() -> None:
+    assert "python -OO removes all descriptions" in started("-OO", "-m", "hitchopt", "-h").stdout
+    assert "removes all descriptions" not in run("--help", code=0).stdout
+
+
+MORPH_IN_PYTHON = """
+import hitchopt as ho
+polygon, goal = [[0, -1], [-0.4, 0.5], [0.4, 0.5]], [[0, -0.6], [-0.4, 0.5], [0.4, 0.5]]
+start = ho.Hitch.spread(ho.Team(robots=3, cable_length=2.4), polygon)
+try:
+    ho.morph(start, goal)
+except ho.InputError as error:
+    print(error)
+"""
+
+
+BACKEND = "module://inline_backend_of_another_environment"
+
+
+@pytest.mark.slow
+def test_the_backend_of_a_notebook_is_not_needed() -> None:
+    """Jupyter sets it for the commands of a cell, also where it is not installed."""
+    solve = ("-m", "hitchopt", "solve", str(TRIANGLE), "-o", "out")
+    done = started(*solve, MPLBACKEND=BACKEND)
+    assert (done.returncode, "warning" in done.stderr) == (0, False), done.stderr
+    assert Path("out", "summary.png").is_file()
+
+
+@pytest.mark.slow
+def test_in_python_a_missing_backend_is_named() -> None:
+    done = started("-c", MORPH_IN_PYTHON, MPLBACKEND=BACKEND)
+    assert done.stdout.startswith(f"MPLBACKEND = '{BACKEND}': must be installed here; unset this")
+    assert "or set it to Agg" in done.stdout
+
+
 DISTURBED = """
 import builtins, os, signal, sys
 {needs}

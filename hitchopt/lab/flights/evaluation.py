@@ -439,6 +439,7 @@ def latex_table(evaluation: Evaluation) -> str:
     return "\n".join([*lines, r"\end{tabular}", ""])
 
 
+@style.own_style()
 def drawn_evaluation(evaluation: Evaluation, width: float | None = None) -> Figure:
     """Return the picture: errors over time with their means, and the hitch from above.
 

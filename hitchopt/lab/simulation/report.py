@@ -346,6 +346,7 @@ def summary(simulation: Simulation) -> dict[str, Any]:
     }
 
 
+@style.own_style()
 def drawn_flight(
     simulation: Simulation, plan: Flight, title: str = "", width: float | None = None
 ) -> Figure:

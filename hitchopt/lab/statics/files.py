@@ -100,6 +100,7 @@ def statics_content(rest: Equilibrium, ranges: Tolerance | None) -> dict[str, An
     return content
 
 
+@style.own_style()
 def draw_statics(rest: Equilibrium, ranges: Tolerance | None, width: float | None = None) -> Figure:
     """Return the picture: tensions over time, and vertices from above.
 
@@ -211,6 +212,7 @@ def fit_as_json(fit: Fit) -> dict[str, Any]:
     return content
 
 
+@style.own_style()
 def draw_fit(
     fit: Fit, mass: float | None = None, by: str = GRIP, width: float | None = None
 ) -> Figure:

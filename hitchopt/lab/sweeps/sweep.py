@@ -34,6 +34,7 @@ from hitchopt.storage.files import file_bytes, file_text, replace_files, write_s
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.values import integer, text
 from hitchopt.values import path as as_path
+from hitchopt.view import style
 
 if TYPE_CHECKING:
     import pandas
@@ -298,6 +299,7 @@ def outcomes(rows: pandas.DataFrame) -> list[dict[str, Any]]:
     return table
 
 
+@style.own_style()
 def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figure | None:
     """Plot the last figure of ``outcomes`` over the first varying parameter, if any.
 
@@ -305,7 +307,6 @@ def draw_sweep(points: list[dict[str, Any]], width: float | None = None) -> Figu
     parameter is a number. A point without a plan is drawn as a cross with the reason. With a
     ``width`` [inch] it is a figure for a paper.
     """
-    from hitchopt.view import style
     from hitchopt.view.pictures import STYLES
 
     heads = list(points[0])

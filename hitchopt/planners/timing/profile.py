@@ -8,6 +8,7 @@ as a polygon of (s̈, ṡ²) at every grid point.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -16,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import HitchoptError, InfeasibleError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Team
 from hitchopt.hitch.forces import hanging_forces
@@ -395,7 +396,13 @@ def fastest_profile(
     ------
     TimingError: none exists, for instance because rest violates a limit.
     """
-    from hitchopt.planners.timing.reachability import fastest_speeds
+    try:
+        from hitchopt.planners.timing.reachability import fastest_speeds
+    except ValueError as error:
+        if backend := os.environ.get("MPLBACKEND"):  # toppra imports matplotlib, which refuses it
+            remedy = f"unset this environment variable, or set it to Agg ({str(error)[:200]})"
+            raise InputError("MPLBACKEND", backend, "installed here", remedy) from error
+        raise
 
     if polygons is None:
         polygons = feasible_polygons(demands)
