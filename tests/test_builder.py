@@ -268,6 +268,8 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
             "Hitch.spread() has no argument 'height'; did you mean altitude?",
         ),
         (ho.move_edge, "by", "move_edge() missing 1 required positional argument: 'edge'"),
+        (ho.Section, "diameter", "Section() has no argument 'diameter'; did you mean radius?"),
+        (ho.Hitch, "height", "Hitch() has no argument 'height'; did you mean altitude?"),
         (ho.hold, "time", "hold() has no argument 'time'; did you mean seconds?"),
         (
             ho.Mission.morph,

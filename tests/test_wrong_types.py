@@ -8,9 +8,10 @@ import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
+import pandas
 import pytest
 from click.testing import CliRunner
 from plans import PROBLEMS
@@ -203,6 +204,133 @@ def test_what_no_argument_may_be_is_refused_by_its_name(
         with pytest.raises(ho.InputError) as caught:
             function(**{**values, name: wrong})
         assert name in caught.value.key or SYNONYMS.get(name, "-") in caught.value.key
+
+
+class Tensor:
+    """An array of another library, as torch, jax and polars have them."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = values
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        return np.array(self.values, dtype, copy=copy is not False)
+
+
+class Quantity(Tensor):
+    """A quantity in feet, as pint, astropy and unyt have them."""
+
+    @property
+    def units(self) -> str:
+        return "foot"
+
+
+class Unyt(Tensor):
+    """A quantity whose instance states the unit."""
+
+    def __init__(self, values: Any) -> None:
+        super().__init__(values)
+        self.units = "yard"
+
+
+class Table(Tensor):
+    """An array that states its unit as xarray and pandas do."""
+
+    attrs: ClassVar[dict[str, str]] = {"units": "mm"}
+
+
+def others(value: Any) -> dict[str, Any]:
+    """Return what resembles an array of numbers without being one, by the word of its refusal."""
+    numbers = np.array(value, np.float64)
+    return {
+        "foot": Quantity(numbers),
+        "(yard)": Unyt(numbers),
+        "(mm)": Table(numbers),
+        "masked": np.ma.masked_equal(numbers, numbers.flat[-1]),
+        "<U": np.char.mod("%g", numbers),
+        "timedelta64": Tensor(1e3 * numbers).__array__("m8[ms]"),
+        "datetime64": Tensor(1e3 * numbers).__array__("M8[ms]"),
+        "complex128": Tensor(numbers + 0.0j),
+        "object": np.full(numbers.shape, object()),
+        "is on another device": Unreadable(),
+    }
+
+
+class Unreadable:
+    """A tensor that numpy cannot read."""
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        raise TypeError("it is on another device")
+
+
+def numeric(value: Any) -> bool:
+    """Return whether a value is a number or an array of numbers."""
+    if isinstance(value, int | float | list | tuple | np.ndarray) and not isinstance(value, bool):
+        try:
+            return np.array(value, np.float64).size > 0
+        except (TypeError, ValueError):
+            pass
+    return False
+
+
+NUMERIC = [
+    (function, values, name) for function, values, name in ARGUMENTS if numeric(values[name])
+]
+
+
+@pytest.mark.usefixtures("place")
+@pytest.mark.parametrize(
+    ("function", "values", "name"), NUMERIC, ids=[f"{f.__qualname__}-{x}" for f, _, x in NUMERIC]
+)
+def test_what_resembles_numbers_is_refused_by_its_name(
+    function: Callable[..., object], values: dict[str, Any], name: str
+) -> None:
+    for words, wrong in others(values[name]).items():
+        with pytest.raises(ho.InputError) as caught:
+            function(**{**values, name: wrong})
+        assert name in caught.value.key or SYNONYMS.get(name, "-") in caught.value.key
+        assert words in str(caught.value)
+
+
+READ: list[Callable[[Any], Any]] = [
+    lambda x: ho.Hitch.spread(TEAM, x).vertices,
+    lambda x: ho.ConvexPolygon(x).vertices,
+    lambda x: ho.Section(x).outline,
+    lambda x: ho.fit(x, robots=3).section.outline,
+    lambda x: ho.Path.of(TEAM, [x, x, x]).shapes([0.5]).polygons,
+    lambda x: ho.ConvexPolygon(ho.Morph(x).polygon).vertices,
+    lambda x: ho.Prism(x, 0.0, 1.0).polygon.vertices,
+    lambda x: ho.FollowVertex(0, x, speed=0.2).path,
+    lambda x: PiecewisePolynomial([0.0, 1.0, 2.0, 3.0], x).at([0.5]),
+]
+
+
+@pytest.mark.parametrize("read", READ)
+def test_arrays_of_other_libraries_are_those_of_numpy(read: Callable[[Any], Any]) -> None:
+    expected = read(np.array(TRIANGLE))
+    table = pandas.DataFrame(TRIANGLE, columns=["x", "y"])
+    for given in (
+        Tensor(TRIANGLE),
+        [Tensor(row) for row in TRIANGLE],
+        table,
+        table.convert_dtypes(),
+    ):
+        assert np.array_equal(read(given), expected)
+
+
+@pytest.mark.parametrize("wrong", ["0.5", True, [True], ["0.5"], pandas.Timedelta("500ms"), {}])
+def test_what_numpy_would_convert_is_no_time(wrong: Any) -> None:
+    with pytest.raises(ho.InputError) as caught:
+        PLAN.at(wrong)
+    assert caught.value.key in {"t", "t[0]"}
+
+
+def test_numbers_of_other_libraries_are_those_of_python() -> None:
+    for two in (Tensor(2.0), np.array(2.0), np.float32(2.0), Tensor(2)):
+        assert ho.Limits(speed=two).speed == 2.0  # type: ignore[arg-type]
+        assert ho.Team(3, two).cable_length.tolist() == [2.0] * 3  # type: ignore[arg-type]
+        assert PLAN.at(two).positions == pytest.approx(PLAN.at(2.0).positions)  # type: ignore[arg-type]
+    assert ho.Team(Tensor(3), 2.0).robots == 3  # type: ignore[arg-type]
+    assert PLAN.at(range(2)).t.tolist() == [0.0, 1.0]
 
 
 def test_polygons_are_accepted_wherever_points_are() -> None:

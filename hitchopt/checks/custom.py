@@ -22,6 +22,12 @@ from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.trajectory.enclosed import Angle, Bound, Enclosed
 from hitchopt.values import ByValue, Indices, check_instance, line, sequence
 
+OPERATIONS = (
+    *("+", "-", "*", "dot", "cross", "norm", "direction", "inverse", "root", "xy"),
+    *("components such as [2]", "angle_to"),
+)
+"""Arithmetic with enclosed values."""
+
 REMEDY = "change the steps, or the limit of this rule"
 
 
@@ -185,6 +191,9 @@ class Rule(ByValue, Generic[S]):
         except AttributeError as error:  # of a value that spans or enclosed numbers do not have
             names = [name for name, value in vars(self.over).items() if isinstance(value, property)]
             remedy = f"values of {self.over.__name__} are {', '.join(names)}"
+            raise InputError(f"{self.name}.formula", error, "a formula", remedy) from error
+        except (TypeError, ValueError, IndexError) as error:  # of an operation they do not have
+            remedy = f"use {', '.join(OPERATIONS)}; numpy's functions do not take enclosed values"
             raise InputError(f"{self.name}.formula", error, "a formula", remedy) from error
         scalar: Any = quantity.cosine if isinstance(quantity, Angle) else quantity
         if not isinstance(scalar, Enclosed):

@@ -20,7 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hitchopt.errors import InputError, OneLine
-from hitchopt.values import Array, check_choice, form_of, positive, units
+from hitchopt.values import Array, check_choice, form_of, plain, positive, units
 from hitchopt.values.fields import (
     Key,
     Kind,
@@ -66,7 +66,7 @@ def _pair(quantity: Kind) -> Kind:
     both = one_or_each(quantity, 2, 2)
 
     def check(key: str, value: Any) -> Pair:
-        if form_of(value) not in both.forms:
+        if form_of(plain(key, value)) not in both.forms:
             bound = "a number, or [level, upright]"
             raise InputError(key, value, bound, "specify one or two numbers")
         gains = both.check(key, value)

@@ -95,16 +95,17 @@ class Outline(ByValue, ABC):
 
     def translated(self, offset: ArrayLike) -> Self:
         """Return the outline translated by ``offset`` (2,) [m]."""
-        return type(self)(self.vertices + np.asarray(offset, dtype=np.float64))
+        bound, remedy = "a displacement [dx, dy]", "specify two numbers [m]"
+        return type(self)(self.vertices + points("offset", [offset], (1, 2), bound, remedy))
 
     def rotated(self, angle: float) -> Self:
         """Return the outline rotated counter-clockwise about the origin by ``angle`` [rad]."""
-        return type(self)(rotated(self.vertices, angle))
+        return type(self)(rotated(self.vertices, finite("angle", angle)))
 
     def scaled(self, factor: float) -> Self:
         """Return the outline scaled about its centroid by ``factor`` > 0."""
         centre = self.centroid
-        return type(self)(centre + factor * (self.vertices - centre))
+        return type(self)(centre + positive("factor", factor) * (self.vertices - centre))
 
     def mirrored(self) -> Self:
         """Return the mirror image in the y axis, in reverse order to stay clockwise."""

@@ -257,7 +257,7 @@ def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: in
     """
     ends = []
     for name, point in (("first", first), ("second", second)):
-        position = as_array(point)
+        position = as_array(name, point)
         is_within = np.all(np.abs(position) <= MAX_COORDINATE)  # nan is not
         if position.shape[-1:] != (3,) or not is_within:
             bound = f"points [x, y, z] within ±{MAX_COORDINATE:g} m"

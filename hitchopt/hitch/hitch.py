@@ -129,9 +129,10 @@ def checked_legs(team: Team, q_legs: Array, slack: Array) -> Array:
 def checked_roll(team: Team, roll: ArrayLike) -> Array:
     """Return the roll of every clasp (clasps,) [rad], read-only, or raise InputError."""
     clasps = len(team.layout.clasps)
+    given = as_array("roll", roll)
     try:
-        angles = np.array(np.broadcast_to(np.asarray(roll, dtype=np.float64), clasps))
-    except (TypeError, ValueError):
+        angles = np.array(np.broadcast_to(given, clasps))
+    except ValueError:
         bound = f"one angle, or a list of {clasps} (one per clasp)"
         raise InputError("roll", roll, bound, "use radians") from None
     if not np.all(np.abs(angles) < 0.5 * np.pi):  # nan too
@@ -183,6 +184,7 @@ class Hitch(ByValue):
     q_legs: Array
     roll: Array
 
+    @suggest_keywords
     def __init__(
         self,
         team: Team,
@@ -193,7 +195,7 @@ class Hitch(ByValue):
     ) -> None:
         outline = checked_polygon(team, polygon)
         slack = cable_slack(team, outline)
-        d = as_array(q_legs)
+        d = as_array("legs", q_legs)
         if d.shape != (team.robots,) or not np.all(np.isfinite(d)):
             bound = f"a list of {team.robots} finite lengths d_k"
             raise InputError("legs", q_legs, bound, "specify one per robot")

@@ -35,6 +35,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import HITCHED_STATE, Motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
+from hitchopt.values.fields import suggest_keywords
 
 # Proportional gain. The response of vertices to setpoints of drones of 4.75 N/m takes 0.3 s, and
 # measurements with their filter another 0.3 s: the phase margin is about 50°
@@ -92,6 +93,7 @@ class Feedback(OneLine):
     UnsupportedError: the plan has objects or keep-outs, to which corrections keep no distance.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         plan: object,
@@ -113,7 +115,7 @@ class Feedback(OneLine):
         self._rate, self._delay = positive("rate", rate), nonnegative("delay", delay)
         default = STIFFNESS_PER_MASS * team.mass[:, None]
         own = np.where(np.isfinite(team.stiffness), team.stiffness, default)
-        stiff = own if stiffness is None else as_array(stiffness)
+        stiff = own if stiffness is None else as_array("stiffness", stiffness)
         self._listed, numbers = team.listed, np.argsort(team.listed)
         if stiff.shape != own.shape:
             stiff = per_robot("stiffness", stiffness, team.drones, owner="drone")  # type: ignore[arg-type]
@@ -266,7 +268,7 @@ def shorter(one: Array, other: Array) -> Array:
 
 def _checked_array(key: str, values: object, shape: tuple[int, ...]) -> Array:
     """Return an array of a shape, which may contain nan, or raise InputError."""
-    if (array := as_array(values)).shape != shape:
+    if (array := as_array(key, values)).shape != shape:
         bound = f"numbers of shape {shape}"
         raise InputError(key, values, bound, "pass a row of nan where one is missing")
     return array
@@ -283,7 +285,7 @@ def vertex_responses(
     clasps = 3 * team.layout.clasps[:, None] + np.arange(3) + team.robots
     conditions = conditions_of(team, stiffness=stiffness, integral=False)
     matrices = []
-    for time in np.atleast_1d(as_array(times)).tolist():
+    for time in np.atleast_1d(times).tolist():
         energy = energy_of(team, conditions, samples_of(motion, [time], conditions)[1])
         arcs = energy.forces(energy.start[:, energy.nodes], energy.reference).lengths
         energy = replace(energy, lengths=arcs)  # with the planned tensions

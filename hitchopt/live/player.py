@@ -22,6 +22,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
 from hitchopt.values import Array, finite, nonnegative
+from hitchopt.values.fields import suggest_keywords
 
 SEEK_RATES = (1.0, 0.7, 0.4)  # candidate rates to seek a plan time
 DURATIONS = tuple(np.geomspace(MIN_STOP, MAX_STOP, 27).tolist())
@@ -74,6 +75,7 @@ class Player(OneLine):
     UnsupportedError: other plans fly at the same time, on separate clocks.
     """
 
+    @suggest_keywords
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:
         flown = getattr(plan, "flight", plan)
         if not isinstance(flown, Flight | Motion):

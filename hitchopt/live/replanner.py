@@ -41,7 +41,7 @@ from hitchopt.steps.certified_motions import infeasible_error, rest_motion
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
-from hitchopt.values.fields import with_fields
+from hitchopt.values.fields import suggest_keywords, with_fields
 
 # Minimum part of a piece of the current plan that is flown [s]: derivatives of shorter pieces have
 # rounding errors
@@ -134,6 +134,7 @@ class Replanner(OneLine):
     UnsupportedError: several teams, or other plans, fly.
     """
 
+    @suggest_keywords
     def __init__(
         self,
         team: Team,

@@ -288,7 +288,7 @@ def flight_states_at(flight: Flight, t: ArrayLike) -> States:
 
     Of several teams, vertices, legs and tensions are omitted: they are those of each team.
     """
-    requested = as_array(t)
+    requested = as_array("t", t)
     if requested.size == 0 or not np.all((requested >= -TIME_TOLERANCE) & np.isfinite(requested)):
         raise InputError("t", t, "finite times of at least 0 s", "pass times from the plan's start")
     times = np.minimum(requested, flight.duration)

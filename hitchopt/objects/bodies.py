@@ -26,7 +26,7 @@ from hitchopt.values import (
     positive,
 )
 from hitchopt.values.fields import points as points_kind
-from hitchopt.values.fields import with_fields
+from hitchopt.values.fields import suggest_keywords, with_fields
 from hitchopt.values.units import (
     FRICTION,
     OBJECT_HEIGHT,
@@ -61,6 +61,7 @@ class Section(ByValue):
     outline: Array | None
     radius: float | None
 
+    @suggest_keywords
     def __init__(self, outline: Points | None = None, radius: float | None = None) -> None:
         if (outline is None) == (radius is None):
             remedy = "specify either an outline or a circle's radius"
@@ -301,6 +302,7 @@ class SolidObject(ByValue):
     rim: Rim | None = None
     fixed: bool = False
 
+    @suggest_keywords
     def __init__(
         self,
         section: Section,
@@ -316,7 +318,7 @@ class SolidObject(ByValue):
         check_instance("section", section, Section)
         if rim is not None:
             check_instance("rim", rim, Rim)
-        position = as_array(at)
+        position = as_array("at", at)
         if position.shape != (3,):
             raise InputError("at", at, "a point [x, y, z]", "specify three numbers in metres")
         position = np.array([coordinate(f"at[{i}]", x) for i, x in enumerate(position.tolist())])

@@ -563,8 +563,7 @@ _PLACES = points((None, 2), "x, y")
 
 def _vertex_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or positions (J, 2); or raise InputError."""
-    rows = value.tolist() if isinstance(value, np.ndarray) else value
-    if isinstance(rows, list | tuple) and rows and as_array(rows[0]).shape == (2,):
+    if as_array(key, value).shape[1:] == (2,):
         places: Array = _PLACES.check(key, value)
         if np.min(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=np.inf) < MIN_STRETCH:
             bound = f"points [x, y] at least {MIN_STRETCH:g} m apart"

@@ -37,7 +37,8 @@ class PiecewisePolynomial(OneLine):
     coefficients: Array
 
     def __post_init__(self) -> None:
-        breaks, coefficients = as_array(self.breaks), as_array(self.coefficients)
+        breaks = as_array("breaks", self.breaks)
+        coefficients = as_array("coefficients", self.coefficients)
         if breaks.ndim != 1 or len(breaks) < 2 or coefficients.ndim < 2:
             raise InputError("breaks", breaks.shape, "(pieces + 1,)", "specify at least one piece")
         if len(coefficients) != len(breaks) - 1 or coefficients.shape[-1] == 0:
@@ -137,7 +138,7 @@ class PiecewisePolynomial(OneLine):
         InputError: a time outside the breaks by more than 1e-9 s, or not finite.
         """
         function = self.differentiated(derivative)
-        times = np.asarray(t, dtype=np.float64)
+        times = as_array("t", t)
         piece, x = locate(self.breaks, times)
         x = x.reshape(*times.shape, *(1,) * len(self.shape))
         return bernstein.evaluate(function.coefficients[piece], x)
@@ -149,7 +150,7 @@ class PiecewisePolynomial(OneLine):
         ------
         InputError: as at.
         """
-        times = np.asarray(t, dtype=np.float64)
+        times = as_array("t", t)
         piece, basis, weights = jet_weights(self.breaks, times, self.degree, count)
         c = self.coefficients[piece]
         jets: Array = c.reshape(*piece.shape, -1, c.shape[-1]) @ weights

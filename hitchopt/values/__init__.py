@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hitchopt.errors import InputError, OneLine
+from hitchopt.values.arrays import plain as plain
 
 Array = NDArray[np.float64]  # Type of arrays of real numbers
 Indices = NDArray[np.intp]  # Type of arrays of indices
 Points = ArrayLike | Sequence[Any]
-"""Type of points that callers give: all that numpy converts to an array.
+"""Type of points that callers give: all that ``plain`` takes.
 
 To type checkers ``[[0, -1], [-0.4, 0.5]]``, which mixes integers and floats, is a list of objects.
 """
@@ -134,6 +135,7 @@ SYNONYMS = {
     "circle": "radius diameter",
     "polygon": "vertices points outline to",
     "outline": "polygon vertices points",
+    "radius": "diameter circle r",
     "mass": "weight",
     "at": "position place origin",
     "speed": "velocity",
@@ -194,20 +196,21 @@ def line(key: str, value: object) -> str:
 def sequence(key: str, value: object) -> tuple[Any, ...]:
     """Return the entries of an iterable, or raise InputError if ``value`` is not iterable."""
     try:
-        return tuple(value)  # type: ignore[arg-type]
+        return tuple(plain(key, value))
     except TypeError:
         raise InputError(key, value, "a list", "write [ ] around it") from None
 
 
 def integer(key: str, value: object, minimum: int, maximum: int | None = None) -> int:
     """Return ``value``, or raise InputError unless it is an integer in the range."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+    number = plain(key, value)
+    if isinstance(number, bool) or not isinstance(number, int | np.integer):
         raise InputError(key, value, "an integer", "use a whole number")
-    if value < minimum:
+    if number < minimum:
         raise InputError(key, value, f"at least {minimum}", f"use {minimum} or more")
-    if maximum is not None and value > maximum:
+    if maximum is not None and number > maximum:
         raise InputError(key, value, f"at most {maximum}", f"use {maximum} or less")
-    return int(value)
+    return int(number)
 
 
 def positive(key: str, value: object) -> float:
@@ -228,10 +231,11 @@ def nonnegative(key: str, value: object) -> float:
 
 def finite(key: str, value: object) -> float:
     """Return ``value`` as a float, or raise InputError unless it is a finite number."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.number):
+    entry = plain(key, value)
+    if not _is_number(entry):
         raise form_error(key, value, SCALAR)
     try:
-        number = float(value)
+        number = float(entry)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
@@ -247,12 +251,37 @@ def coordinate(key: str, value: object) -> float:
     return number
 
 
-def as_array(value: object) -> Array:
-    """Return a copy of ``value`` as an array; empty if ``value`` is not an array of numbers."""
-    try:
-        return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+def as_array(key: str, value: object) -> Array:
+    """Return a copy of numbers, which may be nan, as an array; empty if they form no array.
+
+    Raises InputError for an entry that is not a number.
+    """
+    entries = _nested_numbers(key, value)
+    if not (isinstance(entries, list | tuple | np.ndarray) or _is_number(entries)):
         return np.empty(0)
+    try:
+        return np.array(entries, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        return np.empty(0)
+
+
+def _nested_numbers(key: str, value: object) -> Any:
+    """Return an array, or lists of numbers; other values as they are, except entries of lists."""
+    entries = plain(key, value)
+    if isinstance(entries, np.ndarray) and entries.dtype == np.bool_:
+        raise form_error(key, value, SCALAR)
+    if not isinstance(entries, list | tuple) or set(map(type, entries)) <= {float, int}:
+        return entries
+    rows = [_nested_numbers(f"{key}[{i}]", entry) for i, entry in enumerate(entries)]
+    for i, row in enumerate(rows):
+        if not (isinstance(row, list | tuple | np.ndarray) or _is_number(row)):
+            raise form_error(f"{key}[{i}]", row, SCALAR)
+    return rows
+
+
+def _is_number(value: object) -> bool:
+    """Return whether a value is a real number; true and false are none."""
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
 
 
 def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: str) -> Array:
@@ -261,7 +290,7 @@ def points(key: str, value: object, shape: tuple[int, int], bound: str, remedy: 
     ``shape`` is the minimum number of points and the number of coordinates; ``bound`` and
     ``remedy`` go into the error for a wrong shape.
     """
-    array = as_array(value)
+    array = as_array(key, value)
     if array.ndim != 2 or array.shape[1] != shape[1] or len(array) < shape[0]:
         raise InputError(key, value, bound, remedy)
     return bounded_points(key, array)
@@ -290,12 +319,13 @@ def per_robot(
 
     ``check`` returns a checked number. ``owner`` names the items in messages.
     """
-    if isinstance(value, int | float | np.number) and not isinstance(value, bool):
-        array = np.full(robots, check(key, float(value)))
+    given = plain(key, value)
+    if _is_number(given):
+        array = np.full(robots, check(key, float(given)))
     else:
         bound = f"one number, or a list of {robots} (one per {owner})"
         try:
-            entries = [] if isinstance(value, str) else list(value)  # type: ignore[arg-type]
+            entries = [] if isinstance(given, str) else list(given)
         except TypeError:
             entries = []
         if not entries:

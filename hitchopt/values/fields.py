@@ -48,6 +48,7 @@ from hitchopt.values import (
     form_of,
     integer,
     line,
+    plain,
     text,
 )
 
@@ -196,7 +197,7 @@ def suggest_keywords(function: Callable[P, T], name: str = "") -> Callable[P, T]
 
     @functools.wraps(function)
     def with_suggestion(*args: P.args, **kwargs: P.kwargs) -> T:
-        check_keywords(name or function.__qualname__, valid, kwargs)
+        check_keywords(name or function.__qualname__.removesuffix(".__init__"), valid, kwargs)
         return function(*args, **kwargs)
 
     return with_suggestion
@@ -373,12 +374,13 @@ FLAGS = Kind((FLAG,), flag, {"type": "boolean"})  # True or false
 ANYTHING = Kind((SCALAR, LIST, WORD, FLAG, MAPPING), lambda _, value: value, {})  # Any plain data
 
 
-def words(*plain: str | bool, **values: Any) -> Kind:
+def words(*names: str | bool, **values: Any) -> Kind:
     """Return the kind of some words or flags; words in ``values`` are stored as their values."""
-    value_of: dict[Any, Any] = {word: word for word in plain} | values
+    value_of: dict[Any, Any] = {word: word for word in names} | values
     valid = [str(word).lower() for word in value_of]
 
     def check(key: str, value: Any) -> Any:
+        value = plain(key, value)
         if isinstance(value, str | bool) and value in value_of:
             return value_of[value]
         if values and type(value) is int and value in values.values():
@@ -437,6 +439,7 @@ def points(
         count, point = shape[0], f"a point [{entry}]"
         bound = f"a list of {count or f'at least {min_length}'} points [{entry}]"
         bound = point if len(shape) == 1 else bound
+        value = plain(key, value)
         value = value.tolist() if isinstance(value, np.ndarray) else value
         if not isinstance(value, list | tuple):
             raise form_error(key, value, bound)
@@ -466,6 +469,7 @@ def list_of(kind: Kind, min_length: int = 0, max_length: int | None = None) -> K
     """Return the kind of lists of values of a kind."""
 
     def check(key: str, value: Any) -> list[Any]:
+        value = plain(key, value)
         if not isinstance(value, list | tuple | np.ndarray):
             raise form_error(key, value, LIST)
         if len(value) < min_length:
@@ -486,6 +490,7 @@ def either(*kinds: Kind) -> Kind:
     forms = {form: kind for kind in reversed(kinds) for form in kind.forms}
 
     def check(key: str, value: Any) -> Any:
+        value = plain(key, value)
         if (form := form_of(value)) not in forms:
             bounds = dict.fromkeys(form for kind in kinds for form in kind.forms)
             raise form_error(key, value, *bounds)

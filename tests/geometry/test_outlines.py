@@ -178,3 +178,14 @@ def test_left_is_counter_clockwise(seed: int, angle: float) -> None:
     np.testing.assert_allclose(cross(a, left_of(a)), np.sum(a * a, axis=1), rtol=1e-12)
     level = left_of(np.column_stack([a, np.ones(6)]))
     np.testing.assert_array_equal(level, np.column_stack([left_of(a), np.zeros(6)]))
+
+
+def test_moves_take_numbers_only() -> None:
+    triangle = regular_polygon(3, 1.0)
+    for move, key, remedy in (
+        (lambda: triangle.rotated("90"), "angle", "remove the quotes"),  # type: ignore[arg-type]
+        (lambda: triangle.translated([1.0, np.nan]), "offset[0]", "within"),
+        (lambda: triangle.translated([1.0, 2.0, 3.0]), "offset", "two numbers"),
+        (lambda: triangle.scaled(-1.0), "factor", "positive"),
+    ):
+        assert_refused(move, key, remedy)

@@ -116,7 +116,7 @@ class Track(OneLine):
 def _check_samples(record: Signal | Track, name: str, width: int | None) -> None:
     """Check times (m,) and the rows (m, width) of a field, and make them read-only."""
     values = getattr(record, name)
-    t, x = as_array(record.t), as_array(values)
+    t, x = as_array("t", record.t), as_array(name, values)
     if t.ndim != 1 or t.size == 0 < np.size(record.t):
         raise InputError("t", record.t, "times (m,) [s]", "specify one per sample")
     columns = x.shape[1] if width is None and x.ndim == 2 else width

@@ -26,7 +26,7 @@ from hitchopt.hitch.energy import AXIAL_STIFFNESS, HitchEnergy, energy_of
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
-from hitchopt.values import Array, check_instance
+from hitchopt.values import Array, as_array, check_instance, plain
 from hitchopt.values.fields import Key, keys_of
 from hitchopt.values.units import AXIAL_FORCE, STIFFNESS
 
@@ -39,6 +39,7 @@ SAMPLED = {"cable_length": 1, "offsets": 2, "forces": 2}
 
 # Conditions of position loops by axis; one value per drone is broadcast
 LOOP = ("stiffness", "integral")
+FLAGGED = ("integral", "feed_forward")  # Conditions that may be given as true or false
 
 MAX_RESIDUAL = 1e-6  # Largest force residual of a solution [N]
 BLOCK = 4000  # Cables of all samples that are solved at once, to bound memory
@@ -103,8 +104,11 @@ def conditions_of(team: Team, **stated: Any) -> dict[str, Any]:
         value = stated.get(name)
         if value is None:
             value = defaults[name] if name in defaults else getattr(team, name)
-        values = np.asarray(value, np.float64)
-        if name == "integral" and value is not None and name in stated:  # given as flags
+        if name in FLAGGED:
+            flags = np.asarray(plain(name, value))
+            value = 1.0 * flags if flags.dtype == np.bool_ else value
+        values = as_array(name, value)
+        if name == "integral" and name in stated:
             values = np.where(values > 0.0, np.inf, 0.0)
         if name in LOOP and values.shape == drones:
             values = np.repeat(values[:, None], 3, axis=1)

@@ -172,8 +172,8 @@ def tolerance(
     motion = motion_of(plan, "tolerance")
     sizes = {"cable": cable_error, "position": position_error, "force": force_error}
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
-    times = taut_times(motion) if t is None else np.atleast_1d(as_array(t))
-    if times.ndim != 1:
+    times = taut_times(motion) if t is None else np.atleast_1d(as_array("t", t))
+    if times.ndim != 1 or times.size == 0:
         raise InputError(
             "t", t, "one time, or a list of them", "pass a one-dimensional array of times [s]"
         )

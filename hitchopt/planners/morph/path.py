@@ -327,7 +327,7 @@ def _sampled(key: str, given: FunctionOrKnots, shapes: tuple[ValueShape, ...]) -
     """Return samples of a function of s, or knots, whose values have one of the shapes."""
     if callable(given):
         return _fitted(key, given, shapes)
-    values = as_array(given)
+    values = as_array(key, given)
     if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
         bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {_words(shapes)}"
         remedy = "specify a knot for each of evenly spaced s from 0 to 1"
@@ -360,7 +360,7 @@ def _values(
     """Return the finite values (J, *shape) of a function at s (J,)."""
     bound = f"a function of s to shape {_words(shapes)}"
     try:
-        values = [as_array(function(parameter)) for parameter in s.tolist()]
+        values = [as_array(key, function(parameter)) for parameter in s.tolist()]
     except (TypeError, ValueError) as error:
         raise InputError(key, function, bound, f"it raises {error}") from error
     value_shapes = [value.shape for value in values]
@@ -387,7 +387,7 @@ def _finite(key: str, values: Array) -> Array:
 
 def _checked_s(s: ArrayLike) -> Array:
     """Return parameters (J,) of a path, or raise InputError."""
-    values = as_array(s)
+    values = as_array("s", s)
     if values.ndim != 1 or not len(values) or not np.all((values >= 0.0) & (values <= 1.0)):
         raise InputError("s", s, "a list of numbers from 0 to 1", "0 is the start, 1 the end")
     return values
