@@ -157,7 +157,7 @@ except ho.InputError as error:
 """
 
 
-BACKEND = "module://inline_backend_of_another_environment"
+BACKEND = "backend_of_another_environment"
 
 
 @pytest.mark.slow
