@@ -177,8 +177,8 @@ def plan_of(name: str) -> ho.Plan:
         len(first), cable_length=2.4, cable_density=0.006, cable_friction=0.1, tension=0.5
     )
     start = ho.Hitch.spread(team, first, altitude=1.2)
-    mission = ho.Mission(team, start).hold(2.0).morph(second).hold(2.0)
-    return mission.transport(to=[0.3, 0.2, 1.4]).hold(2.0).solve()
+    rest = ho.Hold(2.0)
+    return ho.solve(start, [rest, ho.Morph(second), rest, ho.Transport([0.3, 0.2, 1.4]), rest])
 
 
 # Mean errors in the paper, which are the same for its second and third experiment

@@ -57,7 +57,7 @@ def random_case(seed: int) -> tuple[ho.Plan, float]:
         lengths = polygon.edge_lengths + spare
         team = ho.Team(n, lengths, tension=tension, cable_density=density)
         try:
-            plan = ho.hold(ho.Hitch.spread(team, polygon, 1.8), 2.0 + REST_TIME)
+            plan = ho.solve(ho.Hitch.spread(team, polygon, 1.8), ho.Hold(2.0 + REST_TIME))
         except ho.InfeasibleError:
             continue
         if plan.certificate.certified:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 
 PUBLIC_NAMES = {
-    "api": ("Mission", "export", "repair", "separate", "solve", "suggestions"),
+    "api": ("export", "form", "morph", "repair", "separate", "solve", "suggestions"),
     "checks": ("Certificate", "Check", "certify"),
     "checks.custom": ("ClaspSpans", "DroneSpans", "Rule", "VertexSpans"),
     "errors": ("HitchoptError", "InfeasibleError", "InputError", "UnitWarning"),
@@ -39,20 +39,6 @@ PUBLIC_NAMES = {
     "plan": ("Plan", "closest", "combine", "load"),
     "planners.forming": ("SwapSettings",),
     "planners.morph.path": ("Path",),
-    "single_steps": (
-        "adjust",
-        "follow_vertex",
-        "form",
-        "hold",
-        "land",
-        "morph",
-        "move_edge",
-        "move_vertex",
-        "open_vertex",
-        "release",
-        "settle",
-        "transport",
-    ),
     "stages": ("route", "time"),
     "steps": (
         "Adjust",

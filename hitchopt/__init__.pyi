@@ -1,6 +1,6 @@
 """The public names of ``__init__.py``, for type checkers and editors."""
 
-from hitchopt.api import Mission as Mission, export as export, repair as repair
+from hitchopt.api import export as export, form as form, morph as morph, repair as repair
 from hitchopt.api import separate as separate, solve as solve, suggestions as suggestions
 from hitchopt.checks import Certificate as Certificate, Check as Check, certify as certify
 from hitchopt.checks.custom import ClaspSpans as ClaspSpans, DroneSpans as DroneSpans, Rule as Rule
@@ -38,10 +38,6 @@ from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as Soli
 from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, load as load
 from hitchopt.planners.forming import SwapSettings as SwapSettings
 from hitchopt.planners.morph.path import Path as Path
-from hitchopt.single_steps import adjust as adjust, follow_vertex as follow_vertex, form as form
-from hitchopt.single_steps import hold as hold, land as land, morph as morph, move_edge as move_edge
-from hitchopt.single_steps import move_vertex as move_vertex, open_vertex as open_vertex
-from hitchopt.single_steps import release as release, settle as settle, transport as transport
 from hitchopt.stages import route as route, time as time
 from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
 from hitchopt.steps import Enclose as Enclose, FollowVertex as FollowVertex, Form as Form

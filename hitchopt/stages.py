@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hitchopt.api import Legs, Polygon, new_step
+from hitchopt.api import step_errors, step_problem
 from hitchopt.errors import InputError, time_limit
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
@@ -20,8 +20,8 @@ from hitchopt.planners.morph.morph import check_loads, check_shapes
 from hitchopt.planners.morph.path import Path
 from hitchopt.planners.timing.following import following_motion
 from hitchopt.planners.timing.profile import TimingError
-from hitchopt.single_steps import Required, problem_from_hitch, step_errors
 from hitchopt.steps.moving import Morph
+from hitchopt.steps.step import Legs, Polygon
 from hitchopt.values import check_instance, positive
 from hitchopt.values.fields import suggest_keywords
 
@@ -59,8 +59,8 @@ def route(
     InfeasibleError: there is no route; lists the limits that bind, where and when.
     TimeLimitError: no route within ``limit``.
     """
-    step = new_step(
-        Morph,
+    check_instance("start", start, Hitch)
+    step = Morph(
         polygon=polygon,
         legs=legs,
         optimize=optimize,
@@ -68,9 +68,9 @@ def route(
         settle=False,
         cost=cost,
     )
-    required = Required(limits, separation, arena, limit)
-    problem = problem_from_hitch(start, step, required)
-    with step_errors(step), time_limit(required.limit):
+    seconds = None if limit is None else positive("limit", limit)
+    problem = step_problem(start.team, start, step, limits, separation, arena)
+    with step_errors(step), time_limit(seconds):
         path = route_of(problem)
     if path is None:
         raise InputError("polygon", polygon, "different from the start's", "nothing moves")

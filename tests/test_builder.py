@@ -1,4 +1,4 @@
-"""Missions built step by step, what plans do in Python, and how records are written there."""
+"""Missions of steps, what plans do in Python, and how records are written there."""
 
 from __future__ import annotations
 
@@ -17,81 +17,115 @@ from hypothesis import strategies as st
 from matplotlib import pyplot
 
 import hitchopt as ho
-from hitchopt import single_steps
 from hitchopt.errors import MAX_REPR, OneLine, UnsupportedError, broken_limit, short
 from hitchopt.hitch.catenary import hanging_cable
-from hitchopt.steps import STEPS
-from hitchopt.steps.moving import Hold
-from hitchopt.steps.tying import Release
-from hitchopt.values.fields import EMPTY, keys_of
+from hitchopt.steps import STEPS, Step
+from hitchopt.values.fields import keys_of
 
 TRIANGLE = [[0.3, -0.8], [-0.1, 0.7], [0.7, 0.7]]
 OTHER = [[0.35, -0.7], [-0.15, 0.7], [0.7, 0.75]]
 ARC = [[-1.2, 0.1], [-0.4, 0.9], [0.4, 0.9], [1.2, 0.1]]
 TEAM = ho.Team(3, 2.4)
 START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
+HELD = ho.Problem(TEAM, START, [ho.Hold(1.0)])
+Q, R = ([[x, y, 0.0] for y in (-1.2, 0.0, 1.2)] for x in (-0.6, 0.6))
 
 
 @pytest.fixture(scope="module")
 def plan() -> ho.Plan:
     start = ho.Hitch.spread(ho.Team(3, [2.4, 2.5, 2.6]), TRIANGLE, altitude=1.2)
-    return ho.Mission(start.team, start, title="Two <steps>").morph(OTHER).hold(0.5).solve()
+    return ho.solve(start, [ho.Morph(OTHER), ho.Hold(0.5)], title="Two <steps>")
 
 
 REQUIRED = ["limits", "separation", "arena", "limit"]
-NO_KEYS = {"morph": ["cost"]}  # Arguments that are functions, which no file can state
-
-
-@pytest.mark.parametrize("kind", STEPS, ids=lambda kind: kind.name)
-def test_methods_and_functions_have_the_arguments_and_words_of_their_records(
-    kind: type[Hold],
-) -> None:
-    keys = keys_of(kind)
-    first = ["team", "q", "r"] if kind.needs_hitch is False else ["start"]
-    wanted = [(getattr(ho.Mission, kind.name), ["self", *keys])]
-    if function := vars(single_steps).get(kind.name):
-        own = [name for name in keys if name != "blend"]
-        wanted.append((function, [*first, *own, *REQUIRED, *NO_KEYS.get(kind.name, [])]))
-    for function, names in wanted:
-        parameters = inspect.signature(function).parameters
-        defaults = {k: p.default for k, p in parameters.items() if p.default is not p.empty}
-        assert [*parameters] == names
-        words = " ".join(inspect.cleandoc(function.__doc__).split())
-        for name in set(names) & set(keys):
-            default = keys[name].default
-            assert defaults.get(name, EMPTY) == (None if name == "swap" else default)
-            meaning = keys[name].described(keys[name].kind).replace("null:", "None:")
-            assert f"{name}: {meaning[0].lower()}{meaning[1:]}." in words
-
-
-def test_a_mission_is_the_problem_of_the_same_steps_and_objects() -> None:
-    empty = ho.Mission(TEAM, START, limits=ho.Limits(speed=0.8))
-    mission = empty.morph(OTHER, blend=True).move_vertex(0, by=[0.0, 0.05]).hold(1.0)
-    assert empty.steps == ()
-    assert [step.name for step in mission.steps] == ["morph", "move_vertex", "hold"]
-    assert mission.problem.limits.speed == 0.8
-    assert [step.blends for step in mission.problem.mission] == [True, False, False]
-    assert mission.then(Release()).steps[-1].name == "release"
-    tray = ho.SolidObject(ho.Section(radius=0.1), at=[1.5, 0.0, 0.0])
-    around = ho.Mission(TEAM, START, objects={"tray": tray}).enclose("tray").leave("tray")
-    assert around.problem.objects == {"tray": tray}
 
 
 @pytest.mark.parametrize(
-    ("add", "key"),
+    ("function", "kind", "first", "last"),
+    [(ho.morph, ho.Morph, ["start"], ["cost"]), (ho.form, ho.Form, ["team", "q", "r"], [])],
+)
+def test_shortcuts_have_the_arguments_and_words_of_their_records(
+    function: Any, kind: type[Step], first: list[str], last: list[str]
+) -> None:
+    keys = {name: key for name, key in keys_of(kind).items() if name != "blend"}
+    parameters = inspect.signature(function).parameters
+    assert [*parameters] == [*first, *keys, *REQUIRED, *last]
+    words = " ".join(inspect.cleandoc(function.__doc__).split())
+    for name, key in keys.items():
+        assert parameters[name].default == (None if name == "swap" else key.default)
+        meaning = key.described(key.kind).replace("null:", "None:")
+        assert f"{name}: {meaning[0].lower()}{meaning[1:]}." in words
+
+
+@pytest.mark.parametrize("kind", [*STEPS, ho.Fly], ids=lambda kind: kind.name)
+def test_help_of_a_step_has_its_keys(kind: type[Step]) -> None:
+    words = " ".join(inspect.getdoc(kind).split())  # type: ignore[union-attr]
+    assert [*inspect.signature(kind).parameters][: len(keys_of(kind))] == [*keys_of(kind)]
+    for name, key in keys_of(kind).items():
+        meaning = key.described(key.kind).replace("null:", "None:")
+        assert f"{name}: {meaning[0].lower()}{meaning[1:]}." in words
+
+
+def assert_same_motion(plan: ho.Plan, other: ho.Plan) -> None:
+    drones, others = plan.motion.drones, other.motion.drones
+    np.testing.assert_array_equal(drones.coefficients, others.coefficients)
+
+
+def test_a_mission_of_steps_is_the_problem_of_the_same_steps() -> None:
+    steps = [ho.Morph(OTHER, blend=True), ho.MoveVertex(0, by=[0.0, 0.05]), ho.Hold(1.0)]
+    limits = ho.Limits(speed=0.8)
+    plan = ho.solve(START, steps, limits=limits, title="Three steps")
+    whole = ho.solve(ho.Problem(TEAM, START, steps, limits=limits, title="Three steps"))
+    assert plan.title == whole.title == "Three steps"
+    assert [phase.step for phase in plan.phases] == [0, 1, 2]
+    assert_same_motion(plan, whole)
+    assert_same_motion(ho.solve(START, ho.Morph(OTHER)), ho.morph(START, OTHER))
+
+
+def test_starts_of_drones_and_of_several_teams_are_planned() -> None:
+    formed = ho.solve(ho.DronesStart(Q, R), [ho.Form(TRIANGLE, 1.2), ho.Hold(0.5)], team=TEAM)
+    tied = ho.form(TEAM, Q, R, TRIANGLE, 1.2)
+    assert formed.duration == pytest.approx(tied.duration + 0.5)
+    swarm, goal = ho.Swarm(2), [[0.0, 0.0, 1.5], [1.0, 0.0, 1.5]]
+    flown = ho.solve([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]], ho.Fly(goal), team=swarm)
+    assert flown.at(flown.duration).positions == pytest.approx(np.array(goal))
+    far = ho.Hitch(ho.Team(3, 2.4), np.array(TRIANGLE) + [6.0, 0.0], 1.0, [0.3, 0.8, 0.25])
+    items = [{"a": ho.Hold(0.5), "b": [ho.Hold(0.2), ho.Transport([6.5, 0.2, 1.2])]}]
+    plans = [
+        ho.solve({"a": START, "b": far}, items),
+        ho.solve({"a": START, "b": far}, items[0], team={"a": TEAM, "b": far.team}),
+    ]
+    assert [each.name for each in plans[0].flight.teams] == ["a", "b"]
+    assert plans[0].duration == plans[1].duration
+    mixed = {"a": START, "b": np.array(goal) + [5.0, 0.0, 0.0]}
+    beside = {"a": ho.Hold(0.5), "b": ho.Fly(np.array(goal) + [5.0, 0.5, 0.0])}
+    plan = ho.solve(mixed, beside, team={"a": TEAM, "b": swarm})
+    assert plan.certificate.certified
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
     [
-        (lambda m: m.form(TRIANGLE), "mission[0].form"),
-        (lambda m: m.hold(1.0).morph(ARC), "mission[1].morph.polygon"),
-        (lambda m: m.release().release(), "mission[1].release"),
-        (lambda m: m.then("release"), "step"),
-        (lambda m: m.enclose("tray"), "mission[0].enclose.object"),
-        (lambda m: m.problem, "mission"),
-        (lambda m: m.hold(1.0).morph(OTHER, blend=True).problem, "mission[1].morph.blend"),
+        (lambda: ho.solve(START), "mission"),
+        (lambda: ho.solve(START, []), "mission"),
+        (lambda: ho.solve(START, print), "mission"),  # type: ignore[arg-type]
+        (lambda: ho.solve(START, ["hold"]), "mission[0]"),  # type: ignore[list-item]
+        (lambda: ho.solve(ho.DronesStart(Q, R), ho.Form(TRIANGLE)), "team"),
+        (lambda: ho.solve([[0, 0, 1], [1, 0, 1]], ho.Fly([[0, 0, 1], [1, 0, 1]])), "team"),
+        (lambda: ho.solve({"a": START, "b": ho.DronesStart(Q, R)}, {"a": ho.Hold(1.0)}), "team"),
+        (lambda: ho.solve(HELD, ho.Hold(1.0)), "mission"),
+        (lambda: ho.solve(HELD, limits=ho.Limits(speed=0.5)), "limits"),
+        (lambda: ho.solve(START, ho.Hold(1.0), team=ho.Team(3, 2.4)), "start"),
+        (lambda: ho.solve(START, ho.Form(TRIANGLE)), "mission[0].form"),
+        (lambda: ho.solve(START, [ho.Hold(1.0), ho.Morph(ARC)]), "mission[1].morph.polygon"),
+        (lambda: ho.solve(START, [ho.Release(), ho.Release()]), "mission[1].release"),
+        (lambda: ho.solve(START, ho.Enclose("tray")), "mission[0].enclose.object"),
+        (lambda: ho.solve(START, ho.Morph(OTHER, blend=True)), "mission[0].morph.blend"),
     ],
 )
-def test_the_step_that_does_not_fit_is_refused_at_once(add: Any, key: str) -> None:
+def test_what_does_not_fit_is_refused_by_its_key(call: Any, key: str) -> None:
     with pytest.raises(ho.InputError) as caught:
-        add(ho.Mission(TEAM, START))
+        call()
     assert caught.value.key == key
 
 
@@ -110,13 +144,13 @@ def test_the_end_is_the_hitch_that_drones_and_cables_are_in(team: ho.Team, legs:
     outline = ARC if team.topology == "open" else TRIANGLE
     loose = ho.Separation(radius=0.05, cable=0.02, crossing=0.01)
     start = ho.Hitch.spread(team, outline, 1.3, separation=loose)
-    mission = ho.Mission(team, start, separation=loose)
-    plan = mission.adjust(legs).transport([0.2, 0.3, 1.5], 0.4).solve()
+    steps = [ho.Adjust(legs), ho.Transport([0.2, 0.3, 1.5], 0.4)]
+    plan = ho.solve(start, steps, separation=loose)
     end, last = plan.end, plan.at(plan.duration)
     assert end.drones == pytest.approx(last.positions, abs=1e-9)
     assert end.vertices == pytest.approx(last.vertices, abs=1e-9)
     assert end.cable_forces == pytest.approx(last.cable_forces, abs=1e-9)
-    onward = ho.hold(end, 1.0, separation=loose)
+    onward = ho.solve(end, ho.Hold(1.0), separation=loose)
     assert onward.at(0.0).positions == pytest.approx(last.positions, abs=1e-9)
 
 
@@ -125,8 +159,8 @@ def test_a_saved_plan_ends_in_the_same_hitch_and_one_with_free_cables_in_none(
 ) -> None:
     loaded = ho.load(plan.save(tmp_path / "out", rate=5.0, picture=False))
     assert loaded.end.q_legs == pytest.approx(plan.end.q_legs, abs=1e-12)
-    q, r = (np.array([[x, y, 1.0] for y in (-1.2, 0.0, 1.2)]) for x in (-0.6, 0.6))
-    landed = ho.land(TEAM, q, r)
+    q, r = (np.array(places) + [0.0, 0.0, 1.0] for places in (Q, R))
+    landed = ho.solve(ho.DronesStart(q, r), ho.Land(), team=TEAM)
     with pytest.raises(ho.InputError, match="end = 'free cables': must be a hitch"):
         _ = landed.end
 
@@ -214,7 +248,7 @@ def test_every_public_record_is_written_on_one_line_whatever_its_values(values: 
 
 def test_records_are_written_in_their_own_words() -> None:
     start = ho.Hitch(TEAM, EVEN, 1.0, [0.3, 0.8, 0.25])
-    plan = ho.hold(start, 2.0)
+    plan = ho.solve(start, ho.Hold(2.0))
     held = len(plan.certificate.limited)
     polygon = "[[0, -1], [-0.4, 0.5], [0.4, 0.5]]"
     for record, words in (
@@ -267,15 +301,13 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
             "height",
             "Hitch.spread() has no argument 'height'; did you mean altitude?",
         ),
-        (ho.move_edge, "by", "move_edge() missing 1 required positional argument: 'edge'"),
         (ho.Section, "diameter", "Section() has no argument 'diameter'; did you mean radius?"),
         (ho.Hitch, "height", "Hitch() has no argument 'height'; did you mean altitude?"),
-        (ho.hold, "time", "hold() has no argument 'time'; did you mean seconds?"),
-        (
-            ho.Mission.morph,
-            "points",
-            "Mission.morph() has no argument 'points'; did you mean polygon?",
-        ),
+        (ho.morph, "polygn", "morph() has no argument 'polygn'; did you mean polygon?"),
+        (ho.Hold, "time", "Hold() has no argument 'time'; did you mean seconds?"),
+        (ho.Morph, "poligon", "Morph() has no argument 'poligon'; did you mean polygon?"),
+        (ho.Morph, "points", "Morph() has no argument 'points'; did you mean polygon?"),
+        (ho.solve, "limts", "solve() has no argument 'limts'; did you mean limits?"),
     ],
 )
 def test_unknown_arguments_are_suggested(call: Any, given: str, words: str) -> None:

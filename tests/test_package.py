@@ -145,7 +145,7 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     known |= {node.attr for node in read if isinstance(node, ast.Attribute)} | {*hitchopt.__all__}
     known |= {name for names in hitchopt.ROOM_NAMES.values() for name in names}
     texts = (str(node.value) for node in nodes if isinstance(node, ast.Constant))
-    known |= {kind.name for kind in STEPS}  # methods of Mission
+    known |= {kind.name for kind in STEPS}  # functions of planners/morph/actions.py
     known |= {text.rpartition(":")[2] for text in texts if re.fullmatch(CLASS_NAME, text)}
     unused = [
         f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 1)}: {name}"

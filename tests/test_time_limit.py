@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,9 @@ from plans import PROBLEMS, planned
 from refusing_steps import NEEDED_SPEED, brittle_problem
 
 import hitchopt as ho
-from hitchopt import single_steps
 from hitchopt.errors import Progress, TimeIsUp, TimeLimitError, check_time, time_left, time_limit
 from hitchopt.mission.repair import find_suggestions
-from hitchopt.steps import STEPS
-from hitchopt.steps.moving import Hold
+from hitchopt.steps import STEP_KINDS
 
 
 def wait(seconds: float, *progress: Progress) -> None:
@@ -72,24 +71,32 @@ ARGUMENTS: dict[str, dict[str, Any]] = {
     "transport": {"to": [0.2, 0.1, 1.5]},
     "form": {"polygon": TRIANGLE, "altitude": 1.2},
     "open_vertex": {"vertex": 0},
-    "settle": {"start": RUBBING},
+    "settle": {},
     "release": {},
     "land": {},
 }
 
 
-@pytest.mark.parametrize(
-    "kind", [k for k in STEPS if k.name in vars(single_steps)], ids=lambda kind: kind.name
-)
-def test_every_step_function_is_given_up(clock: Clock, kind: type[Hold]) -> None:
-    start = {"team": START.team, "q": Q, "r": R} if kind.needs_hitch is False else {"start": START}
-    arguments = {**start, **ARGUMENTS[kind.name]}
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_every_step_is_given_up(clock: Clock, name: str) -> None:
+    step = STEP_KINDS[name](**ARGUMENTS[name])
+    start: Any = RUBBING if name == "settle" else START
+    if step.needs_hitch is False:
+        start = ho.DronesStart(Q, R)
     with pytest.raises(TimeLimitError, match=r"limit of 1\.5 s"):
-        getattr(ho, kind.name)(**arguments, limit=1.5)
+        ho.solve(start, step, team=RUBBING.team if name == "settle" else START.team, limit=1.5)
     assert clock.now < 10.0
-    for wrong in (0, -1.0, math.nan, "1"):
+
+
+@pytest.mark.parametrize("wrong", [0, -1.0, math.nan, "1"])
+def test_a_limit_is_a_positive_time(wrong: Any) -> None:
+    for call in (
+        partial(ho.solve, START, ho.Hold(1.0)),
+        partial(ho.morph, START, PULLED),
+        partial(ho.form, START.team, Q, R, TRIANGLE),
+    ):
         with pytest.raises(ho.InputError, match=r"^limit = "):
-            getattr(ho, kind.name)(**arguments, limit=wrong)
+            call(limit=wrong)
 
 
 def test_a_plan_in_time_is_the_plan_without_a_limit() -> None:
@@ -100,7 +107,7 @@ def test_a_plan_in_time_is_the_plan_without_a_limit() -> None:
     with pytest.raises(ho.InputError, match="limit = 0"):
         ho.solve(path, limit=0)
     a, b = (
-        ho.transport(START, [0.2, 0.1, 1.5], limit=limit).motion.drones.coefficients
+        ho.solve(START, ho.Transport([0.2, 0.1, 1.5]), limit=limit).motion.drones.coefficients
         for limit in (None, 1e6)
     )
     np.testing.assert_array_equal(a, b)

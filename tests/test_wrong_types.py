@@ -18,7 +18,6 @@ from plans import PROBLEMS
 from refusals import Refusal, assert_refused
 
 import hitchopt as ho
-from hitchopt import single_steps
 from hitchopt.cli import main
 from hitchopt.hitch.catenary import hanging_cable
 from hitchopt.hitch.team import Assignment
@@ -28,7 +27,8 @@ from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.others import Other
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS, Step
-from hitchopt.steps.moving import Hold, Settle, Transport
+from hitchopt.steps.moving import Hold, Morph, Transport
+from hitchopt.steps.tying import Form
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values.fields import EMPTY, keys_of
@@ -38,16 +38,13 @@ Q = [[-0.6, -1.2, 0.0], [-0.6, 0.0, 0.0], [-0.6, 1.2, 0.0]]
 R = [[0.6, -1.2, 0.0], [0.6, 0.0, 0.0], [0.6, 1.2, 0.0]]
 TEAM = ho.Team(3, 2.4)
 START = ho.Hitch(TEAM, TRIANGLE, 1.0, [0.3, 0.8, 0.25])
-ROUGH = ho.Hitch(ho.Team(3, 2.4, cable_friction=0.1), TRIANGLE, 1.0, [0.3, 0.8, 0.25])
-PLAN = ho.hold(START, 1.0)
+PLAN = ho.solve(START, ho.Hold(1.0))
 SMALLER = [[0.0, -0.9], [-0.4, 0.5], [0.4, 0.5]]
 PATH = ho.Path.of(TEAM, [START.vertices, 1.01 * START.vertices, START.vertices])
 PAIR = ho.Swarm(2)
 LOWER, UPPER = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]]
 SECTION = ho.Section(radius=0.1)
-CRATE = ho.Mission(TEAM, START, objects={"crate": ho.SolidObject(SECTION, at=[1.5, 0.0, 0.0])})
-ENCLOSED = CRATE.enclose("crate")
-HELD = ENCLOSED.grasp("crate", by="grip")
+CRATE = {"crate": ho.SolidObject(SECTION, at=[1.5, 0.0, 0.0])}
 VERTICES = PLAN.at(0.0).vertices
 FEEDBACK, PLAYER = ho.Feedback(PLAN), ho.Player(PLAN)
 REST: dict[str, Any] = {"limits": None, "separation": None, "arena": None}
@@ -57,13 +54,6 @@ RECORDS: dict[str, Any] = {
     "separation": ho.Separation(),
     "title": "",
 }
-BEGUN: dict[str, ho.Mission] = {
-    **dict.fromkeys(("form", "land"), ho.Mission(TEAM, ho.DronesStart(Q, R))),
-    **{"enclose": CRATE, "transport_object": CRATE, "grasp": ENCLOSED, "lift": HELD},
-    **{"carry": HELD.lift(0.1), "set_down": HELD.lift(0.1), "loosen": HELD},
-    "leave": ENCLOSED,
-    "settle": ho.Mission(ROUGH.team, ROUGH),
-}  # Missions in which steps are possible, where not at the start of one with a hitch
 
 
 def arguments(kind: type[Step]) -> dict[str, Any]:
@@ -72,20 +62,19 @@ def arguments(kind: type[Step]) -> dict[str, Any]:
         name: key.default if key.default is not EMPTY else key.example
         for name, key in keys_of(kind).items()
     }
-    given |= {"object": "crate"} if "object" in given else {}
     return given | ({"by": [0.0, 0.1]} if "to" in given and given["to"] is None else {})
 
 
 def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:
-    """Methods and functions of all kinds of steps."""
+    """Records of all kinds of steps, and the shortcuts for two of them."""
     for kind in STEPS:
-        given = arguments(kind)
-        if kind.name in vars(single_steps):
-            free, hitch = kind.needs_hitch is False, ROUGH if kind is Settle else START
-            start = {"team": TEAM, "q": Q, "r": R} if free else {"start": hitch}
-            alone = {name: value for name, value in given.items() if name != "blend"}
-            yield getattr(ho, kind.name), {**start, **alone, **REST, "limit": None}
-        yield getattr(BEGUN.get(kind.name, ho.Mission(TEAM, START)), kind.name), given
+        yield kind, arguments(kind)
+    for shortcut, kind, start in (
+        (ho.morph, Morph, {"start": START}),
+        (ho.form, Form, {"team": TEAM, "q": Q, "r": R}),
+    ):
+        alone = {name: value for name, value in arguments(kind).items() if name != "blend"}
+        yield shortcut, {**start, **alone, **REST, "limit": None}
 
 
 def height(spans: ho.DroneSpans) -> Enclosed:
@@ -97,7 +86,9 @@ AFTER, NOWHERE = -1.0, "there is no such file"  # Refused, so that nothing is co
 # fmt: off
 GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     *steps(),
-    (ho.solve, {"problem": ho.Problem(TEAM, START, (Hold(1.0),)), "limit": None}),
+    (ho.solve, {"start": ho.Problem(TEAM, START, (Hold(1.0),)), "limit": None, "rules": ()}),
+    (ho.solve, {"start": START, "mission": [Hold(1.0)], "team": TEAM, "objects": {}, "others": {},
+                "keep_out": (), "title": "", **REST, "limit": None}),
     *((call, {"problem": NOWHERE}) for call in (ho.separate, ho.suggestions, ho.repair)),
     (ho.lint, {"path": NOWHERE}),
     *((call, {"path": NOWHERE}) for call in (ho.load_problem,)),
@@ -134,7 +125,6 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.DronesStart, {"q": Q, "r": R}),
     (ho.Problem,
      {"team": TEAM, "start": START, "mission": [Hold(1.0)], "objects": {}, **RECORDS}),
-    (ho.Mission, {"team": TEAM, "start": START, "mission": (), "objects": {}, **RECORDS}),
     (ho.Problem,
      {"team": PAIR, "start": LOWER, "mission": [ho.Fly(np.array(UPPER))], "keep_out": (),
       **RECORDS}),
@@ -157,7 +147,6 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (ho.SolidObject, {"section": SECTION, "lower": 0.0, "upper": 0.3, "mass": 0.1}),
     (ho.SolidObject, {"section": SECTION, "friction": 0.5, "at": [0, 0, 0], "yaw": 0.0}),
     (ho.SolidObject, {"section": SECTION, "rim": None, "fixed": False}),
-    (CRATE.then, {"step": Hold(1.0)}),
     (ho.Feedback, {"plan": PLAN, "rate": 0.1, "reserve": 0.01, "delay": 0.05, "stiffness": None}),
     (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": None, "drones": None}),
     (FEEDBACK.step, {"time": 0.0, "seconds": 0.01, "vertices": VERTICES, "measured": None}),
@@ -337,7 +326,7 @@ def test_polygons_are_accepted_wherever_points_are() -> None:
     polygon = ho.ConvexPolygon(TRIANGLE)
     assert ho.Hitch.balanced(TEAM, polygon).polygon is polygon
     assert ho.Prism(polygon, 0.0, 1.0).polygon is polygon
-    assert ho.Mission(TEAM, START).morph(polygon).steps[0].polygon is polygon  # type: ignore[attr-defined]
+    assert ho.Morph(polygon).polygon is polygon
     assert ho.ConvexPolygon(polygon).vertices == pytest.approx(polygon.vertices)
 
 
@@ -383,9 +372,13 @@ REFUSED: list[Refusal] = [
     (lambda: parse_problem(written("34"), "x.yaml", Path()), "team.quadrotor.mass", "meant, 0.034"),
     (lambda: parse_problem(written("0.1, gains: {kp: 1}")), "team.quadrotor.gains", "= {'kp': [1"),
     (lambda: ho.Team(3, "2.4 m"), "cable_length", "(one per robot); use a plain number in SI"),
-    (lambda: ho.solve({}), "problem", "convert a dict with problem_from_dict"),  # type: ignore[arg-type]
+    (lambda: ho.solve({}), "start", "convert a dict with problem_from_dict"),
     (lambda: ho.form(TEAM, Q[:2], R, TRIANGLE), "q", "2 points"),
-    (lambda: CRATE.enclose("crat"), "mission[0].enclose.object", "did you mean crate?"),
+    (
+        lambda: ho.solve(START, ho.Enclose("crat"), objects=CRATE),
+        "mission[0].enclose.object",
+        "did you mean crate?",
+    ),
     (lambda: ho.closest(PLAN, 1, "c.txt"), "picture", "a name in .png, .svg or .pdf"),
 ]
 # fmt: on

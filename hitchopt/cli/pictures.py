@@ -135,7 +135,7 @@ def _load_content(path: Path) -> ho.Plan | SavedPlan:
         return read_saved_plan(plan_path(path))
     problem, text = ho.load_problem(path), read_text(path)[0]
     with ProgressBar("planning") as progress:
-        plan = ho.solve(problem, progress)
+        plan = ho.solve(problem, progress=progress)
     return replace(plan, problem=text)
 
 

@@ -24,9 +24,7 @@ from hitchopt.motion.motion import JOINT
 from hitchopt.motion.states import flight_states_at
 from hitchopt.values import Array, positive
 
-COMMANDS = ("pause", "resume", "back", "abort", "land", "end")
-"""Commands: ``end`` continues an abort or a landing that was commanded before, or lands."""
-
+COMMANDS = ("pause", "resume", "back", "abort", "land")
 OPERATOR = "operator"  # name of the operator's link
 MAX_ATTEMPTS = 6  # number of nearest entries of an abort table that are tried
 LEAD = 0.2  # time by which setpoints are computed ahead, and commands delayed [s]
@@ -47,43 +45,25 @@ class FleetSetpoints:
     feed_forward: Array  # (drones, 3) [m/s²], ``a - G F / m``, for controllers without cable model
 
 
-@dataclass(frozen=True, eq=False)
-class Landing:
-    """The continuation of a plan by an entry of an abort table."""
-
-    command: str  # abort or land
-    rest: float  # plan time at which it begins [s]
-    player: Player  # from this rest on
-
-
 class CommandedPlan:
-    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables.
-
-    An abort or a landing stands: a pause delays it, and ``resume`` or ``end`` continues it.
-    """
+    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables."""
 
     def __init__(self, flight: Flight, tables: Mapping[str, AbortTable]) -> None:
         self.flight = flight
         self._player = _player_at(flight, 0.0, 0.0)
         player = cache(lambda entry: _player_at(entry.flight, entry.start + entry.seconds, 1.0))
         self._landings = {
-            command: [Landing(command, entry.rest, player(entry)) for entry in table.entries]
+            command: [(entry.rest, player(entry)) for entry in table.entries]
             for command, table in tables.items()
         }
-        self._landing: Landing | None = None  # commanded, and not begun
-        self._paused = False  # whether it waits for a command
+        self._landing: Player | None = None
         self.descending = False  # whether the landing itself has started
         self.started = False  # whether the plan has left its start
 
     @property
     def resting(self) -> bool:
         """Return whether all drones are at rest and not about to move."""
-        return self._player.resting and (self._landing is None or self._paused)
-
-    @property
-    def landing(self) -> bool:
-        """Return whether an abort or a landing was commanded, which stands."""
-        return self.descending or self._landing is not None
+        return self._player.resting and self._landing is None
 
     @property
     def landed(self) -> bool:
@@ -99,8 +79,8 @@ class CommandedPlan:
 
         Those of drones that have landed have no cable forces: on the floor they would tip drones.
         """
-        if self._landing is not None and self._player.resting and not self._paused:
-            self._player, self._landing = self._landing.player, None
+        if self._landing is not None and self._player.resting:
+            self._player, self._landing = self._landing, None
             self.descending = True
         flight, setpoints = self._player.flight, self._player.step(seconds)
         states, team = flight_states_at(flight, [setpoints.time]), flight.team
@@ -123,46 +103,35 @@ class CommandedPlan:
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
-        if command in ("abort", "land"):
+        if command in self._landings:
             return self._land(command)
-        if command == "end" or (command == "resume" and self.landing):
-            return self._land("land" if self._landing is None else self._landing.command)
-        if command == "back" and self.landing:
-            raise InfeasibleError([], "back: the landing stands; pause and resume it only")
+        if self.descending and command == "back":
+            raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
         seconds = getattr(self._player, command)()
         self.started = self.started or command == "resume"
-        self._paused = command == "pause"
-        waiting = "" if self._landing is None else f"; resume continues {self._landing.command}"
-        return f"{command}: takes {seconds:.2f} s{waiting}"
+        self._landing = None
+        return f"{command}: takes {seconds:.2f} s"
 
     def _land(self, command: str) -> str:
-        """Move the clock to the rest of the commanded landing, or to the nearest with a landing.
+        """Move the clock to the nearest rest with a landing, preferably a later one.
 
-        A moving clock preferably continues to a later one. No object that is now at rest on its
-        support moves.
+        No object that is now at rest on its support moves.
         """
         if self.descending:
-            seconds, self._paused = self._player.resume(), False
-            return f"landing continues, in {seconds:.2f} s"
-        time, commanded = self._player.time, self._landing
+            return f"landing continues, in {self._player.resume():.2f} s"
+        time = self._player.time
         refusal = InfeasibleError([], f"{command}: the plan has no such landing")
-
-        def preference(landing: Landing) -> tuple[bool, bool, float]:
-            is_behind = landing.rest < time and not self._player.resting
-            return landing is not commanded, is_behind, abs(landing.rest - time)
-
         landings = [
-            x
-            for x in self._landings.get(command, ())
-            if not moves_standing(self.flight, time, x.rest)
+            x for x in self._landings[command] if not moves_standing(self.flight, time, x[0])
         ]
-        for landing in sorted(landings, key=preference)[:MAX_ATTEMPTS]:
+        nearest = sorted(landings, key=lambda x: (x[0] < time, abs(x[0] - time)))
+        for rest, landing in nearest[:MAX_ATTEMPTS]:
             try:
-                seconds = self._player.seek(landing.rest)
+                seconds = self._player.seek(rest)
             except InfeasibleError as error:
                 refusal = error
             else:
-                self._landing, self._paused = landing, False
+                self._landing = landing
                 return f"{command}: begins in {seconds:.2f} s"
         raise refusal
 
@@ -256,15 +225,15 @@ class SetpointStream:
     def _queue_command(self, command: str, now: float) -> None:
         """Queue an operator's command, or report why it is not allowed now."""
         plan = self._plan
-        if command == "end" and not plan.started:
-            command = "quit"
+        if command == "end":
+            command = "land" if plan.started else "quit"
         if command == "toggle":
             command = "resume" if plan.resting else "pause"
         refusal = ""
         if command == "quit":
             self._quit = not plan.started and self._job is None and not self._queue
             refusal = "" if self._quit else "drones have left their start; land first"
-        elif command in ("resume", "back") and not plan.landing:
+        elif command in ("resume", "back"):
             refusal = self._reason_to_stay(now)
         if command not in ("pause", "resume", "quit") and not plan.started:
             refusal = "the plan has not begun"
@@ -305,10 +274,10 @@ class SetpointStream:
                 self._say("no operator is connected, and the plan has not begun: the stream ends")
                 self._quit = True
         elif self._job is None and now - self._last_reaction >= delay:
-            is_moving = not (plan.landing or plan.resting)
+            is_moving = not (plan.descending or plan.resting)
             if is_moving if is_brief else plan.resting and not plan.landed:
                 self._last_reaction = now
-                self._queue.append("pause" if is_brief else "end")
+                self._queue.append("pause" if is_brief else "land")
 
     def _run_command(self) -> None:
         """Start the next command, or report the result of the current one."""

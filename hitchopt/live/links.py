@@ -43,14 +43,13 @@ SETPOINT_VALIDITY = 500  # validity of a Crazyflie's last setpoint, which its fi
 LANDING_TIME = 1.0  # least time of the firmware's landing [s]
 LANDING_SPEED = 0.4  # mean speed of the firmware's landing [m/s]
 
-LANDING_REPEATS = 5
-"""Number of repeated landing commands of Crazyflies. A setpoint that a drone handles after such a
-command takes control from its high-level commander; later the firmware stops the motors. The
-next command lands it."""
+LANDINGS = 2
+"""Number of landing commands sent to Crazyflies. A setpoint that a drone receives after the command
+takes control from its high-level commander, and half a second later the firmware stops the
+motors: a second command lands it."""
 
 LANDING_PERIOD = 0.2
-"""Time between these commands [s]. They continue for one second, until late setpoints have
-arrived."""
+"""Time between these commands [s]."""
 
 # Commands by key; ``toggle`` is pause or resume, ``quit`` ends a flight before its start. Signals
 # add ``end``, which is land or quit
@@ -379,8 +378,8 @@ class CrazyflieOutlet:
         Without a command it would immediately stop the motors of drones in the air. Commands are
         repeated, since setpoints may still be on their way.
         """
-        for repeat in range(1 + LANDING_REPEATS):
-            if repeat:
+        for attempt in range(LANDINGS):
+            if attempt:
                 time.sleep(LANDING_PERIOD)
             for robot, height in zip(self._robots, self._heights.tolist(), strict=True):
                 robot.notifySetpointsStop(SETPOINT_VALIDITY)

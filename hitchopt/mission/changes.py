@@ -464,8 +464,8 @@ def scaled_outlines(problem: Problem, factor: float) -> Edits:
     """
     centre, edits = np.zeros(2), list[Edit]()
     if isinstance(problem.start, HitchStart):
-        centre = problem.start.polygon.centroid
-        outline = problem.start.polygon
+        outline = problem.start.outline
+        centre = outline.centroid
         edits.append(scaled_outline_edit("start.hitch.polygon", outline, factor, centre))
     for i, step in enumerate(problem.mission):
         step_edits, centre = step.scaled(factor, centre)

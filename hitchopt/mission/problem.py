@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 
@@ -37,6 +37,7 @@ from hitchopt.steps.step import (
     LEGS,
     LEGS_TEXT,
     TRIANGLE,
+    Legs,
     Polygon,
     SlackSplit,
     Stage,
@@ -98,7 +99,7 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
                 check_rollable(f"step {i} ({step.name})", whole, mission.requirements)
             if (before is None) is not (outline is None):
                 reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
-            _check_blend(steps, i, complete=mission.complete)
+            _check_blend(steps, i)
         except InputError as error:
             raise error.within(f"mission[{i}].{unresolved.name}") from None
         resolved.append(step)
@@ -152,10 +153,10 @@ class _ObjectStage:
         return _ObjectStage(end, "" if end is Stage.FREE else name, specified)
 
 
-def _check_blend(steps: tuple[Step, ...], i: int, *, complete: bool) -> None:
+def _check_blend(steps: tuple[Step, ...], i: int) -> None:
     """Raise InputError if step i cannot continue into the next one, or has options of its own."""
     step, following = steps[i], steps[i + 1 : i + 2]
-    if step.blends and complete and not following:
+    if step.blends and not following:
         raise InputError("blend", True, "false in the last step", "omit it: nothing follows")
     if step.blends and following and not following[0].blendable:
         names = ", ".join(kind.name for kind in STEPS if kind.blendable)
@@ -178,7 +179,19 @@ class HitchStart(Record):
 
     polygon: Polygon
     altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
-    legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT)] = "spread"
+    legs: Annotated[Legs, Key(LEGS, LEGS_TEXT)] = "spread"
+
+    @property
+    def outline(self) -> Outline:
+        """The polygon of a resolved start."""
+        outline: Outline = vars(self)["polygon"]
+        return outline
+
+    @property
+    def split(self) -> SlackSplit:
+        """The slack split of a resolved start."""
+        split: SlackSplit = vars(self)["legs"]
+        return split
 
 
 _PLACES = points((None, 3), "x, y, z", 2, MAX_ROBOTS)
@@ -242,19 +255,17 @@ class TeamMission:
     start: Any  # Start; the positions (N, 3) [m] of single drones
     steps: tuple[Step, ...]
     requirements: Requirements  # with the objects that it carries, and obstacles
-    complete: bool = True  # whether all of its steps are known
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "start", resolved_start(self.name, self.team, self.start))
-        if self.complete:
-            check_placed(self.requirements.objects, self.requirements.floor)
-            if not self.steps and self.name:
-                value = f"no step of {self.name}"
-                remedy = f"add {self.name}: {{{_words(self.team)[-1]}}}"
-                raise InputError("mission", value, "of at least one item", remedy)
-            if not self.steps:
-                bound = "a list of at least one step"
-                raise InputError("mission", [], bound, "add a morph or a hold")
+        check_placed(self.requirements.objects, self.requirements.floor)
+        if not self.steps and self.name:
+            value = f"no step of {self.name}"
+            remedy = f"add {self.name}: {{{_words(self.team)[-1]}}}"
+            raise InputError("mission", value, "of at least one item", remedy)
+        if not self.steps:
+            bound = "a list of at least one step"
+            raise InputError("mission", [], bound, "add a morph or a hold")
         object.__setattr__(self, "steps", resolved_steps(self))
 
     @property
@@ -262,9 +273,9 @@ class TeamMission:
         """The start and requirements of its plan (``hitchopt.motion.request``)."""
         start: dict[str, Any] = {"drones": self.start}
         team = self.team
-        if isinstance(self.start, HitchStart | Hitch):
+        if self.start_outline is not None:
             altitude = self.start.altitude
-            start = {"hitch": {"polygon": self.start.polygon.vertices, "altitude": altitude}}
+            start = {"hitch": {"polygon": self.start_outline.vertices, "altitude": altitude}}
             if isinstance(self.start, HitchStart):
                 start["hitch"] |= shown_legs(self.start.legs)
             assignment = team.assignment or Assignment.fixed(team.robots)
@@ -282,7 +293,9 @@ class TeamMission:
     @property
     def start_outline(self) -> Outline | None:
         """Outline at the start; None for free cables and single drones."""
-        return self.start.polygon if isinstance(self.start, HitchStart | Hitch) else None
+        if isinstance(self.start, HitchStart):
+            return self.start.outline
+        return self.start.polygon if isinstance(self.start, Hitch) else None
 
 
 def resolved_start(name: str, team: Team, start: Any) -> Any:
@@ -415,7 +428,6 @@ class Problem(ByValue):
         step; a rule with the name of another check.
     """
 
-    complete: ClassVar[bool] = True  # whether the mission has all of its steps
     team: Annotated[Any, Key(TEAM, "The team", {"robots": 3, "cable_length": 2.4})]
     start: Annotated[
         Any, Key(START, "Start of the plan", {"hitch": {"polygon": TRIANGLE, "altitude": 1.0}})
@@ -464,7 +476,7 @@ class Problem(ByValue):
             for i, step in enumerate(steps):
                 check_instance(f"mission[{i}]", step, Step)
             requirements = self._requirements(self.team, self.objects)
-            own = TeamMission("", self.team, self.start, steps, requirements, self.complete)
+            own = TeamMission("", self.team, self.start, steps, requirements)
             for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):
                 object.__setattr__(self, name, value)
         if self.keep_out and self.kind != "swarm":

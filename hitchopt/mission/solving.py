@@ -256,7 +256,7 @@ def _start_state(mission: TeamMission, requirements: Requirements, report: Progr
     team, start = mission.team, mission.start
     if isinstance(start, HitchStart):
         report("splitting the slack at the start")
-        hitch = split_hitch(team, start.polygon, start.altitude, start.legs, requirements)
+        hitch = split_hitch(team, start.outline, start.altitude, start.split, requirements)
         return RestState(team, hitch.drones, hitch)
     if isinstance(start, Hitch):
         return RestState(team, start.drones, start)

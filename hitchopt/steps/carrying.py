@@ -72,7 +72,7 @@ from hitchopt.steps.step import (
     planner_of,
 )
 from hitchopt.steps.straddling import Tie, Untie, check_hinge
-from hitchopt.values import Array
+from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
@@ -771,7 +771,7 @@ class TransportObject(TensionStep):
     yaw: Yaw = 0.0
     lift: Annotated[float, Key(LENGTH, "Height above the higher of start and goal")] = 0.3
     via: Annotated[
-        Array | None,
+        Points | None,
         Key(
             points((None, 3), "x, y, z", 1, MAX_VIA),
             "Intermediate positions of its base, where it stops",
@@ -800,7 +800,7 @@ class TransportObject(TensionStep):
         if knob.key != "lift":
             return super().least_increase(knob, objects, names, separation)
         tops = [body.at[2] + body.upper for body in self._obstacles(objects, names)]
-        higher_place = max(self.to[2], objects[self.object].at[2])
+        higher_place = max(np.asarray(self.to)[2], objects[self.object].at[2])
         lift = max(tops, default=0.0) + separation.object - higher_place
         return max(0.0, float(lift) / self.lift - 1.0)
 
@@ -810,7 +810,7 @@ class TransportObject(TensionStep):
         """Yield waypoints on both sides of obstacles, unless it has waypoints."""
         if self.via is not None:
             return
-        start, end = objects[self.object].at, self.to
+        start, end = objects[self.object].at, np.asarray(self.to)
         altitude = float(max(start[2], end[2])) + self.lift
         along = unit(end[:2] - start[:2])
         across = np.array([-along[1], along[0]])
@@ -835,17 +835,18 @@ class TransportObject(TensionStep):
 
     def flight_height(self, body: SolidObject) -> float:
         """Return the height of the object's base on its flight [m]."""
-        return max(float(body.at[2]), float(self.to[2])) + self.lift
+        return max(float(body.at[2]), float(np.asarray(self.to)[2])) + self.lift
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the seven steps; ``to`` must be on the surface below it."""
         body = object_of(task, self.object)
         flight_height = self.flight_height(body)
-        waypoints = [] if self.via is None else list(self.via)
+        to = np.asarray(self.to)
+        waypoints = [] if self.via is None else list(np.asarray(self.via))
         carrying: list[Step] = [
             Lift(flight_height - float(body.at[2])),
             *(Carry(self.object, place) for place in waypoints),
-            Carry(self.object, np.append(self.to[:2], flight_height), self.yaw),
+            Carry(self.object, np.append(to[:2], flight_height), self.yaw),
             SetDown(self.object),
         ]
         grasp = Grasp(self.object, self.method_for(body), self.tension)
@@ -860,8 +861,8 @@ class TransportObject(TensionStep):
             taking = partial(first_orientation, holds)
         plan = plan_in_sequence([taking, *(step.plan for step in carrying), *leaving], task)
         height = float(plan.after.with_objects(task.requirements).objects[self.object].at[2])
-        if abs(height - self.to[2]) > CONTACT_GAP:
+        if abs(height - to[2]) > CONTACT_GAP:
             key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
-            remedy = f"write {[*self.to[:2].tolist(), round(height, 9)]}"
-            raise InputError(key, self.to.tolist(), f"{bound}, at {height:.6g} m", remedy)
+            remedy = f"write {[*to[:2].tolist(), round(height, 9)]}"
+            raise InputError(key, to.tolist(), f"{bound}, at {height:.6g} m", remedy)
         return plan

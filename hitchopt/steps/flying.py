@@ -18,7 +18,7 @@ from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
 from hitchopt.steps.step import Stage, Step, StepPlan, StepTask
-from hitchopt.values import Array
+from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, points
 from hitchopt.values.units import DURATION
 
@@ -51,7 +51,7 @@ class Fly(Step):
     stages: ClassVar[tuple[Stage, Stage] | None] = None
 
     goal: Annotated[
-        Array,
+        Points,
         Key(
             SWARM_PLACES,
             "Goals (N, 3) [m], [x, y, z] per drone",
@@ -64,7 +64,7 @@ class Fly(Step):
 
     def resolved_for(self, team: Team) -> Self:
         """Return the step; raise InputError unless there is one goal per drone."""
-        check_count("goal", self.goal, team)
+        check_count("goal", np.asarray(self.goal), team)
         return self
 
     def plan(self, task: StepTask) -> StepPlan:
@@ -74,14 +74,14 @@ class Fly(Step):
         """
         from hitchopt.planners.separation import SeparatedCurves, SeparationTask
 
-        requirements = task.requirements
+        requirements, goal = task.requirements, np.asarray(self.goal)
         team = task.before.team
         _check_duration(self.duration, requirements.limits)
         prisms = list(_named_prisms(requirements, team))
         keep_out = tuple(named.prism for named in prisms)
         separation_task = SeparationTask(
             task.before.drones,
-            self.goal,
+            goal,
             replace(requirements, keep_out=keep_out, objects={}),
             duration=self.duration,
             acceleration=flyable_accelerations(team, requirements.limits),
@@ -92,7 +92,7 @@ class Fly(Step):
         drones = separated.drones
         phase = Phase(self.name, task.index, 0.0, drones.duration, separated.remark)
         motion = Motion.single(team, requirements, drones, (phase,))
-        return StepPlan(motion, replace(task.before, drones=self.goal))
+        return StepPlan(motion, replace(task.before, drones=goal))
 
 
 def _check_duration(duration: float | None, limits: Limits) -> None:

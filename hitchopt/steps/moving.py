@@ -48,11 +48,11 @@ from hitchopt.steps.step import (
     Edit,
     Edits,
     Knob,
+    Legs,
     LegsAtEnd,
     Polygon,
     Seconds,
     SettleAtEnd,
-    SlackSplit,
     Stage,
     Step,
     StepPlan,
@@ -66,7 +66,7 @@ from hitchopt.steps.step import (
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, as_array, bounded_points
+from hitchopt.values import Array, Points, as_array, bounded_points
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -117,7 +117,7 @@ class ShapeStep(HitchStep):
     searches_faster_routes: ClassVar[bool] = False
     """True if routes that take much longer than the lower bound are replaced."""
 
-    legs: SlackSplit | None
+    legs: Legs | None
 
     @abstractmethod
     def end(self, task: StepTask) -> End:
@@ -234,7 +234,7 @@ class ActionStep(ShapeStep):
 
     def end(self, task: StepTask) -> End:
         """Return the hitch after the action."""
-        return end_of_action(self.action(task), self.legs, task.requirements)
+        return end_of_action(self.action(task), self.split, task.requirements)
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan of the action to its end hitch."""
@@ -370,6 +370,12 @@ class Morph(ShapeStep):
     settle: SettleAtEnd = AUTO
     cost: CostFunction | None = None  # of scripts: problem files have no functions
 
+    @property
+    def outline(self) -> Outline:
+        """The polygon of the resolved step."""
+        outline: Outline = vars(self)["polygon"]
+        return outline
+
     def resolved_for(self, team: Team) -> Self:
         """Return the step for a team.
 
@@ -390,7 +396,7 @@ class Morph(ShapeStep):
 
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
-        return end_of_morph(task.hitch, self.polygon, self.legs, task.requirements)
+        return end_of_morph(task.hitch, self.outline, self.split, task.requirements)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan to the nearest legs, or to spread ones where these break a limit."""
@@ -423,13 +429,13 @@ class MoveStep(ActionStep):
     """An action that moves points ``to`` a position or ``by`` an offset."""
 
     moves_points: ClassVar[bool] = True
-    to: Array | None
-    by: Array | None
+    to: Points | None
+    by: Points | None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if (self.to is None) == (self.by is None):
-            value = None if self.to is None else self.to.tolist()
+            value = None if self.to is None else np.asarray(self.to).tolist()
             bound = "given if and only if by is omitted"
             raise InputError("to", value, bound, "specify either to or by")
 
@@ -441,11 +447,13 @@ class MoveStep(ActionStep):
         """Return the outline with the moved points."""
         points = outline.vertices.copy()
         moved = self.moved_points(team, len(points))
-        points[moved] = points[moved] + np.asarray(self.by) if self.to is None else self.to
+        points[moved] = (
+            points[moved] + np.asarray(self.by) if self.to is None else np.asarray(self.to)
+        )
         return _convex(team, points, *self.moved_key)
 
     @property
-    def moved_key(self) -> tuple[str, Array | None]:
+    def moved_key(self) -> tuple[str, Points | None]:
         """Key of the goal or the offset, and its value."""
         return ("by", self.by) if self.to is None else ("to", self.to)
 
@@ -456,7 +464,7 @@ class MoveStep(ActionStep):
         return (Edit(key, scaled_points(np.asarray(value), factor, origin).tolist()),), centre
 
 
-def _convex(team: Team, points: Array, key: str, value: Array | None) -> Outline:
+def _convex(team: Team, points: Array, key: str, value: Points | None) -> Outline:
     """Return the points as an outline; an error names the step's ``key`` and its ``value``."""
     try:
         return checked_polygon(team, points)
@@ -476,7 +484,7 @@ def _checked_index(key: str, index: int, count: int) -> int:
 _ENDS = points((2, 2), "x, y")
 _ENDS_TEXT = "Goals of its ends, [[x, y], [x, y]] [m], its first vertex first"
 
-Offset = Annotated[Array | None, Key(POINT2, "Displacement [dx, dy] [m], instead of to")]
+Offset = Annotated[Points | None, Key(POINT2, "Displacement [dx, dy] [m], instead of to")]
 
 
 @documented
@@ -489,7 +497,7 @@ class MoveVertex(MoveStep):
     """
 
     vertex: WhichPoint
-    to: Annotated[Array | None, Key(POINT2, "Goal [x, y] [m]")] = None
+    to: Annotated[Points | None, Key(POINT2, "Goal [x, y] [m]")] = None
     by: Offset = None
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -511,7 +519,7 @@ class MoveEdge(MoveStep):
 
     action_fields: ClassVar[tuple[str, ...]] = ("edge",)
     edge: WhichPoint
-    to: Annotated[Array | None, Key(_ENDS, _ENDS_TEXT)] = None
+    to: Annotated[Points | None, Key(_ENDS, _ENDS_TEXT)] = None
     by: Offset = None
     legs: LegsAtEnd = None
     duration: Seconds = None
@@ -530,7 +538,7 @@ class Adjust(ActionStep):
 
     action_fields: ClassVar[tuple[str, ...]] = ()
 
-    legs: Annotated[SlackSplit, Key(LEGS, LEGS_TEXT, "balanced")] = "balanced"
+    legs: Annotated[Legs, Key(LEGS, LEGS_TEXT, "balanced")] = "balanced"
     duration: Seconds = None
     blend: Blend = False
     settle: SettleAtEnd = AUTO
@@ -598,7 +606,7 @@ class FollowVertex(ActionStep):
     moves_points: ClassVar[bool] = True
     action_fields: ClassVar[tuple[str, ...]] = ("vertex", "path")
     vertex: WhichPoint
-    path: Annotated[Array, Key(_PATH, _PATH_TEXT, [[1.0, 0.0, -0.9]])]
+    path: Annotated[Points, Key(_PATH, _PATH_TEXT, [[1.0, 0.0, -0.9]])]
     legs: LegsAtEnd = None
     speed: Annotated[float | None, Key(SPEED, _SPEED_TEXT)] = None
     settle: SettleAtEnd = AUTO
@@ -607,17 +615,22 @@ class FollowVertex(ActionStep):
         super().__post_init__()
         if not self.is_timed and self.speed is None:
             bound = "points [t, x, y], or points [x, y] with a speed"
-            raise InputError("path", self.path.tolist(), bound, "add times, or the step's speed")
+            raise InputError("path", self.points.tolist(), bound, "add times, or the step's speed")
+
+    @property
+    def points(self) -> Array:
+        """The points of the path (J, 3), or (J, 2) without times."""
+        return np.asarray(self.path)
 
     @property
     def is_timed(self) -> bool:
         """Return whether its points have times."""
-        return int(self.path.shape[1]) == 3
+        return int(self.points.shape[1]) == 3
 
     @property
     def duration(self) -> float | None:
         """Time of the last point [s]; None without times."""
-        return float(self.path[-1, 0]) if self.is_timed else None
+        return float(self.points[-1, 0]) if self.is_timed else None
 
     def advice(self, check: str, key: str) -> str:  # noqa: ARG002
         """Return how to lower a rate."""
@@ -627,8 +640,8 @@ class FollowVertex(ActionStep):
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline with the vertex at the last point."""
         points = outline.vertices.copy()
-        points[_checked_index("vertex", self.vertex, len(points))] = self.path[-1, -2:]
-        return _convex(team, points, "path", self.path)
+        points[_checked_index("vertex", self.vertex, len(points))] = self.points[-1, -2:]
+        return _convex(team, points, "path", self.points)
 
     def plan(self, task: StepTask) -> StepPlan:
         """Return the plan of the step, from stop to stop."""
@@ -642,11 +655,11 @@ class FollowVertex(ActionStep):
     def _stretches(self, start: Array) -> list[Array]:
         """Return the path from a start (2,) [m], split where it turns by more than 90°."""
         if self.is_timed:
-            return [self.path]
-        places = np.vstack([start, self.path])
+            return [self.points]
+        places = np.vstack([start, self.points])
         along = np.diff(places, axis=0)
         turns_back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
-        return np.split(self.path, np.flatnonzero(turns_back) + 1)
+        return np.split(self.points, np.flatnonzero(turns_back) + 1)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; the optimiser has no other route."""
@@ -690,8 +703,8 @@ class FollowVertex(ActionStep):
 
         def scale_times(factor: float) -> Edits:
             """Return the edit that multiplies the points' times by a factor."""
-            times = scaled_points(self.path[:, 0], factor, np.zeros(1))
-            return (Edit("path", np.column_stack([times, self.path[:, 1:]]).tolist()),)
+            times = scaled_points(self.points[:, 0], factor, np.zeros(1))
+            return (Edit("path", np.column_stack([times, self.points[:, 1:]]).tolist()),)
 
         covers = checks_relaxed_by("time") | checks_relaxed_by("tension")
         knob = Knob(
@@ -707,8 +720,8 @@ class FollowVertex(ActionStep):
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edit that scales its points about ``centre``."""
-        points = scaled_points(self.path[:, -2:], factor, centre)
-        return (Edit("path", np.column_stack([self.path[:, :-2], points]).tolist()),), centre
+        points = scaled_points(self.points[:, -2:], factor, centre)
+        return (Edit("path", np.column_stack([self.points[:, :-2], points]).tolist()),), centre
 
 
 @documented
@@ -716,14 +729,14 @@ class FollowVertex(ActionStep):
 class Transport(HitchStep):
     """Move the whole hitch and turn it about its centroid, without changing its shape or legs."""
 
-    to: Annotated[Array, Key(POINT3, "Goal [x, y, z] of its centroid [m]", [0, 0, 1])]
+    to: Annotated[Points, Key(POINT3, "Goal [x, y, z] of its centroid [m]", [0, 0, 1])]
     yaw: Yaw = 0.0
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid and moved to the goal."""
         turned = outline.translated(-outline.centroid).rotated(self.yaw)
-        return _convex(team, turned.vertices + self.to[:2], "to", self.to)
+        return _convex(team, turned.vertices + np.asarray(self.to)[:2], "to", self.to)
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
@@ -731,10 +744,10 @@ class Transport(HitchStep):
         from hitchopt.planners.morph.path import RigidPath
         from hitchopt.planners.timing.timed_motion import motion_along
 
-        start = task.hitch
-        path = RigidPath(start, self.to, self.yaw)
+        start, to = task.hitch, np.asarray(self.to)
+        path = RigidPath(start, to, self.yaw)
         outline = self.polygon_after(start.team, start.polygon)
-        end = Hitch(start.team, outline, float(self.to[2]), start.q_legs, start.roll)
+        end = Hitch(start.team, outline, float(to[2]), start.q_legs, start.roll)
         self.check_end(end, task)
         motion = None
         if not path.is_constant:
@@ -744,4 +757,4 @@ class Transport(HitchStep):
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return no edits, and the goal as the new centre."""
-        return (), self.to[:2]
+        return (), np.asarray(self.to)[:2]

@@ -12,7 +12,6 @@ from functools import cache, cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import PART_REPORTS, RULES
@@ -28,7 +27,7 @@ from hitchopt.objects import SolidObject
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.values import Array, ByValue, Indices, finite, per_robot
+from hitchopt.values import Array, ByValue, Indices, Points, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -97,14 +96,15 @@ class RolledLegs(ByValue):
 
 LEGS = either(SPLIT, mapping_of(RolledLegs))
 
+Legs = str | Points | Mapping[str, Any] | RolledLegs
+"""Legs as arguments: a mode, q-legs ``d_k`` (n,) [m], or these with a roll."""
+
 SlackSplit = Literal["balanced", "spread"] | Array | RolledLegs
 """Slack split of a hitch: ``balanced``, ``spread``, or the q-legs ``d_k`` (n,) [m]; or one of these
 with a roll. Spread legs without a roll are rolled where they would break a limit."""
 
 
-def slack_split(
-    legs: str | Sequence[float] | ArrayLike | Mapping[str, Any] | RolledLegs, team: Team
-) -> SlackSplit:
+def slack_split(legs: Legs, team: Team) -> SlackSplit:
     """Return the checked value of ``legs``.
 
     A mapping has ``sharing`` and ``roll_deg``: ``auto``, one angle, or one per clasp [deg]. A list
@@ -170,12 +170,12 @@ Blend = Annotated[bool, Key(FLAGS, "Continue into the next step without a stop")
 SettleAtEnd = Annotated[
     float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
 ]
-LegsAtEnd = Annotated[SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end")]
+LegsAtEnd = Annotated[Legs | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end")]
 WhichPoint = Annotated[int, Key(INDEX, "Index, from 0", 0)]
 ObjectOf = Annotated[str, Key(OBJECT_NAME, "Name of the object", "box")]
-Place = Annotated[Array, Key(POINT3, "Goal [x, y, z] of its base [m]", [1, 0, 0])]
+Place = Annotated[Points, Key(POINT3, "Goal [x, y, z] of its base [m]", [1, 0, 0])]
 Yaw = Annotated[float, Key(TURN, "Rotation, counter-clockwise")]
-Polygon = Annotated[Outline, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
+Polygon = Annotated[Outline | Points, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 
 
 # Records of planning and repair.
@@ -514,6 +514,12 @@ class Step(Record, ABC):
         """The prescribed duration [s], or None."""
         seconds = getattr(self, self.time_key, None)
         return seconds if isinstance(seconds, float) else None
+
+    @property
+    def split(self) -> SlackSplit | None:
+        """The slack split that a resolved step states; None if it states none."""
+        legs: SlackSplit | None = vars(self).get("legs")
+        return legs
 
     @property
     def blends(self) -> bool:

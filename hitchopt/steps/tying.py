@@ -11,8 +11,10 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, UnsupportedError
+from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
@@ -37,11 +39,11 @@ from hitchopt.steps.step import (
     LEGS_TEXT,
     Edits,
     Knob,
+    Legs,
     Polygon,
     RolledLegs,
     Seconds,
     SettleAtEnd,
-    SlackSplit,
     Stage,
     Step,
     StepPlan,
@@ -89,7 +91,7 @@ class Form(Step):
     polygon: Polygon
     altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
     legs: Annotated[
-        SlackSplit | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end; spread without it")
+        Legs | None, Key(LEGS, f"{LEGS_TEXT}, at the step's end; spread without it")
     ] = None
     assign: Annotated[Assign, Key(words("auto", "fixed"), ASSIGN_TEXT)] = AUTO
     swap: Annotated[SwapSettings, Key(mapping_of(SwapSettings), "How drones turn in pairs")] = (
@@ -98,10 +100,16 @@ class Form(Step):
     settle: SettleAtEnd = AUTO
     by: Annotated[Literal["swaps", "laying"], Key(words("swaps", "laying"), BY_TEXT)] = "swaps"
     order: Annotated[
-        Array | Literal["auto"],
+        ArrayLike | Literal["auto"],
         Key(either(words("auto"), list_of(INDEX, 3, MAX_ROBOTS)), ORDER_TEXT),
     ] = AUTO
     duration: Seconds = None
+
+    @property
+    def outline(self) -> Outline:
+        """The polygon of the resolved step."""
+        outline: Outline = vars(self)["polygon"]
+        return outline
 
     @property
     def rolls_pairs(self) -> bool:
@@ -183,12 +191,12 @@ class Form(Step):
         """
         from hitchopt.planners.forming.laying import senses_of, split_for_rolling
 
-        if self.legs is not None:
-            return split_hitch(team, self.polygon, self.altitude, self.legs, requirements)
+        if self.split is not None:
+            return split_hitch(team, self.outline, self.altitude, self.split, requirements)
         if levels is not None:
-            halves = Hitch.balanced(team, self.polygon, self.altitude)
+            halves = Hitch.balanced(team, self.outline, self.altitude)
             return split_for_rolling(halves, senses_of(team.layout, levels), requirements)
-        spread = split_hitch(team, self.polygon, self.altitude, "spread", requirements)
+        spread = split_hitch(team, self.outline, self.altitude, "spread", requirements)
         same_roll = RolledLegs("spread", spread.roll)
         clearance = rest_plan(spread, requirements).certificate["cable_clearance"].worst
         for margin in CABLE_MARGINS:
@@ -197,7 +205,7 @@ class Form(Step):
                 break
             separation = with_fields(requirements.separation, cable=preferred)
             wider = replace(requirements, separation=separation)
-            hitch = split_hitch(team, self.polygon, self.altitude, same_roll, wider)
+            hitch = split_hitch(team, self.outline, self.altitude, same_roll, wider)
             if rest_plan(hitch, wider).certificate.certified:
                 return hitch
         return spread
@@ -211,11 +219,11 @@ class Form(Step):
         from hitchopt.planners.forming.approach import assign_robots
 
         leg = requirements.limits.leg
-        shortest = assign_robots(team, drones, self.polygon, leg)
+        shortest = assign_robots(team, drones, self.outline, leg)
         if self.by == "laying" or np.ptp(team.cable_length) == 0.0:
             return shortest
         for evenness in SLACK_EVENNESS:
-            assignment = assign_robots(team, drones, self.polygon, leg, evenness)
+            assignment = assign_robots(team, drones, self.outline, leg, evenness)
             with contextlib.suppress(InfeasibleError):
                 goal = self._goal(assignment.team(team), None, requirements)
                 check_at_rest(goal, requirements, "")
@@ -224,8 +232,8 @@ class Form(Step):
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edit that scales its polygon about the centroid, the centre of later steps."""
-        centre = self.polygon.centroid
-        return (scaled_outline_edit("polygon", self.polygon, factor, centre),), centre
+        centre = self.outline.centroid
+        return (scaled_outline_edit("polygon", self.outline, factor, centre),), centre
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the duration, the altitude, and the swap's radius if it exceeds the default."""

@@ -10,8 +10,8 @@ table = ho.SolidObject(ho.Section(radius=0.4), upper=0.1, at=[0, 1.5, 0], fixed=
 team = ho.Team(robots=3, cable_length=2.2, cable_density=0.01, tension=1.0)
 start = ho.Hitch.spread(team, [[0.4, 0], [-0.2, -0.35], [-0.2, 0.35]], altitude=1.0)
 
-mission = ho.Mission(team, start, objects={"tray": tray, "table": table}, title="Carry a tray")
-plan = mission.transport_object("tray", to=[0, 1.5, 0.1]).solve()
+carry = ho.TransportObject("tray", to=[0, 1.5, 0.1])
+plan = ho.solve(start, carry, objects={"tray": tray, "table": table}, title="Carry a tray")
 plan.save("carried", report=True)
 
 x, y, z = plan.at(plan.duration).object_poses[0, :3]

@@ -6,7 +6,7 @@ import hitchopt as ho
 
 team = ho.Team(robots=3, cable_length=2.4)
 start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
-plan = ho.move_vertex(start, 0, by=[0.1, 0.4], duration=6.0)
+plan = ho.solve(start, ho.MoveVertex(0, by=[0.1, 0.4], duration=6.0))
 
 rng, lines = np.random.default_rng(0), ["t,name,x,y,z"]
 for t in np.arange(0.0, plan.duration, 0.04):  # markers at a quarter, half and three quarters

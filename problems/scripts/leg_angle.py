@@ -7,12 +7,12 @@ leg_angle = ho.Rule(
 )
 team = ho.Team(robots=3, cable_length=2.4)
 start = ho.Hitch.spread(team, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
-mission = ho.Mission(team, start, rules=[leg_angle])
-check = mission.morph([[0, -0.7], [-0.4, 0.5], [0.4, 0.5]]).solve().certificate["leg_angle"]
+narrow = ho.Morph([[0, -0.7], [-0.4, 0.5], [0.4, 0.5]])
+check = ho.solve(start, narrow, rules=[leg_angle]).certificate["leg_angle"]
 print(f"smallest angle: {check.worst:.3f} deg at {check.where[0]}, {check.time:.2f} s")
 broken = ""
 try:
-    mission.morph([[0, -0.9], [-0.4, 0.5], [0.4, 0.5]]).solve()
+    ho.solve(start, ho.Morph([[0, -0.9], [-0.4, 0.5], [0.4, 0.5]]), rules=[leg_angle])
 except ho.InfeasibleError as error:
     broken = error.violations[0].constraint
     print(f"refused: {broken}")

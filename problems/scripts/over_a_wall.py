@@ -10,13 +10,14 @@ brick = ho.Section([[-0.05, 0.6], [0.05, 0.6], [0.05, -0.6], [-0.05, -0.6]])
 wall = ho.SolidObject(brick, upper=0.6, at=[3.4, 0, 0], fixed=True)
 team = ho.Team(robots=3, cable_length=2.2, cable_density=0.01, tension=1.0)
 start = ho.Hitch.spread(team, [[0.4, 0], [-0.2, -0.35], [-0.2, 0.35]], altitude=1.0)
-mission = ho.Mission(team, start, objects={"crate": crate, "wall": wall})
+objects = {"crate": crate, "wall": wall}
 
 
 def lifted(height: float) -> ho.Plan | None:
     """Return the plan with a lift of a height [m], or None if the wall is in the way."""
     try:
-        return mission.transport_object("crate", to=[5.5, 0, 0], lift=height).solve()
+        carry = ho.TransportObject("crate", to=[5.5, 0, 0], lift=height)
+        return ho.solve(start, carry, objects=objects)
     except ho.InfeasibleError as error:
         binding = error.violations[0].constraint
         print(f"lift {height} m: no plan, by {binding}")

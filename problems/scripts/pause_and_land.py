@@ -4,7 +4,7 @@ import hitchopt as ho
 
 team = ho.Team(robots=3, cable_length=2.4)
 start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.2)
-plan = ho.transport(start, to=[1.5, 0.0, 1.2])
+plan = ho.solve(start, ho.Transport(to=[1.5, 0.0, 1.2]))
 
 player = ho.Player(plan)
 player.step(0.8)

@@ -6,7 +6,7 @@ team = ho.Team(
     robots=3, cable_length=2.4, cable_density=0.0015, quadrotor="crazyflie_2.1_brushless"
 )
 start = ho.Hitch.spread(team, [[0, 0.58], [0.5, -0.29], [-0.5, -0.29]], altitude=1.2)
-plan = ho.hold(start, 1.0)
+plan = ho.solve(start, ho.Hold(1.0))
 plan.save("threads")
 
 flight = ho.simulate(plan, perturbed=True, upload=True, seed=1)

@@ -8,10 +8,13 @@ team = ho.Team(robots=3, cable_length=2.4, cable_density=0.01, quadrotor="paper_
 q = [[-0.6, -1.2, 0], [-0.6, 0, 0], [-0.6, 1.2, 0]]  # [m], cables lie from q to r
 r = [[0.6, -1.2, 0], [0.6, 0, 0], [0.6, 1.2, 0]]
 
-mission = ho.Mission(team, ho.DronesStart(q, r), title="Tie and untie")
-mission = mission.form([[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], altitude=1.5)
-mission = mission.transport([0.5, 0.0, 1.5], yaw=np.radians(40)).release().land()
-plan = mission.solve()
+mission = [
+    ho.Form([[0, 0.6], [0.5, -0.3], [-0.5, -0.3]], altitude=1.5),
+    ho.Transport([0.5, 0.0, 1.5], yaw=np.radians(40)),
+    ho.Release(),
+    ho.Land(),
+]
+plan = ho.solve(ho.DronesStart(q, r), mission, team=team, title="Tie and untie")
 plan.save("tied")
 
 for phase in plan.phases:

@@ -4,7 +4,7 @@ import hitchopt as ho
 
 team = ho.Team(robots=3, cable_length=2.4, tension=0.5)
 start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]])
-plan = ho.hold(start, 1.0)
+plan = ho.solve(start, ho.Hold(1.0))
 
 widths = []
 for stiffness in (4.75, 10.0, 20.0):  # [N/m] of the drones' position loops

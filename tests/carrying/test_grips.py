@@ -394,7 +394,9 @@ def test_edges_bend_toward_the_drum_by_half_a_turn_at_most_and_stay_out_of_it(
 def test_edges_without_load_are_straight(size: float, aside: float, apart: float) -> None:
     """They pass one point within 0.02 mm of the line between their ends, however long they are."""
     triangle = ho.regular_polygon(3, size / math.sqrt(3.0))
-    flight = ho.transport(ho.Hitch.spread(ho.Team(3, 1.5 + size), triangle), [0.3, 0.2, 1.0]).motion
+    flight = ho.solve(
+        ho.Hitch.spread(ho.Team(3, 1.5 + size), triangle), ho.Transport([0.3, 0.2, 1.0])
+    ).motion
     p = flight.vertices.coefficients
     onward = np.roll(p, -1, axis=1) - p
     along = onward[..., :1] / np.linalg.norm(onward[..., :1], axis=2, keepdims=True)

@@ -167,7 +167,7 @@ def test_slip_accumulates_over_the_parts_of_a_plan(motion: Motion) -> None:
 def claimed(to: list[float], x: float, rim: ho.Rim | None, by: HoldBy = HoldBy.REST) -> Motion:
     """Return the flight of a hitch whose phase says that it holds a pole at x [m]."""
     start = ho.Hitch.spread(ho.Team(3, 2.4), ho.regular_polygon(3, 0.9), altitude=1.0)
-    flight = ho.transport(start, to).motion
+    flight = ho.solve(start, ho.Transport(to)).motion
     pole = ho.SolidObject(ho.Section(radius=0.08), 0.0, 1.5, at=[x, 0.0, 0.0], rim=rim)
     held = tuple(replace(p, hold=PhaseHold("pole", by, (0, 1, 2))) for p in flight.phases)
     requirements = replace(flight.requirements, objects={"pole": pole})

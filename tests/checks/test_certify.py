@@ -272,10 +272,10 @@ def parts() -> list[Motion]:
     hitch = ho.Hitch.spread(ho.Team(3, 2.4, quadrotor=kinds), TRIANGLE - [0.0, 1.0])
     arena = ho.Arena((-1.0, -4.0, 0.0), (6.0, 4.0, 3.0))
     plans = (
-        ho.move_vertex(hitch, 0, by=[0.0, 0.4], arena=arena),
-        ho.hold(hitch, 0.7, arena=arena),
-        ho.adjust(hitch, hitch.q_legs + [0.05, -0.05, 0.02], arena=arena),
-        ho.transport(hitch, [3.1, 1.0, 1.2], yaw=0.3, arena=arena),
+        ho.solve(hitch, ho.MoveVertex(0, by=[0.0, 0.4]), arena=arena),
+        ho.solve(hitch, ho.Hold(0.7), arena=arena),
+        ho.solve(hitch, ho.Adjust(hitch.q_legs + [0.05, -0.05, 0.02]), arena=arena),
+        ho.solve(hitch, ho.Transport([3.1, 1.0, 1.2], yaw=0.3), arena=arena),
     )
     return [plan.motion for plan in plans]
 
@@ -355,7 +355,7 @@ def test_limits_reached_to_the_last_digit_hold() -> None:
 
 @pytest.mark.parametrize("duration", [0.1 + 0.2, 0.3 * (1.0 - 5e-10)])
 def test_a_plan_whose_duration_is_its_limit_is_certified(duration: float) -> None:
-    certificate = ho.hold(HITCH, 0.3, limits=ho.Limits(duration=duration)).certificate
+    certificate = ho.solve(HITCH, ho.Hold(0.3), limits=ho.Limits(duration=duration)).certificate
     assert certificate.certified
     assert certificate["duration"].worst == pytest.approx(0.3, abs=1e-16)
 

@@ -34,7 +34,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, cable_friction=0.1)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     place = tmp_path_factory.mktemp("plan") / "out"
-    return ho.hold(hitch, seconds=0.1).save(place, picture=False)
+    return ho.solve(hitch, ho.Hold(seconds=0.1)).save(place, picture=False)
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def settling(place: Path) -> Path:
     """Return the plan of a regular triangle, at rest for a second."""
     team = ho.Team(3, 2.4, tension=0.5, quadrotor=ho.Quadrotor(stiffness=4.75))
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
-    return ho.hold(hitch, seconds=1.0).save(place / "out", picture=False)
+    return ho.solve(hitch, ho.Hold(seconds=1.0)).save(place / "out", picture=False)
 
 
 def read(path: Path) -> Any:
@@ -57,7 +57,7 @@ def test_errors_are_compared_with_what_was_allowed_for(
     team = ho.Team(3, 2.4, tension=0.3, cable_density=0.01, cable_friction=0.1, quadrotor=drone)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     limits = ho.Limits(tracking=allowed)
-    ho.hold(hitch, seconds=0.1, limits=limits).save(place / "out", picture=False)
+    ho.solve(hitch, ho.Hold(seconds=0.1), limits=limits).save(place / "out", picture=False)
     result = run("simulate", place / "out")
     verdict = rf"drones were off by up to .* m vertically, {words} limits.tracking"
     assert re.search(verdict, result.stdout)

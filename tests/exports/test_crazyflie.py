@@ -288,7 +288,6 @@ class Craft:
     def __init__(self, show: Show, name: str, place: Array) -> None:
         self.show, self.name, self.place = show, name, place
         self.armed, self.state, self.busy = isinstance(self, OldCraft), "idle", 0.0
-        self.missed = 0  # commands to land that do not arrive
         self.rows = np.zeros((0, 33))
         self.held = {"kalman.pNAcc_xy": 0.5}  # parameters on board
         self.read = dict[str, float]()  # what the server has read of them
@@ -312,11 +311,6 @@ class Craft:
             self._go("hovering", [*self.place[:2], targetHeight], duration)
 
     def land(self, targetHeight: float, duration: float) -> None:
-        if self.missed:
-            self.missed -= 1
-            return
-        if self.state == "idle":
-            self.busy = self.show.now  # a landing is planned anew
         self._go("idle", [*self.place[:2], targetHeight], duration)
 
     def goTo(self, goal: Sequence[float], _yaw: float, duration: float) -> None:
@@ -462,25 +456,21 @@ def test_a_whole_plan_from_take_off_to_landing(
 ) -> None:
     """Drones on the floor are armed at last: the trajectory begins right after it.
 
-    All end where the plan does, although they stand 3 cm beside their places in x and y, and miss
-    the first commands to land.
+    All end where the plan does, although they stand 3 cm beside their places in x and y.
     """
     plan, before = EXPORT_RULES[begins]
     exported(plan(), "crazyswarm2", tmp_path)
     show = Show(tmp_path, kind, 0.03)
-    for missed, craft in enumerate(show.crazyfliesByName.values(), 3):
-        craft.missed = missed
     show.run(monkeypatch, tmp_path / "fly.py")
     for name, craft in show.crazyfliesByName.items():
         landed = [*end_of(tmp_path, name)[:2], 0.04]
         np.testing.assert_allclose(craft.place, landed, atol=1e-5)
-        assert craft.busy < show.now
     arming = ["arm"] * (kind is Craft)
     first = plan().team.drone_names[0]
     calls = [call for who, call in show.calls if who == first]
     own = [*before, "uploadTrajectory"]
     assert calls == (arming + own if before else own + arming) + ["startTrajectory"]
-    assert [call for who, call in show.calls if who == "all"] == ["land"] * 6
+    assert [call for who, call in show.calls if who == "all"] == ["land"]
     note = (tmp_path / "README.txt").read_text(encoding="utf-8")
     assert note.index("goTo (absolute)") < note.index("only then upload")
     assert all(words in note for words in ("Brushless", "relative=False", "placeholders"))
@@ -511,7 +501,7 @@ def test_drones_that_end_tied_land_without_the_pull(
     team = ho.Team(3, 2.4, tension=0.6, quadrotor=kind)
     hitch = ho.Hitch.balanced(team, [[0.3, 0.4], [0.8, -0.5], [-0.2, -0.5]], 1.2)
     origin, yaw = (1.0, 0.5, 0.2), 0.4
-    motion, place = ho.hold(hitch, 0.5).motion, {"origin": origin, "yaw": yaw}
+    motion, place = ho.solve(hitch, ho.Hold(0.5)).motion, {"origin": origin, "yaw": yaw}
     exported(motion, "crazyswarm2", tmp_path, **place)
     planned_places = ReferenceFrame("enu", origin, yaw).points(hitch.drones)
     for answer, word in (("", "idle"), ("stay", "flying")):

@@ -187,7 +187,7 @@ def test_px4_gets_the_gains_that_are_stated(gains: dict[str, Any] | None) -> Non
 
 def plan_of(kind: ho.Quadrotor) -> ho.Plan:
     team = ho.Team(3, 2.4, quadrotor=kind)
-    return ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.2), 0.5)
+    return ho.solve(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.2), ho.Hold(0.5))
 
 
 RETUNED = ho.Quadrotor(controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0})

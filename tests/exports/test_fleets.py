@@ -78,7 +78,7 @@ def test_the_sag_is_that_of_the_cables_that_a_model_flies() -> None:
     for kind in (ho.Quadrotor(), ho.Quadrotor(model="crazyflie_2.1_brushless")):
         team = ho.Team(3, 2.4, tension=0.15, quadrotor=kind)
         start = ho.Hitch.balanced(team, ho.regular_polygon(3, 0.6), 1.2)
-        (note,) = ho.hold(start, 0.5).notes
+        (note,) = ho.solve(start, ho.Hold(0.5)).notes
         words = re.search(r"at ([\d.]+) g/m vertices would hang ([\d.]+) cm lower", note)
         drops.append([float(x) for x in words.groups()] if words else [])
     (density, drop), (own, own_drop) = drops

@@ -243,7 +243,7 @@ def test_set_points_that_come_too_close_are_refused(tmp_path: Path) -> None:
     """Legs that point at a wall: setpoints meet it before the drones do."""
     team = ho.Team(3, 2.0, tension=0.8, quadrotor=SOFT)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.0)
-    plan = ho.hold(hitch, 1.0, arena=ho.Arena([-1.15] * 2 + [0.0], [1.15, 1.15, 3.0]))
+    plan = ho.solve(hitch, ho.Hold(1.0), arena=ho.Arena([-1.15] * 2 + [0.0], [1.15, 1.15, 3.0]))
     with pytest.raises(ho.InfeasibleError, match="arena"):
         plan.export("csv", tmp_path / "files", hold_tension=True)
     assert not (tmp_path / "files").exists()

@@ -204,7 +204,7 @@ def test_edges_pull_the_drones_at_the_ends_of_a_chain_along_themselves() -> None
     team = ho.Team(3, [1.4, 1.5, 1.6], tension=0.7, topology="open")
     arc = [[0.3, -0.2], [0.6, 0.8], [1.6, 1.0], [2.4, 0.2]]
     hitch = ho.Hitch.balanced(team, arc, altitude=1.2)
-    states = states_at(ho.hold(hitch, 1.0).motion, 0.5)
+    states = states_at(ho.solve(hitch, ho.Hold(1.0)).motion, 0.5)
     points = np.column_stack([arc, np.full(4, 1.2)])
     for drone, (own, other) in ((0, (0, 1)), (5, (3, 2))):
         along = points[other] - points[own]

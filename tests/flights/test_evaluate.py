@@ -46,9 +46,9 @@ def plan(name: str) -> ho.Plan:
         regular = ho.regular_polygon(3, 1.0).vertices.tolist()
         points = regular if name == "regular" else [[0, 0.9], [0.75, -0.45], [-0.75, -0.45]]
         team = ho.Team(3, **options)
-    hitch = ho.Mission(team, ho.Hitch.spread(team, points, altitude=1.2))
+    start = ho.Hitch.spread(team, points, altitude=1.2)
     to = [0.0, 0.0, 1.6] if name == "regular" else [0.4, 0.5, 1.5]
-    return hitch.transport(to=to).hold(1.0).solve()
+    return ho.solve(start, [ho.Transport(to), ho.Hold(1.0)])
 
 
 @cache

@@ -33,7 +33,7 @@ def aborts_of(name: str) -> Aborts:
     """Aborts of a problem's plan, of a release, or of legs that are rolled, or lean."""
     if name == "untied":
         start = ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]])
-        return Aborts(ho.release(start).flight)
+        return Aborts(ho.solve(start, ho.Release()).flight)
     if name == "rolled":  # what cables weigh on a clasp depends on its roll
         team, roll = (
             ho.Team(5, 2.2, tension=0.8, cable_density=0.01, load=0.01),
@@ -41,12 +41,14 @@ def aborts_of(name: str) -> Aborts:
         )
         corners = ho.regular_polygon(5, 1.0)
         start = ho.Hitch(team, corners, 1.5, np.full(5, 0.6), np.radians(roll))
-        return Aborts(ho.transport(start, to=[0.5, 0.0, 1.5]).flight)
+        return Aborts(ho.solve(start, ho.Transport(to=[0.5, 0.0, 1.5])).flight)
     if name == "leaning":
         team = ho.Team(4, 2.2, cable_friction=0.1)
         start = ho.Hitch.balanced(team, ho.regular_polygon(4, 1.0), 1.5)
         slow = ho.Limits(speed=0.06)
-        return Aborts(ho.move_vertex(start, 0, by=[0.1, 0.1], settle=False, limits=slow).flight)
+        return Aborts(
+            ho.solve(start, ho.MoveVertex(0, by=[0.1, 0.1], settle=False), limits=slow).flight
+        )
     return Aborts(planned(name).flight)
 
 
@@ -222,7 +224,7 @@ SQUARE = ho.regular_polygon(4, 1.0)
 @cache
 def plan_of(altitude: float) -> ho.Plan:
     start = ho.Hitch.spread(ho.Team(4, 2.2, tension=0.5), SQUARE, altitude)
-    return ho.transport(start, to=[0.7, 0.3, altitude])
+    return ho.solve(start, ho.Transport(to=[0.7, 0.3, altitude]))
 
 
 @pytest.mark.parametrize("altitude", [1.0, 2.4])
@@ -249,7 +251,7 @@ def test_survivors_keep_clear_of_the_swing_of_the_lost_drone(lost: int) -> None:
     polygon = ho.regular_polygon(4, 0.9).vertices + [1.0, 2.0]
     hitch = ho.Hitch.balanced(team, polygon, 1.6, np.radians([20.0, -15.0, 10.0, -25.0]))
     hitch = ho.Hitch(team, polygon, 1.6, hitch.slack * [0.4, 0.47, 0.53, 0.6], hitch.roll)
-    plan = ho.hold(hitch, 2.0)
+    plan = ho.solve(hitch, ho.Hold(2.0))
     clasps = hitch.vertices[team.layout.pulled_to]
     leg, partner = (hitch.drones - clasps)[[lost, lost ^ 1]]
     size = float(np.linalg.norm(partner))
@@ -305,7 +307,7 @@ def test_a_lost_drone_too_heavy_for_its_partner_has_no_reaction() -> None:
     team = ho.Team(4, 2.2, tension=0.5, quadrotor=ho.Quadrotor(max_thrust=1.7))
     start = ho.Hitch.spread(team, SQUARE, 2.4)
     with pytest.raises(ho.InfeasibleError, match="q1 on its cable takes 108% of a drone's thrust"):
-        Reactions(ho.hold(start, 2.0).motion).plan("q1", 1.0)
+        Reactions(ho.solve(start, ho.Hold(2.0)).motion).plan("q1", 1.0)
     for drone, time, words in (
         ("d7", 0.5, "one of q0, r0"),
         ("q0", 1e3, "choose a time within the plan"),

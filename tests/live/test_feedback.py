@@ -119,7 +119,9 @@ def test_corrections_do_not_grow_while_a_drone_is_far_from_its_place(missing: li
 
 
 def test_corrections_are_over_before_the_hitch_is_untied() -> None:
-    plan = ho.release(ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]]))
+    plan = ho.solve(
+        ho.Hitch.spread(ho.Team(3, 2.4), [[0, -0.9], [-0.72, 0.45], [0.72, 0.45]]), ho.Release()
+    )
     last = max(phase.end for phase in plan.phases if phase.formed)
     feedback = ho.Feedback(plan, delay=0.0)
     for time in np.append(np.arange(0.0, last, STEP), [last + 0.1] * 20).tolist():
@@ -151,7 +153,7 @@ def test_vertices_answer_setpoints_as_in_the_statics(topology: str) -> None:
     if topology == "open":
         outline = np.array([[-1.5, 0.0], [-0.8, 0.9], [0.4, 1.0], [1.3, 0.1]])
     team = ho.Team(3, [2.4, 2.5, 2.3], topology=topology, tension=0.4)
-    plan, push = ho.hold(ho.Hitch.spread(team, outline, 1.2), 1.0), 1e-4
+    plan, push = ho.solve(ho.Hitch.spread(team, outline, 1.2), ho.Hold(1.0)), 1e-4
     ((forward, inverse),) = vertex_responses(plan.motion, 0.5, STIFF)
     pushes = push * np.eye(18).reshape(-1, 6, 3)
     given, both = {"stiffness": STIFF, "axial_stiffness": 1e7}, np.stack([pushes, -pushes])
@@ -191,7 +193,7 @@ def distances(drones: Array, vertices: Array, away: float) -> tuple[float, float
 @pytest.mark.parametrize("moving", [False, True])
 def test_corrections_keep_every_distance_for_any_measurements(*, moving: bool) -> None:
     """Drones and vertices may be off by the reserve besides; a common shift moves both."""
-    plan = plan_of() if moving else ho.hold(START, 1.0)
+    plan = plan_of() if moving else ho.solve(START, ho.Hold(1.0))
     reserve, rng, found = 0.01 if moving else 0.02, np.random.default_rng(3), []
     breaks, cells = cells_of(plan.motion, reserve, STIFF)
     for k in rng.integers(0, len(cells), 200 if moving else 400).tolist():
@@ -209,7 +211,10 @@ def test_corrections_keep_every_distance_for_any_measurements(*, moving: bool) -
 
 def test_a_hitch_that_turns_leaves_the_room_of_one_that_rests() -> None:
     """Directions that part bodies turn too: cells have to be short."""
-    turning, rest = ho.transport(START, to=[2.5, 1.5, 1.3], yaw=2.0), ho.hold(START, 1.0)
+    turning, rest = (
+        ho.solve(START, ho.Transport(to=[2.5, 1.5, 1.3], yaw=2.0)),
+        ho.solve(START, ho.Hold(1.0)),
+    )
     rooms = [
         min(float(np.min(cell.bounds)) for cell in cells_of(plan.motion, 0.01, STIFF)[1] if cell)
         for plan in (turning, rest)
@@ -243,7 +248,7 @@ def test_offsets_stay_within_half_spaces_that_leave_little_room() -> None:
 
 
 def test_the_arena_limits_a_common_correction() -> None:
-    plan = ho.hold(plan_of().end, 3.0, arena=ho.Arena([-4, -4, 0], [4, 4, 1.3]))
+    plan = ho.solve(plan_of().end, ho.Hold(3.0), arena=ho.Arena([-4, -4, 0], [4, 4, 1.3]))
     feedback, low = ho.Feedback(plan, delay=0.0), plan.end.vertices - [0.0, 0.0, 0.3]
     for time in np.arange(0.0, 3.0, STEP).tolist():
         here = feedback.step(time, STEP, low)

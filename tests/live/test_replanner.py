@@ -124,7 +124,7 @@ def test_a_leg_that_would_be_too_short_at_the_goal_gets_another_split() -> None:
 def test_unsupported_teams_are_refused() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.9], [-0.72, 0.45], [0.72, 0.45]])
     with pytest.raises(ho.InputError, match="hitch"):
-        ho.Replanner(start.team, ho.release(start))
+        ho.Replanner(start.team, ho.solve(start, ho.Release()))
     rolled, plan = replace(start, roll=np.full(3, 0.3)), planned("form_pentagon")
     for here, why in ((rolled, "legs lean, are rolled"), (plan, "there is no hitch")):
         replanner = ho.Replanner(here.team if here is rolled else plan.motion.team, here)
@@ -148,7 +148,7 @@ def test_uncertified_goals_are_refused_and_the_plan_continues() -> None:
 @pytest.mark.parametrize("loads", LOADS)
 def test_a_plan_in_flight_is_taken_over(loads: dict[str, Any]) -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4, **loads), TRIANGLE)
-    plan = ho.move_vertex(start, 0, by=[0.0, 0.4])
+    plan = ho.solve(start, ho.MoveVertex(0, by=[0.0, 0.4]))
     answer = ho.Replanner(start.team, plan).retarget(TRIANGLE + [0.2, 0.1], at=0.5 * plan.duration)
     assert answer.accepted
     check_answer(plan.motion, answer)

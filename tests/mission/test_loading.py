@@ -348,8 +348,8 @@ def test_a_changed_problem_is_valid_by_the_schema_or_a_told_error(changes: Any) 
     except HitchoptError as error:
         answer = error
     if isinstance(answer, ho.Problem):
-        assert len(hitch_start(answer).polygon) == answer.team.robots
-        assert np.all(np.isfinite(hitch_start(answer).polygon.vertices))
+        assert len(hitch_start(answer).outline) == answer.team.robots
+        assert np.all(np.isfinite(hitch_start(answer).outline.vertices))
         VALIDATOR.validate(data)
         return
     assert not isinstance(answer, InputError) or (answer.key and answer.remedy)

@@ -144,7 +144,7 @@ def test_after_an_edit_only_what_it_changes_is_planned() -> None:
     def solved(problem: ho.Problem) -> tuple[ho.Plan, list[bool]]:
         """Return the plan, and whether each of its four motions is from the cache."""
         reports: list[str] = []
-        plan = ho.solve(problem, reports.append)
+        plan = ho.solve(problem, progress=reports.append)
         parts = [x for x in reports if x == FROM_CACHE or x.startswith("certifying step")]
         return plan, [part == FROM_CACHE for part in parts]
 
@@ -199,5 +199,5 @@ def test_problems_far_from_the_origin_are_refused_with_a_remedy() -> None:
     with pytest.raises(ho.InputError, match="altitude = 1100"):
         ho.HitchStart(SQUARE, 1100.0, "balanced")
     path = [[900.0, *SQUARE.vertices[0]]]  # times may be larger
-    assert FollowVertex(0, np.array(path)).path.tolist() == path
+    assert FollowVertex(0, path).points.tolist() == path
     ho.Arena([-1e3, -1e3, 0.0], [1e3, 1e3, 50.0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -22,12 +23,12 @@ def ceiling(limit: float) -> ho.Rule[ho.DroneSpans]:
 
 
 def test_missions_keep_their_rules_or_are_refused() -> None:
-    mission = ho.Mission(TEAM, START, rules=[leg_angle(35.0)])
-    plan = mission.morph(NEAR).solve()
+    rules = [leg_angle(35.0)]
+    plan = ho.solve(START, ho.Morph(NEAR), rules=rules)
     assert plan.certificate["leg_angle"].custom
     assert plan.certificate["leg_angle"].holds
     with pytest.raises(ho.InfeasibleError) as caught:
-        mission.hold(1.0).morph(FAR).solve()
+        ho.solve(START, [ho.Hold(1.0), ho.Morph(FAR)], rules=rules)
     (violation,) = caught.value.violations
     assert (violation.constraint, violation.limit, violation.where) == ("leg_angle", 35.0, ("p0",))
     assert "in step 1 (morph)" in violation.when
@@ -35,14 +36,14 @@ def test_missions_keep_their_rules_or_are_refused() -> None:
 
 
 def test_rules_change_no_motion() -> None:
-    bare = ho.Mission(TEAM, START).morph(NEAR).solve()
-    ruled = ho.Mission(TEAM, START, rules=[leg_angle(35.0)]).morph(NEAR).solve()
+    bare = ho.solve(START, ho.Morph(NEAR))
+    ruled = ho.solve(START, ho.Morph(NEAR), rules=[leg_angle(35.0)])
     assert ruled.motion.drones.coefficients.tobytes() == bare.motion.drones.coefficients.tobytes()
     assert ruled.certificate.limited[:-1] == bare.certificate.limited
 
 
 def test_solve_adds_rules_to_those_of_a_problem() -> None:
-    mission = ho.Mission(TEAM, START, rules=[leg_angle(35.0)]).hold(1.0)
+    mission = ho.Problem(TEAM, START, [ho.Hold(1.0)], rules=[leg_angle(35.0)])
     plan = ho.solve(mission, rules=[ceiling(1.5)])
     assert [x.name for x in plan.certificate.limited if x.custom] == ["leg_angle", "ceiling"]
     with pytest.raises(ho.InfeasibleError, match=r"ceiling: 1 m is above the limit of 0\.5 m"):
@@ -52,11 +53,11 @@ def test_solve_adds_rules_to_those_of_a_problem() -> None:
 def test_suggested_changes_keep_rules() -> None:
     """Lower drones break the rule, so that the only remedy of the arena is not suggested."""
     arena = ho.Arena([0, -4, 0.0], [4, 4, 1.0])
-    steps: dict[str, Any] = {"start": ho.HitchStart(START.polygon, 1.05), "arena": arena}
+    stated: dict[str, Any] = {"start": ho.HitchStart(START.polygon, 1.05), "arena": arena}
     high = ho.Rule("high", "m", "min", 1.04, ho.DroneSpans, lambda drone: drone.position[2])
-    mission = ho.Mission(TEAM, **steps).hold(1.0)
-    assert ho.suggestions(mission)
-    ruled = ho.Mission(TEAM, **steps, rules=[high]).hold(1.0)
+    problem = ho.Problem(TEAM, mission=[ho.Hold(1.0)], **stated)
+    assert ho.suggestions(problem)
+    ruled = replace(problem, rules=[high])
     changes = [str(each) for each in ho.suggestions(ruled)]
     assert not any("altitude" in each for each in changes)
 
@@ -79,6 +80,6 @@ def test_rules_hold_for_every_team() -> None:
 def test_problems_refuse_rules_with_names_of_checks() -> None:
     rule = ho.Rule("speed", "m/s", "max", 1.0, ho.DroneSpans, lambda drone: drone.velocity.norm)
     with pytest.raises(ho.InputError, match=r"rules\[0\].name = 'speed'"):
-        ho.Mission(TEAM, START, rules=[rule])
+        ho.Problem(TEAM, START, [ho.Hold(1.0)], rules=[rule])
     with pytest.raises(ho.InputError, match="rules = 3: must be a list"):
-        ho.solve(ho.Mission(TEAM, START).hold(1.0), rules=3)  # type: ignore[arg-type]
+        ho.solve(ho.Problem(TEAM, START, [ho.Hold(1.0)]), rules=3)  # type: ignore[arg-type]

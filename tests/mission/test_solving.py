@@ -101,10 +101,10 @@ def test_a_given_duration_is_met_exactly_and_a_short_one_refused() -> None:
     assert (plan.duration, plan.certificate["speed"].limit) == (4.125, 0.8)
     np.testing.assert_allclose(plan.at(0.0).positions, start.drones, atol=1e-9)
     np.testing.assert_allclose(plan.at(4.125).vertices[:, :2], PULLED_IN, atol=1e-9)
-    assert ho.adjust(start, "spread", duration=3.125).duration == 3.125
-    assert ho.transport(start, [1.0, -1.0, 1.5], duration=5.125).duration == 5.125
+    assert ho.solve(start, ho.Adjust("spread", duration=3.125)).duration == 3.125
+    assert ho.solve(start, ho.Transport([1.0, -1.0, 1.5], duration=5.125)).duration == 5.125
     with pytest.raises(ho.InfeasibleError, match=r"duration: 0\.2 s is below .* \(move_edge\)"):
-        ho.move_edge(start, 0, by=[-0.05, 0.0], duration=0.2)
+        ho.solve(start, ho.MoveEdge(0, by=[-0.05, 0.0], duration=0.2))
     with pytest.raises(ho.InfeasibleError, match="duration") as caught:
         ho.morph(start, PULLED_IN, limits=ho.Limits(duration=1.0))
     assert caught.value.violations[0].limit == 1.0

@@ -104,7 +104,7 @@ FLY, HOLD = ho.Fly(PLACES[::-1]), Hold(1.0)
 
 
 def test_single_drones_fly_one_flight_after_the_other() -> None:
-    plan = ho.solve(ho.Mission(SWARM, PLACES).then(FLY).then(ho.Fly(PLACES, duration=4.0)))
+    plan = ho.solve(ho.Problem(SWARM, PLACES, [FLY, ho.Fly(PLACES, duration=4.0)]))
     assert plan.certificate.certified
     assert [(phase.name, phase.step) for phase in plan.phases] == [("fly", 0), ("fly", 1)]
     ends = plan.at([0.0, plan.duration - 4.0, plan.duration]).positions

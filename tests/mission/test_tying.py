@@ -81,7 +81,7 @@ def test_hitches_near_the_ground_are_tied_higher_up_and_lowered() -> None:
     np.testing.assert_allclose(plan.at(plan.duration).positions[:, 2], 0.5, atol=1e-9)
     for altitude, raised in ((0.5, ["raise"]), (1.6, [])):
         start = ho.Hitch.spread(TEAM, TRIANGLE, altitude)
-        up = ho.release(start)
+        up = ho.solve(start, ho.Release())
         names = [*raised, "relax", "loosen", "unswap 1", "unswap 2"]
         assert [phase.name for phase in up.phases] == names
         assert up.certificate["cable_clearance"].worst > 0.1
@@ -92,7 +92,7 @@ def test_drones_that_hover_need_not_take_off_and_land_where_they_are() -> None:
     assert forming(HIGH, HIGH * MIRROR).phases[0].name == "approach"
     for low in (0.0, 0.4):
         arena = ho.Arena([-3, -3, low], [3, 3, 3])
-        landed = ho.land(TEAM, HIGH, HIGH * MIRROR, arena=arena)
+        landed = ho.solve(ho.DronesStart(HIGH, HIGH * MIRROR), ho.Land(), team=TEAM, arena=arena)
         assert [p.name for p in landed.phases] == ["land"]
         expected = landed.at(0.0).positions
         expected = np.column_stack([expected[:, :2], np.full(6, low)])
@@ -154,10 +154,10 @@ def test_plans_go_on_from_the_end_of_one_that_has_exchanged_robots(tmp_path: Pat
     end = ho.form(ho.Team(3, [2.4, 2.5, 2.6]), q, r, triangle).end
     assert end.team.assignment is not None
     assert end.team.assignment.robots != (0, 1, 2)
-    plan = ho.transport(end, [0.2, 0.1, 1.1])
+    plan = ho.solve(end, ho.Transport([0.2, 0.1, 1.1]))
     plan.save(tmp_path, picture=False)
     assert ho.load(tmp_path).certificate.certified
-    assert ho.release(end).certificate.certified
+    assert ho.solve(end, ho.Release()).certificate.certified
 
 
 def test_a_cable_through_which_another_robot_would_have_to_be_pulled_is_refused() -> None:
@@ -219,19 +219,19 @@ def test_the_order_says_who_lies_on_top() -> None:
 
 def test_a_hitch_that_is_there_opens_and_a_vertex_that_is_closed_does_not_close() -> None:
     hitch = ho.Hitch(HEAVY, WIDE, 1.5, np.full(3, 0.64))
-    plan = ho.open_vertex(hitch, 1)
+    plan = ho.solve(hitch, ho.OpenVertex(1))
     assert plan.certificate.certified
-    mission = ho.Mission(team=HEAVY, start=hitch)
-    opened = mission.open_vertex(1)
+    opened = ho.OpenVertex(1)
     with pytest.raises(InputError, match="the open one, 1"):
-        opened.close_vertex(2).solve()
+        ho.solve(hitch, [opened, ho.CloseVertex(2)])
     with pytest.raises(InputError, match="open_vertex, then hold or close_vertex"):
-        opened.morph(WIDE)
+        ho.solve(hitch, [opened, ho.Morph(WIDE)])
     with pytest.raises(InputError, match="= 'no open vertex': must be an open vertex, which"):
-        mission.close_vertex(1)
+        ho.solve(hitch, ho.CloseVertex(1))
     with pytest.raises(InputError, match="0 to 2"):
-        ho.open_vertex(hitch, 3)
-    assert opened.hold(0.5).close_vertex(1).morph(1.05 * WIDE).solve().certificate.certified
+        ho.solve(hitch, ho.OpenVertex(3))
+    steps = [opened, ho.Hold(0.5), ho.CloseVertex(1), ho.Morph(1.05 * WIDE)]
+    assert ho.solve(hitch, steps).certificate.certified
 
 
 @pytest.mark.parametrize(

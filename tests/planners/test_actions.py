@@ -40,7 +40,7 @@ def names(n: int, q: list[int], r: list[int]) -> set[str]:
 @pytest.mark.parametrize(("n", "k"), [(3, 2), (4, 1), (9, 5)])
 def test_moving_a_vertex_moves_the_four_drones_of_the_paper(n: int, k: int) -> None:
     start = uneven(n)
-    plan = ho.move_vertex(start, k, by=[-0.05, 0.06])
+    plan = ho.solve(start, ho.MoveVertex(k, by=[-0.05, 0.06]))
     assert movers(plan) == names(n, q=[k, k + 1], r=[k - 1, k - 2])
     assert plan.phases[0].remark == ""
     kept = np.ones((n, 2), dtype=bool)
@@ -55,7 +55,7 @@ def test_moving_a_vertex_moves_the_four_drones_of_the_paper(n: int, k: int) -> N
 def test_with_unequal_tensions_legs_turn_with_both_edges_of_their_vertex() -> None:
     """Of p_{k-1} and p_{k+1} both drones move, where the two tensions that meet there differ."""
     start = uneven(6, tension=[0.40, 0.42, 0.42, 0.42, 0.41, 0.41])
-    plan = ho.move_vertex(start, 2, by=[-0.04, 0.05])
+    plan = ho.solve(start, ho.MoveVertex(2, by=[-0.04, 0.05]))
     # p_1 holds cables 0 and 1 (unequal), p_3 cables 2 and 3 (equal).
     assert movers(plan) == names(6, q=[2, 3, 1], r=[1, 0])
     assert plan.phases[0].remark.startswith("q1 turns as well: tensions differ")
@@ -74,10 +74,10 @@ CHAIN = ho.Hitch.spread(
 )
 def test_a_chain_has_no_drones_to_move_beyond_its_ends(k: int, expected: str) -> None:
     """A chain's first and last cable have one leg only, which makes up for its edge."""
-    plan = ho.move_vertex(CHAIN, k, by=[0.01, 0.03])
+    plan = ho.solve(CHAIN, ho.MoveVertex(k, by=[0.01, 0.03]))
     assert movers(plan) == set(expected.split())
     assert plan.phases[0].remark == ""
-    back = ho.move_vertex(plan.end, k, by=[-0.01, -0.03])
+    back = ho.solve(plan.end, ho.MoveVertex(k, by=[-0.01, -0.03]))
     np.testing.assert_allclose(back.end.drones, CHAIN.drones, atol=1e-9)
 
 
@@ -88,35 +88,36 @@ def test_an_edge_that_slides_moves_four_drones_and_any_other_six(n: int, k: int)
     a, b = k, (k + 1) % n
     ends = [p[a] + 0.06 * u[k - 1], p[b] - 0.05 * u[b]]
     four = names(n, q=[k, k + 1], r=[k, k - 1])
-    assert movers(ho.move_edge(start, k, to=ends)) == four
+    assert movers(ho.solve(start, ho.MoveEdge(k, to=ends))) == four
     six = four | names(n, q=[k + 2], r=[k - 2])
-    assert movers(ho.move_edge(start, k, by=[0.05, 0.04])) == six
+    assert movers(ho.solve(start, ho.MoveEdge(k, by=[0.05, 0.04]))) == six
 
 
 def test_adjusting_moves_only_the_drones_of_cables_whose_legs_change() -> None:
     start = uneven(6)
     wanted = start.q_legs + [0.0, 0.05, 0.0, 0.0, -0.03, 0.0]
-    plan = ho.adjust(start, wanted)
+    plan = ho.solve(start, ho.Adjust(wanted))
     assert movers(plan) == {"q1", "r1", "q4", "r4"}
     states = plan.at(np.linspace(0.0, plan.duration, 101))
     still = np.broadcast_to(start.vertices, states.vertices.shape)
     np.testing.assert_allclose(states.vertices, still, atol=1e-12)
     np.testing.assert_allclose(plan.end.q_legs, wanted, atol=1e-12)
-    balanced = ho.adjust(start, "balanced").end
+    balanced = ho.solve(start, ho.Adjust("balanced")).end
     np.testing.assert_allclose(balanced.legs[:, 0], balanced.legs[:, 1], atol=1e-12)
 
 
 # fmt: off
 THERE_AND_BACK: dict[str, Callable[[ho.Hitch, int], ho.Plan]] = {
-    "move_vertex": lambda h, sign: ho.move_vertex(h, 1, by=[0.06 * sign, -0.07 * sign]),
-    "move_edge": lambda h, sign: ho.move_edge(h, 4, by=[0.06 * sign, -0.07 * sign]),
-    "adjust": lambda h, sign: ho.adjust(h, "balanced" if sign > 0 else uneven(5).q_legs),
-    "follow_vertex": lambda h, sign: ho.follow_vertex(
-        h, 0, [[2.0, *(h.vertices[0, :2] - [0.1 * sign, 0.05 * sign])]]),
-    "follow_vertex at a speed": lambda h, sign: ho.follow_vertex(
-        h, 0, [h.vertices[0, :2] - [0.1 * sign, 0.05 * sign]], speed=0.1),
-    "transport": lambda h, sign: ho.transport(
-        h, [3.4, -1.2, 1.6] if sign > 0 else [*uneven(5).polygon.centroid, 1.3], yaw=1.1 * sign),
+    "move_vertex": lambda h, sign: ho.solve(h, ho.MoveVertex(1, by=[0.06 * sign, -0.07 * sign])),
+    "move_edge": lambda h, sign: ho.solve(h, ho.MoveEdge(4, by=[0.06 * sign, -0.07 * sign])),
+    "adjust": lambda h, sign: ho.solve(h, ho.Adjust("balanced" if sign > 0 else uneven(5).q_legs)),
+    "follow_vertex": lambda h, sign: ho.solve(
+        h, ho.FollowVertex(0, [[2.0, *(h.vertices[0, :2] - [0.1 * sign, 0.05 * sign])]])),
+    "follow_vertex at a speed": lambda h, sign: ho.solve(
+        h, ho.FollowVertex(0, [h.vertices[0, :2] - [0.1 * sign, 0.05 * sign]], speed=0.1)),
+    "transport": lambda h, sign: ho.solve(
+        h, ho.Transport([3.4, -1.2, 1.6] if sign > 0 else [*uneven(5).polygon.centroid, 1.3],
+                        yaw=1.1 * sign)),
 }
 # fmt: on
 
@@ -135,7 +136,7 @@ def test_a_binding_limit_gives_the_nearest_slack_split_and_a_remark() -> None:
     """A vertex of a square moves outward: q0 and r3, which follow it, come too close."""
     team = ho.Team(4, 2.0)
     start = ho.Hitch.balanced(team, [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
-    plan = ho.move_vertex(start, 0, by=[0.3, 0.3])
+    plan = ho.solve(start, ho.MoveVertex(0, by=[0.3, 0.3]))
     end, kept = plan.end, start.q_legs.copy()
     kept[0] = end.slack[0] - start.legs[0, 1]
 
@@ -161,7 +162,7 @@ def test_a_limit_that_binds_only_on_the_path_makes_cables_slide_there(far: float
     start = ho.Hitch(ho.Team(6, 2.0), ho.regular_polygon(6, 1.3), 1.0, [0.45] * 6)
     tip = start.vertices[0, 0]
     path = [[4.0, tip + far, 0.0], [5.0, tip + far, 0.0], [9.0, tip, 0.0]]
-    plan = ho.follow_vertex(start, 0, path)
+    plan = ho.solve(start, ho.FollowVertex(0, path))
     assert plan.phases[0].remark.startswith("r0, q5 slide as well: ")
     assert "of the path" in plan.phases[0].remark
     assert movers(plan) == names(6, q=[0, 1, 5], r=[5, 4, 0])
@@ -185,7 +186,7 @@ POINTS = [[t, *(HERE + [x, y])] for t, x, y in (*ROWS, (9.0, 0.0, 0.03))]
 
 
 def test_points_are_reached_at_their_times_and_pauses_are_at_rest() -> None:
-    plan = ho.follow_vertex(START, K, POINTS)
+    plan = ho.solve(START, ho.FollowVertex(K, POINTS))
     assert plan.duration == 9.0
     met = plan.at([t for t, *_ in POINTS]).vertices[:, K]
     np.testing.assert_allclose(met, [[x, y, 1.4] for _, x, y in POINTS], atol=1e-9)
@@ -204,7 +205,7 @@ CORNERS = [HERE + by for by in ([0.0, 0.06], [0.08, 0.06], [0.08, -0.05])]
 def test_a_vertex_keeps_its_speed_on_its_path_through_points(
     points: list[np.ndarray[Any, Any]], speed: float
 ) -> None:
-    plan = ho.follow_vertex(START, K, points, speed=speed)
+    plan = ho.solve(START, ho.FollowVertex(K, points, speed=speed))
     times = np.linspace(0.0, plan.duration, 3001)
     places = plan.at(times).vertices[:, K, :2]
     for point in points:
@@ -224,32 +225,34 @@ def test_a_vertex_keeps_its_speed_on_its_path_through_points(
 
 def test_a_speed_limits_points_with_times_and_is_limited_itself() -> None:
     path, peak = [[4.0, *(HERE + [0.1, 0.0])]], 15.0 / 8.0 * 0.1 / 4.0
-    plans = [ho.follow_vertex(START, K, path, speed=speed) for speed in (None, 1.01 * peak)]
+    plans = [
+        ho.solve(START, ho.FollowVertex(K, path, speed=speed)) for speed in (None, 1.01 * peak)
+    ]
     a, b = (plan.motion.vertices.coefficients for plan in plans)
     np.testing.assert_array_equal(a, b)
     with pytest.raises(ho.InfeasibleError, match="allow more time for the points, omit") as caught:
-        ho.follow_vertex(START, K, path, speed=0.99 * peak)
+        ho.solve(START, ho.FollowVertex(K, path, speed=0.99 * peak))
     (fast,) = caught.value.violations
     assert (fast.constraint, fast.where) == ("vertex_speed", (f"p{K}",))
     assert fast.value == pytest.approx(peak, rel=1e-4)
     with pytest.raises(ho.InfeasibleError, match=r"0\.3 m/s is above the limit of 0\.2 m/s at p3"):
-        ho.follow_vertex(START, K, CORNERS, speed=0.3, limits=ho.Limits(vertex_speed=0.2))
+        ho.solve(START, ho.FollowVertex(K, CORNERS, speed=0.3), limits=ho.Limits(vertex_speed=0.2))
     for points, words in (
         ([CORNERS[0]], "add times, or the step's speed"),
         ([CORNERS[0], CORNERS[0]], "remove repeated points"),
     ):
         speed = 0.1 if len(points) > 1 else None
         with pytest.raises(ho.InputError, match=rf"^path = .*{words}"):
-            ho.follow_vertex(START, K, points, speed=speed)
+            ho.solve(START, ho.FollowVertex(K, points, speed=speed))
 
 
 def test_infeasible_points_are_refused_by_name() -> None:
-    plan = ho.follow_vertex(START, K, [[0.0, *HERE], [3.0, *(HERE + [0.1, 0.0])]])
+    plan = ho.solve(START, ho.FollowVertex(K, [[0.0, *HERE], [3.0, *(HERE + [0.1, 0.0])]]))
     assert plan.duration == 3.0
     with pytest.raises(ho.InfeasibleError, match=r"p3 at t = 0.*begin there, or later"):
-        ho.follow_vertex(START, K, [[0.0, *(HERE + [0.01, 0.0])], [3.0, *HERE]])
+        ho.solve(START, ho.FollowVertex(K, [[0.0, *(HERE + [0.01, 0.0])], [3.0, *HERE]]))
     with pytest.raises(ho.InfeasibleError) as caught:
-        ho.follow_vertex(START, K, [[0.4, *(HERE + [0.2, 0.0])]])
+        ho.solve(START, ho.FollowVertex(K, [[0.4, *(HERE + [0.2, 0.0])]]))
     fast = next(v for v in caught.value.violations if v.constraint == "vertex_speed")
     assert fast.value == pytest.approx(15.0 / 8.0 * 0.2 / 0.4, rel=1e-3)
     assert re.fullmatch(r"at t = 0\.(199|2|201)\S* s, in step 0 \(follow_vertex\)", fast.when)
@@ -269,7 +272,7 @@ TURNED = ho.Hitch(
 @pytest.mark.parametrize("yaw", [0.0, 0.6, -4.7, 4.0 * np.pi])
 def test_the_centroid_moves_straight_and_the_hitch_turns_linearly(yaw: float) -> None:
     begin, to = np.append(TURNED.polygon.centroid, 1.3), np.array([1.2, 1.4, 1.9])
-    plan = ho.transport(TURNED, to, yaw=yaw)
+    plan = ho.solve(TURNED, ho.Transport(to, yaw=yaw))
     vertices = plan.at(np.linspace(0.0, plan.duration, 301)).vertices
     middle = [[*ho.ConvexPolygon(p[:, :2]).centroid, p[0, 2]] for p in vertices]
     np.testing.assert_allclose(middle[-1], to, atol=1e-9)
@@ -288,4 +291,6 @@ def test_infeasible_transports_name_the_point() -> None:
     x = TURNED.drones
     around = ho.Arena(x.min(axis=0) - [0.02, 0.02, 0.2], x.max(axis=0) + 0.02)  # edges sag
     with pytest.raises(ho.InfeasibleError, match=r"arena: .* in step 0 \(transport\)"):
-        ho.transport(TURNED, [*TURNED.polygon.centroid, 1.3], yaw=2.0 * np.pi, arena=around)
+        ho.solve(
+            TURNED, ho.Transport([*TURNED.polygon.centroid, 1.3], yaw=2.0 * np.pi), arena=around
+        )

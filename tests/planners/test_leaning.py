@@ -73,7 +73,9 @@ def test_a_cable_that_slides_alone_expects_the_friction_of_its_whole_wrap() -> N
     """With unequal tensions the weaker cable turns by more than the other one."""
     team = ho.Team(4, LENGTHS, tension=[0.5, 0.42, 0.58, 0.5], cable_friction=0.03)
     start = ho.Hitch.balanced(team, POLYGON, altitude=1.2)
-    motion = ho.adjust(start, start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0], duration=6.0).motion
+    motion = ho.solve(
+        start, ho.Adjust(start.legs[:, 0] + [0.0, 0.1, 0.0, 0.0], duration=6.0)
+    ).motion
     ratio = np.log(motion.pulls.at(3.0).reshape(4, 2) / motion.tensions.at(3.0)[:, None])
     p, x = motion.vertices.at(3.0), start.drones
     for end, sign in ((0, 1.0), (1, -1.0)):  # both of cable 1, one let out, one drawn in

@@ -123,7 +123,7 @@ SQUARE = [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]]
 def turned() -> ho.Plan:
     team = ho.Team(4, [2.4, 2.4, 2.5, 2.5], quadrotor=RETUNED)
     start = ho.Hitch.spread(team, SQUARE, altitude=1.2)
-    return ho.transport(start, [0.3, -0.2, 1.4], yaw=0.7)
+    return ho.solve(start, ho.Transport([0.3, -0.2, 1.4], yaw=0.7))
 
 
 def swapped() -> ho.Plan:
@@ -323,7 +323,7 @@ def test_a_stated_error_below_that_of_the_gains_is_warned_of(
     team = ho.Team(3, 2.4, tension=0.8, cable_density=0.005, quadrotor=kind)
     tracking = ho.Tube(**stated) if isinstance(stated, dict) else stated
     hitch = ho.Hitch.spread(team, ho.regular_polygon(3, 0.9), altitude=1.5)
-    plan = ho.hold(hitch, 1.0, limits=ho.Limits(tracking=tracking))
+    plan = ho.solve(hitch, ho.Hold(1.0), limits=ho.Limits(tracking=tracking))
     notes = [note for note in plan.notes if "limits.tracking is" in note]
     assert len(notes) == warned
     plan.export("csv", tmp_path / "show")

@@ -468,7 +468,9 @@ def test_packets_are_rounded_and_hold_the_pull() -> None:
 def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
     kind = ho.Quadrotor(controller="mellinger", gains={"kp": [2.0, 4.0], "kd": 1.0, "ki": 0.0})
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, quadrotor=kind)
-    plan = ho.hold(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4), seconds=1.0)
+    plan = ho.solve(
+        ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4), ho.Hold(seconds=1.0)
+    )
     task = TeamTask.of(plan.motion)
     settings = Settings(controller="mellinger", upload=True)
     held = received(task, flown_team(team, settings), settings)
@@ -490,7 +492,7 @@ def test_uploads_are_offset_by_the_tension_over_the_stiffness() -> None:
 def test_lees_law_feeds_forward_angular_velocity_of_uploads_only() -> None:
     """Only uploads contain jerks; without cable forces accelerations determine the attitude."""
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4), ho.regular_polygon(3, 1.3), altitude=1.4)
-    task = TeamTask.of(ho.transport(hitch, [0.6, 0.0, 1.4]).motion)
+    task = TeamTask.of(ho.solve(hitch, ho.Transport([0.6, 0.0, 1.4])).motion)
     settings = Settings(controller="lee", gains={"ki": 1e-9})
     team = flown_team(task.team, settings)
     assert not received(task, team, settings).rates.any()
@@ -563,7 +565,7 @@ STIFF = stiffest_gains(MASS)
 
 def still_task(kind: ho.Quadrotor, seconds: float = 0.1) -> Task:
     """Return the task of a triangle at rest that is planned without tracking errors."""
-    motion = ho.hold(regular_hitch(3), seconds).motion
+    motion = ho.solve(regular_hitch(3), ho.Hold(seconds)).motion
     return Task.of(ho.Flight.of(motion.replaced(team=replace(motion.team, quadrotor=(kind,) * 3))))
 
 
@@ -624,7 +626,7 @@ def test_plans_that_exceed_the_memory_are_streamed_unless_uploads_are_requested(
     x, y = start.vertices[0, :2]
     t = np.arange(1, 401)
     path = np.column_stack([t, x + 0.05 * np.sin(2.0 * t), y + 0.05 * np.cos(3.0 * t)])
-    motion = ho.follow_vertex(start, 0, path).motion
+    motion = ho.solve(start, ho.FollowVertex(0, path)).motion
     flown = replace(motion.team, quadrotor=(kind,) * 3)  # planned without tracking errors
     task = Task.of(ho.Flight.of(motion.replaced(team=flown)))
     assert "crazyswarm2" in FlightInProgress(still_task(kind), Settings()).files

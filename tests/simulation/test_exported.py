@@ -36,7 +36,7 @@ QUANTUM = 1e-3  # Of packets [m], [m/s²]
 @pytest.fixture(scope="module")
 def plan() -> ho.Plan:
     start = ho.Hitch.balanced(TEAM, ho.regular_polygon(3, 1.3), altitude=2.0)
-    return ho.transport(start, to=[0.2, 0.1, 2.1])
+    return ho.solve(start, ho.Transport(to=[0.2, 0.1, 2.1]))
 
 
 def exported(plan: ho.Plan, folder: Path, kind: str, **options: Any) -> Path:
@@ -118,7 +118,7 @@ def px4_plan(**kind: Any) -> ho.Plan:
     drone = ho.Quadrotor(mass=0.8, max_thrust=16.0, **kind)
     team = ho.Team(3, 4.6, tension=0.2, quadrotor=drone)
     start = ho.Hitch.balanced(team, ho.regular_polygon(3, 2.4), altitude=2.0)
-    return ho.hold(start, seconds=0.1)
+    return ho.solve(start, ho.Hold(seconds=0.1))
 
 
 def test_gains_of_px4_are_those_of_the_files(tmp_path: Path) -> None:
@@ -173,7 +173,7 @@ def test_gains_that_files_do_not_hold_are_said(
 
 def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) -> None:
     saved = plan.save(tmp_path / "plan", picture=False)
-    other = ho.hold(plan.end, 0.5).save(tmp_path / "other", picture=False)
+    other = ho.solve(plan.end, ho.Hold(0.5)).save(tmp_path / "other", picture=False)
     folder = exported(ho.load(saved), tmp_path / "csv", "csv")
     manifest = json.loads((folder / "export.json").read_text(encoding="utf-8"))
     assert (folder / PLAN_COPY).read_bytes() == (saved / PLAN).read_bytes()
@@ -220,7 +220,7 @@ def test_streams_are_held_from_sample_to_sample(kind: str, tmp_path: Path) -> No
     px4 = ho.Quadrotor(mass=0.8, max_thrust=16.0, controller="px4")
     team = ho.Team(3, 4.6, tension=0.2, quadrotor=px4)
     start = ho.Hitch.balanced(team, ho.regular_polygon(3, 2.4), altitude=2.0)
-    moving = ho.transport(start, to=[0.2, 0.1, 2.1])
+    moving = ho.solve(start, ho.Transport(to=[0.2, 0.1, 2.1]))
     flown = read_exported(exported(moving, tmp_path / kind, kind))
     states, files = flown.task.states, flown.task.received
     assert files is not None
@@ -242,8 +242,8 @@ def test_parts_are_flown_with_what_the_script_does_between_them(tmp_path: Path) 
     q = np.array([[-1.0, 0.9, 1.0], [0.9, 0.9, 1.0], [-0.3, -1.2, 1.0]])
     team = ho.Team(3, 2.35, tension=0.4, cable_density=0.01, quadrotor="paper_132g")
     start = ho.DronesStart(q, q + [0.6, 0.0, 0.0])
-    mission = ho.Mission(team, start).form(ho.regular_polygon(3, 1.0), altitude=1.5)
-    plan = mission.hold(4.0).release().solve()
+    form = ho.Form(ho.regular_polygon(3, 1.0), altitude=1.5)
+    plan = ho.solve(start, [form, ho.Hold(4.0), ho.Release()], team=team)
     flown = read_exported(exported(plan, tmp_path / "files", "crazyswarm2"))
     assert flown.takes_off
     assert len(flown.parts) > 1

@@ -94,7 +94,7 @@ def test_drones_carry_loads_and_vertices_keep_their_heights() -> None:
 
 
 def test_the_task_of_a_plan_is_its_states_at_100_hz(tmp_path: Path) -> None:
-    plan = ho.transport(regular_hitch(3, load=0.01), to=[0.1, 0.0, 2.1])
+    plan = ho.solve(regular_hitch(3, load=0.01), ho.Transport(to=[0.1, 0.0, 2.1]))
     task = read_task(plan.save(tmp_path / "plan", picture=False))
     count = int(100 * plan.duration) + 1
     np.testing.assert_allclose(task.states.t, np.append(np.arange(count) / 100, plan.duration))
@@ -121,7 +121,7 @@ def test_a_planned_triangle_is_tied_and_holds_under_disturbances() -> None:
 @pytest.mark.slow
 def test_feedback_from_measured_vertices_removes_the_sag() -> None:
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -0.8], [-0.7, 0.5], [0.7, 0.5]], 1.0)
-    plan, measurement = ho.hold(start, 1.5), {"vertex_noise": 0.01, "vertex_delay": 0.05}
+    plan, measurement = ho.solve(start, ho.Hold(1.5)), {"vertex_noise": 0.01, "vertex_delay": 0.05}
     result = ho.simulate(
         plan, feedback=True, density=0.01, perturbations=measurement, pull_test=False
     )

@@ -169,7 +169,7 @@ def test_errors_are_distances_while_hitched_and_at_rest() -> None:
 
 
 def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
-    motion = ho.hold(HITCH, 2.0).motion
+    motion = ho.solve(HITCH, ho.Hold(2.0)).motion
     figure = drawn_flight(flight_with(), ho.Flight.of(motion), "Four ropes")
     titles = [axes.get_title() for axes in figure.axes]
     assert titles[:2] == ["start, 0.0 s", "pull test, 5.0 s"]
@@ -203,7 +203,7 @@ def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path
     with pytest.raises(ho.InputError, match="flight = None"):
         flight_with().save(tmp_path / "flight")
     assert not (tmp_path / "flight").exists()
-    flight_with().save(tmp_path / "flight", flight=ho.hold(HITCH, 2.0).flight)
+    flight_with().save(tmp_path / "flight", flight=ho.solve(HITCH, ho.Hold(2.0)).flight)
     assert (tmp_path / "flight" / "simulation.json").is_file()
 
 
@@ -227,7 +227,7 @@ def test_what_the_plan_leaves_open_is_warned_of() -> None:
 
 
 def test_separation_and_tension_are_measured_before_the_pull_test() -> None:
-    motion = ho.hold(HITCH, 2.0).motion
+    motion = ho.solve(HITCH, ho.Hold(2.0)).motion
     separation = ho.Separation(radius=0.1, height=0.4)
     motion = motion.replaced(requirements=replace(motion.requirements, separation=separation))
     task = changed(Task.of(ho.Flight.of(motion)), taut=None)
@@ -265,7 +265,7 @@ def test_a_reaction_lowers_the_tension() -> None:
     """The lost drone falls, the others do not touch, and their tensions decrease."""
     team = ho.Team(robots=3, cable_length=2.2, tension=0.5)
     corners = [[0.0, 0.58], [0.5, -0.29], [-0.5, -0.29]]
-    plan = ho.hold(ho.Hitch.spread(team, corners, altitude=1.0), 1.2)
+    plan = ho.solve(ho.Hitch.spread(team, corners, altitude=1.0), ho.Hold(1.2))
     reaction = Reactions(plan.motion).plan("r1", 0.3)
     task = TeamTask.of(plan.motion).released(reaction.motion, reaction.start, RELEASE_TIME)
     flight = fly(Task((task,)), Settings(lost=Loss("r1", 0.3)))
@@ -296,7 +296,9 @@ def test_contacts_after_a_loss_are_those_of_survivors() -> None:
     assert (outcome.linked, outcome.peak_tension) == (("p0", "p1", "p2"), 2.0)
     assert outcome.moved == pytest.approx(0.05)
     assert np.max(judgement.tracking_errors(flight)) == pytest.approx(0.05)
-    planned = flight_of(Task.of(ho.hold(hitch, 0.3).flight), hitch, t, settings=Settings(lost=loss))
+    planned = flight_of(
+        Task.of(ho.solve(hitch, ho.Hold(0.3)).flight), hitch, t, settings=Settings(lost=loss)
+    )
     planned = replace(planned, record=flight.record)
     assert "up to 0.05 m horizontally, 0 m vertically" in judgement.tracking_verdict(planned)
     assert np.max(judgement.vertex_errors(flight).t) <= loss.time
@@ -363,7 +365,7 @@ def placed_with(tracking: float | ho.Tube | None, off: list[float], *, held: boo
     planned = np.tile([x, y, 1.0, 1.0, 0.0], (samples, 1, 1))
     share, is_held = np.full((samples, 1), float(held)), np.full((samples, 1), held)
     cargo = Cargo({"box": box}, planned, is_held, share)
-    motion = ho.hold(HITCH, 1.0).motion
+    motion = ho.solve(HITCH, ho.Hold(1.0)).motion
     limits = replace(motion.requirements.limits, tracking=tracking)
     motion = replace(motion, requirements=replace(motion.requirements, limits=limits))
     poses = np.tile([x, y, 1.0, 1.0, 0.0, 0.0, 0.0], (count, 1, 1))

@@ -26,7 +26,7 @@ FROM, TO = ho.regular_polygon(3, 1.3), ho.regular_polygon(3, 1.15)
 def plan() -> ho.Plan:
     """A plan of three steps, each of which ends at rest."""
     start = ho.HitchStart(FROM, 2.0)
-    return ho.Mission(TEAM, start).hold(0.5).morph(TO).hold(0.8).solve()
+    return ho.solve(start, [ho.Hold(0.5), ho.Morph(TO), ho.Hold(0.8)], team=TEAM)
 
 
 def test_every_step_that_ends_with_a_taut_hitch_is_a_rest(plan: ho.Plan) -> None:
@@ -59,7 +59,9 @@ def test_rests_between_which_nothing_moves_have_one_pull_test(plan: ho.Plan) -> 
     assert tests[hold] == PullTest(hold, 0.0)
     assert tests[morph].time == task.duration
     assert tests[morph].since == pytest.approx(morph, abs=0.02)
-    twice = ho.Mission(TEAM, ho.HitchStart(FROM, 2.0)).hold(0.3).hold(0.2).morph(TO).solve()
+    twice = ho.solve(
+        ho.HitchStart(FROM, 2.0), [ho.Hold(0.3), ho.Hold(0.2), ho.Morph(TO)], team=TEAM
+    )
     first, second = (phase.end for phase in twice.phases[:2])
     assert pull_tests(Task.of(twice.flight)) == dict.fromkeys(
         [first, second], PullTest(second, 0.0)
@@ -95,7 +97,9 @@ def test_a_vertex_that_slips_where_it_is_pulled_does_not_hold(plan: ho.Plan) -> 
 def test_pull_tests_leave_the_flight_as_it_is(controller: str) -> None:
     """They fly a copy, so that every number of the record is the same without them."""
     nearby = ho.regular_polygon(3, 1.28)
-    plan = ho.Mission(TEAM, ho.HitchStart(FROM, 2.0)).hold(0.1).morph(nearby).hold(0.3).solve()
+    plan = ho.solve(
+        ho.HitchStart(FROM, 2.0), [ho.Hold(0.1), ho.Morph(nearby), ho.Hold(0.3)], team=TEAM
+    )
     task, estimator = Task.of(plan.flight), "ideal" if controller == "ideal" else "crazyflie"
     options = {"controller": controller, "estimator": estimator, "perturbations": INDOOR}
     pulled, plain = (fly(task, Settings(pull_test=each, **options)) for each in (True, False))  # type: ignore[arg-type]

@@ -296,7 +296,9 @@ def plan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the plan of a triangle, at rest for two seconds."""
     team = ho.Team(3, [2.4, 2.5, 2.45], tension=0.5)
     hitch = ho.Hitch.balanced(team, TRIANGLE, altitude=1.4)
-    return ho.hold(hitch, seconds=2.0).save(tmp_path_factory.mktemp("plan") / "out", picture=False)
+    return ho.solve(hitch, ho.Hold(seconds=2.0)).save(
+        tmp_path_factory.mktemp("plan") / "out", picture=False
+    )
 
 
 def rows_of(task: TeamTask) -> list[str]:
@@ -357,7 +359,9 @@ def test_order_other_columns_and_unknown_names_do_not_matter(
 
 def test_a_chain_ends_at_its_outer_drones(tmp_path: Path) -> None:
     team = ho.Team(3, [2.2, 2.6, 2.3], topology="open", tension=0.5)
-    task = TeamTask.of(ho.hold(ho.Hitch.balanced(team, ARC, altitude=1.4), seconds=2.0).motion)
+    task = TeamTask.of(
+        ho.solve(ho.Hitch.balanced(team, ARC, altitude=1.4), ho.Hold(seconds=2.0)).motion
+    )
     rows = [row for row in rows_of(task) if ",p0," not in row and ",p3," not in row]
     result = ho.calibrate(write(tmp_path / "flight.csv", rows), task)
     np.testing.assert_array_equal(result.recording.vertices, task.states.vertices[::5])
@@ -489,7 +493,7 @@ def test_doubtful_recordings_are_repaired_with_a_note_or_refused(
 def test_vertices_are_estimated_from_markers_first() -> None:
     """The recording is a cloud of markers on the edges, on another clock."""
     hitch = ho.Hitch.balanced(ho.Team(3, [2.4, 2.5, 2.45], tension=0.5), TRIANGLE, altitude=1.4)
-    plan = ho.move_vertex(hitch, 0, by=[0.0, -0.3], duration=5.0)
+    plan = ho.solve(hitch, ho.MoveVertex(0, by=[0.0, -0.3], duration=5.0))
     task = TeamTask.of(plan.motion)
     t, shares = task.states.t[::2], np.array([0.3, 0.5, 0.7])
     ends = task.states.vertices[::2], np.roll(task.states.vertices[::2], -1, axis=1)

@@ -33,12 +33,10 @@ def team(**given: Any) -> ho.Team:
 def planned(
     of: ho.Team, *polygons: Array, start: Array = POLYGON, altitude: float = 1.4
 ) -> ho.Plan:
-    mission = ho.Mission(of, ho.HitchStart(ho.ConvexPolygon(start), altitude)).hold(4.0)
+    mission: list[ho.Hold | ho.Morph] = [ho.Hold(4.0)]
     for polygon in polygons:
-        mission = mission.morph(polygon).hold(4.0)
-    plan = mission.solve()
-    assert isinstance(plan, ho.Plan)
-    return plan
+        mission += [ho.Morph(polygon), ho.Hold(4.0)]
+    return ho.solve(ho.HitchStart(start, altitude), mission, team=of)
 
 
 def flown(of: ho.Team, *polygons: Array) -> TeamTask:

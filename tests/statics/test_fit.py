@@ -70,8 +70,8 @@ def test_cables_are_long_enough_for_the_enclosing_polygon() -> None:
     drum = ho.SolidObject(ho.Section(radius=0.2), 0.0, 0.3, 0.03, at=[2.0, 1.0, 0.0])
     team = ho.Team(3, holding.cable_length, tension=1.0)
     start = ho.Hitch.spread(team, 1.2 * holding.enclosing.vertices + [2.0, 1.0], 1.2)
-    mission = ho.Mission(team, start, objects={"drum": drum})
-    plan = mission.enclose("drum").grasp("drum", by="grip").solve()
+    steps = [ho.Enclose("drum"), ho.Grasp("drum", by="grip")]
+    plan = ho.solve(start, steps, objects={"drum": drum})
     assert plan.certificate.certified
 
 

@@ -34,7 +34,7 @@ RULES: list[ho.Rule[Any]] = [LEG_ANGLE, CEILING]
 @cache
 def plan() -> ho.Plan:
     """Return a plan that keeps two rules."""
-    return ho.Mission(TEAM, START, rules=RULES).morph(GOAL).solve()
+    return ho.solve(START, ho.Morph(GOAL), team=TEAM, rules=RULES)
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_plans_are_saved_again_as_they_were(saved: Path, tmp_path: Path) -> None
 
 
 def test_plans_without_rules_state_nothing(saved: Path, tmp_path: Path) -> None:
-    bare = ho.Mission(TEAM, START).morph(GOAL).solve()
+    bare = ho.solve(START, ho.Morph(GOAL), team=TEAM)
     bare.save(tmp_path / "bare", picture=False)
     assert [*settings_of(tmp_path / "bare")] == ["title", "problem", "request", "groups", "others"]
     content = json.loads((tmp_path / "bare" / "certificate.json").read_text())
@@ -145,17 +145,16 @@ def test_other_flights_of_a_plan_do_not_claim_its_rules() -> None:
         ("leg_angle", None),
         ("ceiling", None),
     ]
-    moved = ho.transport(START, [5.0, 0.0, 1.0])
+    moved = ho.solve(START, ho.Transport([5.0, 0.0, 1.0]))
     both = ho.combine(plan(), moved, at=2.0)
     assert both.certificate.not_recomputed == plan().stated_rules
 
 
 def test_rules_without_items_have_no_worst_value(tmp_path: Path) -> None:
     team = ho.Swarm(2)
-    mission = ho.Mission(team, [[0, 0, 1], [2, 0, 1]], rules=[LEG_ANGLE])
-    folder = (
-        mission.then(ho.Fly(np.array([[0, 1, 1], [2, 1, 1]]))).solve().save(tmp_path, picture=False)
-    )
+    start, goal = [[0, 0, 1], [2, 0, 1]], [[0, 1, 1], [2, 1, 1]]
+    plan = ho.solve(start, ho.Fly(goal), team=team, rules=[LEG_ANGLE])
+    folder = plan.save(tmp_path, picture=False)
     (rule,) = ho.load(folder).stated_rules
     assert rule.worst is None
     assert "leg_angle (no value, limit ≥ 35 deg)" in run("check", folder)[1]

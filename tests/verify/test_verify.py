@@ -123,7 +123,7 @@ def test_heights_above_the_ground_are_no_limit_without_an_arena(tmp_path: Path) 
         (0.2, PROVEN),
         (-0.2, f"{PROVEN}; not proven: height above z = 0, which is no limit without an arena"),
     ):
-        ho.transport(start, to=[0, 0, altitude]).save(tmp_path, rate=10.0, picture=False)
+        ho.solve(start, ho.Transport(to=[0, 0, altitude])).save(tmp_path, rate=10.0, picture=False)
         rows = [*second.verify(tmp_path)]
         assert second.verdict(rows) == words
         assert {row.verdict for row in rows} <= second.PASSING

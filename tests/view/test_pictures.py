@@ -61,7 +61,7 @@ def chain(n: int) -> ho.Motion:
     steps = 1.4 * np.column_stack([np.cos(headings), np.sin(headings)])
     points = np.array([2.0, -1.0]) + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
     team = ho.Team(n, 2.1 + 0.05 * np.arange(n), topology="open")
-    return ho.hold(ho.Hitch.balanced(team, points), 1.0).motion
+    return ho.solve(ho.Hitch.balanced(team, points), ho.Hold(1.0)).motion
 
 
 def words(figure: Figure) -> list[str]:

@@ -99,7 +99,7 @@ def test_neighbours_are_linked_in_the_hitch_and_not_before(tied: ho.Motion) -> N
         np.testing.assert_array_equal(linking(make_motion(n), 1.0), expected)
     team = ho.Team(robots=3, cable_length=2.4, topology="open")
     start = ho.Hitch.spread(team, [[-2.0, 0.0], [-0.7, 0.5], [0.7, 0.5], [2.0, 0.0]], altitude=1.0)
-    links = linking(ho.hold(start, 1.0).motion, 0.5)
+    links = linking(ho.solve(start, ho.Hold(1.0)).motion, 0.5)
     np.testing.assert_array_equal(links, [[0, 1, 0], [1, 0, 1], [0, 1, 0]])
 
 
@@ -388,7 +388,7 @@ def test_names_of_teams_are_apart_and_on_no_drone(before: str) -> None:
 def test_a_wall_that_is_passed_is_inside_of_a_panel() -> None:
     team = ho.Team(robots=3, cable_length=2.4)
     start = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.0), 1.5)
-    motion = ho.transport(start, [6, 0, 1.5]).motion
+    motion = ho.solve(start, ho.Transport([6, 0, 1.5])).motion
     wall = ho.SolidObject(ho.Section(CORNERS), 0.0, 0.8, at=(3.0, 0.2, 0.0), fixed=True)
     requirements = dataclasses.replace(motion.requirements, objects={"wall": wall})
     motion = motion.replaced(requirements=requirements)
