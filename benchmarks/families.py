@@ -2,7 +2,8 @@
 
 Usage: python -m benchmarks families [FAMILY ...] [--problems N] [--first SEED]
 
-Families: ``form``, irregular hitches tied from scattered robots; ``carry``, objects held by rims or
+Families: ``form``, irregular hitches tied from scattered robots; ``scattered_form``, those of 3 to
+10 robots on the ground, with light and heavy cables; ``carry``, objects held by rims or
 grips, half of them beside a table; ``morph`` and ``heavy_morph``, irregular hitches into each
 other; ``past_post``, ``past_team`` and ``tube``, such morphs past a post, past another team that
 stays or crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of two cables;
@@ -120,6 +121,82 @@ def wild_form(seed: int) -> dict[str, Any]:
         "start": {"drones": start},
         "mission": [{"form": form}],
     }
+
+
+SCATTERED_ROBOTS = range(3, 11)
+"""Numbers of robots that tie a polygon of random edges, in turn."""
+
+SCATTERED_SIZE = (1.4, 3.2)
+"""Width of a polygon of random edges along its longer side, minimum and maximum [m]."""
+
+SCATTERED_SLACK = (0.5, 2.2)
+"""Length of its cables beyond its longest edge, minimum and maximum [m]."""
+
+SHORTEST_EDGE = 0.15
+"""Shortest edge of such a polygon [m]."""
+
+SCATTERED_DENSITY = (0.001, 0.02)
+"""Density of its cables, minimum and maximum [kg/m], drawn evenly on a logarithmic scale."""
+
+SCATTERED_TENSION = (0.3, 0.8)
+"""Tension of its cables, minimum and maximum [N]."""
+
+SCATTERED_ALTITUDE = (0.8, 2.0)
+"""Altitude at which it is tied, minimum and maximum [m]."""
+
+
+def scattered_form(seed: int) -> dict[str, Any]:
+    """Return a problem that ties a polygon of random edges from robots scattered on the ground.
+
+    Edges are as uneven as those of a random convex polygon, cables light or heavy, and their
+    tension is drawn independently. Three of four teams have the tracking errors of a drone's model.
+    """
+    n = _robots(seed, SCATTERED_ROBOTS)
+    rng = np.random.default_rng([n, seed, 7])
+    while True:
+        corners = np.round(_random_edges(n, rng) * rng.uniform(*SCATTERED_SIZE), 3)
+        lengths = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        density = math.exp(rng.uniform(*np.log(SCATTERED_DENSITY)))
+        team: dict[str, Any] = {
+            "robots": n,
+            "cable_length": round(float(np.max(lengths) + rng.uniform(*SCATTERED_SLACK)), 2),
+            "cable_density": round(density, 4),
+            "tension": round(float(rng.uniform(*SCATTERED_TENSION)), 2),
+        }
+        if seed // len(SCATTERED_ROBOTS) % 4:
+            team["quadrotor"] = "paper_132g"
+        altitude = round(float(rng.uniform(*SCATTERED_ALTITUDE)), 2)
+        if np.min(lengths) < SHORTEST_EDGE or not _is_convex(corners.tolist()):
+            continue
+        form = {"polygon": corners.tolist(), "altitude": altitude}
+        if not is_certified(team, {"hitch": {**form, "legs": "spread"}}):
+            continue
+        drones = _scattered(np.full(n, team["cable_length"]), True, rng)
+        if is_certified(team, {"drones": drones}):
+            break
+    return {
+        "title": f"Scattered form, n = {n}, seed {seed}",
+        "team": team,
+        "start": {"drones": drones},
+        "mission": [{"form": form}],
+    }
+
+
+def _random_edges(n: int, rng: np.random.Generator) -> Array:
+    """Return a random convex polygon (n, 2), clockwise about the origin, of width 1 (Valtr 1995).
+
+    Steps between sorted random coordinates, which sum to zero along either axis, are paired at
+    random; the edges follow each other by their headings.
+    """
+    steps = np.empty((n, 2))
+    for axis in range(2):
+        inner = rng.uniform(size=n - 2)
+        upper = rng.random(n - 2) < 0.5
+        up, down = (np.sort(np.concatenate([[0.0, 1.0], inner[side]])) for side in (upper, ~upper))
+        steps[:, axis] = rng.permutation(np.concatenate([np.diff(up), -np.diff(down)]))
+    headings = np.arctan2(steps[:, 1], steps[:, 0])
+    corners: Array = np.cumsum(steps[np.argsort(-headings)], axis=0)
+    return np.asarray(corners - np.mean(corners, axis=0))
 
 
 def _is_convex(corners: list[list[float]]) -> bool:
@@ -495,6 +572,7 @@ MAX_CHAIN_SHIFT = 0.5
 
 FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "form": wild_form,
+    "scattered_form": scattered_form,
     "carry": wild_carry,
     "morph": wild_pair,
     "heavy_morph": partial(wild_pair, heavy=True),

@@ -175,6 +175,14 @@ def joint_error(errors: Sequence[InputError]) -> InputError:
     return errors[0] if len(errors) == 1 else JointInputError(errors)
 
 
+class RequestError(InputError):
+    """An InputError about the request that only planning finds: a step that its start rules out.
+
+    Any other InputError while planning is a fault of a planner, which built a record from values
+    of its own; it becomes a PlannerError.
+    """
+
+
 class UnitWarning(UserWarning):
     """A value so unusual that its unit may be wrong, such as degrees for radians.
 
@@ -285,6 +293,24 @@ class InfeasibleError(HitchoptError):
             for each in self.violations
         ]
         return InfeasibleError(violations, self.note and f"{name}: {self.note}")
+
+
+class PlannerError(HitchoptError):
+    """A planner failed, with an error of its own; feasibility is undecided."""
+
+    def __init__(self, error: HitchoptError) -> None:
+        super().__init__(f"a planner failed: {error}; please report it with the problem")
+
+
+@contextmanager
+def planners_faults() -> Iterator[None]:
+    """Turn every InputError of the context but a RequestError into a PlannerError."""
+    try:
+        yield
+    except RequestError:
+        raise
+    except InputError as error:
+        raise PlannerError(error) from error
 
 
 class TimeLimitError(InfeasibleError):

@@ -308,6 +308,10 @@ class Requirements(ByValue):
             height_ratio=tube.ratio,
         )
 
+    def with_larger_errors(self, by: float) -> Requirements:
+        """Return the requirements with errors of position that are larger by a distance [m]."""
+        return replace(self, position_error=self.position_error + by)
+
     def flown_by(self, team: Team) -> Requirements:
         """Return the requirements that include the tracking errors and tilt limit of a team.
 

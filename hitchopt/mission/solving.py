@@ -16,7 +16,14 @@ from hitchopt.checks import merged
 from hitchopt.checks.arena import ARENA, nearest_wall
 from hitchopt.checks.registry import RULES, with_rules
 from hitchopt.drones.controllers import CONTROLLERS, FlightController, Tube
-from hitchopt.errors import HitchoptError, InfeasibleError, Progress, TimeLimitError, Violation
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    Progress,
+    TimeLimitError,
+    Violation,
+    planners_faults,
+)
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
@@ -24,6 +31,7 @@ from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMissi
 from hitchopt.mission.teams import schedule_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.planners.candidates import Effort
 from hitchopt.steps.certified_motions import (
     CertifiedFlight,
     CertifiedMotion,
@@ -192,7 +200,8 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     start, plans, motions = state.hitch, list[StepPlan](), list[Motion]()
     for first, group in _groups(steps):
         report(f"planning step {first} ({group[0].name}), {first} of {len(steps)} done")
-        task = StepTask(state, first, state.with_objects(with_reserve), optimiser)
+        needed, stated = map(state.with_objects, (with_reserve, requirements))
+        task = StepTask(state, first, needed, optimiser, stated)
         try:
             plan = _plan_group(group, task, report)
         except TimeLimitError:
@@ -220,6 +229,9 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         check_above_ground(motion)
     return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
 
+
+EFFORT_PER_ROBOT = 2e4
+"""Effort to plan a step, per robot, beyond which no further candidate is tried."""
 
 CACHE_SIZE = 32  # Capacity of the cache in steps; one of 1000 robots takes 76 MB
 
@@ -268,7 +280,8 @@ def _start_state(mission: TeamMission, requirements: Requirements, report: Progr
     form = mission.form
     if form is not None and form.assign == "auto":
         report("assigning robots to edges")
-        assignment = form.assignment(team, start.drones, requirements)
+        with planners_faults():
+            assignment = form.assignment(team, start.drones, requirements)
     if team.layout.closed and team.robots == 2:
         assignment = _assigned_sides(team, start.drones)
     return RestState(assignment.team(team), start.drones[assignment.drones])
@@ -303,9 +316,11 @@ def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> St
 
 def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:
     """Return the certified plan of steps without a stop."""
-    task = replace(task, progress=report)
-    plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
-    plan = with_settling(plan, task, group[-1].settling)
+    budget = Effort(EFFORT_PER_ROBOT * task.before.team.robots)
+    task = replace(task, progress=report, effort=budget)
+    with planners_faults():
+        plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
+        plan = with_settling(plan, task, group[-1].settling)
     report(f"certifying step {task.index} ({group[0].name})")
     _ = plan.certificate  # stored with the plan
     return plan

@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from hitchopt.checks.grips import GRIP_LIMIT
-from hitchopt.errors import InfeasibleError, InputError, Violation, rounded_up
+from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Hitch, Team
@@ -116,16 +116,16 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     objects, key = task.requirements.objects, f"objects.{name}"
     body = objects[name]
     if not task.before.team.layout.closed:
-        raise InputError("team.topology", "open", "closed if objects are held", "close it")
+        raise RequestError("team.topology", "open", "closed if objects are held", "close it")
     if body.fixed:
         remedy = "omit it, or only tie two cables around it"
-        raise InputError(f"{key}.fixed", True, "false if it is lifted", remedy)
+        raise RequestError(f"{key}.fixed", True, "false if it is lifted", remedy)
     if body.friction == 0.0:
         bound, remedy = "above 0 if it is held", "only friction moves it along with the cables"
-        raise InputError(f"{key}.friction", 0.0, bound, remedy)
+        raise RequestError(f"{key}.friction", 0.0, bound, remedy)
     for other in stacked_on(objects, name, task.requirements.floor):
         at, bound = objects[other].at.tolist(), f"off objects.{name}, which is held alone"
-        raise InputError(f"objects.{other}.at", at, bound, f"carry objects.{other} away first")
+        raise RequestError(f"objects.{other}.at", at, bound, f"carry objects.{other} away first")
     return body
 
 
@@ -515,7 +515,7 @@ class Grasp(TensionStep):
             return self._grip(task, body, tension)
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
-            raise InputError(key, None, bound, "add a rim, or grasp it by: grip")
+            raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
         requirements = requirements_near(task, self.object)
         with_margin = replace(requirements, separation=_wider(requirements.separation))
         closing_task = task.within(requirements, task.before)
@@ -552,7 +552,7 @@ class Grasp(TensionStep):
         if body.rim is not None:
             key = f"mission[{task.index}].{self.name}.by"
             bound = "rest if the hitch is below the object's rim"
-            raise InputError(key, "grip", bound, "omit the rim")
+            raise RequestError(key, "grip", bound, "omit the rim")
         check_pull(float(np.max(tension)), team, task.requirements)
         hold = GripHold(
             team,
@@ -700,7 +700,7 @@ class SetDown(Step):
             )
             place = [round(float(coordinate), 9) for coordinate in to[:3]]
             remedy = "set it down farther from the edge, or on a wider support"
-            raise InputError(f"mission[{task.index}]", place, bound, remedy)
+            raise RequestError(f"mission[{task.index}]", place, bound, remedy)
         down = planner.carry(to, LIFT_SPEED)
         unloading = replace(planner.transfer(1.0, 0.0), start=to, end=to)
         moves = [down, unloading]
@@ -864,5 +864,5 @@ class TransportObject(TensionStep):
         if abs(height - to[2]) > CONTACT_GAP:
             key, bound = f"mission[{task.index}].{self.name}.to", "on what is below it"
             remedy = f"write {[*to[:2].tolist(), round(height, 9)]}"
-            raise InputError(key, to.tolist(), f"{bound}, at {height:.6g} m", remedy)
+            raise RequestError(key, to.tolist(), f"{bound}, at {height:.6g} m", remedy)
         return plan

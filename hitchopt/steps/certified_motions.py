@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.checks import Certificate, Check
+from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.custom import Rule
 from hitchopt.checks.registry import RULE_OF, TEAM_REPORTS
 from hitchopt.checks.rule import REPORT_IT, CheckRule, ReportRule
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, TimeLimitError, Violation
+from hitchopt.checks.tracking import TRACKING_RADIUS
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    RequestError,
+    TimeLimitError,
+    Violation,
+)
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
@@ -68,6 +75,21 @@ def require_certified(plan: StepPlan, when: str = "") -> StepPlan:
     if not plan.certificate.certified:
         raise infeasible_error(plan.certificate, plan.motion, when)
     return plan
+
+
+def require_tracking(motion: Motion, stated: Requirements | None) -> None:
+    """Raise InfeasibleError if the tracking errors that a problem states, if any, break a distance.
+
+    Planners' distances include them, but hanging cables are displaced farther; see
+    ``tracking_radius``.
+    """
+    if stated is None or not stated.limits.tube.level:
+        return
+    flown = motion.replaced(requirements=stated.untimed)
+    certificate = certify(flown, reports=())
+    radius = certificate[TRACKING_RADIUS.name]
+    if not radius.holds:
+        raise infeasible_error(replace(certificate, limited=(radius,)), flown)
 
 
 def attempt(planner: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
@@ -459,7 +481,14 @@ def optimised_plan(
 
     shape_cost = None if cost is None else ShapeCost(task.hitch.team, cost)
     morph = OptimisedMorph(
-        task.hitch, end, requirements, certified_motion, phase.tension, straight, shape_cost
+        task.hitch,
+        end,
+        requirements,
+        certified_motion,
+        phase.tension,
+        straight,
+        shape_cost,
+        task.effort,
     )
     try:
         candidates = morph.solve()
@@ -603,7 +632,7 @@ def plan_blended(steps: Sequence[Any], task: StepTask) -> StepPlan:
         if not moves(start, end):
             bound = "a step with motion if steps are blended"
             remedy = "omit it, or omit blend"
-            raise InputError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
+            raise RequestError(f"mission[{i}].{step.name}", "no motion", bound, remedy)
         hitches.append(end)
     motion, joints = BlendedMorph(hitches, requirements).solve()
     times = [0.0, *joints.tolist(), motion.duration]

@@ -13,7 +13,7 @@ import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Violation
+from hitchopt.errors import HitchoptError, InfeasibleError, InputError, RequestError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
@@ -471,7 +471,7 @@ def _convex(team: Team, points: Array, key: str, value: Points | None) -> Outlin
     except InputError as error:
         reason = f"{error.key} = {error.value} would have to be {error.bound}"
         bound = f"such that the outline stays convex and clockwise ({reason})"
-        raise InputError(key, np.asarray(value).tolist(), bound, "move less far") from None
+        raise RequestError(key, np.asarray(value).tolist(), bound, "move less far") from None
 
 
 def _checked_index(key: str, index: int, count: int) -> int:

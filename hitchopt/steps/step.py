@@ -15,7 +15,7 @@ import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import PART_REPORTS, RULES
-from hitchopt.errors import InputError, OneLine, Progress, UnitWarning
+from hitchopt.errors import InputError, OneLine, Progress, RequestError, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
@@ -24,6 +24,7 @@ from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.team import MAX_ROBOTS
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.objects import SolidObject
+from hitchopt.planners.candidates import Effort
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
 from hitchopt.planners.forming import SwapSettings
@@ -319,7 +320,7 @@ class RestState:
     def tied(self) -> Hitch:
         """The hitch; raises InputError on free cables, which problems do not have here."""
         if self.hitch is None:
-            raise InputError("start", "free cables", "a hitch", "form one before")
+            raise RequestError("start", "free cables", "a hitch", "form one before")
         return self.hitch
 
     @property
@@ -392,6 +393,13 @@ class StepTask:
     optimiser: bool = True
     """True if the optimiser may be used."""
 
+    stated: Requirements | None = None
+    """Requirements of the problem, of which planners' distances include the tracking errors; None
+    if the plan's are those of the problem."""
+
+    effort: Effort = field(default_factory=Effort)
+    """Effort of planning, and its limit."""
+
     progress: Progress | None = None
     """Status callback."""
 
@@ -404,7 +412,7 @@ class StepTask:
     def grasp(self) -> GraspState:
         """The enclosed or held object; raises InputError without one."""
         if self.before.grasp is None:
-            raise InputError("start", "no object", "an enclosed object", "enclose one before")
+            raise RequestError("start", "no object", "an enclosed object", "enclose one before")
         return self.before.grasp
 
     def within(self, requirements: Requirements, state: RestState) -> StepTask:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hitchopt.checks.arena import CEILING, FLOOR
 from hitchopt.checks.grips import MIN_HINGE
-from hitchopt.errors import InfeasibleError, InputError, Violation
+from hitchopt.errors import InfeasibleError, RequestError, Violation
 from hitchopt.geometry.vectors import rotated, turn
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements
@@ -103,9 +103,9 @@ def _check_two(team: Team, remedy: str) -> None:
     """Raise InputError with a remedy for a team of other than two robots."""
     where = "where cables are tied around an object"
     if team.robots != 2:
-        raise InputError("robots", team.robots, f"2 {where}", remedy)
+        raise RequestError("robots", team.robots, f"2 {where}", remedy)
     if not team.layout.closed:
-        raise InputError("topology", team.topology, f"closed {where}", "leave team.topology out")
+        raise RequestError("topology", team.topology, f"closed {where}", "leave team.topology out")
 
 
 @documented
@@ -201,7 +201,7 @@ class Tie(Step):
         """Raise InputError for an object that cables cannot hold."""
         if body.friction == 0.0:
             key = f"objects.{self.around}.friction"
-            raise InputError(key, 0.0, "above 0 if it is held", "cables hold it by friction")
+            raise RequestError(key, 0.0, "above 0 if it is held", "cables hold it by friction")
 
     def _checked_height(self, task: StepTask, body: SolidObject) -> float:
         """Return the height of the clasps above the base [m]; raise InputError if it is off it."""
@@ -211,7 +211,7 @@ class Tie(Step):
         if not lowest <= height <= highest:
             key = f"mission[{task.index}].{self.name}.at"
             bound = f"from {lowest:g} to {highest:g} m, on objects.{self.around}"
-            raise InputError(key, height, bound, "tie it there")
+            raise RequestError(key, height, bound, "tie it there")
         return height
 
     def advice(self, check: str, key: str) -> str:

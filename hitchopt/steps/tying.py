@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, UnsupportedError
+from hitchopt.checks.tracking import TRACKING_RADIUS
+from hitchopt.errors import InfeasibleError, InputError, RequestError, UnsupportedError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
+from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.certified_motions import (
-    attempt,
     check_at_rest,
-    combined_failure,
-    first_feasible,
     plan_to_hitch,
     require_certified,
+    require_tracking,
     rest_plan,
     split_hitch,
     with_friction_feedforward,
@@ -59,6 +59,7 @@ from hitchopt.values.units import ALTITUDE
 
 if TYPE_CHECKING:
     from hitchopt.planners.forming.approach import Approach
+    from hitchopt.planners.forming.circles import CircleSize
     from hitchopt.planners.forming.laying import Laying
     from hitchopt.planners.forming.prehitch import PreHitch
 
@@ -163,25 +164,28 @@ class Form(Step):
 
     def _by_swaps(self, task: StepTask, goal: Hitch) -> StepPlan:
         """Return the plan that ties the goal, or else a hitch on a circle that becomes the goal."""
+        return first_certified(self._ways_by_swaps(task, goal), task.effort, task.progress)
+
+    def _ways_by_swaps(self, task: StepTask, goal: Hitch) -> Iterator[Candidate[StepPlan]]:
+        """Yield the ways to tie the goal by swaps: directly, or as another hitch on a circle."""
         from hitchopt.planners.forming.prehitch import find_prehitch
 
         requirements = task.requirements
-        tying = find_prehitch(goal, requirements, self.swap).clear_of_ground(requirements)
-        direct = attempt(lambda: require_certified(tied_plan(task, tying, goal)))
-        if isinstance(direct, StepPlan):
-            return direct
-        reached = Attempt.PREHITCH if tying.doubtful else Attempt.FLIGHT
-        failures = [Failure(reached, direct)]
-        for circular in tyings_on_circles(goal, requirements, self.swap):
-            tied = attempt(partial(tied_plan, task, circular, circular.hitch))
-            if not isinstance(tied, StepPlan):
-                failures.append(Failure(Attempt.FLIGHT, tied))
-                continue
-            plan = attempt(partial(morphed_plan, task, tied, goal))
-            if isinstance(plan, StepPlan):
-                return plan
-            failures.append(Failure(Attempt.MORPH, plan))
-        raise farthest(failures)
+
+        def directly(swap: SwapSettings) -> StepPlan:
+            """Return the plan that ties the goal."""
+            tying = find_prehitch(goal, requirements, swap).clear_of_ground(requirements)
+            return require_certified(tied_plan(task, tying, goal))
+
+        def on_circle(tying: PreHitch) -> StepPlan:
+            """Return the plan that ties a hitch on a circle, and morphs it to the goal."""
+            tying = tying.clear_of_ground(requirements)
+            return morphed_plan(task, tied_plan(task, tying, tying.hitch), goal)
+
+        for way in swap_ways(self.swap):
+            yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
+            for tying in tyings_on_circles(goal, requirements, way):
+                yield Candidate(f"{way.name}circle", partial(on_circle, tying))
 
     def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
         """Return the hitch.
@@ -251,47 +255,42 @@ MAX_SHAPES = 3
 """Maximum number of their shapes, each of which is turned."""
 
 
-class Attempt(IntEnum):
-    """The stage that an attempt at tying reached."""
+class SwapWay(NamedTuple):
+    """Swaps with some settings: of the hitch itself, and of hitches on circles."""
 
-    PREHITCH = 0
-    """No pre-hitch is feasible."""
+    name: str
+    """Start of the names of its candidates."""
 
-    FLIGHT = 1
-    """The flight to the pre-hitch, or tying there, is not."""
+    settings: SwapSettings
+    """The settings."""
 
-    MORPH = 2
-    """The morph of the tied hitch to the goal is not."""
-
-
-class Failure(NamedTuple):
-    """An attempt at tying that failed."""
-
-    reached: Attempt
-    """The stage that it reached."""
-
-    error: HitchoptError
-    """Its error."""
+    sizes: tuple[CircleSize, ...]
+    """Sizes of hitches on circles."""
 
 
-def farthest(failures: Sequence[Failure]) -> HitchoptError:
-    """Return the first error of the attempts that reached the last stage."""
-    direct = failures[0]
-    best = max(failures, key=lambda failure: failure.reached)  # the first one of several
-    if best is direct or not isinstance(best.error, InfeasibleError):
-        return direct.error
-    others = len(failures) - 1
-    note = f"{others} other hitches on circles, to be morphed to this one, were not feasible either"
-    if isinstance(direct.error, InfeasibleError):
-        violation = replace(direct.error.violations[0], remedy="")
-        note += f"; tied directly: {str(violation).rstrip('; ')}"
-    return InfeasibleError(best.error.violations, note)
+STEEP_TILT = math.radians(60.0)
+"""[rad] Tilt of swaps that keep drones farther from short cables, and take longer."""
+
+STEEP_RADIUS = 0.25
+"""[m] Smallest semi-axis of these swaps."""
 
 
-def tyings_on_circles(
-    goal: Hitch, requirements: Requirements, swap: SwapSettings
-) -> Iterator[PreHitch]:
-    """Yield feasible pre-hitches of hitches on circles near a closed goal, to be morphed to it."""
+def swap_ways(swap: SwapSettings) -> Iterator[SwapWay]:
+    """Yield swaps in the order of the search: as they are set, then steeper if that is free."""
+    from hitchopt.planners.forming.circles import FURTHER_SIZES, SIZES
+
+    yield SwapWay("", swap, SIZES)
+    default = SwapSettings()
+    if (swap.tilt, swap.radius) == (default.tilt, default.radius):
+        steeper = replace(swap, tilt=STEEP_TILT, radius=STEEP_RADIUS)
+        yield SwapWay("steeper ", steeper, SIZES + FURTHER_SIZES)
+
+
+def tyings_on_circles(goal: Hitch, requirements: Requirements, way: SwapWay) -> Iterator[PreHitch]:
+    """Yield pre-hitches of hitches on circles near a closed goal, to be morphed to it.
+
+    Their shapes are feasible; their altitude is that of the goal.
+    """
     from hitchopt.planners.forming.circles import CircularHitches
     from hitchopt.planners.forming.prehitch import find_prehitch
 
@@ -299,13 +298,15 @@ def tyings_on_circles(
         return
     circles = CircularHitches(goal, requirements)
     feasible = (
-        shape for shape in circles.shapes if not find_prehitch(shape, requirements, swap).doubtful
+        shape
+        for shape in circles.shapes(way.sizes)
+        if not find_prehitch(shape, requirements, way.settings).doubtful
     )
     shapes = list(itertools.islice(feasible, MAX_SHAPES))
     by_phase = zip(*map(circles.placed, shapes), strict=True)  # all shapes at one turn, then next
     placed = itertools.chain.from_iterable(by_phase)
     for hitch in itertools.islice(placed, MAX_TIED):
-        yield find_prehitch(hitch, requirements, swap).clear_of_ground(requirements)
+        yield find_prehitch(hitch, requirements, way.settings)
 
 
 def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan:
@@ -317,6 +318,7 @@ def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan
     tied = concatenated(tying.stages(requirements, task.index))
     if tying.doubtful:  # no approach helps if tying is infeasible
         require_certified(StepPlan(tied, task.before))
+        require_tracking(tied, task.stated)
     motions = [approach_motion(task, tying.drones_hanging), tied]
     if abs(tying.hitch.altitude - goal.altitude) > ALTITUDE_TOLERANCE:
         lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
@@ -347,9 +349,10 @@ def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
         plan = planner()
         return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
 
-    level = abs(goal.altitude - start.hitch.altitude) <= ALTITUDE_TOLERANCE
-    planners = (in_one,) if level else (in_one, lowered_last)
-    return first_feasible(partial(whole, planner) for planner in planners)
+    candidates = [Candidate("morph", partial(whole, in_one))]
+    if abs(goal.altitude - start.hitch.altitude) > ALTITUDE_TOLERANCE:
+        candidates.append(Candidate("morph before lowering", partial(whole, lowered_last)))
+    return first_certified(candidates, task.effort)
 
 
 def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:
@@ -385,22 +388,52 @@ def approach_motion(task: StepTask, goal: Array) -> Motion:
     from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach, OverApproach
 
     before = task.before
-    kinds = [DirectApproach, GatheredApproach]
-    if task.requirements.objects:
+    requirements = task.requirements
+
+    def certified(kind: type[Approach], larger_errors: float) -> Motion:
+        """Return the certified motion of a kind of approach, planned for larger errors [m]."""
+        needed = requirements.with_larger_errors(larger_errors)
+        approach = kind(before.team, before.drones, goal, needed, task.index)
+        motion = concatenated(approach.solve()).replaced(requirements=requirements)
+        require_certified(StepPlan(motion, before))
+        require_tracking(motion, task.stated)
+        return motion
+
+    def candidate(kind: type[Approach], larger_errors: float = 0.0) -> Candidate[Motion]:
+        """Return the candidate of a kind of approach."""
+
+        def with_larger_errors(error: InfeasibleError) -> Candidate[Motion] | None:
+            """Return the approach that is planned for the errors that this one lacks, if few."""
+            missing = missing_radius(error)
+            larger = larger_errors + max(ERROR_FACTOR * missing, MIN_LARGER_ERRORS)
+            return candidate(kind, larger) if missing and larger <= MAX_LARGER_ERRORS else None
+
+        name = f"{kind.name}{' with larger errors' if larger_errors else ''}"
+        return Candidate(name, partial(certified, kind, larger_errors), with_larger_errors)
+
+    kinds: list[type[Approach]] = [DirectApproach, GatheredApproach]
+    if requirements.objects:
         kinds.append(OverApproach)
+    return first_certified(map(candidate, kinds), task.effort)
 
-    def certified(approach: Approach) -> StepPlan:
-        """Return the certified plan of an approach."""
-        return require_certified(StepPlan(concatenated(approach.solve()), before))
 
-    errors = list[HitchoptError]()
-    for kind in kinds:
-        approach = kind(before.team, before.drones, goal, task.requirements, task.index)
-        outcome = attempt(partial(certified, approach))
-        if isinstance(outcome, StepPlan):
-            return outcome.motion
-        errors.append(outcome)
-    raise combined_failure(errors[0], errors[1], "no other route to the pre-hitch was found")
+MIN_LARGER_ERRORS = 1e-3
+"""[m] Smallest increase of errors for which an approach is planned again."""
+
+ERROR_FACTOR = 2.0
+"""Factor on the missing radius of tracking errors by which an approach is planned for larger ones:
+heights of hanging cables grow faster than errors."""
+
+MAX_LARGER_ERRORS = 0.05
+"""[m] Largest increase of errors for which an approach is planned."""
+
+
+def missing_radius(error: InfeasibleError) -> float:
+    """Return what lacks to the radius of tracking errors [m]; 0 if another limit is broken."""
+    radii = [each for each in error.violations if each.constraint == TRACKING_RADIUS.name]
+    if len(radii) < len(error.violations):
+        return 0.0
+    return max((each.limit - each.value for each in radii), default=0.0)
 
 
 def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
@@ -523,7 +556,7 @@ class CloseVertex(RollStep):
         rolled = np.flatnonzero(task.hitch.roll - (0.0 if open_roll is None else open_roll))
         if self.vertex not in rolled:
             bound = f"the open one, {', '.join(map(str, rolled.tolist()))}"
-            raise InputError("vertex", self.vertex, bound, "close the vertex that was opened")
+            raise RequestError("vertex", self.vertex, bound, "close the vertex that was opened")
         return self.rolled(task, task.hitch.roll)
 
 
@@ -557,21 +590,26 @@ class Release(Step):
 
         requirements = task.requirements
         hitch = task.hitch
-        swap = task.before.swap
         senses = task.before.assumed_senses
-        tying = find_prehitch(hitch, requirements, swap).with_senses(senses)
-        tying = tying.clear_of_ground(requirements)
 
-        def directly() -> StepPlan:
+        def directly(swap: SwapSettings) -> StepPlan:
             """Return the plan that unties the hitch as it is."""
-            return require_certified(untied_plan(task, tying, hitch))
+            tying = find_prehitch(hitch, requirements, swap).with_senses(senses)
+            return require_certified(untied_plan(task, tying.clear_of_ground(requirements), hitch))
 
-        def on_circles() -> Iterator[Callable[[], StepPlan]]:
-            """Yield planners that untie a hitch on a circle in its place."""
-            for circular in tyings_on_circles(hitch, requirements, swap):
-                yield partial(unmorphed_plan, task, circular.with_senses(senses))
+        def on_circle(tying: PreHitch) -> StepPlan:
+            """Return the plan that unties a hitch on a circle in its place."""
+            tying = tying.with_senses(senses).clear_of_ground(requirements)
+            return unmorphed_plan(task, tying)
 
-        return first_feasible(itertools.chain([directly], on_circles()))
+        def ways() -> Iterator[Candidate[StepPlan]]:
+            """Yield the ways to untie the hitch."""
+            for way in swap_ways(task.before.swap):
+                yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
+                for tying in tyings_on_circles(hitch, requirements, way):
+                    yield Candidate(f"{way.name}circle", partial(on_circle, tying))
+
+        return first_certified(ways(), task.effort, task.progress)
 
 
 @documented

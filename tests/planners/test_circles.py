@@ -19,6 +19,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.planners.forming.circles import (
     MAX_ARC,
     PHASES,
+    SIZES,
     CircularHitches,
     circular_polygon,
 )
@@ -67,7 +68,7 @@ def test_hitches_rest_on_circles_near_a_goal(edges: Array) -> None:
     goal = Hitch.balanced(team, circular_polygon(0.9 * edges).translated([3.0, -2.0]), 1.7)
     requirements = Requirements()
     circles = CircularHitches(goal, requirements)
-    for shape in islice(circles.shapes, 2):
+    for shape in islice(circles.shapes(SIZES), 2):
         placed = list(circles.placed(shape))
         assert len(placed) == len(PHASES)
         for hitch in placed:

@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.checks import Check
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.spans import value_cache
-from hitchopt.errors import InfeasibleError, InputError, Violation, rounded_down
+from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.holding import residual_grip
@@ -163,7 +163,7 @@ class MovePlanner:
         """The hitch with the object; raises InputError without one."""
         hold = self.state.hold
         if hold is None:
-            raise InputError("object", self.state.object, "one that is held", "grasp it before")
+            raise RequestError("object", self.state.object, "one that is held", "grasp it before")
         return hold
 
     @property
@@ -171,7 +171,7 @@ class MovePlanner:
         """The hitch that grips the object; raises InputError for another hold."""
         hold = self.hold
         if not isinstance(hold, GripHold):
-            raise InputError("by", hold.by, "grip if cables close around it", "rest it instead")
+            raise RequestError("by", hold.by, "grip if cables close around it", "rest it instead")
         return hold
 
     @property

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitchopt.drones.quadrotor import Quadrotor
-from hitchopt.errors import InfeasibleError, InputError, Violation, check_time
+from hitchopt.errors import InfeasibleError, RequestError, Violation, check_time
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import cross, left_of, length, turn, unit
 from hitchopt.hitch import Team
@@ -505,7 +505,7 @@ def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirem
     for key, values in (("cable_length", team.cable_length), ("quadrotor", kinds)):
         if len(set(values)) > 1:
             bound = "equal for all robots if they grip an object"
-            raise InputError(f"team.{key}", list(values), bound, "use one kind")
+            raise RequestError(f"team.{key}", list(values), bound, "use one kind")
     drone, cable = kinds[0], float(team.cable_length[0])
     tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.cable_friction, body.section
@@ -614,7 +614,9 @@ def rest_polygons(
     InputError: no rim.
     """
     if body.rim is None:
-        raise InputError(f"objects.{name}.rim", None, "given", "rest objects with a rim on clasps")
+        raise RequestError(
+            f"objects.{name}.rim", None, "given", "rest objects with a rim on clasps"
+        )
     rim = body.rim.section
     centre = body.centre_of_mass[:2]
     candidates = RestCandidates.of(body, rim, robots)

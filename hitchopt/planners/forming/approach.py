@@ -14,7 +14,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,9 @@ PREFERENCE_OF_ORDER = 0.1
 @dataclass(frozen=True, eq=False)
 class Approach(ABC):
     """A planner of flights with free cables."""
+
+    name: ClassVar[str]
+    """What it is, among the candidates of an approach."""
 
     team: Team
     """The team of the drones."""
@@ -147,6 +150,8 @@ class DirectApproach(Approach):
     A cable hangs lower while its drones are closer together than at both ends of the flight.
     """
 
+    name: ClassVar[str] = "direct approach"
+
     @property
     def obstacle_height(self) -> float:
         """Height over the ground of what cables fly over [m]."""
@@ -202,6 +207,8 @@ class DirectApproach(Approach):
 class OverApproach(DirectApproach):
     """All drones fly at once, with their cables above all objects."""
 
+    name: ClassVar[str] = "approach over objects"
+
     @property
     def obstacle_height(self) -> float:
         """Height of the highest object over the ground [m]."""
@@ -231,6 +238,8 @@ class GatheredApproach(Approach):
     No robot may pass over another's hanging cable. The turn is split into halves, gathering and
     turning, since straight lines keep the two drones of a robot separated for up to 90°.
     """
+
+    name: ClassVar[str] = "gathered approach"
 
     @cached_property
     def problem(self) -> SeparationTask:

@@ -8,7 +8,7 @@ there the hitch is morphed to the goal.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,6 +38,10 @@ SIZES = tuple(
     CircleSize(slack, ratio) for slack in (3.0, 2.3, 1.35, 1.15) for ratio in (5.0, 2.5, 1.5)
 )
 """Sizes in the order of the search: long legs tie easily, short ones allow short cables."""
+
+FURTHER_SIZES = tuple(CircleSize(slack, 5.0) for slack in (1.5, 1.8))
+"""Sizes between them, of which many robots on short cables need one: their legs are long enough to
+keep drones off cables, and short enough not to cross."""
 
 MAX_SLACK_SHARE = 0.5
 """Largest slack over the length of a cable."""
@@ -112,12 +116,11 @@ class CircularHitches:
     requirements: Requirements
     """Limits and distances."""
 
-    @property
-    def shapes(self) -> Iterator[Hitch]:
-        """Hitches without roll about the origin, whose legs keep all distances."""
+    def shapes(self, sizes: Iterable[CircleSize]) -> Iterator[Hitch]:
+        """Yield hitches without roll about the origin, whose legs keep all distances."""
         team = self.goal.team
         tried = list[Array]()
-        for size in SIZES:
+        for size in sizes:
             edges = self._edges(size)
             if any(np.allclose(edges, other) for other in tried):
                 continue

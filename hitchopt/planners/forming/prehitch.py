@@ -284,7 +284,10 @@ class PreHitch:
     """Share of the hitch's legs."""
 
     depth: float
-    """Largest depth of a cable below the drones' plane during the swaps [m]."""
+    """Largest depth of a cable below the drones' plane during the swaps [m].
+
+    It is infinite where errors of position may pull a cable taut.
+    """
 
     linked: bool
     """True if cables cross at all clasps after the first swap."""
@@ -313,8 +316,15 @@ class PreHitch:
         return np.sign(self.ellipses.rise)
 
     def clear_of_ground(self, requirements: Requirements) -> PreHitch:
-        """Return the pre-hitch at the altitude that its cables need, hanging as they are tied."""
+        """Return the pre-hitch at the altitude that its cables need, hanging as they are tied.
+
+        Raises InfeasibleError where errors of position may pull a cable taut.
+        """
         hitch = self.hitch
+        if not math.isfinite(self.depth):
+            _ = hover_altitude(
+                hitch.team, SampledSwaps(self.ellipses, requirements).drones, requirements
+            )
         start = self.drones_hanging
         altitudes = [
             hover_altitude(hitch.team, start + share * (hitch.drones - start), requirements)

@@ -252,6 +252,12 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
     altitude = missing_height(team, level, requirements)
     if math.isfinite(altitude):
         return altitude
+    raise taut_by_errors(team, drones, requirements)
+
+
+def taut_by_errors(team: Team, drones: Array, requirements: Requirements) -> InfeasibleError:
+    """Return the error of cables of drones (…, 2n, 3) [m] that errors of position may pull taut."""
+    level = drones * np.array([1.0, 1.0, 0.0])
     spans = length(level[..., 1::2, :] - level[..., 0::2, :]).reshape(-1, team.robots)
     span_range = np.min(spans, axis=0), np.max(spans, axis=0)
     radii = bounded_radius(span_range, team.cable_length, requirements.height_ratio)
@@ -269,7 +275,7 @@ def hover_altitude(team: Team, drones: Array, requirements: Requirements) -> flo
         when,
         remedy,
     )
-    raise InfeasibleError([violation])
+    return InfeasibleError([violation])
 
 
 def ground_clearance(requirements: Requirements) -> float:

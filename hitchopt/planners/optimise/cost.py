@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, RequestError
 from hitchopt.hitch import Team
 from hitchopt.hitch.casadi_model import CostFunction, model
 from hitchopt.planners.morph.path import Path
@@ -58,7 +58,7 @@ class ShapeCost:
             raise self._refusal("specify one, or None")
         if not self.team.layout.closed:
             remedy = "omit the cost: routes of chains are not optimised"
-            raise InputError("cost", self.name, "given for a closed hitch only", remedy)
+            raise RequestError("cost", self.name, "given for a closed hitch only", remedy)
         _ = self._integrand
 
     @property
@@ -68,7 +68,7 @@ class ShapeCost:
 
     def _refusal(self, reason: str) -> InputError:
         bound = "a function of the model's outputs and s that casadi differentiates"
-        return InputError("cost", self.name, bound, reason)
+        return RequestError("cost", self.name, bound, reason)
 
     @cached_property
     def _integrand(self) -> ca.Function:

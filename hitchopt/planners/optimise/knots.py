@@ -22,6 +22,7 @@ from hitchopt.hitch.forces import (
 )
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
+from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.path import LegLaw, Path, shapes_of
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import evenly_interpolated
@@ -260,25 +261,6 @@ class SolverStep:
     def reach(self) -> float:
         """Distance beyond the limit [m] up to which pairs have rows in the step."""
         return 2.0 * self.stride
-
-
-@dataclass(eq=False)
-class Effort:
-    """Effort of the optimiser, which does not depend on the machine's speed, and its limit.
-
-    It is the sum of the costs of programs; its unit takes about 0.1 ms.
-    """
-
-    limit: float = math.inf
-    """Effort within which programs start."""
-
-    spent: float = 0.0
-    """Effort so far."""
-
-    def spend(self, cost: float) -> bool:
-        """Add the cost of a program, and return whether it is within the limit."""
-        self.spent += cost
-        return self.spent <= self.limit
 
 
 class QuadraticTerms(NamedTuple):

@@ -27,9 +27,9 @@ from hitchopt.hitch.pairs import TautBodies, end_combinations, limits_of, scales
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import CLOSED, layout_of
+from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (
-    Effort,
     KnotPath,
     QuadraticTerms,
     SearchLimits,

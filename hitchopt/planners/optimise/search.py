@@ -8,7 +8,7 @@ to a motion, guesses follow whose legs roll between the ends.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +18,7 @@ from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import Motion
+from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
 from hitchopt.planners.morph.morph import check_loads, check_shapes
 from hitchopt.planners.morph.path import Path
@@ -31,7 +32,7 @@ from hitchopt.planners.optimise.guesses import (
     polygon_guesses,
     rolled_guesses,
 )
-from hitchopt.planners.optimise.knots import Effort, Judge, KnotPath, SearchLimits, SolverStep
+from hitchopt.planners.optimise.knots import Judge, KnotPath, SearchLimits, SolverStep
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.profile import (
     LIMIT_SHARE,
@@ -222,6 +223,9 @@ class OptimisedMorph:
     cost: ShapeCost | None = None
     """Custom cost; with one all guesses are optimised, regardless of their durations."""
 
+    effort: Effort = field(default_factory=Effort)
+    """Effort of the plan of which the search is a part."""
+
     @property
     def min_duration(self) -> float:
         """Lower bound of the duration [s]."""
@@ -338,7 +342,7 @@ class OptimisedMorph:
             self.judge,
             self.tension,
             end_margins=(first_margin, last_margin),
-            effort=Effort(max_effort),
+            effort=Effort(max_effort, whole=self.effort),
             rejected=rejected,
             cost=self.cost,
         )

@@ -1,0 +1,150 @@
+"""Candidates: ways to meet one goal, tried in order until one is certified.
+
+A planner yields its candidates. ``first_certified`` tries them, and is the only place that catches
+InfeasibleError while planning. It is not a search within one candidate, such as that of the
+optimiser, which has an effort of its own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Generic, NamedTuple, TypeVar
+
+from hitchopt.errors import (
+    HitchoptError,
+    InfeasibleError,
+    PlannerError,
+    Progress,
+    RequestError,
+    TimeLimitError,
+)
+
+T = TypeVar("T")
+
+CANDIDATE_COST = 1e3
+"""Effort of planning and certifying a candidate without a search."""
+
+MIN_LIMIT = 1e-9
+"""Smallest limit by which a violation is divided."""
+
+
+@dataclass(eq=False)
+class Effort:
+    """Effort of planning, which does not depend on the machine's speed, and its limit.
+
+    It is the sum of the costs of candidates and of the optimiser's programs; its unit takes about
+    0.1 ms.
+    """
+
+    limit: float = math.inf
+    """Effort within which candidates and programs start."""
+
+    spent: float = 0.0
+    """Effort so far."""
+
+    whole: Effort | None = None
+    """Effort of which it is a part; None if it is the whole."""
+
+    def spend(self, cost: float) -> bool:
+        """Add the cost of a candidate or a program, and return whether it is within all limits."""
+        self.spent += cost
+        within_whole = self.whole is None or self.whole.spend(cost)
+        return self.spent <= self.limit and within_whole
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate(Generic[T]):
+    """One way to meet a goal."""
+
+    name: str
+    """What it is, a noun in the singular: candidates of one name are counted."""
+
+    plan: Callable[[], T]
+    """Return its certified plan, or raise InfeasibleError."""
+
+    amended: Callable[[InfeasibleError], Candidate[T] | None] | None = None
+    """Return the candidate that avoids a failure of this one; None if nothing can be changed."""
+
+
+class Failure(NamedTuple):
+    """A candidate that failed."""
+
+    name: str
+    """Name of the candidate."""
+
+    error: HitchoptError
+    """What it breaks, or where its planner failed."""
+
+
+def first_certified(
+    candidates: Iterable[Candidate[T]], effort: Effort, progress: Progress | None = None
+) -> T:
+    """Return the plan of the first candidate that is certified.
+
+    A candidate is followed by what it is amended to, if anything. No further one is tried once the
+    effort exceeds its limit. Raises the error of the candidate with the smallest violation, the
+    first one of several; its note says how many were tried, and what the first one broke.
+    """
+    failures = list[Failure]()
+    tried = Counter[str]()
+    for first in candidates:
+        candidate: Candidate[T] | None = first
+        while candidate is not None:
+            if not effort.spend(CANDIDATE_COST) and failures:
+                raise _refusal(failures, complete=False) from _best(failures).error
+            tried[candidate.name] += 1
+            if progress is not None and failures:
+                count = tried[candidate.name]
+                progress(f"trying {candidate.name}{f' {count}' if count > 1 else ''}")
+            try:
+                return candidate.plan()
+            except (TimeLimitError, RequestError):
+                raise
+            except InfeasibleError as error:
+                failures.append(Failure(candidate.name, error))
+                candidate = None if candidate.amended is None else candidate.amended(error)
+            except HitchoptError as error:
+                failures.append(Failure(candidate.name, error))
+                candidate = None
+    raise _refusal(failures) from _best(failures).error
+
+
+def excess(error: HitchoptError) -> float:
+    """Return the largest violation of an error, relative to its limit; infinite without any."""
+    if not isinstance(error, InfeasibleError):
+        return math.inf
+    shortfalls = [
+        abs(violation.value - violation.limit) / max(abs(violation.limit), MIN_LIMIT)
+        for violation in error.violations
+    ]
+    return max(shortfalls, default=math.inf)
+
+
+def _best(failures: Sequence[Failure]) -> Failure:
+    """Return the failure with the smallest violation, the first one of several."""
+    return min(failures, key=lambda failure: excess(failure.error))
+
+
+def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptError:
+    """Return the error of candidates that failed: that of the best one, with what was tried.
+
+    It is ``complete`` unless the effort reached its limit before all candidates were tried.
+    """
+    best = _best(failures)
+    if not isinstance(best.error, InfeasibleError):
+        return PlannerError(best.error)
+    if len(failures) == 1 and complete:
+        return best.error
+    counts = Counter(failure.name for failure in failures)
+    names = [name if count == 1 else f"{count} {name}s" for name, count in counts.items()]
+    note = f"the best of {len(failures)} candidates: {', '.join(names)}"
+    if not complete:
+        note += "; others were not tried, since these took all of the effort"
+    first = failures[0]
+    if first is not best and isinstance(first.error, InfeasibleError):
+        violation = replace(first.error.violations[0], remedy="")
+        note += f"; {first.name}: {str(violation).rstrip('; ')}"
+    return InfeasibleError(best.error.violations, f"{best.error.note}\n{note}".strip())
