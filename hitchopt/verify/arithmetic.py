@@ -169,9 +169,20 @@ def angle(a: Line, b: Line) -> Line:
     return chord.map(lambda x: 2.0 * np.arcsin(x / 2.0), lambda x: 1.0 / np.sqrt(1.0 - x**2 / 4.0))
 
 
+class Effort:
+    """Work of all proofs of a file, spent and allowed, in values of curves that they read.
+
+    It bounds their duration: a quantity is computed from the values that it reads.
+    """
+
+    def __init__(self, allowed: int) -> None:
+        self.spent, self.allowed = 0, allowed
+
+
 class Times(Protocol):
     """Spans of a plan's pieces, on which curves are evaluated."""
 
+    effort: Effort
     piece: Items  # (m,)
     t: Array  # (m,) [s] half of the durations
     moving: Array  # (m,) 0 before and after a plan, else 1
@@ -196,6 +207,7 @@ class Curve:
 
     def at(self, s: Times, i: Index, k: int = 0) -> Array:
         """Return k-th derivatives (m, d) of items i (m,) at midpoints."""
+        s.effort.spent += len(s.piece)
         c = self.c[k][s.piece, i]
         return np.asarray(np.einsum("mdj,mj->md", c, s.weights(c.shape[-1] - 1)))
 

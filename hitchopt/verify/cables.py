@@ -10,7 +10,7 @@ import numpy as np
 
 from .arithmetic import BIG, DEGREES, UP, G, Index, Line, Mask, angle, maximum, minimum, norm
 from .drones import wall_gap
-from .reading import REST_TOL, TAUT_TOL, WRAP_TOL, Plan
+from .reading import REST_TOL, WRAP_TOL, Plan
 from .shapes import distance
 from .spans import MIN_TENSION, Row, Spans, prove
 
@@ -36,9 +36,8 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     def range_excess(s: Spans, k: Index) -> Line:
         """Return ``T - T_max``, or ``T_min - T``; on ramps from 0 to T_min their excesses."""
         x, (low, high) = p.tensions.on(s, k), p.tension_range[s.piece, k, :, None].swapaxes(0, 1)
-        ends = p.tensions.c[0][s.piece, k, 0][:, [0, -1]]
-        rises = p.ramp[s.piece, None] & (np.min(ends, axis=1, keepdims=True) < low - TAUT_TOL)
-        return maximum(x - np.where(rises, low, high), -x + np.where(rises, 0.0, low))
+        ramp = p.ramp[s.piece, k, None]
+        return maximum(x - np.where(ramp, low, high), -x + np.where(ramp, 0.0, low))
 
     def bend(s: Spans, k: Index) -> Line:
         (a, b), (first, last) = s.edge(k), (s.point(i) for i in p.edges[1:3, k])
@@ -179,7 +178,8 @@ def roll_angle(s: Spans, c: Index) -> Line:
 def has_tension(s: Spans, *cables: Index) -> Mask:
     """Return a mask (m,) of cables under tension, which excludes the ends of ramps."""
     weakest = minimum(*(s.plan.tensions.on(s, k) for k in cables))
-    return np.asarray((weakest.high > MIN_TENSION) | ~s.plan.ramp[s.piece])
+    on_ramp = np.any([s.plan.ramp[s.piece, k] for k in cables], axis=0)
+    return np.asarray((weakest.high > MIN_TENSION) | ~on_ramp)
 
 
 def contact(s: Spans, c: Index) -> Line:

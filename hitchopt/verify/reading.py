@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Callable, Sequence, Set
 from copy import copy
 from functools import cached_property
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,8 +21,10 @@ from .arithmetic import (
     TOLERANCE,
     Array,
     Curve,
+    Effort,
     G,
     Items,
+    Mask,
     differ,
     elevate,
     norm,
@@ -39,6 +41,7 @@ TAUT_TOL = 1e-4  # [N] largest difference of a tension from that of taut cables
 SAG_TOL = 0.02  # [m] largest gap of cables that lie on each other, due to different sags
 EXACT_RANGE = 0.5  # [m] of exact distances of hanging cables
 MAX_COEFFS = 61  # coefficients of a curve
+EFFORT = 40_000_000  # effort of all proofs of a file, besides PER_FIRST of their first passes
 
 # States of cables
 CROSSINGS = {"on the ground": 0, "hanging free": 0, "being drawn taut": 0}
@@ -56,7 +59,7 @@ STATES = {*CROSSINGS, CLASPING, LAID, ROLLING, BENT, "none"}
 # Keys of settings and their types: ? nullable, [] list, [2] list of two; keys with * may be absent.
 TYPES = {
     "settings": "title:text problem:text request:any groups:group[] others:group[] rules*:rule[]",
-    "rule": "name:text unit:text sense:text limit:number worst:number?",
+    "rule": "name:text unit:text sense:sense limit:number worst:number?",
     "group": "name:text plan:text digest:text records:records",
     "records": "team:any requirements:requirements phases:phase[] assignment:roles?",
     "requirements": "limits:limits separation:separation arena:arena? keep_out:prism[] objects:any",
@@ -90,6 +93,7 @@ SCALARS: dict[str, Callable[[Any], bool]] = {
     "number": lambda x: type(x) in (int, float) and abs(x) < BIG,
     "+": lambda x: SCALARS["number"](x) and x > 0,
     "0+": lambda x: SCALARS["number"](x) and x >= 0,
+    "sense": lambda x: x in ("min", "max"),
     "tube": lambda x: SCALARS["number"](x) and x >= 0,
     "any": lambda _: True,
 }
@@ -163,8 +167,8 @@ class Plan:
     asked: dict[str, Any] = {}  # noqa: RUF012  # of the problem: the sections of this team alone
     stated: Sequence[dict[str, Any]] = ()  # rules of the user, whose formulas are not in the file
 
-    def __init__(self, file: Any, head: dict[str, Any], folder: str = "") -> None:
-        self.file, self.folder, records = file, folder, head["records"]
+    def __init__(self, file: Any, head: dict[str, Any], folder: str, effort: Effort) -> None:
+        self.file, self.folder, records, self.effort = file, folder, head["records"], effort
         self.label = f"{head['name']}." if head["name"] else ""
         self.settings = {**records, **records["requirements"]}
         team = records["team"]
@@ -267,15 +271,32 @@ class Plan:
         self.points = Curve(np.concatenate([drones, *on_cables], axis=1), self.h)
         used = drones, *(x[self.taut] for x in on_cables)
         self.size = max(float(np.max(np.abs(x), initial=0.0)) for x in used)
-        # Ramps: tensions rise from 0, or fall to it, at rest next to pieces without a hitch.
+        self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
+
+    @cached_property
+    def ramp(self) -> Mask:
+        """Pieces on which a cable's tension rises from 0, or falls to it (m, n).
+
+        A ramp begins next to a piece without a hitch, is at rest, and ends at the first joint at
+        which the tension is the smallest at which the hitch is held. What never gets there is none.
+        """
         still = np.delete(self.points.c[0], self.edges[1:3].ravel(), axis=1)
         rest = np.all(np.ptp(still, axis=-1) <= REST_TOL, axis=(1, 2))
-        reached = ~self.taut
-        for _ in range(m):
-            reached[1:] |= rest[1:] & reached[:-1]
-            reached[:-1] |= rest[:-1] & reached[1:]
-        self.ramp = reached & self.taut
-        self.vertical = np.max(np.ptp(drones[:, :, :2], axis=-1), axis=(1, 2)) <= POS_TOL
+        ends = self.tensions.c[0][:, :, 0][..., [0, -1]]
+        low, ramp = ends < self.min_tension - TAUT_TOL, np.zeros(ends.shape[:2], bool)
+        forward = range(len(rest))
+        for (pieces, start), k in product(((forward, 0), (forward[::-1], 1)), range(self.n)):
+            rising: list[int] | None = None  # pieces since there was no hitch
+            for q in pieces:
+                if not self.taut[q]:
+                    rising = []
+                elif rising is None or not (rest[q] and low[q, k, start]):
+                    rising = None
+                else:
+                    rising.append(q)
+                    if not low[q, k, 1 - start]:
+                        ramp[rising, k], rising = True, None
+        return ramp
 
     @cached_property
     def rim(self) -> RimLoads:
@@ -510,6 +531,7 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
             raise ValueError("it is not a regular file")
         with np.load(path, allow_pickle=False) as file:
             form, s = str(file["format"]), json.loads(str(file["settings"]))
+            check_texts({"format": form, **s})
             check_members([x.orig_filename for x in file.zip.infolist()])
             if form != "hitchopt-flight/1":
                 raise ValueError(f"format is {form!r:.60}, not hitchopt-flight/1")
@@ -517,6 +539,21 @@ def read(path: Path) -> tuple[list[Plan], list[Plan]]:
     except Exception as error:  # malformed files raise many kinds
         words = " ".join(f"{type(error).__name__}: {error}".split())
         raise UnreadableError(words[:300]) from error
+
+
+def check_texts(settings: dict[str, Any]) -> None:
+    """Raise ValueError for control characters in texts, which terminals may obey.
+
+    The text of the problem may have line breaks and tabs.
+    """
+    problem = re.sub(r"[\t\n\r\x85]", "", str(settings.get("problem")))
+    values: list[Any] = [{**settings, "problem": problem}]
+    while values:
+        x = values.pop()
+        if isinstance(x, dict | list):
+            values += [*x, *x.values()] if isinstance(x, dict) else x
+        elif isinstance(x, str) and {"Cc", "Cs"} & {*map(unicodedata.category, x)}:
+            raise ValueError(f"{x!r:.60} has control characters")
 
 
 def fold(name: str) -> str:
@@ -560,7 +597,7 @@ def asked_of(problem: Any, name: str) -> dict[str, Any]:
 def plans_of_teams(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]]:
     """Return the plans of teams and other plans."""
     check_type("settings", s, "settings")
-    plans, seen = list[Plan](), {"others"}
+    plans, seen, effort = list[Plan](), {"others"}, Effort(EFFORT)
     for key in ("groups", "others"):
         for i, head in enumerate(s[key]):
             name, several = head["name"], len(s["groups"]) > 1 or key == "others"
@@ -570,7 +607,7 @@ def plans_of_teams(file: Any, s: dict[str, Any]) -> tuple[list[Plan], list[Plan]
             if key == "groups" and (head["plan"] or head["digest"]):
                 raise ValueError("a team is from another plan")
             seen.add(fold(name))
-            plans.append(Plan(file, head, f"{key}/{i}/"))
+            plans.append(Plan(file, head, f"{key}/{i}/", effort))
     teams = s["groups"]
     own = plans[: len(teams)]
     own[0].stated = s.get("rules", [])

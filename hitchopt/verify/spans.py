@@ -29,7 +29,9 @@ Worst = tuple[float, float, str]  # value, time [s], place
 
 MIN_TENSION = 1e-3  # [N] smallest divisor of forces
 RESOLUTION = 1e-3  # resolution of worst values, relative to limits
-BUDGET = 6_000_000  # samples of a limit
+ROW_EFFORT = 20_000_000  # effort of the proof of a limit
+PER_FIRST = 30  # more of it for that of its first pass, over whole pieces
+PER_SAMPLE = 16  # effort of a sample, besides that of the values that it reads
 CHUNK = 8192  # samples at once
 DEPTH = 46  # halvings
 
@@ -70,6 +72,7 @@ class Spans:
         self, plan: Plan, piece: Items, item: Items, x: Array, w: Array, names: Names = ()
     ) -> None:
         self.plan, self.piece, self.item, self.x, self.w = plan, piece, item, x, w
+        self.effort = plan.effort
         self.t, self.names = np.maximum(w * plan.h[piece], 1e-12), names
         self.moving, self._weights = 1.0 + 0.0 * x, dict[int, Array]()
         self.zero = Line(0.0 * x[:, None], 0.0 * x[:, None], 0.0 * x, self.t)
@@ -245,6 +248,7 @@ class Spans:
 def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> Row:
     """Halve spans until a limit is proven on all of them and the worst value is resolved.
 
+    It is not proven if that takes more than the limit's effort, or than that of all proofs.
     ``header`` is the name, the unit, and the sense min or max of the limit. The formula takes spans
     and the columns of their items.
     """
@@ -254,6 +258,7 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
     sign = 1.0 if sense == "min" else -1.0
     target = sign * limit - TOLERANCE * max(abs(limit), s.plan.size if unit == "m" else 0.0)
     worst, time, where, verdict, samples, depth = math.inf, 0.0, "", "proven", 0, 0
+    effort, start, granted = s.effort, s.effort.spent, ROW_EFFORT
     while len(s.x):
         bounds = []
         for part in (s.select(slice(i, i + CHUNK)) for i in range(0, len(s.x), CHUNK)):
@@ -268,10 +273,16 @@ def prove(header: str, limit: float, s: Spans, formula: Callable[..., Line]) -> 
         bound, depth, samples = np.concatenate(bounds), depth + 1, samples + len(s.x)
         undecided = bound < target
         error = max(RESOLUTION * max(abs(limit), 1e-3), 0.02 * (worst - target))
-        if worst < target or (np.any(undecided) and (samples > BUDGET or depth > DEPTH)):
+        effort.spent += PER_SAMPLE * len(s.x)
+        spent = effort.spent - start
+        if depth == 1:
+            granted += PER_FIRST * spent
+            effort.allowed += PER_FIRST * spent
+        exhausted = spent > granted or effort.spent > effort.allowed or depth > DEPTH
+        if worst < target or (np.any(undecided) and exhausted):
             verdict = "violated" if worst < target else "not proven"
             break
-        s = s.select(undecided | ((bound < worst - error) & (samples < BUDGET // 3)))
+        s = s.select(undecided | ((bound < worst - error) & (3 * spent < granted)))
         s = s.select(np.repeat(np.arange(len(s.x)), 2)).subspan(np.tile([-0.5, 0.5], len(s.x)), 0.5)
     return Row(name, unit, verdict, sign * worst, limit, sense, time, where, samples)
 

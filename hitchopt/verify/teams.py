@@ -28,7 +28,7 @@ class Pair(Plan):
     def __init__(
         self, p: Plan, q: Plan, separation: dict[str, float], tube: tuple[float, float]
     ) -> None:
-        self.plans, self.size = (p, q), max(p.size, q.size)
+        self.plans, self.size, self.effort = (p, q), max(p.size, q.size), p.effort
         breaks = np.concatenate([p.breaks, q.breaks])
         self.breaks = np.unique(breaks)
         self.h = np.diff(self.breaks)

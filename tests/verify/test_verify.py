@@ -25,7 +25,7 @@ from hitchopt.checks.friction import friction_excess
 from hitchopt.cli import main
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.verify import arithmetic, catenary, driver, shapes
-from hitchopt.verify.arithmetic import Curve, Line
+from hitchopt.verify.arithmetic import Curve, Effort, Line
 from hitchopt.verify.spans import Spans, prove
 
 QUICK = (
@@ -228,7 +228,7 @@ def spans_of(seed: int, width: float, offset: float) -> Spans:
     """Return spans of polynomials; cables hang between them."""
     rng = np.random.default_rng(seed)
     plan: Any = SimpleNamespace(h=np.array([0.7, 1.3]), breaks=np.array([0.0, 0.7, 2.0]))
-    plan.points = Curve(rng.normal(size=(2, 8, 3, 6)) + offset, plan.h)
+    plan.points, plan.effort = Curve(rng.normal(size=(2, 8, 3, 6)) + offset, plan.h), Effort(10**6)
     plan.length = np.full((8, 1), 60.0)
     piece, item = np.repeat([0, 1], 4), np.tile(np.arange(4), 2)[:, None]
     return Spans(plan, piece, item, rng.uniform(width, 1.0 - width, size=8), np.full(8, width))
@@ -269,7 +269,10 @@ def test_lowest_points_of_hanging_cables_are_found_exactly(length: float) -> Non
         points[0, 0] = np.array([1.3, -0.4, bottom])[:, None]
         points[0, 1] = points[0, 0] + np.array([0.8 * width, -0.6 * width, height])[:, None]
         plan: Any = SimpleNamespace(
-            h=np.ones(1), breaks=np.arange(2.0), length=np.full((1, 1), length)
+            h=np.ones(1),
+            breaks=np.arange(2.0),
+            length=np.full((1, 1), length),
+            effort=Effort(10**6),
         )
         plan.points = Curve(points, plan.h)
         first = np.zeros(1, dtype=int)
@@ -289,7 +292,7 @@ def test_lowest_points_of_hanging_cables_are_found_exactly(length: float) -> Non
 )
 def test_what_stays_undecided_is_not_proven(limit: float, verdict: str) -> None:
     """A parabola touches the limit of zero, so that no width of spans decides."""
-    plan: Any = SimpleNamespace(h=np.ones(1), breaks=np.arange(2.0), only=())
+    plan: Any = SimpleNamespace(h=np.ones(1), breaks=np.arange(2.0), only=(), effort=Effort(10**6))
     line = np.linspace(-0.3, 0.7, 6)
     plan.points = Curve(np.tile(line, (1, 1, 3, 1)), plan.h)
     first = np.zeros(1, dtype=int)
