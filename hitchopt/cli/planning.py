@@ -306,7 +306,11 @@ def check(
     survivable: bool,
 ) -> None:
     """Recompute the certificate of the plan in DIR, or of a plan.npz, from its polynomials only."""
-    from hitchopt.exports.directory import certificate_content, changed_tables
+    from hitchopt.exports.directory import (
+        certificate_content,
+        certificate_differences,
+        changed_tables,
+    )
     from hitchopt.plan import read_requested_plan
 
     path = plan_path(directory)
@@ -322,8 +326,8 @@ def check(
         with ProgressBar("planning reactions") as progress:
             motion = flight.of_one_team(FEATURE)
             share, unsurvivable = survivable_share(motion, progress=progress)
-        limited = (*certificate.checks, share)
-        certificate = replace(certificate, limited=limited, reports=tuple)
+        reported = (*certificate.checks[len(certificate.limited) :], share)
+        certificate = replace(certificate, reports=lambda: reported)
         record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, flight, certificate)
     _show_vertex_errors(flight)
@@ -339,6 +343,7 @@ def check(
     certificate.raise_if_violated()
     reason = "differs from the table that was written with the certificate; solve again"
     changed = [f"{path.with_name(name)}: {reason}" for name in changed_tables(path.parent)]
+    changed += certificate_differences(path.parent, certificate)
     if changed := [*_changed_others(flight, path), *changed]:
         raise InfeasibleError((), "\n".join(changed))
     stated = ", ".join(rule.name for rule in certificate.not_recomputed)

@@ -42,6 +42,14 @@ STATICS_PICTURES = ("statics.png", "statics.svg", "statics.pdf")  # Pictures of 
 ABORTS = "aborts.json"  # Table of the plan's aborts
 ABORT_PLANS = "aborts.zip"  # Plans of the aborts
 
+CLOSE = 0.02
+"""Largest relative difference of worst values of one plan.
+
+Certificates of parts and of whole plans, and of different machines, differ by rounding, by up to
+millimetres beside hanging cables."""
+
+ROUNDING = 1e-6  # Largest difference of worst values that are rounding errors
+
 OWNED = (
     *(PLAN, SETPOINTS, VERTICES, CERTIFICATE, SUMMARY, DIAGNOSIS, REPORT),
     *(STATICS, *STATICS_PICTURES, ABORTS, ABORT_PLANS),
@@ -129,6 +137,50 @@ def changed_tables(directory: Path) -> list[str]:
     except (OSError, ValueError, AttributeError):
         return []  # an incomplete set of files, which refuse_mixture reports
     return [file.name for file, value in tables if file.is_file() and digest(file) != value]
+
+
+def certificate_differences(directory: Path, certificate: Certificate) -> list[str]:
+    """Return messages on what ``certificate.json`` states otherwise than a recomputed certificate.
+
+    Worst values differ if they do by more than CLOSE of themselves and ROUNDING. Quantities that
+    only one of both evaluated are compared if they have a limit. There is no difference without
+    the file.
+    """
+    path = directory / CERTIFICATE
+    if not path.is_file():
+        return []
+    expected = parsed_json(strict_json(certificate.to_dict()))
+    try:
+        content = parsed_json(file_bytes(path))
+        has_plan = content["plan"] == digest(directory / PLAN)
+        stated, own = _stated_values(content), _stated_values(expected)
+        off = [name for name in own | stated if not _agree(stated.get(name), own.get(name))]
+        off += [key for key in ("certified", "duration") if content[key] != expected[key]]
+    except (ValueError, LookupError, TypeError, AttributeError) as error:
+        return [f"{path}: is not a certificate: {error!r}; solve again"]
+    differences = [f"{path}: {name} is not as recomputed from {PLAN}; solve again" for name in off]
+    return differences if has_plan else [f"{path}: is that of another {PLAN}; solve again"]
+
+
+def _stated_values(content: Mapping[str, Any]) -> dict[str, tuple[Any, ...]]:
+    """Return worst values, limits and further entries of checks and custom rules by their names."""
+    return {
+        entry["name"]: (entry["worst"], entry["limit"], entry.get("sense"), entry.get("gamma"))
+        for entry in (*content["checks"], *content.get("not_recomputed", ()))
+    }
+
+
+def _agree(one: tuple[Any, ...] | None, other: tuple[Any, ...] | None) -> bool:
+    """Return whether the entries of a check in two certificates agree."""
+    if one is None or other is None:
+        return all(entry is None or entry[1] is None for entry in (one, other))
+    (worst, *others), (other_worst, *others_of_other) = one, other
+    if others != others_of_other:
+        return bool(others[-1] != others_of_other[-1])  # with another gamma, it is another quantity
+    if worst is None or other_worst is None:
+        return worst is other_worst
+    largest = max(abs(worst), abs(other_worst))
+    return bool(abs(worst - other_worst) <= max(CLOSE * largest, ROUNDING))
 
 
 def refuse_mixture(directory: Path) -> None:

@@ -228,9 +228,14 @@ def file_text(path: Path | str) -> str:
 
 
 def digest(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes."""
-    with opened(path) as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    """Return the SHA-256 of a file, of a text with the line ends that hitchopt writes.
+
+    Git and editors may write those of Windows. A text has no zero byte.
+    """
+    content = file_bytes(path)
+    if b"\0" not in content:
+        content = content.replace(b"\r\n", b"\n")
+    return hashlib.sha256(content).hexdigest()
 
 
 def write_strict_json(path: Path, content: dict[str, Any]) -> None:

@@ -9,8 +9,9 @@ import os
 import stat
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace as with_changes
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -33,7 +34,7 @@ from hitchopt.lab.simulation.task import read_task
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.plan_file import read_saved_plan
 from hitchopt.motion.states import sample_times
-from hitchopt.storage.files import Writer, replace_files
+from hitchopt.storage.files import Writer, digest, replace_files
 
 OWNED = ("plan", "table", "seal", "diagnosis")
 
@@ -392,3 +393,56 @@ def test_changed_tables_are_reported(tmp_path: Path) -> None:
     assert (told.exit_code, "setpoints.csv: differs from the table" in told.stderr) == (3, True)
     (tmp_path / "certificate.json").unlink()
     assert changed_tables(tmp_path) == []
+
+
+def test_line_ends_of_tables_may_change(tmp_path: Path) -> None:
+    """Git and editors write those of Windows; lone carriage returns are another content."""
+    save(tmp_path, "one")
+    for table in (tmp_path / "setpoints.csv", tmp_path / "vertices.csv"):
+        table.write_bytes(table.read_bytes().replace(b"\n", b"\r\n"))
+    assert changed_tables(tmp_path) == []
+    assert CliRunner().invoke(main, ["check", str(tmp_path)]).exit_code == 0
+    assert not [x for x in lint(tmp_path / "setpoints.csv")[0].findings if x.rule == "changed"]
+    table.write_bytes(table.read_bytes().replace(b"\r\n", b"\r\r\n", 1))
+    assert changed_tables(tmp_path) == ["vertices.csv"]
+
+
+@pytest.mark.parametrize("zeros", [b"", b"\0"])
+def test_digests_ignore_line_ends_of_texts_alone(zeros: bytes, tmp_path: Path) -> None:
+    (tmp_path / "unix").write_bytes(zeros + b"a\nb\n")
+    (tmp_path / "windows").write_bytes(zeros + b"a\r\nb\r\n")
+    one, other = digest(tmp_path / "unix"), digest(tmp_path / "windows")
+    assert one == hashlib.sha256(zeros + b"a\nb\n").hexdigest()
+    assert (one == other) is (zeros == b"")
+
+
+def _edit_check(content: dict[str, Any], name: str, key: str) -> None:
+    """Double a number of a check, or give it another name."""
+    (check,) = (each for each in content["checks"] if each["name"] == name)
+    check[key] = "left out" if key == "name" else 2.0 * check[key] + 2e-6
+
+
+def edited_certificates() -> Iterator[tuple[str, Callable[[dict[str, Any]], object]]]:
+    """Yield what is changed in a certificate, and the change."""
+    for name in ("separation", "equilibrium", "speed"):
+        for key in ("worst", "limit", "name"):
+            yield f"{name} is", partial(_edit_check, name=name, key=key)
+    yield "another plan.npz", lambda content: content.update(plan="0" * 64)
+    yield "certified is", lambda content: content.update(certified=False)
+    yield "duration is", lambda content: content.update(duration=1.0)
+    yield "not a certificate", lambda content: content.clear()
+
+
+@pytest.mark.parametrize(("words", "change"), [*edited_certificates()])
+def test_check_compares_the_certificate(
+    words: str, change: Callable[[dict[str, Any]], object], tmp_path: Path
+) -> None:
+    save(tmp_path, "one")
+    path = tmp_path / "certificate.json"
+    content = strict_json(path)
+    change(content)
+    path.write_text(json.dumps(content))
+    result = CliRunner().invoke(main, ["check", str(tmp_path)])
+    assert (result.exit_code, words in result.stderr) == (3, True), result.stderr
+    path.unlink()
+    assert CliRunner().invoke(main, ["check", str(tmp_path)]).exit_code == 0
