@@ -52,6 +52,9 @@ MIN_LINK = 1e-12
 MAX_REACH = 0.25
 """[m] Pieces on which a drone may move farther are split."""
 
+MAX_PARTS = 200
+"""Largest number of parts of a piece: only curves of no plan are longer."""
+
 OWN_DISTANCES = 2.0
 """Distance along a cable from its drone, over ``separation.cable``, beyond which it is checked
 there where it rises again. Errors of drones add to that limit."""
@@ -185,10 +188,13 @@ def _cosine_ratio(mu: Array, sigma: Array) -> Array:
 
 
 def split_long_pieces(drones: PiecewisePolynomial) -> PiecewisePolynomial:
-    """Return the curves on pieces on which no drone moves farther than MAX_REACH."""
+    """Return the curves on pieces on which no drone moves farther than MAX_REACH.
+
+    No piece is split into more than MAX_PARTS.
+    """
     extents = np.linalg.norm(np.ptp(drones.coefficients, axis=-1), axis=-1)
     longest = np.max(extents, axis=1)
-    counts = np.maximum(1, np.ceil(longest / MAX_REACH)).astype(np.intp)
+    counts = np.clip(np.ceil(longest / MAX_REACH), 1, MAX_PARTS).astype(np.intp)
     if np.all(counts == 1):
         return drones
     starts = [

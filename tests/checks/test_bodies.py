@@ -18,6 +18,7 @@ from hitchopt.checks.across import check_across
 from hitchopt.checks.bodies import cable_sheets
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.geometry import hull_offset
+from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion, Phase
 from hitchopt.motion.retiming import on_breaks_of, shifted, slice_time
@@ -271,3 +272,19 @@ def test_clasps_turn_about_the_middles_of_their_pairs(n: int, topology: str) -> 
             is_last = topology == "open" and k == n - 1
             ends = r[k] if is_last else 0.5 * (q[(k + 1) % n] + r[k])
             np.testing.assert_allclose(corners[k, [0, 1, 4, 5]], [q[k], starts, ends, r[k]])
+
+
+@pytest.mark.parametrize("state", [CableState.FREE, CableState.DRAWN])
+@pytest.mark.parametrize("robots", [2, 3])
+def test_neighbours_that_are_not_linked_do_not_cross(state: CableState, robots: int) -> None:
+    """They share a clasp later; before, they are as far apart as others."""
+    places = np.array([[-0.7, 0.0, 2.0], [0.7, 0.0, 2.0], [0.0, -0.7, 2.6], [0.0, 0.7, 2.6]])
+    far = [[9.0, 0.0, 2.0], [9.0, 1.4, 2.0]]
+    places = np.concatenate([places, far]) if robots == 3 else places
+    topology = "open" if robots == 2 else "closed"
+    drones = PiecewisePolynomial.constant([0.0, 1.0], places)
+    motion = free_motion(Team(robots, 2.0, topology=topology), drones, state)
+    check = row(motion, "crossing")
+    assert (check.holds, check.where, check.worst) == (False, ("cable 0", "cable 1"), 0.0)
+    linked = free_motion(Team(robots, 2.0, topology=topology), drones, CableState.TIGHTENING)
+    assert row(linked, "crossing").holds

@@ -80,6 +80,15 @@ def test_cables_of_any_length_leave_their_drones(length: float, tmp_path: Path) 
     assert proven(motion, tmp_path)
 
 
+def test_errors_of_drones_do_not_bring_taut_cables_nearer() -> None:
+    """What is within twice the widened limit along the cable is not checked."""
+    motion = pair(np.array([[0.6, 0.0, 2.25], [0.4, 0.0, 2.3]]), limits=ho.Limits(tracking=0.08))
+    found = smallest(drones_and_own_cables(motion), relative=1e-3, absolute=1e-3)
+    least = own_cable_distance(motion, motion.drones.at(np.linspace(0.0, 2.0, 401)), 1201)
+    assert least > 0.45
+    assert 0.7 * least <= found.worst <= least
+
+
 @pytest.mark.parametrize("seed", range(8))
 def test_no_sample_of_an_own_cable_is_nearer(seed: int) -> None:
     rng = np.random.default_rng(seed)
