@@ -43,6 +43,13 @@ class OneLine:
     def __repr__(self) -> str:
         return one_line(type(self).__name__, self._parts())
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a record that was pickled or copied, with its arrays read-only as before."""
+        for value in state.values():
+            if hasattr(value, "setflags"):
+                value.setflags(write=False)
+        vars(self).update(state)
+
     def _parts(self) -> Iterator[str]:
         """Yield the parts between the parentheses."""
         record: Any = self  # a dataclass

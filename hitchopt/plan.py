@@ -19,7 +19,7 @@ from hitchopt.mission.others import NAME, named_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import assumption_notes, tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.motion.plan_file import SavedPlan, read_saved_plan
+from hitchopt.motion.plan_file import SavedPlan, flight_digest, read_saved_plan
 from hitchopt.motion.request import check_request
 from hitchopt.motion.retiming import shifted
 from hitchopt.motion.stated_rules import StatedRule
@@ -46,12 +46,22 @@ class Plan(OneLine):
     ``flight`` holds a motion for each team, with its polynomials, team and requirements, and
     external plans; ``certificate`` the checks over all t; ``title`` and ``problem`` the title and
     the text of the problem file, if any.
+
+    Raises InputError if the certificate is that of another flight.
     """
 
     flight: Flight
     certificate: Certificate
     title: str = ""
     problem: str = ""
+
+    def __post_init__(self) -> None:
+        check_instance("flight", self.flight, Flight)
+        check_instance("certificate", self.certificate, Certificate)
+        if self.certificate.flight_digest != flight_digest(self.flight):
+            bound = "that of the same flight"
+            remedy = "pass hitchopt.certify(flight)"
+            raise InputError("certificate", "of another flight", bound, remedy)
 
     def _parts(self) -> Iterator[str]:
         limited = self.certificate.limited
@@ -184,7 +194,7 @@ class Plan(OneLine):
 
         entry = Aborts(self.flight).plan(t, how)
         rules = tuple(replace(rule, worst=None) for rule in self.stated_rules)
-        certificate = replace(entry.certificate, not_recomputed=rules)
+        certificate = entry.certificate.stating(rules)
         return Plan(entry.flight, certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
     def save(
@@ -423,7 +433,7 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     flight = Flight(tuple(teams), (*plan.flight.others, *others))
     title = " and ".join(filter(None, (plan.title, other.title)))
     rules = tuple(dict.fromkeys((*plan.stated_rules, *other.stated_rules)))
-    return Plan(flight, replace(certify(flight), not_recomputed=rules), title)
+    return Plan(flight, certify(flight).stating(rules), title)
 
 
 def load(directory: Path | str) -> Plan:

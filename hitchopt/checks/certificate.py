@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, field
-from functools import cached_property
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, partial
 from html import escape
 from typing import Any
 
@@ -63,7 +63,7 @@ class Check(OneLine):
     limit: in the same unit; None if the quantity is only reported.
     sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
     unit: such as ``m`` or ``ratio``.
-    time: [s], at which the quantity is close to its worst value.
+    time: [s], at which the quantity is close to its worst value; nan if it is not known.
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
@@ -173,7 +173,7 @@ class Check(OneLine):
     def in_words(self) -> str:
         """The violated limit, its value, place and time in words."""
         broken = broken_limit(self.name, self.worst, self.number, self.sense, self.unit, self.where)
-        return f"{broken}, t = {self.time:.4g} s"
+        return f"{broken}, t = {self.time:.4g} s" if math.isfinite(self.time) else broken
 
     def violation(self, when: str, remedy: str) -> Violation:
         """Return a check that does not hold as a violation; its remedy begins with what binds."""
@@ -226,12 +226,15 @@ class Certificate(OneLine):
 
     ``limited`` are those with a limit; ``reports`` returns the others, which always hold.
     ``not_recomputed`` are custom rules that the plan states, without their formulas.
+    ``flight_digest`` is that of the certified flight (``plan_file.flight_digest``), empty if there
+    is none.
     """
 
     duration: float
     limited: tuple[Check, ...]
     reports: Callable[[], Iterable[Check]] = field(default=tuple, compare=False, repr=False)
     not_recomputed: tuple[StatedRule, ...] = ()
+    flight_digest: str = field(default="", compare=False, repr=False)
 
     @cached_property
     def checks(self) -> tuple[Check, ...]:
@@ -239,8 +242,10 @@ class Certificate(OneLine):
         return (*self.limited, *self.reports())
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Let certificates be pickled, with their reports."""
-        return Certificate, (self.duration, self.checks, tuple, self.not_recomputed)
+        """Let certificates be pickled, with their reports evaluated."""
+        reports = partial(tuple, self.checks[len(self.limited) :])
+        content = self.duration, self.limited, reports, self.not_recomputed, self.flight_digest
+        return Certificate, content
 
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: the verdict, and the checks with their worst values."""
@@ -281,6 +286,23 @@ class Certificate(OneLine):
         """Its custom rules, as plan files state them."""
         custom = [check for check in self.limited if check.custom]
         return (*map(stated_rule, custom), *self.not_recomputed)
+
+    def stating(self, rules: Iterable[StatedRule]) -> Certificate:
+        """Return the certificate with custom rules that a plan states, in place of earlier ones.
+
+        They are not recomputed. A rule whose stated worst value breaks its limit is violated.
+        """
+        checks, remaining = list[Check](), list[StatedRule]()
+        for rule in rules:
+            worst = rule.limit if rule.worst is None else rule.worst
+            values = worst, rule.limit, rule.sense, rule.unit, math.nan, ()
+            check = Check.of(rule.name, *values, group=CUSTOM)
+            if check.holds:
+                remaining.append(rule)
+            else:
+                checks.append(check)
+        limited = (*self.limited, *checks)
+        return replace(self, limited=limited, not_recomputed=tuple(remaining))
 
     @property
     def binding(self) -> tuple[str, ...]:

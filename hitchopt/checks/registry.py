@@ -35,6 +35,7 @@ from hitchopt.hitch.pairs import Kind
 from hitchopt.hitch.requirements import Arena
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
+from hitchopt.motion.plan_file import flight_digest
 from hitchopt.motion.retiming import padded
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import CONTACT_GAP
@@ -156,8 +157,9 @@ def certify(
     gamma: ratio of vertex errors to drone errors, for ``tracking_radius``.
     reports: reports of the certificate, in addition to those with a limit. Pass PART_REPORTS if
         ``merged`` computes the others.
-    rules: custom limits, which are checked in addition. Others that a plan states are listed
-        as not recomputed.
+    rules: custom limits, which are checked in addition. Those that a plan states with another
+        name, unit, sense or limit are listed as not recomputed; one whose stated worst value
+        breaks its limit is violated.
 
     Raises
     ------
@@ -175,10 +177,10 @@ def certify(
     custom_rules = checked_rules(rules, NAMES)
     certificate = _certified(flight, progress, gamma, requested)
     certificate = with_rules(certificate, flight, custom_rules, progress)
-    recomputed = {rule.name for rule in custom_rules}
-    remaining = tuple(rule for rule in stated if rule.name not in recomputed)
-    if remaining:
-        certificate = replace(certificate, not_recomputed=remaining)
+    recomputed = {(rule.name, rule.unit, rule.sense, rule.limit) for rule in custom_rules}
+    certificate = certificate.stating(
+        rule for rule in stated if (rule.name, rule.unit, rule.sense, rule.limit) not in recomputed
+    )
     if progress is not None:
         _ = certificate.checks
     return certificate
@@ -338,7 +340,8 @@ def _stored(
     flight: Flight, checks: Sequence[Check | None], reports: Callable[[], Iterable[Check | None]]
 ) -> Certificate:
     """Return the certificate, which is stored without reports: these refer to the flight."""
-    stored = Certificate(flight.duration, tuple(filter(None, checks)))
+    limited = tuple(filter(None, checks))
+    stored = Certificate(flight.duration, limited, flight_digest=flight_digest(flight))
     _CERTIFICATES[flight.alone or flight] = stored
     return replace(stored, reports=lambda: filter(None, reports()))
 

@@ -9,6 +9,7 @@ Constructors validate what is read like arguments of a user.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -115,6 +116,18 @@ def _settings(saved: SavedPlan) -> dict[str, Any]:
     if saved.stated_rules:
         settings[RULES] = encoded(saved.stated_rules)
     return settings
+
+
+def flight_digest(flight: Flight) -> str:
+    """Return the SHA-256 of the curves and records of a flight, as plan files store them."""
+    found = hashlib.sha256()
+    for folder, teams in ((GROUPS, flight.teams), (OTHERS, flight.others)):
+        for flown in teams:
+            found.update(f"{folder}{json.dumps(_head(flown))}".encode())
+            for name, array in _arrays(flown.motion).items():
+                found.update(f"{name}{array.shape}".encode())
+                found.update(array.tobytes())
+    return found.hexdigest()
 
 
 def _head(flown: TeamMotion) -> dict[str, Any]:
@@ -271,7 +284,7 @@ def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> T
     names = ["breaks", *_stored_curves(states)]
     stored = read_arrays(path, [f"{key}/{index}/{label}" for label in names])
     arrays = dict(zip(names, stored.values(), strict=True))
-    name = text("name", head["name"])
+    name = line("name", head["name"])
     try:
         for label, array in arrays.items():
             if array.dtype != np.float64:
@@ -301,8 +314,8 @@ def _team_motion(path: Path, key: str, index: int, head: Mapping[str, Any]) -> T
         check_overlaps(objects)
     except InputError as error:
         raise error.within(f"{key}.{name}" if name else key) from error
-    file_digest = text("digest", head["digest"])
-    plan = text("plan", head["plan"])
+    file_digest = line("digest", head["digest"])
+    plan = line("plan", head["plan"])
     if key == OTHERS:
         return TeamMotion(name, motion, file_digest, plan)
     return TeamMotion(name, motion)

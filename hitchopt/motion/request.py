@@ -28,7 +28,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
-from hitchopt.values import Array
+from hitchopt.values import Array, line
 from hitchopt.values.fields import with_fields
 
 REMEDY = "do not edit plan files"
@@ -93,6 +93,8 @@ def decoded(kind: Any, value: Any) -> Any:
     arguments = get_args(kind)
     if kind in PLAIN_TYPES and type(value) not in PLAIN_TYPES[kind]:
         raise InputError("", value, f"of the type {kind.__name__}", REMEDY)
+    if kind is str:
+        return line("", value)
     if origin in (Union, UnionType):
         return _decoded_union(arguments, value)
     if origin is tuple:
@@ -100,7 +102,7 @@ def decoded(kind: Any, value: Any) -> Any:
         kinds = arguments[:1] * len(value) if is_of_any_length else arguments
         return tuple(decoded(*pair) for pair in zip(kinds, value, strict=True))
     if isinstance(origin, type) and issubclass(origin, Mapping):
-        return {name: decoded(arguments[1], item) for name, item in value.items()}
+        return {line("", name): decoded(arguments[1], item) for name, item in value.items()}
     if (is_dataclass(kind) and kind is not ConvexPolygon) or hasattr(kind, "_fields"):
         return _decoded_record(kind, value)
     is_enumerated = isinstance(kind, type) and issubclass(kind, Enum)

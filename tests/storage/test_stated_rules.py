@@ -50,6 +50,15 @@ def settings_of(folder: Path) -> dict[str, Any]:
     return settings
 
 
+def alter(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the settings of a plan file."""
+    settings, path = settings_of(folder), folder / "plan.npz"
+    change(settings)
+    with np.load(path) as file:
+        arrays = {name: file[name] for name in file}
+    np.savez(path, allow_pickle=False, **(arrays | {"settings": np.array(json.dumps(settings))}))
+
+
 def run(*arguments: object) -> tuple[int, str]:
     """Return exit code and output of a command."""
     result = CliRunner().invoke(main, [*map(str, arguments)])
@@ -167,7 +176,7 @@ LIES: list[tuple[str, Callable[[dict[str, Any]], object], bool]] = [
     ("no limit", lambda rule: rule.pop("limit"), True),
     ("a limit of another type", lambda rule: rule.update(limit="35"), True),
     ("a verdict", lambda rule: rule.update(holds=True), True),
-    ("another sense", lambda rule: rule.update(sense="above"), False),
+    ("another sense", lambda rule: rule.update(sense="above"), True),
 ]
 
 
@@ -175,15 +184,47 @@ LIES: list[tuple[str, Callable[[dict[str, Any]], object], bool]] = [
 def test_damaged_rules_are_refused(
     words: str, change: Callable[[dict[str, Any]], object], is_form: bool, saved: Path
 ) -> None:
-    settings, path = settings_of(saved), saved / "plan.npz"
-    change(settings["rules"][0])
-    with np.load(path) as file:
-        arrays = {name: file[name] for name in file}
-    np.savez(path, allow_pickle=False, **(arrays | {"settings": np.array(json.dumps(settings))}))
+    alter(saved, lambda settings: change(settings["rules"][0]))
     with pytest.raises(FileError):
-        read_requested_plan(path)
+        read_requested_plan(saved / "plan.npz")
     assert run("check", saved)[0] == 2, words
     assert run("verify", saved)[0] == 2
     if is_form:
         with pytest.raises(UnreadableError):
             list(verify(saved))
+
+
+@pytest.mark.parametrize(("sense", "worst"), [("max", 99.0), ("min", 9.0)])
+def test_a_rule_that_its_own_record_violates_is_violated(
+    saved: Path, sense: str, worst: float
+) -> None:
+    def change(settings: dict[str, Any]) -> None:
+        settings["rules"] = [
+            {"name": "leg_angle", "unit": "deg", "sense": sense, "limit": 10.0, "worst": worst}
+        ]
+
+    alter(saved, change)
+    loaded = ho.load(saved)
+    assert [check.name for check in loaded.certificate.violated] == ["leg_angle"]
+    with pytest.raises(CertificateError, match="leg_angle: "):
+        loaded.save(saved.parent / "again")
+    assert not ho.combine(loaded, plan(), at=100.0).certificate.certified
+    for command in ("check", "verify"):
+        code, output = run(command, saved)
+        assert (code, "leg_angle" in output) == (3, True)
+
+
+def test_other_limits_do_not_replace_stated_rules(saved: Path, tmp_path: Path) -> None:
+    loaded = ho.load(saved)
+    others = (
+        replace(LEG_ANGLE, limit=1.0),
+        replace(LEG_ANGLE, limit=179.0, sense="max"),
+        replace(LEG_ANGLE, limit=0.1, unit="m", formula=lambda clasp: clasp.q_leg.norm),
+    )
+    for other in others:
+        found = ho.certify(loaded, rules=[other, CEILING])
+        assert [rule.limit for rule in found.not_recomputed] == [35.0]
+        ho.Plan(loaded.flight, found).save(tmp_path / "again", picture=False)
+        again = ho.load(tmp_path / "again").certificate.not_recomputed
+        stated = [(rule.unit, rule.limit) for rule in again if rule.name == "leg_angle"]
+        assert stated == [(other.unit, other.limit), ("deg", 35.0)]
