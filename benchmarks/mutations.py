@@ -47,7 +47,7 @@ class Mutation(NamedTuple):
     file: str
     old: str
     new: str
-    plan: str  # name of a problem, or path of a test file below ``tests``
+    plan: str  # name of a problem, or path of a test file below ``tests``, or of one test in it
     words: str
 
     @property
@@ -101,6 +101,41 @@ MUTATIONS = (
     Mutation("bodies.py", "np.where(turning, _middles(motion, drones), vertices)", "vertices", "checks/test_bodies.py", "clasps in place of pairs that turn"),
     Mutation("bodies.py", "0.5 * (q_ahead + r_behind)", "0.5 * q_ahead + 0.0 * r_behind", "checks/test_bodies.py", "a factor of middles of pairs"),
     Mutation("drones.py", "    over=Points,\n", "    over=Drones,\n", "triangle", "drones in place of vertices"),
+    Mutation("hanging.py", "OWN_DISTANCES * (limit + 2.0 * requirements.limits.tube.level)", "OWN_DISTANCES * limit", "checks/test_own_cables.py", "own cables without errors of drones"),
+    Mutation("crossing.py", "partial(_unclasped, motion.team.layout) if is_linked else None", "partial(_unclasped, motion.team.layout)", "checks/test_bodies.py", "neighbours of cables that are not linked missed"),
+    Mutation("/verify/drones.py", "[*p.slabs, *p.walls]", "[*p.slabs]", "verify/test_limits.py", "prisms missed"),
+    Mutation("/verify/drones.py", "[*p.slabs, *p.walls]", "[*p.slabs, *p.walls[:1]]", "verify/test_limits.py", "prisms but the first missed"),
+    Mutation("/verify/drones.py", "error = s.plan.tracking ", "error = 0.0 ", "verify/test_limits.py", "errors of drones at walls dropped"),
+    Mutation("/verify/drones.py", "[2] - error * s.plan.ratio", "[2] - error", "verify/test_limits.py", "vertical errors at ceilings taken for horizontal ones"),
+    Mutation("/verify/drones.py", '(lim["reserve"] if k > 1 else 1.0)', "1.0", "verify/test_limits.py", "reserves of stops dropped"),
+    Mutation("/verify/drones.py", '(lim["reserve"] if k > 1 else 1.0)', '(lim["reserve"] if k > 2 else 1.0)', "verify/test_limits.py", "reserves of accelerations dropped"),
+    Mutation("/verify/drones.py", "(s.point(i, 2) + G * UP)", "(s.point(i, 2) + 0.9 * G * UP)", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "a factor of gravity"),
+    Mutation("/verify/drones.py", "lambda s, i: thrust(s, i).norm() * share[i]", "lambda s, i: thrust(s, i)[:2].norm() * share[i]", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "upward thrust dropped"),
+    Mutation("/verify/cables.py", "(0.25, 0.5, 0.75)], sag)", "(0.25, 0.5, 0.75)])", "verify/test_limits.py", "sag at walls dropped"),
+    Mutation("/verify/cables.py", "np.where(ramp, 0.0, low)", "0.0", "verify/test_forged_files.py::test_every_cable_has_its_own_ramp", "smallest tensions dropped"),
+    Mutation("/verify/cables.py", "-total_turn(s) + (361.0 if", "-total_turn(s) + (721.0 if", "verify/test_limits.py", "two turns of an outline"),
+    Mutation("/verify/cables.py", "shared = np.any(", "shared = np.all(", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "parts that share a clasp taken for others"),
+    Mutation("/verify/reading.py", "self.limits[\"leg\"] += 2.0 * self.tracking", "self.limits[\"leg\"] += 0.0 * self.tracking", "verify/test_limits.py", "errors of drones in legs dropped"),
+    Mutation("/verify/reading.py", '("cable", 2.0), ("crossing", 2.0)', '("cable", 2.0), ("crossing", 1.0)', "verify/test_limits.py", "errors of one cable of two"),
+    Mutation("/verify/reading.py", "np.array([wide + error, wide + error, high * self.ratio])", "np.array([wide, wide, high * self.ratio])", "verify/test_limits.py", "ellipsoids without errors of drones"),
+    Mutation("/verify/reading.py", "if not low[q, k, 1 - start]:", "if True:", "verify/test_forged_files.py::test_tensions_rise_to_the_smallest_at_which_a_hitch_is_held", "ramps that end anywhere"),
+    Mutation("/verify/reading.py", "not (rest[q] and low[q, k, start])", "not rest[q]", "verify/test_forged_files.py::test_no_tension_falls_between_two_ramps", "ramps that do not begin below the tension"),
+    Mutation("/verify/driver.py", "    for k in range(3):\n        curves = (p.points", "    for k in range(2):\n        curves = (p.points", "verify/test_limits.py", "jumps of accelerations missed"),
+    Mutation("/verify/driver.py", "broken = excess > TOLERANCE * max(abs(limit), 1.0)", "broken = False", "storage/test_stated_rules.py", "stated rules hold, whatever their worst value"),
+    Mutation("/verify/tying.py", "np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)", "0.0 * drawn[s.piece, None]", "verify/test_limits.py", "errors of drones in spans dropped"),
+    Mutation("/verify/spans.py", "verdict = \"violated\" if worst < target else \"not proven\"", "verdict = \"violated\" if worst < target else \"proven\"", "verify/test_verify.py::test_what_stays_undecided_is_not_proven", "what is not decided is proven"),
+    Mutation("/verify/spans.py", "effort.spent > effort.allowed", "False", "verify/test_forged_files.py::test_proofs_share_their_effort", "no effort of all proofs"),
+    Mutation("/verify/arithmetic.py", "turn = n > self.deviation, self.slope * self.deviation", "turn = n > self.deviation, 0.0 * self.deviation", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "turns of directions dropped"),
+    Mutation("/verify/arithmetic.py", "+ self.slope * o.deviation\n", "\n", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "a term of products dropped"),
+    Mutation("/planners/timing/ramps.py", "4.0 * accelerations * distances", "3.0 * accelerations * distances", "planners/test_timing.py::test_fastest_ramps_are_those_of_the_clock", "peak speeds with a plateau"),
+    Mutation("/planners/timing/ramps.py", "np.cbrt(0.25 * distances", "np.cbrt(0.2 * distances", "planners/test_timing.py::test_fastest_ramps_are_those_of_the_clock", "peak speeds without a plateau"),
+    Mutation("/planners/timing/ramps.py", "rises_without = 2.0 * np.sqrt(peaks / jerk)", "rises_without = 1.9 * np.sqrt(peaks / jerk)", "planners/test_timing.py::test_fastest_ramps_are_those_of_the_clock", "times of rises without a plateau"),
+    Mutation("/planners/timing/timed_motion.py", "(rate / (FINAL_SHARE * limit)) ** (1.0 / order)", "(rate / (FINAL_SHARE * limit)) ** 1.0", "planners/test_timing.py", "stretches of rates of any order alike"),
+    Mutation("/planners/timing/timed_motion.py", "mass * jerk / stretch**3", "mass * jerk / stretch**2", "planners/test_timing.py", "order of a stretched jerk"),
+    Mutation("/planners/timing/timed_motion.py", "force_rates / stretch", "force_rates", "planners/test_timing.py", "rates of forces are not stretched"),
+    Mutation("/planners/timing/profile.py", "fastest_drone / self.limits.speed", "0.5 * fastest_drone / self.limits.speed", "planners/test_timing.py", "half of drones' speeds"),
+    Mutation("/planners/timing/profile.py", "math.tan(self.share * self.limits.tilt) ** 2", "math.tan(self.share * self.limits.tilt)", "planners/test_timing.py", "cone of tilt"),
+    Mutation("/planners/timing/clock.py", "1.5 * x1 * self.second", "0.5 * x1 * self.second", "planners/test_timing.py", "a factor of jerk on a clock"),
 )  # fmt: skip
 
 
@@ -167,7 +202,7 @@ def failure(package: Path, tests: str) -> str:
 
 def finding(package: Path, mutation: Mutation, folder: Path) -> str:
     """Return what a package's certificate is found by: a plan, or a test; nothing if it is sound."""
-    if mutation.plan.endswith(".py"):
+    if ".py" in mutation.plan:
         return failure(package, mutation.plan)
     return disagreement(package, plan(mutation.plan, folder))
 
