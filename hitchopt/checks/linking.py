@@ -204,7 +204,9 @@ def _contradictions(motion: Motion) -> Iterator[Contradiction]:
         if is_hitched and is_last:  # loaded clasps and separated parts stay linked
             continue
         pieces = slice(first.pieces.start, last.pieces.stop)
-        span = motion.slice_pieces(pieces, [part.phase for part in parts])
+        span = motion.slice_pieces(
+            pieces, [phase for part in parts for phase in part.motion.phases]
+        )
         if state in LAID_STATES:
             before = states[i]
             after = states[i + 2]

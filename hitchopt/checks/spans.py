@@ -248,7 +248,6 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     if not motion.has_wraps:
         nodes = motion.vertices.coefficients, motion.drones.coefficients
         return joined_arrays(nodes, axis=1)[:, layout.part_nodes], layout.parts
-    # Hitches that grip an object are closed: all cables have two legs.
     drones, ends, contacts = same_degree(
         motion.drones.coefficients, motion.inner_ends.coefficients, motion.contacts.coefficients
     )
@@ -257,7 +256,8 @@ def cable_parts(motion: Motion) -> tuple[Array, Indices]:
     route = np.stack([*corners, contacts[:, :, 1], ends[:, :, 1], pairs[:, :, 1]], axis=2)
     parts = np.stack([route[:, :, :-1], route[:, :, 1:]], axis=3)
     part = (3 * np.arange(layout.robots)[:, None] + np.array([0, 1, 1, 1, 2])).ravel()
-    return parts.reshape(len(parts), -1, *parts.shape[3:]), part
+    exists = np.isin(part, layout.parts)  # the ends of a chain have no legs
+    return parts.reshape(len(parts), -1, *parts.shape[3:])[:, exists], part[exists]
 
 
 def clasped_pairs(layout: Layout) -> Indices:

@@ -13,7 +13,9 @@ from plans import planned, planned_of
 
 import hitchopt as ho
 from hitchopt import verify as second
-from hitchopt.checks.cables import TENSION
+from hitchopt.checks.cables import SPAN, TENSION
+from hitchopt.checks.hanging import split_long_pieces
+from hitchopt.checks.linking import INTERLACING
 from hitchopt.errors import FileError
 from hitchopt.motion.plan_file import read_plan, write_plan
 from hitchopt.verify import driver
@@ -135,6 +137,46 @@ def test_phases_shorter_than_files_resolve_alter_nothing(at: int, tmp_path: Path
     assert ho.certify(read_plan(path)).certified
 
 
+@pytest.mark.parametrize("share", [1e-3, 0.5])
+@pytest.mark.parametrize("at", range(5))
+def test_phases_may_end_within_pieces(at: int, share: float, tmp_path: Path) -> None:
+    """The state is the same on both sides."""
+
+    def split(settings: Settings, _: Arrays) -> None:
+        phases = settings["groups"][0]["records"]["phases"]
+        middle = phases[at]["start"] + share * (phases[at]["end"] - phases[at]["start"])
+        phases.insert(at + 1, {**phases[at], "start": middle})
+        phases[at]["end"] = middle
+
+    path = forged(planned("form_square"), tmp_path / "plan.npz", split)
+    assert read_by_both(path)
+    flight = read_plan(path)
+    checked = [rule.check(flight.teams[0].motion) for rule in (INTERLACING, SPAN, TENSION)]
+    assert all(check is not None and check.holds for check in checked)
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_edges_of_chains_bend_around_nothing(end: int, tmp_path: Path) -> None:
+    def bent(_: Settings, arrays: Arrays) -> None:
+        arrays["groups/0/contacts"][:, :, end, 2] += 0.01
+
+    path = forged(planned("open_arc"), tmp_path / "plan.npz", bent)
+    assert "grip" in names(second.verify(path))
+    assert "grip" in [check.name for check in ho.certify(read_plan(path), reports=()).violated]
+
+
+def test_curves_of_kilometres_are_checked_as_others(tmp_path: Path) -> None:
+    """No array grows with the distances that drones fly on a piece."""
+
+    def far(_: Settings, arrays: Arrays) -> None:
+        arrays["groups/0/drones"][:, :, :, 5] = 1e5
+
+    path = forged(planned("form_square"), tmp_path / "plan.npz", far)
+    assert names(second.verify(path))
+    motion = read_plan(path).teams[0].motion
+    assert split_long_pieces(motion.drones).pieces <= 200 * motion.drones.pieces
+
+
 def remark(settings: Settings, text: str) -> None:
     settings["groups"][0]["records"]["phases"][0]["remark"] = text
 
@@ -192,6 +234,23 @@ def test_a_formula_without_a_bound_ends_within_its_effort(tmp_path: Path) -> Non
     row = prove("speed m/s max", 1e3, s, unbounded)
     assert row.verdict == "not proven"
     assert plan.effort.spent <= 2 * (20_000_000 + 40 * first)
+
+
+def test_proofs_share_their_effort(tmp_path: Path) -> None:
+    """What a proof spends in vain is not there for the next one, but its first passes are."""
+    forged(planned("triangle"), tmp_path / "plan.npz", lambda *_: None)
+    (plan,), _ = second.read(tmp_path / "plan.npz")
+    s = Spans.of(plan, plan.all_pieces, range(plan.N), plan.names)
+    plan.effort.allowed = 0
+    tight = 1.0 - 1e-12
+
+    def touching(s: Spans, i: Any) -> Line:
+        x = s.point(i).norm()
+        return Line(0.0 * x.v + tight, x.g, x.q + 1.0, s.t)
+
+    assert prove("speed m/s max", 1.0, s, touching).verdict == "not proven"
+    assert plan.effort.spent <= 3 * plan.effort.allowed
+    assert prove("speed m/s max", 3.0, s, lambda s, i: s.point(i, 1).norm()).verdict == "proven"
 
 
 def steps(_: Settings, arrays: Arrays) -> None:
