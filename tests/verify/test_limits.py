@@ -204,5 +204,5 @@ def test_outlines_turn_once(tmp_path: Path) -> None:
     for order, is_convex in (([0, 1, 2, 3, 4], True), ([0, 2, 4, 1, 3], False)):
         vertices = motion.vertices.replaced(motion.vertices.coefficients[:, order])
         shuffled = motion.replaced(vertices=vertices)
-        turns = [row for row in rows(shuffled, "convexity", tmp_path) if row.unit == "turn"]
+        turns = rows(shuffled, "outline_turn", tmp_path)
         assert [row.verdict == "proven" for row in turns] == [is_convex]
