@@ -160,6 +160,7 @@ CABLE_CLEARANCE = CheckRule(
     "place the robots farther apart, use longer cables or more height, "
     "or allow a smaller separation.cable",
     "length",
+    start_remedy="place the robots farther apart, or allow a smaller separation.cable",
     remedy_at=partial(leg_remedy, distance="separation.cable"),
     group="distances",
     key="separation.cable",

@@ -123,8 +123,7 @@ CROSSING = CheckRule(
         Evaluator(nearest(_hanging_cables), FREE_STATES, exported=True),
         Evaluator(nearest(_clasped_cables), FREE_STATES | TAUT_STATES),
     ),
-    "shorten the legs that meet (a shorter cable or a larger polygon), "
-    "choose other leg lengths, or lower separation.crossing",
+    "use a shorter cable or a larger polygon, or lower separation.crossing",
     "place the robots farther apart, or lower separation.crossing",
     group="distances",
     key="separation.crossing",

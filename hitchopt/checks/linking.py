@@ -135,7 +135,7 @@ DURATION = CheckRule(
     "max",
     lambda motion: motion.requirements.limits.duration,
     (Evaluator(lambda motion, _: WorstCase(motion.duration, float(motion.drones.breaks[-1]))),),
-    "raise limits.duration, or the limits of motion",
+    "raise limits.duration, or raise the limits of motion",
     whole=True,
     group="timing",
     key="limits.duration",

@@ -204,6 +204,9 @@ class CheckRule(Quantity):
     exported_limit: float | None = None
     """The limit for exported curves, if different."""
 
+    start_remedy: str = ""
+    """The suggested change at the start without a hitch, where users place drones, if different."""
+
     remedy_at: Callable[[Motion, Check], str] = lambda _motion, _check: ""
     """A function that returns the suggested change at a violated check of a hitch, if its geometry
     decides; empty for ``remedy``."""

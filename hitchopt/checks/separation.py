@@ -23,13 +23,14 @@ from hitchopt.geometry.vectors import unit
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import locate, merged_breaks, on_breaks
 
 # Changes that separate a drone from another one, or from a cable, of one hitch
 LONGER_LEGS = "use a longer cable or a smaller polygon"
 LARGER_POLYGON = "a larger polygon"
+UNEQUAL_LEGS = "choose legs that differ more at the vertex"
 OTHER_LEGS = "change leg lengths by another cable length or polygon size"
 
 PARALLEL = 0.02
@@ -45,7 +46,8 @@ def leg_remedy(motion: Motion, check: Check, distance: str) -> str:
     ``e (1 + cos τ) - L cos τ`` apart: always farther on a larger polygon; on a shorter cable where
     their legs converge (τ < 90°: polygons of five vertices or more), on a longer one where they
     diverge (triangles). The longer its leg, the farther a drone is from the edges at its vertex and
-    from the other drone there.
+    from the other drone there, unless the pair rolls: its drones pass each other at a distance of
+    the difference of their legs.
     """
     change = _leg_change(motion, check)
     return change and f"{change}, or allow a smaller {distance}"
@@ -66,7 +68,11 @@ def _leg_change(motion: Motion, check: Check) -> str:
     if other_cable != cable:
         ends = layout.starts[other_cable], layout.ends[other_cable]
         vertices_of_other = ends if cables else (layout.anchors[drones[1]],)
-        return LONGER_LEGS if layout.anchors[drone] in vertices_of_other else OTHER_LEGS
+        change = OTHER_LEGS
+        if layout.anchors[drone] in vertices_of_other:
+            is_rolling = not cables and _is_rolling(motion, check.time)
+            change = UNEQUAL_LEGS if is_rolling else LONGER_LEGS
+        return change
     if not np.all(layout.has_leg[cable]):
         return OTHER_LEGS
     time = float(np.clip(check.time, *motion.drones.breaks[[0, -1]]))
@@ -86,6 +92,12 @@ def _leg_change(motion: Motion, check: Check) -> str:
     if abs(spread) <= PARALLEL:
         return f"use {LARGER_POLYGON}"
     return f"use a {'shorter' if spread < 0.0 else 'longer'} cable or {LARGER_POLYGON}"
+
+
+def _is_rolling(motion: Motion, time: float) -> bool:
+    """Return whether pairs roll about their vertices, where their drones pass each other."""
+    piece, _ = locate(motion.drones.breaks, np.clip(time, *motion.drones.breaks[[0, -1]]))
+    return bool(motion.in_states({CableState.ROLLING})[piece])
 
 
 def _scaled_drones(
@@ -119,9 +131,9 @@ SEPARATION = CheckRule(
     ),
     (Evaluator(nearest(_pairs_of_drones, scaled=True), exported=True, formulas=(gap, distance)),),
     f"{OTHER_LEGS}, or allow a smaller separation.radius",
-    "place the drones farther apart, use longer cables or a larger polygon, "
-    "or allow a smaller separation.radius",
+    "use longer cables or a larger polygon, or allow a smaller separation.radius",
     "length",
+    start_remedy="place the drones farther apart, or allow a smaller separation.radius",
     remedy_at=partial(leg_remedy, distance="separation.radius"),
     group="distances",
     key="separation.radius",

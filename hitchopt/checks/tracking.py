@@ -377,7 +377,7 @@ TRACKING_RADIUS = ReportRule(
     "min",
     _radius,
     limit=lambda requirements: requirements.limits.tube.level or None,
-    remedy="use stiffer gains, or set limits.tracking to a smaller measured error",
+    remedy="set limits.tracking to a smaller measured error",
     free_remedy="",
     group="distances",
     key="limits.tracking",

@@ -323,10 +323,22 @@ def _px4_loop(gains: Mapping[str, float], mass: float) -> Iterator[Pair]:
     yield level * level_integral, upright * upright_integral
 
 
+def of_same_firmware(name: str) -> tuple[str, ...]:
+    """Return the controllers of the firmware that has a controller: the Crazyflie's, or PX4."""
+    return tuple(each for each in STOCK if STOCK[each].filtered == STOCK[name].filtered)
+
+
 def stiffest_gains(
     mass: float, latency: float | None = None, name: str = "mellinger"
-) -> dict[str, float]:
-    """Return the stiffest stable gains of a controller for a mass [kg] and a delay [s]."""
+) -> dict[str, Any]:
+    """Return the stiffest stable gains of a controller for a mass [kg] and a delay [s].
+
+    Those of px4 are the largest that it declares.
+    """
+    if name == "px4":
+        largest = {key: high for key, (_, high) in PX4_RANGES.items()}
+        stiffness, damping, _ = _px4_loop(largest, mass)
+        return {"kp": [*stiffness], "kd": [*damping], "ki": 0.0}
     scale = latency_scale(latency)
     kp, kd = STOCK[name].stiffest
     gains = {"kp": scale**2 * kp * mass, "kd": scale * kd * mass, "ki": 0.0}

@@ -118,12 +118,23 @@ class Outline(ByValue, ABC):
             raise self._error("in clockwise order seen from above", remedy)
         flattest = int(np.argmin(angles))
         if angles[flattest] < MIN_EXTERIOR_ANGLE:
+            if self._is_straight:
+                raise self._error("an outline: its points are on one line", "move one off the line")
             turn, min_turn = np.degrees([angles[flattest], MIN_EXTERIOR_ANGLE])
             is_left = f"left by {-turn:.4g}°, where clockwise outlines turn right"
             is_flat = f"right by {turn:.4g}°, not by at least {min_turn:.2g}°"
             bound = f"a convex corner: it turns {is_left if turn < 0.0 else is_flat}"
-            remedy = "move the point outward, or list the points in clockwise order"
+            remedy = "move the point outward"
+            if turn < 0.0:
+                remedy += ", or list the points in clockwise order"
             raise self._error(bound, remedy, int(self.corners[flattest]))
+
+    @property
+    def _is_straight(self) -> bool:
+        """Whether all points are on one line, up to MIN_EXTERIOR_ANGLE."""
+        offsets = self.vertices - np.mean(self.vertices, axis=0)
+        length, width = np.linalg.svd(offsets, compute_uv=False)
+        return bool(width <= MIN_EXTERIOR_ANGLE * length)
 
     def _error(self, bound: str, remedy: str, point: int | None = None) -> InputError:
         """Return an InputError about all points, or about one of them."""

@@ -17,10 +17,16 @@ from typing import Any
 import numpy as np
 
 from hitchopt.checks.registry import RULE_OF_KEY, distances_of
-from hitchopt.drones.controllers import MIN_TRACKING, Tube, stiffest_gains
+from hitchopt.drones.controllers import (
+    MIN_TRACKING,
+    Gains,
+    Tube,
+    of_same_firmware,
+    stiffest_gains,
+)
 from hitchopt.errors import InfeasibleError, InputError, OneLine, UnitWarning, Violation
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Quadrotor
+from hitchopt.hitch import GRAVITY, Quadrotor
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import Rim
@@ -242,6 +248,9 @@ GRIP_CHECKS = frozenset({"grip"})
 MAX_FRICTION = 1.0
 """Maximum coefficient of friction of suggestions."""
 
+WEIGHT_SHARE = 0.4
+"""Tension of two cables that hold an object, over its weight divided by its friction."""
+
 MAX_TILT_DEG = 80.0
 """Maximum tilt of suggestions [deg]."""
 
@@ -330,15 +339,30 @@ def _team_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[K
     covers = SPACE_CHECKS | TIME_CHECKS | DURATION_CHECKS | {"arena"}
     yield replace(polygons, sign=-1, covers=covers)
     yield polygons
-    yield replace(tension, sign=-1, covers=FORCE_CHECKS)
+    held_by = two_cable_tension(problem) / float(np.max(problem.team.tension))
+    yield replace(tension, sign=-1, covers=FORCE_CHECKS, max_size=max(0.0, 1.0 - held_by))
     holding = LOAD_CHECKS | GRIP_CHECKS
-    yield replace(tension, covers=holding, min_size=_min_size(violations, "load"))
+    min_size = max(_min_size(violations, "load"), held_by - 1.0)
+    yield replace(tension, covers=holding, min_size=min_size)
     if np.any(problem.team.load > 0.0):
         covers = LOAD_CHECKS | FORCE_CHECKS | DISTANCE_CHECKS
         yield replace(_team_values(problem, "load", "kg"), sign=-1, covers=covers)
     thrust = _team_values(problem, "max_thrust", "N")
     key = "team.quadrotor.max_thrust" if thrust.unit == "N" else "team.quadrotor"
     yield replace(thrust, key=key, covers=DURATION_CHECKS | {"thrust"})
+
+
+def two_cable_tension(problem: Problem) -> float:
+    """Return the tension [N] that two cables need to hold the objects of the mission; 0 if none.
+
+    It is that of docs/how_to/carry.md, with which objects hang safely in simulation.
+    """
+    handled = {vars(step).get("object", vars(step).get("around")) for step in problem.mission}
+    bodies = [body for name, body in problem.objects.items() if name in handled and not body.fixed]
+    if problem.team.robots != 2:
+        return 0.0
+    needed = (WEIGHT_SHARE * GRAVITY * x.mass / x.friction for x in bodies if x.friction > 0.0)
+    return max(needed, default=0.0)
 
 
 def _team_values(problem: Problem, name: str, unit: str) -> Knob:
@@ -433,28 +457,44 @@ def _unit_factor(declared: Key, key: str, value: Any) -> float | None:
 
 
 def retuning_changes(problem: Problem) -> Iterator[Change]:
-    """Yield the controllers' error as ``limits.tracking``, and the stiffest gains."""
+    """Yield the controllers' error as ``limits.tracking``, and the stiffest gains of a firmware."""
     own = max(MIN_TRACKING, Tube.of(problem.team.tracking).largest)
     if (error := problem.limits.tube.largest) > own:
         edits = (Edit("limits.tracking", own),)
         relative, changed = own / error - 1.0, with_edits(problem, edits)
         yield Change("limits.tracking", "", error, own, "m", relative, changed, edits)
     kinds = problem.team.quadrotor
-    controlled = [kind for kind in kinds if kind.controller is not None]
-    if all(kind.loop.tracking == MIN_TRACKING for kind in controlled):
+    if not can_be_stiffer(kinds):
         return
-    values = [
-        _quadrotor_keys(replace(kind, controller=None, gains=None, latency=None))
-        | {"controller": "mellinger", "gains": stiffest_gains(kind.mass, kind.latency)}
-        | ({} if kind.latency is None else {"latency": kind.latency})
-        for kind in kinds
-    ]
+    values = [_quadrotor_keys(_stiffest(kind)) for kind in kinds]
     are_equal = all(each == values[0] for each in values)
     edits = (Edit("team.quadrotor", values[0] if are_equal else values),)
     changed = with_edits(problem, edits)
-    old = ", ".join(dict.fromkeys(str(kind.controller) for kind in controlled))
-    new = f"mellinger with gains {values[0]['gains']}".replace("'", "")
+    old = ", ".join(dict.fromkeys(str(kind.controller) for kind in kinds if kind.controller))
+    new = f"{values[0].get('controller')} with gains {values[0].get('gains')}".replace("'", "")
     yield Change("team.quadrotor.controller", "", old, new, "", 0.0, changed, edits)
+
+
+def can_be_stiffer(kinds: Sequence[Quadrotor]) -> bool:
+    """Return whether a controller of some firmware has smaller errors with other gains."""
+    errors = (
+        [Tube.of(each.loop.tracking).largest for each in (_stiffest(kind), kind)]
+        for kind in kinds
+        if kind.controller is not None
+    )
+    return any(smallest < error for smallest, error in errors)
+
+
+def _stiffest(kind: Quadrotor) -> Quadrotor:
+    """Return a quadrotor with the controller of its firmware that has the smallest errors.
+
+    On a Crazyflie that is mellinger. A quadrotor without a named controller stays as it is.
+    """
+    if kind.controller is None:
+        return kind
+    name = "mellinger" if "mellinger" in of_same_firmware(kind.controller) else kind.controller
+    gains = stiffest_gains(kind.mass, kind.latency, name)
+    return with_fields(kind, controller=name, gains=Gains.of(gains))
 
 
 def scaled_outlines(problem: Problem, factor: float) -> Edits:

@@ -44,6 +44,7 @@ from hitchopt.mission.changes import (
     roll_changes,
     size_of,
     spread_changes,
+    two_cable_tension,
     unit_change,
     vertex_changes,
 )
@@ -473,7 +474,9 @@ def fitted_sizes(problem: Problem, knobs: Sequence[Knob]) -> Iterator[tuple[Knob
     if any(knob.key == "team.tension" for knob in knobs):
         pull = min(kind.level_pull(problem.limits.tilt)[0] for kind in team.quadrotor)
         tensions = min(kind.tension for kind in team.quadrotor), PULL_SHARE * pull
-        ratios = [value / float(np.max(team.tension)) for value in tensions if value > 0.0]
+        smallest = two_cable_tension(problem)
+        suitable = [value for value in tensions if value > 0.0 and value >= smallest]
+        ratios = [value / float(np.max(team.tension)) for value in suitable]
         fitted += [("team.tension", ratio) for ratio in ratios]
     if any(knob.key == "team.cable_length" for knob in knobs):
         longest = float(np.max(team.cable_length))

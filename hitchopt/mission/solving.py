@@ -14,9 +14,11 @@ import numpy as np
 
 from hitchopt.checks import merged
 from hitchopt.checks.arena import ARENA, nearest_wall
+from hitchopt.checks.linking import DURATION
 from hitchopt.checks.registry import RULES, with_rules
-from hitchopt.drones.controllers import CONTROLLERS, FlightController, Tube
+from hitchopt.drones.controllers import FlightController, Tube, of_same_firmware
 from hitchopt.errors import (
+    EXCHANGED,
     HitchoptError,
     InfeasibleError,
     Progress,
@@ -27,6 +29,7 @@ from hitchopt.errors import (
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
+from hitchopt.mission.changes import can_be_stiffer
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
 from hitchopt.mission.teams import schedule_teams
 from hitchopt.motion.flight import Flight
@@ -68,10 +71,14 @@ def _with_tracking_advice(
     """Return an error with advice on distances that only tracking errors make too short."""
     if not (tube := requirements.limits.tube).level:
         return error
-    if tube == Tube.of(team.tracking):
+    stiffer = ""
+    if tube == Tube.of(team.tracking) and can_be_stiffer(team.quadrotor):
+        stiffer = "use stiffer gains"
+        if any(len(of_same_firmware(x.controller)) > 1 for x in team.quadrotor if x.controller):
+            stiffer += " or another controller"
         advice = (
-            f"use stiffer gains or another controller, since its tracking errors of {tube} add to "
-            "this distance; set limits.tracking only to measured errors"
+            f"{stiffer}, since its tracking errors of {tube} add to this distance; set "
+            "limits.tracking only to measured errors"
         )
     else:
         advice = f"lower limits.tracking, but only to measured errors: {tube} adds to this distance"
@@ -90,6 +97,8 @@ def _with_tracking_advice(
         elif each.constraint in OF_TWO and tied_by_two and tube.ratio > 1.0:
             own = f"{each.remedy}; " if each.constraint == "hinge" else ""
             violations.append(replace(each, remedy=own + of_two))
+        elif each.constraint == "tracking_radius" and stiffer:
+            violations.append(replace(each, remedy=_remedy(each, stiffer)))
         else:
             violations.append(each)
     return InfeasibleError(violations, error.note)
@@ -122,7 +131,8 @@ def check_controllers(team: Team) -> None:
         return
     pairs = zip(team.drone_names, team.feed_forward, strict=True)
     names = [name for name, feed_forward in pairs if not feed_forward]
-    loops = [FlightController.of(name, float(team.mass[0])) for name in CONTROLLERS]
+    available = of_same_firmware(unsuited[0].name)
+    loops = [FlightController.of(name, float(team.mass[0])) for name in available]
     suitable = ", ".join(loop.name for loop in loops if loop.feed_forward)
     max_tension = float(np.min(team.mass * GRAVITY * np.tan(team.max_tilt)))
     remedy = (
@@ -358,7 +368,10 @@ def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> Infeasibl
     for violation, check in zip(error.violations, named, strict=True):
         indices = [p.step for p in certified.motion.phases if p.start <= check.time <= p.end]
         neighbours = [steps[i] for k in indices for i in (k - 1, k) if i >= 0]
-        is_blended = check.name != "duration" and any(step.blends for step in neighbours)
+        is_blended = any(step.blends for step in neighbours)
+        if check.name == DURATION.name:
+            violations.append(replace(violation, remedy=_duration_remedy(steps)))
+            continue
         binding = check.binding or check.name
         if binding == ARENA.name:
             binding = nearest_wall(certified.motion, check)
@@ -369,4 +382,25 @@ def _with_advice(certified: CertifiedMotion, steps: Sequence[Step]) -> Infeasibl
 
 
 def _remedy(violation: Violation, advice: str) -> str:
-    return f"{violation.remedy}, or {advice}" if advice else violation.remedy
+    """Return the remedy of a violation with further advice; a question stays at its end."""
+    if not advice:
+        return violation.remedy
+    remedy, question = violation.remedy, ""
+    if remedy.endswith(EXCHANGED):
+        remedy, question = remedy.removesuffix(EXCHANGED), EXCHANGED
+    return f"{remedy}, or {advice}{question}"
+
+
+def _duration_remedy(steps: Sequence[Step]) -> str:
+    """Return how to keep the largest duration of a plan, whose steps may prescribe theirs."""
+    prescribed = [
+        f"mission[{i}].{step.name}.{step.time_key}"
+        for i, step in enumerate(steps)
+        if step.prescribed_duration is not None
+    ]
+    remedies = ["raise limits.duration"]
+    if len(prescribed) < len(steps):
+        remedies.append("raise the limits of motion")
+    if prescribed:
+        remedies.append(f"lower {' or '.join(prescribed)}")
+    return ", or ".join(remedies)

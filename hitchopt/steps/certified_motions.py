@@ -178,7 +178,8 @@ def infeasible_error(
         if not when and check.name != "duration":
             step = f", in step {phases[0].step} ({phases[0].name})" if phases else ""
             time_and_step = f"at t = {check.time:.4g} s{step}"
-        remedy = _separation_shortfall(check, flight) + _remedy(check, flight, rules)
+        own_remedy = _remedy(check, flight, rules, at_start=bool(when))
+        remedy = _separation_shortfall(check, flight) + own_remedy
         violations.append(check.violation(time_and_step, remedy))
     return InfeasibleError(violations)
 
@@ -201,8 +202,13 @@ def _phases_at(check: Check, flight: Flight) -> list[Phase]:
     return [phase for phase in flight.phases if phase.start <= check.time <= phase.end]
 
 
-def _remedy(check: Check, flight: Flight, rules: Sequence[Rule[Any]]) -> str:
-    """Return the suggested change for a violated check, and for the check that determines it."""
+def _remedy(
+    check: Check, flight: Flight, rules: Sequence[Rule[Any]], *, at_start: bool = False
+) -> str:
+    """Return the suggested change for a violated check, and for the check that determines it.
+
+    Drones without a hitch ``at_start`` are where the user placed them.
+    """
     rule_of: dict[str, CheckRule | ReportRule] = {
         **RULE_OF,
         **{report.name: report for report in TEAM_REPORTS},
@@ -211,10 +217,12 @@ def _remedy(check: Check, flight: Flight, rules: Sequence[Rule[Any]]) -> str:
     rule = rule_of[check.name]
     if check.binding in rule_of:
         binding = replace(check, name=check.binding, binding="")
-        return f"{_remedy(binding, flight, rules)}, or {rule.remedy}"
+        return f"{_remedy(binding, flight, rules, at_start=at_start)}, or {rule.remedy}"
     phases = _phases_at(check, flight)
     is_free = bool(phases) and not any(phase.formed for phase in phases)
     remedy = rule.free_remedy if is_free else ""
+    if at_start and is_free and isinstance(rule, CheckRule):
+        remedy = rule.start_remedy or remedy
     if not remedy and isinstance(rule, CheckRule) and len(flight.teams) == 1:
         remedy = rule.remedy_at(flight.teams[0].motion, check)
     return remedy or rule.remedy

@@ -149,6 +149,7 @@ SYNONYMS = {
     "paper_132g": "paper",
     "x260_bolt": "x260 bolt crazyflie_bolt",
     "crazyswarm2": "crazyflie crazyfly bitcraze cflib poly4d",
+    "accurate": "precise exact fine",
     "mavsdk_drone_show": "mavsdk px4 mavlink",
     "skybrush": "skyc ardupilot",
     "ros2bag": "ros ros2 bag rosbag mcap db3",
@@ -174,7 +175,7 @@ def closest_word(word: str, valid: Sequence[str], fallback: str = "") -> str:
 def check_choice(key: str, value: object, names: Sequence[str]) -> None:
     """Raise InputError unless ``value`` is one of ``names``."""
     if not isinstance(value, str) or value not in names:
-        remedy = closest_word(str(value), names, f"write {names[0]!r}")
+        remedy = closest_word(str(value), names, "choose one of them")
         raise InputError(key, value, f"one of {', '.join(names)}", remedy)
 
 

@@ -386,7 +386,7 @@ def words(*names: str | bool, **values: Any) -> Kind:
         if values and type(value) is int and value in values.values():
             return value
         bound = " or ".join(valid) if len(valid) < 3 else f"one of {', '.join(valid)}"
-        fallback = f"write {valid[0]}"
+        fallback = f"write {valid[0]}" if len(valid) == 1 else "choose one of them"
         remedy = closest_word(value, valid, fallback) if isinstance(value, str) else fallback
         raise InputError(key, value, bound, remedy)
 

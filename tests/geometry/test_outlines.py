@@ -102,6 +102,9 @@ STAR = [[math.sin(4 * math.pi * k / 5), math.cos(4 * math.pi * k / 5)] for k in 
 REFUSED: list[tuple[type[Any], object, str, str]] = [
     (ConvexPolygon, [[0, 0], [1, 0], [0, 1]], "polygon", "clockwise"),
     (ConvexPolygon, [[0, 0], [0, 1], [1, 1], [0.4, 0.6]], "polygon[3]", "turns left by"),
+    (ConvexPolygon, [[0, 0], [1, 2], [2, 4]], "polygon", "on one line; move one off the line"),
+    (ConvexPolygon, [[0, 0], [2, 0], [1, 0], [3, 0]], "polygon", "its points are on one line"),
+    (ConvexArc, [[0, 0], [1, 1], [2, 2]], "polygon", "its points are on one line"),
     (ConvexPolygon, [[0, 0], [0, 1], [0, 1], [1, 1]], "polygon[1]", "coincident"),
     (ConvexPolygon, [[0, 0], [0, 1], [1]], "polygon", "at least 3"),
     (ConvexPolygon, STAR, "polygon", "simple"),

@@ -19,12 +19,14 @@ from problem_cases import hitch_start, triangle
 from refusing_steps import problem_of, refusal
 
 import hitchopt as ho
+from hitchopt.drones.controllers import Tube
 from hitchopt.errors import UnitWarning
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission import repair
 from hitchopt.mission.changes import (
     change_of,
     knobs_of,
+    retuning_changes,
     rim_changes,
     scaled_outlines,
     team_edit,
@@ -584,3 +586,118 @@ def test_no_suggestion_adds_a_change_to_a_smaller_one() -> None:
     other = repair.Suggestion(alone, 1.0)
     assert repair._smallest([other, both, one]) == (one, other)
     assert repair._smallest([other, both]) == (both, other)
+
+
+def test_values_in_another_unit_are_converted_and_nothing_else_is_suggested() -> None:
+    """An altitude in centimetres and an outline in millimetres, not kilometres of cable."""
+    outline = (1000.0 * EDGE.scaled(0.9).vertices).round(3).tolist()
+    data = small(arena=ARENA, mission=[{"morph": {"polygon": outline}}])
+    data["start"]["hitch"]["altitude"] = 105
+    with pytest.warns(UnitWarning):
+        problem = problem_from_dict(data)
+    (suggestion,) = ho.suggestions(problem, PATIENCE)
+    assert "altitude 105 -> 1.05 m and mission[0].morph.polygon as given" in str(suggestion)
+    assert_as_suggested(data, suggestion)
+
+
+def test_lengths_do_not_grow_twentyfold() -> None:
+    problem = problem_from_dict(small(arena=ARENA))
+    knobs = {(each.key, each.sign): each for each in knobs_of(problem, ())}
+    changes = [
+        change_of(problem, knobs["team.cable_length", 1], 9.0),
+        change_of(problem, knobs["team.cable_length", 1], 30.0),
+        change_of(problem, knobs["arena.upper[2]", 1], 100.0),
+        change_of(problem, knobs["limits.speed", 1], 50.0),
+    ]
+    suggestions = [repair.Suggestion(change, 1.0) for change in changes if change is not None]
+    assert {round(x.change.relative) for x in repair._smallest(suggestions)} == {9, 50}
+
+
+def with_quadrotor(*kinds: ho.Quadrotor) -> ho.Problem:
+    problem = problem_from_dict(small())
+    return replace(problem, team=ho.Team(3, 2.4, quadrotor=[*kinds]))
+
+
+def test_controllers_are_replaced_by_those_of_the_same_firmware() -> None:
+    """Of PX4 there is one: its gains become the largest that it declares, once."""
+    of_px4 = ho.Quadrotor(2.0, 40.0, controller="px4")
+    plain, lee = ho.Quadrotor(), ho.Quadrotor(controller="lee")
+    (change,) = retuning_changes(with_quadrotor(of_px4, plain, of_px4))
+    new = change.problem.team.quadrotor
+    assert [kind.controller for kind in new] == ["px4", None, "px4"]
+    assert new[0].loop == ho.Quadrotor(2.0, 40.0, controller="px4", gains=PX4_GAINS).loop
+    errors = [Tube.of(kind.loop.tracking).largest for kind in (new[0], of_px4)]
+    assert errors[0] < 0.5 * errors[1]
+    assert not list(retuning_changes(change.problem))
+    (change,) = retuning_changes(with_quadrotor(lee, lee, plain))
+    assert [kind.controller for kind in change.problem.team.quadrotor] == ["mellinger"] * 2 + [None]
+
+
+PX4_GAINS = {"kp": [20.0, 45.0], "kd": [10.0, 30.0], "ki": 0.0}
+"""Gains for 2 kg of docs/how_to/before_you_fly.md."""
+
+DRUM = {"drum": {"circle": 0.15, "to": 0.4, "mass": 0.2, "friction": 0.5, "at": [0, 0, 0]}}
+
+
+@pytest.mark.parametrize(("robots", "needed"), [(2, 0.4 * 0.2 * 9.81 / 0.5), (3, 0.0)])
+def test_two_cables_hold_drums_with_the_tension_of_the_documentation(
+    robots: int, needed: float
+) -> None:
+    """Suggestions raise the tension at least as far, and lower it no further."""
+    q = [[-1.3, 0.8, 0], [1.3, -0.8, 0], [-1.3, -3, 0]][:robots]
+    mission: list[Any] = [{"transport_object": {"object": "drum", "to": [2, 0, 0]}}]
+    if robots > 2:
+        mission.insert(0, {"form": {"polygon": EDGE.vertices.tolist(), "altitude": 1.0}})
+    for tension in (1.0, 2.0):
+        data = small(
+            team={"robots": robots, "cable_length": 2.8, "tension": tension},
+            objects=DRUM,
+            start={"drones": {"q": q, "r": [[-x, y, z] for x, y, z in q]}},
+            mission=mission,
+        )
+        problem = problem_from_dict(data)
+        knobs = {x.sign: x for x in knobs_of(problem, ()) if x.key == "team.tension"}
+        assert knobs[1].min_size == pytest.approx(max(0.0, needed / tension - 1.0))
+        lowest = tension * (1.0 - knobs[-1].max_size)
+        assert lowest == pytest.approx(max(0.1 * tension, min(needed, tension)))
+
+
+COLUMN = {"circle": 0.15, "friction": 0.5, "at": [0, 0, 0], "fixed": True}
+
+
+def under_ceiling(height: float, at: float) -> dict[str, Any]:
+    """Return the problem of a column that two cables are tied around, under a ceiling."""
+    q = [[-1.0, 0.5, 0], [1.0, -0.5, 0]]
+    return {
+        "team": {"robots": 2, "cable_length": 2.4, "cable_density": 0.005, "tension": 1.0}
+        | {"quadrotor": "paper_132g"},
+        "limits": {"tilt_deg": 60},
+        "arena": {"lower": [-3, -3, 0], "upper": [3, 3, 2.2]},
+        "objects": {"column": COLUMN | {"to": height}},
+        "start": {"drones": {"q": q, "r": [[-x, y, z] for x, y, z in q]}},
+        "mission": [{"tie": {"around": "column", "at": at}}, {"untie": {}}],
+    }
+
+
+def test_fixed_objects_may_touch_the_ceiling() -> None:
+    radii = [
+        ho.solve(problem_from_dict(under_ceiling(top, 0.9))).certificate["tracking_radius"].worst
+        for top in (2.1, 2.2)
+    ]
+    assert radii[1] == pytest.approx(radii[0])
+
+
+@pytest.mark.slow
+def test_cables_are_tied_lower_or_are_shorter_under_a_ceiling() -> None:
+    data = under_ceiling(2.1, 1.2)
+    problem = problem_from_dict(data)
+    with pytest.raises(ho.InfeasibleError) as refused:
+        ho.solve(problem)
+    (violation,) = refused.value.violations
+    assert violation.constraint == "tracking_radius"
+    assert "limited by arena; raise the ceiling (arena.upper[2])" in violation.remedy
+    assert "tie it lower (mission[0].tie.at), or use shorter cables" in violation.remedy
+    by_key: Any = {s.change.key: s for s in ho.suggestions(problem, PATIENCE)}
+    assert by_key["team.cable_length"].change.relative < 0.0
+    assert by_key["mission[0].tie.at"].change.relative < 0.0
+    assert_as_suggested(data, by_key["mission[0].tie.at"])

@@ -107,6 +107,10 @@ def test_rolled_legs_leave_the_plane() -> None:
 def test_impossible_shapes_are_refused_where_they_are() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"convexity: .* of the path"):
         ho.time(ho.Path.of(TEAM, lambda s: SQUARE.vertices * (1.0, 1.0 - 1.5 * s)))
+    with pytest.raises(
+        ho.InfeasibleError, match=r"from 0% .*; list the points in the reverse order"
+    ):
+        ho.time(ho.Path.of(TEAM, lambda s: (1.0 + 0.1 * s) * SQUARE.vertices[::-1]))
     with pytest.raises(ho.InfeasibleError, match=r"legs: .* of the path"):
         ho.time(ho.Path.of(TEAM, lambda s: SQUARE.vertices * (1.0 + s)))
     with pytest.raises(ho.InputError, match=r"polygon .* nothing moves"):

@@ -390,7 +390,7 @@ def refusal(controller: str) -> tuple[ho.Problem, InfeasibleError]:
 @pytest.mark.parametrize(
     ("controller", "constraint", "words"),
     [
-        ("pid", "feed_forward", "to one of mellinger, lee, px4"),
+        ("pid", "feed_forward", "to one of mellinger, lee$"),
         ("lee", "cable_clearance", "tracking errors of 0.35 m add to this distance"),
     ],
 )

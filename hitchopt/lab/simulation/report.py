@@ -41,7 +41,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
-from hitchopt.values import Array, check_instance, closest_word, flag, text
+from hitchopt.values import Array, check_choice, check_instance, closest_word, flag
 from hitchopt.view import style
 from hitchopt.view.painter import MAX_PANELS, Shot, draw_storyboard, shots_in_motion
 from hitchopt.view.pictures import PAGE_LEGEND, PAGE_PLAN, PAGE_SHARE, draw_phases
@@ -245,8 +245,7 @@ def simulate(
     UnsupportedError: mujoco is not installed, the plan has only single drones, or several teams and
         feedback.
     """
-    if text("preset", preset) not in PRESETS:
-        raise InputError("preset", preset, " or ".join(PRESETS), "write fast")
+    check_choice("preset", preset, tuple(PRESETS))
     changes = {} if perturbations is None else perturbations
     _check_names("perturbations", changes, vars(CALM))
     _check_names("settings", settings, vars(Settings()))

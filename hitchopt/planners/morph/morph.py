@@ -86,6 +86,9 @@ def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
     """Return the violation of the smallest exterior angle (J, clasps) [rad] at s (J,)."""
     clasp = int(np.argmin(np.min(angles, axis=0)))
     first = int(np.argmax(angles[:, clasp] < MIN_ANGLE))
+    remedy = "move the vertex outward at an end, or turn the polygon by less"
+    if np.all(angles[0] < 0.0):
+        remedy = "list the points in the reverse order: they are counter-clockwise, seen from above"
     return Violation(
         "convexity",
         math.degrees(float(np.min(angles))),
@@ -94,7 +97,7 @@ def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
         "deg",
         (f"p{layout.clasps[clasp]}",),
         f"from {s[first]:.0%} of the path",
-        "move the vertex outward at an end, or turn the polygon by less",
+        remedy,
     )
 
 

@@ -269,7 +269,7 @@ def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
             cable = int(np.argmax(np.max(span_ratios, axis=0)))
             where = (team.cable_names[cable],)
             when = "between its drones' positions"
-            remedy = "use a longer cable, a smaller polygon, or place the drones closer together"
+            remedy = "use a longer cable"
             raise InfeasibleError([Violation("span", worst, 1.0, "max", "1", where, when, remedy)])
     loads = loads_at_rest(team, hanging_forces(team, drones))
     remedy = "use lighter cables, or stronger drones that may tilt more"
