@@ -58,10 +58,12 @@ def test_errors_are_compared_with_what_was_allowed_for(
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     limits = ho.Limits(tracking=allowed)
     ho.solve(hitch, ho.Hold(seconds=0.1), limits=limits).save(place / "out", picture=False)
-    result = run("simulate", place / "out")
+    result = run("simulate", place / "out", code=0 if words == "within" else 3)
     verdict = rf"drones were off by up to .* m vertically, {words} limits.tracking"
     assert re.search(verdict, result.stdout)
     assert f"limits.tracking ({allowed:.3g} m)" in result.stdout
+    left = re.findall(r"failed: t = \d\.\d\d s, ([qr]\d) is .* cm off", result.stderr)
+    assert bool(left) is (words == "more than")
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from scripted import changed, hanging_task, regular_hitch, resting_task, smooth_
 
 import hitchopt as ho
 from hitchopt.hitch import GRAVITY
+from hitchopt.lab.simulation.contacts import ObjectContacts
 from hitchopt.lab.simulation.control import Disturbances
 from hitchopt.lab.simulation.flight import ground_of
 from hitchopt.lab.simulation.judgement import judge
@@ -284,6 +285,23 @@ def test_objects_are_aloft_between_their_supports() -> None:
         cargo, poses=poses[:5], load_share=load_share[:5], held=load_share[:5] > 0.0
     )
     np.testing.assert_array_equal(np.flatnonzero(ends_aloft.lifted[:, 0]), [3, 4])
+
+
+def test_objects_may_touch_what_is_below_their_places_as_they_are_set_down() -> None:
+    """Those that hang tilted touch it before; on other ways nothing may be touched."""
+    drum = SolidObject(Section(radius=0.15), 0.0, 0.3, 0.1)
+    poses = np.zeros((6, 1, 5))
+    poses[:, 0, 0] = [0.0, 0.0, 0.3, 0.6, 0.6, 0.6]
+    poses[:, 0, 2] = [0.0, 0.2, 0.2, 0.2, 0.1, 0.0]
+    load_share = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 0.0])[:, None]
+    cargo = Cargo({"drum": drum}, poses, load_share > 0.0, load_share)
+    below = np.array([0.0, -np.inf, -np.inf, 0.0, 0.0, 0.0])
+    np.testing.assert_array_equal(cargo.places_below[:, 0], below)
+    world = world_of(1.0, objects={"drum": drum})  # it stands on the ground
+    world.step()
+    touching = ("the ground", "drum")
+    found = [ObjectContacts(world, cargo).wrong(index) for index in range(6)]
+    assert found == [[], [touching], [touching], [], [], []]
 
 
 @pytest.mark.parametrize(

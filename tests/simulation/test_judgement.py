@@ -21,8 +21,9 @@ import hitchopt as ho
 from hitchopt.geometry.vectors import unit
 from hitchopt.lab.simulation import judgement
 from hitchopt.lab.simulation.contacts import MIN_BEARING_RATIO, ClaspContacts, least_bearing
+from hitchopt.lab.simulation.departures import Failure
 from hitchopt.lab.simulation.flight import fly
-from hitchopt.lab.simulation.judgement import Failure, Outcome, judge
+from hitchopt.lab.simulation.judgement import Outcome, judge
 from hitchopt.lab.simulation.report import Simulation, drawn_flight, flight_scene, summary
 from hitchopt.lab.simulation.ropes import simulated_density
 from hitchopt.lab.simulation.settings import Loss, Perturbations, Settings
@@ -286,7 +287,7 @@ def test_contacts_after_a_loss_are_those_of_survivors() -> None:
     drones = np.repeat(hitch.drones[None], len(t), axis=0)
     drones[t > 0.1, 0, 2] = 0.5  # q0 falls
     drones[t > 0.1, 3] += [0.03, 0.04, 0.0]
-    peaks = np.where(t > 0.04, 2.0, 7.0)[:, None] * np.ones(3)
+    peaks = np.where(t > 0.04, 2.0, 2.4)[:, None] * np.ones(3)
     parts = {"drones": drones, "peak_tensions": peaks, "touches": touches}
     parts["linking"] = np.ones((3, 3), dtype=np.int64) - np.eye(3, dtype=np.int64)
     flight = flight_of(task, hitch, t, settings=Settings(lost=loss), **parts)
@@ -405,6 +406,42 @@ def test_objects_are_placed_up_to_the_tracking_errors_of_the_plan(
     assert box.well_placed is ("misplaced" not in kinds)
     for failure in outcome.failures:
         assert ("tracking errors" in failure.words) is (tracking is not None)
+
+
+@pytest.fixture(scope="module")
+def opened() -> ho.Plan:
+    """A triangle of which one vertex is opened, and then held."""
+    polygon = [[0.0, 0.751], [0.65, -0.375], [-0.65, -0.375]]
+    problem = {
+        "team": {"robots": 3, "cable_length": 2.3, "tension": 0.7, "cable_density": 0.01},
+        "start": {"hitch": {"polygon": polygon, "altitude": 1.5, "legs": [0.36] * 3}},
+        "mission": [{"open_vertex": {"vertex": 1}}, {"hold": {"seconds": 0.2}}],
+    }
+    return ho.solve(ho.problem_from_dict(problem))
+
+
+@pytest.mark.parametrize("pair", [-2, 0, 1])
+@pytest.mark.parametrize(("bearing", "fails"), [(0.02, False), (0.8, True)])
+def test_an_open_vertex_is_not_tied(
+    opened: ho.Plan, pair: int, bearing: float, fails: bool
+) -> None:
+    """Its straight cables may be linked over their drones or not, but hardly press."""
+    task, t = Task.of(opened.flight), np.arange(0.0, opened.duration + 1.005, 0.01)
+    layout = task.team.layout
+    linking = np.ones((3, 3), dtype=np.int64)
+    for i, j in ((layout.ahead[1], layout.behind[1]), (layout.behind[1], layout.ahead[1])):
+        linking[i, j] = pair
+    forces = np.ones((len(t), 3))
+    forces[:, 1] = bearing
+    known = {"linking": linking, "bearing": forces, "rested": opened.duration + 1.0}
+    known |= {"drones": np.repeat(task.states.positions[-1:], len(t), axis=0)}
+    flight = flight_of(task, regular_hitch(3), t, **known)
+    outcome = judge(flight)
+    assert [clasp.name for clasp in outcome.clasps] == ["p0", "p2"]
+    found = [(failure.kind, failure.where) for failure in outcome.failures]
+    assert found == ([("tangled", ("p1",))] if fails else [])
+    assert task.last_clasps.tolist() == [True, False, True]
+    assert task.teams[0].clasps_at(0).all()
 
 
 @pytest.mark.parametrize(("links", "each"), [(2, 1), (-2, -1), (0, 0), (1, 0), (-1, 0)])

@@ -131,11 +131,12 @@ def simulate(
     gains and filter, and what fly.py does between parts. A plan is flown with its cables, its
     drones, and their controller with the filter and the files that would be exported for it.
     Options change one of these each. Vertex errors are distances in three dimensions, including
-    sag. A single flight exits with 3 if drones touch, a vertex does not hold at a rest, an object
-    is touched, dropped or not placed within 3 cm and 5° beyond the plan's tracking errors, or the
-    simulation leaves its valid range; with --lose, if a survivor touches anything or no reaction is
-    found (exports contain none: survivors fly on). A campaign (--runs) exits with 0 and reports the
-    success rate.
+    sag. A single flight exits with 3 if drones touch, leave limits.tracking, the arena or, in
+    flight, hit the ground, a cable is pulled with five times its planned tension, a vertex does not
+    hold at a rest, an object is touched, dropped or not placed within 3 cm and 5° beyond the plan's
+    tracking errors, or the simulation leaves its valid range; with --lose, if a survivor touches
+    anything or no reaction is found (exports contain none: survivors fly on). A campaign (--runs)
+    exits with 0 and reports the success rate.
     """
     from hitchopt.lab.simulation.commands import flown_gains
     from hitchopt.lab.simulation.control import read_calibrated

@@ -17,9 +17,9 @@ from hitchopt.drones.controllers import (
     Gains,
     latency_scale,
 )
-from hitchopt.errors import InfeasibleError, InputError
+from hitchopt.errors import InputError
 from hitchopt.exports.exporting import Export, export_flight
-from hitchopt.exports.formats.crazyflie import CompressedBytes, CrazyflieFormat, Crazyswarm2
+from hitchopt.exports.formats.crazyflie import CrazyflieFormat, Crazyswarm2
 from hitchopt.exports.options import ExportOptions
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.lab.simulation.settings import DRONES, ESTIMATORS, IDEAL, Settings
@@ -265,18 +265,11 @@ def uploaded(flight: Flight, team: Team, *, follows: bool) -> Commands:
     kinds = tuple(kind.uncalibrated for kind in team.quadrotor) if hold_tension else unnamed
     flown = with_fields(team, quadrotor=kinds)
     flight = flight.each_team(lambda motion: motion.replaced(team=flown))
-    refusals = []
-    for kind in (Crazyswarm2(), CompressedBytes()):  # the second one has three times the capacity
-        options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)
-        try:
-            with tempfile.TemporaryDirectory() as folder:
-                parts = export_flight(SavedPlan(flight), options, folder)
-                curves = [_read(kind, part, team.drone_names) for part in parts]
-            break
-        except InfeasibleError as error:
-            refusals.append(error)
-    else:
-        raise refusals[0]
+    kind = Crazyswarm2()
+    options = ExportOptions(kind.name, allow_slack=not hold_tension, longer_rests=False)
+    with tempfile.TemporaryDirectory() as folder:
+        parts = export_flight(SavedPlan(flight), options, folder)
+        curves = [_read(kind, part, team.drone_names) for part in parts]
     starts = [part.begins for part in parts]
     end = starts[-1] + max(curve.duration for curve in curves[-1])
     t = np.arange(np.ceil(RATE * end) + 1) / RATE

@@ -13,7 +13,7 @@ from scipy.spatial.distance import cdist
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import contact_forces
-from hitchopt.lab.simulation.task import Cargo, Task, TeamTask
+from hitchopt.lab.simulation.task import MIN_LIFT, Cargo, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, Index, World
 from hitchopt.values import Array
 
@@ -291,6 +291,8 @@ class ObjectContacts:
         self._world = world
         self._cargo = cargo
         self._lifted = cargo.lifted
+        self._places_below = cargo.places_below
+        self._upper = np.array([each.upper for each in cargo.objects.values()])
         bodies = world.model.nbody
         cable_bodies = world.model.flex_vertbodyid
         nodes = np.diff(world.cable_vertices)
@@ -314,7 +316,8 @@ class ObjectContacts:
     def wrong(self, index: int) -> list[tuple[str, str]]:
         """Return the forbidden contacts of objects at a sample of the plan, by name.
 
-        Cables may touch held objects. Lifted objects may touch nothing else, drones nothing at all.
+        Cables may touch held objects. Lifted objects may touch nothing else, except, as they are
+        set down, the ground and what is below their places. Drones may touch nothing at all.
         """
         if not self._cargo.objects:
             return []
@@ -322,11 +325,22 @@ class ObjectContacts:
         kind = self._kind[bodies]
         held_by_team = self._holder[objects] == self._team[bodies]
         held = self._cargo.held[index][objects] & held_by_team
-        is_lifted = np.append(self._lifted[index], False)  # the last one is for other bodies
-        lifted = is_lifted[objects] | is_lifted[self._object[bodies]]
+        others = self._object[bodies]
+        lifted = self._touches_in_air(index, objects, others)
+        lifted |= self._touches_in_air(index, others, objects)
         forbidden = np.where(kind == BodyKind.CABLE, ~held, (kind == BodyKind.DRONE) | lifted)
         named = zip(self._names[bodies[forbidden]], objects[forbidden], strict=True)
         return sorted({(str(other), self._cargo.names[i]) for other, i in named})
+
+    def _touches_in_air(self, index: int, objects: Index, others: Index) -> NDArray[np.bool_]:
+        """Return whether objects are lifted and may not touch others (contacts,).
+
+        Other bodies than objects are -1.
+        """
+        tops = np.append(self._cargo.poses[index, :, 2] + self._upper, -np.inf)
+        places = np.append(self._places_below[index], -np.inf)
+        is_lifted = np.append(self._lifted[index], False)
+        return np.asarray(is_lifted[objects] & (tops[others] >= places[objects] + MIN_LIFT))
 
     @property
     def cables(self) -> NDArray[np.bool_]:

@@ -17,6 +17,7 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
+from hitchopt.lab.simulation.departures import Failure, departures
 from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.planned_rests import (
     REST_TIME,
@@ -176,21 +177,6 @@ def _flying(flight: SimulatedFlight) -> NDArray[np.bool_]:
 
 
 @dataclass(frozen=True)
-class Failure:
-    """One failure at a time [s] from the flight's start, in words; ``where`` are names.
-
-    Kinds are those of UNSIMULATED; ``touch``, ``unlinked``, ``tangled``, ``lost`` (cables that do
-    not bear on each other), ``slipped`` (in the pull test); of objects ``dropped``, ``misplaced``
-    and ``caught`` (not free at the end).
-    """
-
-    kind: str
-    where: tuple[str, ...]
-    time: float
-    words: str
-
-
-@dataclass(frozen=True)
 class ClaspState:
     """State of one vertex at the end of a flight."""
 
@@ -259,6 +245,7 @@ def judge(flight: SimulatedFlight) -> Outcome:
 
     If the plan ends with a hitch, every vertex must hold; otherwise cables must not be linked. The
     same applies where the plan stops for a pull test.
+    Drones and cables must stay within what the plan was certified for (see ``departures``).
     Objects must be at their planned positions, and free unless the plan ends holding them. After
     the loss of a drone only contacts of survivors are failures.
     """
@@ -268,6 +255,7 @@ def judge(flight: SimulatedFlight) -> Outcome:
         for pair, time in flight.touches.items()
         if lost is None or time < lost.time or set(pair) & (names - {lost.drone})
     ]
+    failures += departures(flight)
     if (error := flight.error) is not None:
         failures.append(Failure(INVALID, (error.where,), error.time, str(error)))
     clasps: tuple[ClaspState, ...] = ()
@@ -305,7 +293,7 @@ def vertices_of(flight: SimulatedFlight) -> dict[str, ClaspState]:
 def _clasps(flight: SimulatedFlight, links: NDArray[np.int64]) -> tuple[ClaspState, ...]:
     """Return the state of every vertex at the end of the plan."""
     team, layout = flight.task.team, flight.task.team.layout
-    hitched = flight.task.clasped([part.states.formed[-1] for part in flight.task.teams])
+    hitched = flight.task.last_clasps
     legs_before, bearing = _means(flight, flight.rested)
     moved = np.max(np.abs(_means(flight, flight.pulled)[0] - legs_before), axis=-1)
     stays = (moved <= MAX_SLIP) | np.isnan(flight.pulled)  # both are nan without a pull test
@@ -340,13 +328,20 @@ def _failed_links(
     """Return failures of cables that should not be linked, and of clasps that do not hold."""
     task, layout, rested, failures = flight.task, flight.task.team.layout, flight.rested, []
     unexpected = np.triu(linking, 1)
-    hitched = task.clasped([part.states.formed[-1] for part in task.teams])
-    ahead, behind = layout.ahead[hitched], layout.behind[hitched]
+    formed = task.clasped([part.states.formed[-1] for part in task.teams])
+    ahead, behind = layout.ahead[formed], layout.behind[formed]
     unexpected[behind, ahead] = unexpected[ahead, behind] = 0
     for i, j in np.argwhere(unexpected).tolist():
         one, other = cables = (flight.cable_names[i], flight.cable_names[j])
         words = f"{one} and {other} are linked {linking[i, j]} times, but should be free"
         failures.append(Failure("tangled", cables, rested, words))
+    # Straight cables that lie on each other may be linked or not, but hardly press.
+    bearing = _means(flight, rested)[1]
+    presses = bearing >= least_bearing(task)[-1]
+    for c in np.flatnonzero(formed & ~task.last_clasps & presses).tolist():
+        name = task.team.point_names[layout.clasps[c]]
+        words = f"{name} presses with {bearing[c]:.3f} N like a clasp, but should be open"
+        failures.append(Failure("tangled", (name,), rested, words))
     for each in clasps:
         force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
         cases = (  # the first one is reported

@@ -17,6 +17,7 @@ from scipy.ndimage import uniform_filter1d
 
 from hitchopt.errors import InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
+from hitchopt.lab.simulation.departures import DEPARTURES
 from hitchopt.lab.simulation.exported import read_flown
 from hitchopt.lab.simulation.flight import SimulatedFlight, fly
 from hitchopt.lab.simulation.judgement import (
@@ -71,7 +72,7 @@ MAX_ROPE_RADIUS = 0.02  # Largest radius of drawn ropes [m]
 SHOT_TOLERANCE = 0.1  # Largest time between a shot and its frame [s]
 
 # Kinds of failures that do not depend on the state of the hitch at the end
-OTHER_FAILURES = ("touch", "dropped", "misplaced", "caught")
+OTHER_FAILURES = (*DEPARTURES, "touch", "dropped", "misplaced", "caught")
 
 
 @dataclass(frozen=True, eq=False)

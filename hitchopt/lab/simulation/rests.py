@@ -58,7 +58,7 @@ class Rest(OneLine):
     phase: str  # name of the phase that ends there, or ``rest`` after the plan
     start: float  # from which values are averaged [s]
     end: float  # [s]
-    vertices: dict[str, VertexAtRest]  # by name
+    vertices: dict[str, VertexAtRest]  # by name, without open ones
     drones: tuple[float, float]  # largest error of a drone, horizontal and vertical [m]
     allowed: Tube  # tracking errors that the plan allows for
     within: bool | None  # whether all drones are within these; None if the plan allows for none
@@ -115,6 +115,8 @@ def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
             is_flown = flight.record.t[-1] >= rest.end - ROUNDING
             if rows.size and is_flown and rest.end <= end:
                 vertices = _vertices(flight, rows, rest.end, clasps, tests.get(rest.end, {}))
+                exist = part.clasps_at(part.index(rest.end))
+                closed = [x for x, exists in zip(vertices.items(), exist, strict=True) if exists]
                 errors, allowed = _drone_errors(flight, rows, drones), allowed_errors(flight)
                 level = float(np.max(np.hypot(errors[..., 0], errors[..., 1])))
                 upright = float(np.max(np.abs(errors[..., 2])))
@@ -123,7 +125,7 @@ def rests(flight: SimulatedFlight, outcome: Outcome) -> tuple[Rest, ...]:
                 found.append(
                     Rest(
                         *(rest.phase, rest.start, rest.end),
-                        vertices=vertices,
+                        vertices=dict(closed),
                         drones=(level, upright),
                         allowed=allowed,
                         within=within,

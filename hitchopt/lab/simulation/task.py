@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from hitchopt.drones.controllers import EstimatorParameters, FlightController
 from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
+from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion, team_label
 from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import OPEN_STATES, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
@@ -33,6 +34,7 @@ Flags = NDArray[np.bool_]
 
 RATE = 100.0  # Setpoints per second [Hz]
 MIN_LIFT = 0.03  # Smallest height of a lifted object above its supports [m]
+PLACE_TOLERANCE = 1e-6  # Tolerance of an object's position [m] above its next place
 FULL_SHARE = 1.0 - 1e-6  # Smallest fraction of its weight at which an object is fully carried
 POINT_TABLES = ("starts", "ends", "clasps", "anchors", "pulled_to")  # Tables of a layout
 CABLE_TABLES = ("ahead", "behind", "neighbours")
@@ -101,6 +103,20 @@ class Cargo:
     def carried(self) -> Flags:
         """Return whether the hitch carries the full weight of objects (samples, objects)."""
         return self.load_share >= FULL_SHARE
+
+    @property
+    def places_below(self) -> Array:
+        """Return the heights (samples, objects) [m] at which objects are set down straight below.
+
+        They are -inf where an object is not above its next place at rest, on its way down.
+        """
+        t = np.arange(len(self.poses))[:, None]
+        rests = np.where(self.load_share <= 0.0, t, len(t))
+        following = np.minimum.accumulate(rests[::-1], axis=0)[::-1]
+        ends = np.take_along_axis(self.poses, np.minimum(following, len(t) - 1)[..., None], axis=0)
+        offsets = np.delete(self.poses - ends, 2, axis=-1)
+        is_below = (following < len(t)) & np.all(np.abs(offsets) <= PLACE_TOLERANCE, axis=-1)
+        return np.where(is_below, ends[..., 2], -np.inf)
 
     @property
     def lifted(self) -> Flags:
@@ -300,6 +316,33 @@ class TeamTask:
         taut = None if self.taut is None else self.taut[samples]
         return replace(self, states=self.states[samples], taut=taut, cargo=cargo)
 
+    @property
+    def pieces(self) -> NDArray[np.intp]:
+        """Pieces of the plan's polynomials at the samples (samples,); zeros without a plan."""
+        if self.motion is None:
+            return np.zeros(len(self.states.t), dtype=np.intp)
+        breaks = self.motion.drones.breaks[1:-1]
+        return np.searchsorted(breaks, self.states.t, side="right")
+
+    def clasps_at(self, index: int) -> Flags:
+        """Return whether clasps exist at a sample (clasps,).
+
+        They do if a hitch is formed, except those that are open: their legs run straight on, so
+        that the legs' difference is opposite to that of closed ones, ``u_k + u_{k-1}``.
+        """
+        states, motion, layout = self.states, self.motion, self.team.layout
+        exist = np.full(len(layout.clasps), states.formed[index])
+        if motion is None or motion.has_wraps or not states.formed[index]:
+            return exist
+        drones, vertices = states.positions[index], states.vertices[index]
+        edges = unit(layout.edges(vertices))
+        corners = vertices[layout.clasps]
+        q = unit(drones[2 * layout.ahead] - corners)
+        r = unit(drones[2 * layout.behind + 1] - corners)
+        along = np.sum((q - r) * (edges[layout.ahead] + edges[layout.behind]), axis=-1)
+        may_be_open = motion.in_states(OPEN_STATES)[self.pieces[index]]
+        return np.asarray(exist & ~((along < 0.0) & may_be_open))
+
     def load_shares(self, index: int) -> Array:
         """Return the shares (n,) of loads that cables carry at a sample."""
         shares = self.states.tensions > 0.0 if self.taut is None else self.taut
@@ -403,6 +446,11 @@ class Task:
             for each, part in zip(self.teams, parts, strict=True)
         ]
         return replace(self, teams=tuple(teams))
+
+    @property
+    def last_clasps(self) -> Flags:
+        """Return whether clasps exist at the last sample (clasps,)."""
+        return np.concatenate([each.clasps_at(-1) for each in self.teams])
 
     def clasped(self, flags: Sequence[Flags]) -> Flags:
         """Return flags (…) of every team, repeated for its clasps (…, clasps)."""

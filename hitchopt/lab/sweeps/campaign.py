@@ -13,8 +13,9 @@ from typing import Any
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
 from hitchopt.lab.simulation.commands import resolved
+from hitchopt.lab.simulation.departures import Failure
 from hitchopt.lab.simulation.flight import FlightInProgress
-from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun, Failure
+from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun
 from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, Simulation, number
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
