@@ -129,6 +129,9 @@ class Move:
     roll: tuple[float, float] = (0.0, 0.0)
     """[rad] Rolls of all clasps."""
 
+    remark: str = ""
+    """Why it is slower than its law could be, in words."""
+
     @property
     def lifted(self) -> bool:
         """Return whether the object is off its support at all times."""

@@ -69,8 +69,9 @@ FRICTION_SHARES = (0.9, 0.6, 0.3, 0.0)
 """Candidate friction feed-forwards of closing and opening, as shares of clasp friction, in order of
 preference."""
 
-FEEDFORWARD_CHECKS = ("separation", "cable_length")
-"""Checks that reject a friction feed-forward: the sag of edges jumps at other corners."""
+PASSAGE_CHECKS = ("separation", "cable_length", "equilibrium")
+"""Checks that reject a friction feed-forward, with which the sag of edges jumps at other corners,
+or a tension, with which heavy cables sag too far."""
 
 MAX_RESIDUAL_GRIP = 0.5
 """Largest residual slip load of an open hitch over the weight."""
@@ -187,8 +188,11 @@ class MovePlanner:
         """Return the motion of consecutive moves as one phase."""
         cables = tuple(range(self.hold.team.robots))
         hold = PhaseHold(self.state.object, self.hold.by, cables)
-        phase = Phase(name, self.step, 0.0, 1.0, remark, hold=hold)
-        parts = [self.hold.motion(move, self.requirements, phase) for move in moves]
+        parts = list[Motion]()
+        for move in moves:
+            remarks = "; ".join(filter(None, [remark, move.remark]))
+            phase = Phase(name, self.step, 0.0, 1.0, remarks, hold=hold)
+            parts.append(self.hold.motion(move, self.requirements, phase))
         return one_phase(parts, self.requirements, self.step, name, hold)
 
     def move(
@@ -272,32 +276,42 @@ class MovePlanner:
         return [name for name in checks if first_violated(at_rest, [name]) is None]
 
     def within_limits(self, move: Move, *checks: str) -> Move:
-        """Return a move slowed down to the limits of motion and to some checks, by name."""
+        """Return a move slowed down to the limits of motion and to some checks, by name.
+
+        Its remark names the last check that slowed it down.
+        """
+        unslowed = move.law.duration
         for _ in range(MAX_SLOWINGS):
-            factor = self._needed_slowing(move, checks)
+            factor, cause = self._needed_slowing(move, checks)
             if not 1.0 < factor < math.inf:
                 break
+            if cause:
+                remark = f"slowed down from {unslowed:.3g} s to keep {cause}"
+                move = replace(move, remark=remark)
             move = replace(move, law=move.law.slowed(SLOWING_RESERVE * factor))
         return move
 
-    def _needed_slowing(self, move: Move, checks: Sequence[str]) -> float:
-        """Return the factor by which a move must be slowed; at most 1 if it is slow enough.
+    def _needed_slowing(self, move: Move, checks: Sequence[str]) -> tuple[float, str]:
+        """Return the factor by which a move must be slowed, and which check requires it in words.
 
-        The factor of limits of motion is known, inf if no slowing satisfies them. That of checks is
-        not: for a move that violates one, or that the hold cannot carry, it is SLOWING_FACTOR.
+        The factor is at most 1 if the move is slow enough. That of limits of motion is known, inf
+        if no slowing satisfies them. That of checks is not: for a move that violates one, or that
+        the hold cannot carry, it is SLOWING_FACTOR.
         """
         from hitchopt.planners.timing.timed_motion import needed_stretch
 
         try:
             motion = self.motion([move])
             factor = needed_stretch(motion)
-            violates_check = factor <= 1.0 and first_violated(motion, checks) is not None
-        except InfeasibleError:
+            violated = first_violated(motion, checks) if factor <= 1.0 else None
+        except InfeasibleError as error:
             if not checks:
                 raise
-            return SLOWING_FACTOR
-        is_unknown = violates_check or factor == math.inf
-        return SLOWING_FACTOR if checks and is_unknown else factor
+            return SLOWING_FACTOR, error.violations[0].constraint
+        if violated is not None:
+            at = " and ".join(violated.where)
+            return SLOWING_FACTOR, f"{violated.name} at {at}" if at else violated.name
+        return (SLOWING_FACTOR if checks and factor == math.inf else factor), ""
 
     # Grips.
 
@@ -361,7 +375,7 @@ class MovePlanner:
         opens = closure[0] > closure[1]
         has_friction = hold.team.cable_friction > 0.0
         friction_shares = FRICTION_SHARES if has_friction else (0.0,)
-        tensions_between = self._tensions_between(hold, opens)
+        tensions_between = self._tensions_between(hold, tension[1] if opens else None)
         errors = list[InfeasibleError]()
         for between, friction_share in product(tensions_between, friction_shares):
             feedforward = -friction_share if opens else friction_share
@@ -374,7 +388,7 @@ class MovePlanner:
             except InfeasibleError as error:  # legs cannot pull so much harder
                 errors.append(error)
                 continue
-            violated = first_violated(motion, FEEDFORWARD_CHECKS)
+            violated = first_violated(motion, PASSAGE_CHECKS)
             if violated is None:
                 return Passage(motion, moves)
             verb = "opens" if opens else "closes"
@@ -412,15 +426,19 @@ class MovePlanner:
             moves.append(self._load_move(tension=(between, after), closure=(end, end)))
         return moves
 
-    def _tensions_between(self, hold: GripHold, opens: bool) -> list[Array]:
-        """Return tensions (n,) [N] with which edges do not displace the object in the passage."""
+    def _tensions_between(self, hold: GripHold, opened: Array | None) -> list[Array]:
+        """Return tensions (n,) [N] with which edges do not displace the object in the passage.
+
+        ``opened`` (n,) [N] are those of the opened grip; None as it closes.
+        """
         tension = self.state.tension
         low = np.minimum(tension, LOW_OPENING_TENSION)
         high = np.minimum(tension, HIGH_OPENING_TENSION)
         body = self.body
         limit = MAX_PUSH * body.friction * body.mass * GRAVITY
-        if opens:
-            candidates = (low, high)
+        candidates: tuple[Array, ...]
+        if opened is not None:
+            candidates = (low, high, opened)
         else:
             push = max(hold.largest_push(tension), MIN_PUSH)
             reduced = tension * min(1.0, limit / push)
