@@ -25,6 +25,7 @@ from hitchopt.values.fields import EMPTY, Key, keys_of, with_fields
 SECTIONS: dict[str, tuple[type, str, Sequence[str]]] = {
     "team": (Team, "  #", ("cable_density", "tension")),
     "limits": (Limits, "#  ", ()),
+    "stated_limits": (Limits, "  #", ("tracking",)),
     "separation": (Separation, "#  ", ()),
     "object": (ObjectKeys, "    #", (*SECTION_KEYS, "rim")),
     "swarm_team": (SwarmTeam, "  #", ()),
@@ -42,7 +43,7 @@ MIN_ROBOTS = 3
 MAX_ROBOTS = 12
 """Largest number of robots for which problems are written; larger teams need rolled legs."""
 
-TYING_LEG = 3.0
+TYING_LEG = 3.2
 """Shortest leg of a hitch to be tied, over the radius of drones with their tracking error. With
 shorter ones drones come too close as pairs swap or as legs are loosened."""
 
@@ -88,7 +89,8 @@ def for_team(text: str, model: str | None = None, robots: int | None = None) -> 
     drone = MODELS[model]
     team = Team(robots, 1.0, quadrotor=kind, cable_density=drone.cable_density)
     separation = Separation(*drone.separation)
-    required = Requirements(separation=separation).flown_by(team).with_reserve
+    limits = Limits(tracking=default["limits"]["tracking"])
+    required = Requirements(limits, separation).flown_by(team).with_reserve
     edge, polygons, lengths = next(_fitting_polygons(team, required))
     length = round(ROUND * math.ceil((lengths.smallest + SPARE) / ROUND), 2)
     sized = replace(team, cable_length=np.full(robots, length))
