@@ -5,7 +5,8 @@ r of its plan and every vertex within γ r, independently of each other, and tau
 straight between them. For two drones, it is half the shortest shift of their offset with which
 their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
 hanging cable moves with its ends, and its depth changes. A cable that is drawn taut hangs no lower
-than before; its drones' errors along it change the tension at which it is straight.
+than before. Where errors could pull it taut, its drones move at no more than DRAWING_SPEED: faster
+ones would snap it.
 
 If ``limits.tracking`` is larger vertically than horizontally, errors are within an ellipsoid with
 radius r and the same ratio of height and radius. Heights are divided by this ratio in all
@@ -52,6 +53,13 @@ from hitchopt.values import Array
 
 GAMMA = 1.0
 """Default ratio of vertex errors to drone errors."""
+
+DRAWING_SPEED = 0.03
+"""[m/s] Largest speed of drones that draw a cable taut. Two drones of 2 kg at this speed stop at a
+straight cable of 17 kN/m with 8 N, those of 130 g with 2 N."""
+
+DRAWING_SLOPE = 1000.0
+"""[s] Length over a speed below DRAWING_SPEED: large, as slow drones are no limit."""
 
 HANGING_CHECKS = (CABLE_CLEARANCE, OBJECT_CLEARANCE)
 """Distances of cables that hang."""
@@ -145,11 +153,13 @@ def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:
     """Yield the radii [m] with which free cables are as long as their chords."""
-    for span in motion.spans(FREE_STATES - {CableState.DRAWN}):
-        tightest = worst(Drones.of(span), _excess, "min")
-        cable = cable_names(span)[tightest.item // 2]
-        radius = max(0.5 * tightest.worst, 0.0)
-        yield WorstCase(radius, tightest.time, (cable,), binding=SPAN.name)
+    drawn = frozenset({CableState.DRAWN})
+    for states, excess in ((FREE_STATES - drawn, _excess), (drawn, _excess_unless_slow)):
+        for span in motion.spans(states):
+            tightest = worst(Drones.of(span), excess, "min")
+            cable = cable_names(span)[tightest.item // 2]
+            radius = max(0.5 * tightest.worst, 0.0)
+            yield WorstCase(radius, tightest.time, (cable,), binding=SPAN.name)
 
 
 def _hanging_spans(motion: Motion, results: SpanResults) -> Iterator[tuple[Check, Motion]]:
@@ -200,6 +210,13 @@ def _excess(spans: Drones) -> Bound:
     missing = np.maximum(spans.length**2 - across**2 - height**2, 0.0)
     by_axes = missing / (growth + np.sqrt(growth * growth + squares * missing))
     return Bound(np.maximum(by_axes, excess / ratio), chord.x)
+
+
+def _excess_unless_slow(spans: Drones) -> Bound:
+    """Return twice the radius [m] at which drones that are not slow may pull cables taut."""
+    speed, excess = spans.motion_rate(1).norm_upper, _excess(spans)
+    slowness = DRAWING_SLOPE * (DRAWING_SPEED - speed.value)
+    return Bound(np.maximum(excess.value, slowness), excess.x)
 
 
 def _hanging_radius(span: Motion, check: Check) -> float:

@@ -29,6 +29,8 @@ from .reading import CLASPING, DRAWN, EXACT_RANGE, LAID, MIN_GAP, SAG_TOL, TIGHT
 from .shapes import distance, hull_distance, prism_gap, signed_distance
 from .spans import MIN_TENSION, RESOLUTION, Row, Spans, prove
 
+DRAWING_SPEED = 0.03  # [m/s] largest speed of drones that draw a cable taut
+DRAWING_SLOPE = 100.0  # [s/m] of what stands for a share of the length, over a larger speed
 PASSED = 0.4  # largest fraction of a cable's weight at a clasp that a cable below it may bear
 
 
@@ -126,7 +128,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
     def chord_share(s: Spans, k: Index) -> Line:
         """Return chords, longer by errors of both ends, over lengths.
 
-        Where cables are drawn taut, errors change the tension at which they are straight.
+        While cables are drawn taut, errors may make them straight if drones are slow.
         """
         chord, error = s.q_to_r(k), np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)
         if p.ratio == 1.0:
@@ -172,8 +174,19 @@ def free_cables(p: Plan) -> Iterator[Row]:
 def drawn_cables(p: Plan) -> Iterator[Row]:
     """Prove that drones of cables drawn taut move either apart or together, above the ground.
 
-    Cables hang lowest where their drones are nearest.
+    Cables hang lowest where their drones are nearest. Where errors may pull them taut, drones are
+    slow.
     """
+    s = Spans.of(p, p.state == DRAWN, range(p.n), p.cables)
+
+    def drawn_share(s: Spans, k: Index) -> Line:
+        """Return chords with errors over lengths; below 1 if drones are slow."""
+        share = (s.q_to_r(k).norm() + 2.0 * p.tracking * p.ratio) * (1.0 / p.length[k])
+        speed = maximum(*(s.point(i, 1).norm() for i in (2 * k, 2 * k + 1)))
+        return minimum(share, (speed - DRAWING_SPEED) * DRAWING_SLOPE + 1.0)
+
+    if p.tracking:
+        yield prove("span 1 max", 1.0, s, drawn_share)
     for run in runs_of(p.state == DRAWN):
         s = Spans.of(p, np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
         ends = [s.select(s.piece == q).subspan(x) for q, x in ((run[0], -1.0), (run[-1], 1.0))]

@@ -18,6 +18,7 @@ from hitchopt import verify
 from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.tracking import DRAWING_SPEED
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import UnsupportedError, Violation
 from hitchopt.hitch.catenary import Catenary
@@ -94,6 +95,49 @@ def test_drum_is_tied_carried_and_untied() -> None:
     pairs = plan.motion.drones.coefficients[-1, ..., -1].reshape(2, 2, 3)
     (x, y), (u, v) = (pairs[:, 1] - pairs[:, 0])[:, :2].T, (end[:2] - pairs[:, 0, :2]).T
     assert np.all(x * v - y * u < 0.0)  # the object is on the right of both
+
+
+def test_drones_draw_cables_taut_slowly_from_where_their_errors_could() -> None:
+    motion = part(cycle().motion, "draw taut", "draw taut")
+    error = motion.requirements.limits.tube.level
+    t = np.linspace(0.0, motion.duration, 800)
+    pairs = motion.drones.at(t).reshape(len(t), 2, 2, 3)
+    chords = np.linalg.norm(pairs[:, :, 1] - pairs[:, :, 0], axis=-1)
+    speeds = np.max(np.linalg.norm(motion.drones.at(t, 1), axis=-1), axis=-1)
+    could_be_taut = np.any(chords + 2.0 * error >= motion.team.cable_length, axis=1)
+    assert error == 0.05
+    assert np.any(could_be_taut)
+    assert 0.5 * DRAWING_SPEED < np.max(speeds[could_be_taut]) < DRAWING_SPEED
+    assert np.max(speeds[~could_be_taut]) > 5.0 * DRAWING_SPEED  # no slower than needed
+
+
+@pytest.mark.slow
+def test_long_heavy_cables_are_loosened_with_a_tension_that_keeps_their_shape() -> None:
+    """With the usual 0.3 N, cables of 42 g would sag too far for their clasps to balance."""
+    body = {"circle": 0.15, "to": 0.4, "mass": 0.2, "friction": 0.5}
+    places = [[-1.5, 0.7, 0.0], [2.3, -1.3, 0.0]], [[2.3, 0.7, 0.0], [-1.5, -1.3, 0.0]]
+    heavy = problem_from_dict(
+        {
+            "team": {
+                **{"robots": 2, "cable_length": 4.2, "cable_density": 0.01, "tension": 1.7},
+                "quadrotor": {"mass": 2.0, "max_thrust": 40},
+            },
+            "limits": {"tilt_deg": 45, "tracking": 0.0},
+            "objects": {"drum": {**body, "at": AT}},
+            "start": {"drones": {"q": places[0], "r": places[1]}},
+            "mission": [{"transport_object": {"object": "drum", "to": [1.4, -0.3, 0.0]}}],
+        }
+    )
+    plan = ho.solve(heavy)
+    assert plan.certificate.certified
+    phases = {phase.name: phase for phase in plan.phases}
+    assert phases["loosen"].tension is not None
+    assert phases["loosen"].tension[0] > 0.3
+    # What slows a phase down is said.
+    slowed = "slowed down from "
+    assert phases["carry"].remark.startswith(slowed)
+    assert phases["carry"].remark.endswith(" to keep equilibrium at drum")
+    assert not phases["lift"].remark
 
 
 def test_the_tension_that_a_drum_needs_is_that_of_the_documentation() -> None:

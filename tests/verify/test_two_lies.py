@@ -265,6 +265,7 @@ LIES = [
     Lie("tie", "clasps that are drawn bend", told("draw", state=BENT), "equilibrium", "equilibrium"),
     Lie("tie", "hanging cables bend", told("draw taut", state=BENT), "tension", "cable_length"),
     Lie("tie", "cables that are drawn taut hang free", told("draw taut", state=FREE), "tracking_radius", "span"),
+    Lie("tie", "drones snap cables taut", lambda x: part(x, "draw taut", "draw taut").slowed(0.5), "tracking_radius", "span"),
     Lie("tie", "drones rise as they draw cables taut", edited("drones", "draw taut", bump(2)), "interlacing", "consistency"),
     Lie("tie", "drones turn back as they draw cables taut", edited("drones", "draw taut", bump(0), np.s_[:, :1]), "interlacing", "drawn"),
 ]  # fmt: skip

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.hanging import above_ground
+from hitchopt.checks.tracking import DRAWING_SPEED
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch, Team
@@ -21,7 +22,9 @@ from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.planners.timing.timed_motion import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import joined
 from hitchopt.values import Array
+from hitchopt.values.fields import with_fields
 
 T = TypeVar("T")
 
@@ -110,7 +113,11 @@ def straight_stages(
     stages = list[Motion]()
     for name, drones, state in keyframes:
         if np.max(np.abs(drones - start)) >= MIN_FLIGHT:
-            lines = straight_lines(team, requirements.limits, start, drones)
+            if state is CableState.DRAWN:
+                progress = drawing_progress(team, requirements, start, drones)
+                lines = on_lines(progress, start, drones)
+            else:
+                lines = straight_lines(team, requirements.limits, start, drones)
             stages.append(stage(name, lines, team, requirements, index, state))
         start = drones
     return stages
@@ -196,6 +203,12 @@ GROUND_CLEARANCE = 1.1
 JOINT_RESERVE = 2e-3
 """[m] Reserve for bounds of ``tracking_radius``, which are lower than values at samples."""
 
+DRAWING_SHARE = 0.9
+"""Speed of drones that draw cables taut, over its limit."""
+
+DRAWING_SAMPLES = 201
+"""Number of points on a line at which the slack of cables is computed."""
+
 LINE_SAMPLES = 9
 """Number of points on a line at which usable accelerations are computed."""
 
@@ -233,6 +246,35 @@ def line_progress(
     progress = clock.coefficients / clock.coefficients[-1, -1]
     # Rounding would lead below the floor
     return PiecewisePolynomial(clock.breaks, np.clip(progress, 0.0, 1.0))
+
+
+def drawing_progress(
+    team: Team, requirements: Requirements, start: Array, end: Array
+) -> PiecewisePolynomial:
+    """Return the progress along straight lines on which cables are drawn taut, from 0 to 1.
+
+    From where errors of position could pull a cable taut, the drones are slow (see
+    ``hitchopt.checks.tracking``).
+    """
+    limits = requirements.limits
+    error = requirements.position_error * requirements.height_ratio
+    if not error:
+        return line_progress(team, limits, start, end)
+    shares = np.linspace(0.0, 1.0, DRAWING_SAMPLES)
+    drones = start + shares[:, None, None] * (end - start)
+    slack = np.min(team.cable_length - length(drones[:, 1::2] - drones[:, 0::2]), axis=1)
+    is_tight = np.append(slack <= 2.0 * error + JOINT_RESERVE, True)
+    share = float(shares[max(int(np.argmax(is_tight)) - 1, 0)])
+    middle = start + share * (end - start)
+    slow = with_fields(limits, speed=min(limits.speed, DRAWING_SHARE * DRAWING_SPEED))
+    parts = list[PiecewisePolynomial]()
+    if share > 0.0:
+        first = line_progress(team, limits, start, middle)
+        parts.append(first.replaced(share * first.coefficients))
+    if share < 1.0:
+        last = line_progress(team, slow, middle, end)
+        parts.append(last.replaced(share + (1.0 - share) * last.coefficients))
+    return joined(parts)
 
 
 def on_lines(progress: PiecewisePolynomial, start: Array, end: Array) -> PiecewisePolynomial:
