@@ -175,17 +175,23 @@ class Quadrotor(OneLine):
             TRIM,
             "Setpoint minus rest position, [x, y] in the body's frame at yaw 0: not 0 if motion "
             "capture defines the rigid body tilted; null: none",
+            omitted=True,
         ),
     ] = None
     thrust_factor: Annotated[
         float | None,
-        Key(units.THRUST_FACTOR, "Commanded thrust over the thrust that it causes; null: 1"),
+        Key(
+            units.THRUST_FACTOR,
+            "Commanded thrust over the thrust that it causes; null: 1",
+            omitted=True,
+        ),
     ] = None
     tracking: Annotated[
         float | Tube | None,
         Key(
             TRACKING,
             "Largest tracking error, a number, or level and height; null: the controller's",
+            omitted=True,
         ),
     ] = None
 

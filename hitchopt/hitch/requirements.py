@@ -89,6 +89,7 @@ class Limits(OneLine):
             units.VERTEX_ERROR,
             "Largest error of every vertex at rest, for the worst case of team.errors; null: any, "
             "which is reported",
+            omitted=True,
         ),
     ] = None
     tilt_deg: InitVar[float | None] = field(default=None, kw_only=True)

@@ -345,7 +345,11 @@ class Team(ByValue):
     ] = field(repr=False)
     errors: Annotated[
         Errors | None,
-        Key(mapping_of(Errors), "Largest errors at rest, for ``vertex_error``; null: defaults"),
+        Key(
+            mapping_of(Errors),
+            "Largest errors at rest, for ``vertex_error``; null: defaults",
+            omitted=True,
+        ),
     ] = field(repr=False)
     assignment: Assignment | None = field(repr=False, default=None)
 

@@ -18,18 +18,18 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from hitchopt.drones.quadrotor import MEASURED, Quadrotor
+from hitchopt.drones.quadrotor import Quadrotor
 from hitchopt.errors import InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Swarm, Team
-from hitchopt.hitch.requirements import Limits, Requirements
+from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.values import Array, line
-from hitchopt.values.fields import with_fields
+from hitchopt.values.fields import keys_of, with_fields
 
 REMEDY = "do not edit plan files"
 
@@ -41,13 +41,6 @@ TOLERANCE = 1e-9
 
 POSITION_TOLERANCE = 1e-6
 """[m] Largest difference of a plan's start from the request."""
-
-OMITTED: dict[type, tuple[str, ...]] = {
-    Quadrotor: MEASURED,
-    Team: ("errors",),
-    Limits: ("vertex_error",),
-}
-"""Fields of records that plan files omit where they are None."""
 
 SLACK = {"request.start": POSITION_TOLERANCE}
 """Largest differences of numbers by the beginning of their keys."""
@@ -63,8 +56,8 @@ def encoded(value: Any) -> Any:
         values = {field.name: getattr(value, field.name) for field in fields(value)}
         if isinstance(value, Team):
             del values["assignment"]  # records of plans have it beside the team
-        omitted = OMITTED.get(type(value), ())
-        absent = [name for name in omitted if values[name] is None]
+        keys = keys_of(type(value))
+        absent = [name for name, key in keys.items() if key.omitted and values[name] is None]
         value = {name: item for name, item in values.items() if name not in absent}
     elif isinstance(value, tuple) and hasattr(value, "_asdict"):
         value = value._asdict()

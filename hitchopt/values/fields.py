@@ -82,6 +82,7 @@ class Key:
     example: Any = None  # example of a value in files
     name: str = ""  # key in files, if it differs from the field's name
     default: Any = EMPTY  # default value; set by ``keys_of``, EMPTY without one
+    omitted: bool = False  # plan files omit it where it is None: earlier ones do not have it
 
     @property
     def file_kind(self) -> Kind:

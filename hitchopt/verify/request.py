@@ -8,6 +8,7 @@ choices and preferences, such as ``optimize`` and a word for ``legs``.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from itertools import groupby
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .arithmetic import POS_TOL, Array, Items, norm, normalize
-from .reading import CLASPING, LAID, TAUT_TOL, Plan
+from .reading import CLASPING, LAID, TAUT_TOL, TYPES, Plan
 from .spans import Fault, Row, Spans, fault_row
 
 CLOSE = 1e-6  # [m], [s] largest difference of what is asked for and shown, relative above 1
@@ -512,7 +513,8 @@ def _flat(body: Any) -> dict[str, Any]:
     return {**body, **body["section"]} if body else {}
 
 
-LEFT_OUT = "errors", "vertex_error"  # keys that plans omit if the problem states none
+# Keys that plans omit if the problem states none
+LEFT_OUT = {key[:-1] for key in re.findall(r"\w+\*", " ".join(TYPES.values()))}
 
 
 def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
