@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify, merged
+from hitchopt.checks.registry import QUANTITIES
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion, concatenated
@@ -66,7 +67,7 @@ TABLE: dict[str, tuple[str, float | None]] = {
     "vertex_error": ("max", None),
     "stoppable": ("max", None),
 }
-"""Checks in their order, with senses and limits."""
+"""Checks of a motion, with senses and limits."""
 
 
 def test_checks_follow_the_table_and_report_progress() -> None:
@@ -77,11 +78,13 @@ def test_checks_follow_the_table_and_report_progress() -> None:
     motion = random_motion(4, 2, limits=limits, keep_out=(wall,), **requirements)
     heard: list[str] = []
     certificate = certify(motion, heard.append)
-    *parts, whole = TABLE
+    names = [check.name for check in certificate.checks]
+    assert names == [each.name for each in QUANTITIES if each.name in names]
+    *parts, whole = names
     counted = [f"{name}, {i} of {len(parts)}" for i, name in enumerate(parts)]
     assert heard == [*counted, f"{whole}, of the whole motion"]
     result = {c.name: (c.sense, c.limit and round(c.limit, 9)) for c in certificate.checks}
-    assert list(result.items()) == list(TABLE.items())
+    assert {name: result[name] for name in TABLE} == TABLE
     assert certificate["duration"].worst == certificate.duration == motion.duration
     fewer = [check.name for check in certify(random_motion(3, 1)).checks]
     assert set(TABLE) - set(fewer) == {"arena", "keep_out", "duration", "body_rate"}
