@@ -30,7 +30,7 @@ EXPORT_RULES = tuple(rule for rule in RULES if any(each.exported for each in rul
 """Rules of the checks of exported motions, in order."""
 
 SETPOINT_RULES = tuple(
-    RULE_OF[name] for name in ("separation", "cable_clearance", "keep_out", "arena")
+    rule for rule in EXPORT_RULES if any("drones" in pair for pair in rule.pairs)
 )
 """Rules for setpoints with offsets that hold the tension. Drones fly to their setpoints if their
 cables break or go slack; otherwise the plan's certificate applies."""

@@ -35,13 +35,17 @@ from numpy.typing import ArrayLike
 
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify, merged
-from hitchopt.checks.registry import QUANTITIES
+from hitchopt.checks.registry import QUANTITIES, RULES
 from hitchopt.hitch import Team
+from hitchopt.hitch.pairs import FIXED
 from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
+from hitchopt.live.lost import LAND_RULES
+from hitchopt.mission.solving import WIDENED
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.steps.certified_motions import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
+from hitchopt.values.fields import keys_of
 
 TABLE: dict[str, tuple[str, float | None]] = {
     "separation": ("min", 1.0),
@@ -88,6 +92,18 @@ def test_checks_follow_the_table_and_report_progress() -> None:
     assert certificate["duration"].worst == certificate.duration == motion.duration
     fewer = [check.name for check in certify(random_motion(3, 1)).checks]
     assert set(TABLE) - set(fewer) == {"arena", "keep_out", "duration", "body_rate"}
+
+
+def test_lists_of_limits_follow_from_the_bodies_that_they_state() -> None:
+    alone = {rule for rule in RULES if ("drones",) in rule.bodies}
+    assert alone <= set(LAND_RULES)  # a drone that lands without its cable
+    assert {rule.name for rule in RULES if rule.pairs} == WIDENED
+    keys = {f"limits.{key.name}" for key in keys_of(Limits).values()}
+    assert {rule.key for rule in RULES if rule.key.startswith("limits.")} <= keys
+    for rule in RULES:  # only drones err: what stands does not
+        if rule.pairs and {kind for pair in rule.pairs for kind in pair} <= {"drones", *FIXED}:
+            drones = max(pair.count("drones") for pair in rule.pairs)
+            assert rule.approach(3.0, hitched=True) == drones
 
 
 def transformed(matrix: Array, shift: ArrayLike = 0.0) -> Callable[[Motion], Motion]:
