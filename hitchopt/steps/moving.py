@@ -66,7 +66,7 @@ from hitchopt.steps.step import (
     scaled_points,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.values import Array, Points, as_array, bounded_points
+from hitchopt.values import Array, Points, as_array, bounded_points, plain
 from hitchopt.values.fields import (
     FLAGS,
     Key,
@@ -571,7 +571,9 @@ _PLACES = points((None, 2), "x, y")
 
 def _vertex_path(key: str, value: object) -> Array:
     """Return points (J, 3) whose times increase, or positions (J, 2); or raise InputError."""
-    if as_array(key, value).shape[1:] == (2,):
+    rows = plain(key, value)
+    is_list = isinstance(rows, list | tuple | np.ndarray) and len(rows) > 0
+    if is_list and as_array(f"{key}[0]", rows[0]).shape == (2,):
         places: Array = _PLACES.check(key, value)
         if np.min(np.linalg.norm(np.diff(places, axis=0), axis=1), initial=np.inf) < MIN_STRETCH:
             bound = f"points [x, y] at least {MIN_STRETCH:g} m apart"
