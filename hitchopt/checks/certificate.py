@@ -63,7 +63,7 @@ class Check(OneLine):
     limit: in the same unit; None if the quantity is only reported.
     sense: ``min`` if the limit is a lower bound, ``max`` if it is an upper bound.
     unit: such as ``m`` or ``ratio``.
-    time: [s], at which the quantity is close to its worst value; nan if it is not known.
+    time: [s], at which the quantity is close to its worst value.
     where: names of the drones, cables or vertices.
     method: ``continuous`` or ``sampled``.
     gamma: ratio of vertex errors to drone errors, if the quantity assumes one.
@@ -173,7 +173,7 @@ class Check(OneLine):
     def in_words(self) -> str:
         """The violated limit, its value, place and time in words."""
         broken = broken_limit(self.name, self.worst, self.number, self.sense, self.unit, self.where)
-        return f"{broken}, t = {self.time:.4g} s" if math.isfinite(self.time) else broken
+        return f"{broken}, t = {self.time:.4g} s"
 
     def violation(self, when: str, remedy: str) -> Violation:
         """Return a check that does not hold as a violation; its remedy begins with what binds."""
@@ -290,12 +290,13 @@ class Certificate(OneLine):
     def stating(self, rules: Iterable[StatedRule]) -> Certificate:
         """Return the certificate with custom rules that a plan states, in place of earlier ones.
 
-        They are not recomputed. A rule whose stated worst value breaks its limit is violated.
+        They are not recomputed. A rule whose stated worst value breaks its limit is violated, at an
+        unknown time: the start is stated.
         """
         checks, remaining = list[Check](), list[StatedRule]()
         for rule in rules:
             worst = rule.limit if rule.worst is None else rule.worst
-            values = worst, rule.limit, rule.sense, rule.unit, math.nan, ()
+            values = worst, rule.limit, rule.sense, rule.unit, 0.0, ()
             check = Check.of(rule.name, *values, group=CUSTOM)
             if check.holds:
                 remaining.append(rule)

@@ -208,6 +208,7 @@ def test_a_rule_that_its_own_record_violates_is_violated(
     assert [check.name for check in loaded.certificate.violated] == ["leg_angle"]
     with pytest.raises(CertificateError, match="leg_angle: "):
         loaded.save(saved.parent / "again")
+    loaded.report(saved.parent / "shown")
     assert not ho.combine(loaded, plan(), at=100.0).certificate.certified
     for command in ("check", "verify"):
         code, output = run(command, saved)
