@@ -55,7 +55,9 @@ class Failure:
 
 def departures(flight: SimulatedFlight) -> Iterator[Failure]:
     """Yield the failures of drones and cables until the loss of a drone, one each of a kind."""
-    lost = flight.settings.lost
+    lost, error = flight.settings.lost, flight.error
+    if error is not None and error.time < 0.0:  # it ended before it began
+        return
     end = np.inf if lost is None else lost.time
     yield from _snapped(flight, min(end, np.fmax(flight.task.duration, flight.rested) + ROUNDING))
     first = 0
