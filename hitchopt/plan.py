@@ -17,7 +17,12 @@ from hitchopt.errors import FileError, InputError, OneLine, Progress, contained,
 from hitchopt.hitch import Hitch
 from hitchopt.mission.others import NAME, named_teams
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.loads import assumption_notes, tracking_warnings, weightless_notes
+from hitchopt.motion.loads import (
+    assumption_notes,
+    ellipsoid_notes,
+    tracking_warnings,
+    weightless_notes,
+)
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan, flight_digest, read_saved_plan
 from hitchopt.motion.request import check_request
@@ -109,11 +114,13 @@ class Plan(OneLine):
         """Notes for the user: assumptions, and tracking errors below those of drones.
 
         Cables are assumed to be weightless if the problem states no density. If a plan lacks the
-        text of its problem, a density above 0 is taken as stated.
+        text of its problem, a density above 0, and an ellipsoid other than the default, are taken
+        as stated.
         """
         notes = list[str]()
         with contained("a note"):
             notes += weightless_notes(self.flight, self.problem)
+            notes += ellipsoid_notes(self.flight, self.problem)
             notes += assumption_notes(self.flight, self.problem)
             notes += tracking_warnings(self.flight)
             notes += self._distance_notes()

@@ -115,7 +115,7 @@ def time(
     seconds = None if duration is None else positive("duration", duration)
     requirements = Requirements(
         Limits() if limits is None else limits,
-        Separation() if separation is None else separation,
+        (Separation() if separation is None else separation).for_drones(path.team),
         arena,
     )
     enforced = requirements.with_reserve

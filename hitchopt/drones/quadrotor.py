@@ -83,6 +83,20 @@ that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyf
 Mellinger's controller with the stiffest gains: 4.75 N/m and 1.32 N s/m at 132 g.
 """
 
+LARGEST_DEFAULT = 0.3
+"""[kg] Largest mass of drones for which the default ellipsoid, a Crazyflie's, is not questioned."""
+
+
+def usual_ellipsoid(mass: float) -> tuple[float, float]:
+    """Return the semi-axes [m] of drones of a mass [kg] with the proportions of the x260.
+
+    Lengths grow with the cube root of the mass.
+    """
+    scale = (mass / MODELS["x260_bolt"].mass) ** (1.0 / 3.0)
+    radius, height = (float(f"{scale * axis:.2g}") for axis in MODELS["x260_bolt"].separation)
+    return radius, height
+
+
 DEFAULT_TENSION = 0.4
 """[N] Default tension without a model."""
 

@@ -50,7 +50,7 @@ from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict,
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.forces import SLACK
 from hitchopt.motion.flight import Flight
-from hitchopt.motion.loads import tracking_warnings, weightless_notes
+from hitchopt.motion.loads import ellipsoid_notes, tracking_warnings, weightless_notes
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import SavedPlan, write_plan
 from hitchopt.storage.files import digest, replace_files, write_strict_json
@@ -135,7 +135,9 @@ def export_flight(
     settings = kind.settings(flight.team, options)
     notes = list[str]()
     with contained("a note"):
-        notes += [*weightless_notes(flight, saved.problem), *_notes(kind, plan, options)]
+        notes += weightless_notes(flight, saved.problem)
+        notes += ellipsoid_notes(flight, saved.problem)
+        notes += _notes(kind, plan, options)
     if saved.stated_rules:
         names = ", ".join(rule.name for rule in saved.stated_rules)
         notes.append(f"custom rules are not recomputed in the export: {names}")

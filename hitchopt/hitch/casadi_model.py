@@ -235,7 +235,7 @@ def model(
     gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, team.drones)
     lifted = ca.reshape(accelerations, 3, team.drones) + gravity
     thrusts = ca.repmat(ca.DM(team.mass).T, 3, 1) * lifted - hitch.cable_forces
-    scale = ca.DM((separation or Separation()).scale)
+    scale = ca.DM((separation or Separation()).for_drones(team).scale)
     offsets = hitch.positions[:, first] - hitch.positions[:, second]
     outputs = {
         "positions": positions,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.drones.controllers import TRACKING, Tube
+from hitchopt.drones.quadrotor import MODELS
 from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.team import Team
@@ -19,7 +20,6 @@ from hitchopt.objects import Clearance, Section, Slab, SolidObject
 from hitchopt.values import Array, ByValue, check_instance, sequence, units
 from hitchopt.values.fields import (
     Key,
-    Record,
     documented,
     points,
     store,
@@ -118,15 +118,24 @@ class Limits(OneLine):
 
 
 @documented
-@dataclass(frozen=True)
-class Separation(Record):
-    """Minimum distances between drones and cables."""
+@dataclass(frozen=True, eq=False)
+class Separation(ByValue):
+    """Minimum distances between drones and cables.
+
+    Semi-axes that are not stated are those of the drones' models, where these are larger.
+    """
 
     radius: Annotated[
         float,
-        Key(units.ELLIPSOID, "Horizontal semi-axis of a drone's ellipsoid, and distance to prisms"),
+        Key(
+            units.ELLIPSOID,
+            "Horizontal semi-axis of a drone's ellipsoid, and distance to prisms; by default that "
+            "of a named model, if it is larger",
+        ),
     ] = 0.12
-    height: Annotated[float, Key(units.ELLIPSOID, "Vertical semi-axis (Preiss et al. 2017)")] = 0.30
+    height: Annotated[
+        float, Key(units.ELLIPSOID, "Vertical semi-axis (Preiss et al. 2017); by default likewise")
+    ] = 0.30
     cable: Annotated[
         float, Key(units.DISTANCE, "Drone to any cable part but the one that ends at it")
     ] = 0.10
@@ -136,6 +145,33 @@ class Separation(Record):
     object: Annotated[
         float, Key(units.DISTANCE, "Centre lines of cables, and a held object, to objects")
     ] = 0.035
+    unstated: tuple[str, ...] = field(init=False, repr=False)  # semi-axes that are not stated
+
+    def __init__(
+        self,
+        radius: float | None = None,
+        height: float | None = None,
+        cable: float = 0.10,
+        crossing: float = 0.05,
+        object: float = 0.035,
+    ) -> None:
+        axes = {"radius": radius, "height": height}
+        unstated = tuple(name for name, value in axes.items() if value is None)
+        defaults = {name: getattr(Separation, name) for name in unstated}
+        store(self, **axes | defaults, cable=cable, crossing=crossing, object=object)
+        store(self, unstated=unstated)
+
+    def for_drones(self, team: Team) -> Separation:
+        """Return the distances with the semi-axes of a team's models, unless others are stated."""
+        sizes = [MODELS[kind.model].separation for kind in team.quadrotor if kind.model]
+        wider = {
+            name: max([getattr(self, name), *(size[axis] for size in sizes)])
+            for axis, name in enumerate(("radius", "height"))
+            if name in self.unstated
+        }
+        if all(getattr(self, name) == size for name, size in wider.items()):
+            return self
+        return with_fields(self, **wider)
 
     @property
     def scale(self) -> Array:
@@ -314,17 +350,19 @@ class Requirements(ByValue):
         return replace(self, position_error=self.position_error + by)
 
     def flown_by(self, team: Team) -> Requirements:
-        """Return the requirements that include the tracking errors and tilt limit of a team.
+        """Return the requirements that include a team's tracking errors, tilt limit and sizes.
 
-        A specified ``tracking`` takes precedence over that of the drones.
+        A specified ``tracking`` takes precedence over that of the drones, and specified semi-axes
+        over those of their models.
         """
-        limits = self.limits
+        limits, separation = self.limits, self.separation.for_drones(team)
         max_tilt = float(np.min(team.max_tilt))
         tracking = team.tracking if limits.tracking is None else limits.tracking
-        if tracking == limits.tracking and limits.tilt <= max_tilt:
+        if tracking != limits.tracking or limits.tilt > max_tilt:
+            limits = with_fields(limits, tilt=min(limits.tilt, max_tilt), tracking=tracking)
+        if limits is self.limits and separation is self.separation:
             return self
-        tilt = min(limits.tilt, max_tilt)
-        return replace(self, limits=with_fields(limits, tilt=tilt, tracking=tracking))
+        return replace(self, limits=limits, separation=separation)
 
     def understated_tracking(self, team: Team) -> str:
         """Return a warning of ``limits.tracking`` below a team's own errors; empty without one."""

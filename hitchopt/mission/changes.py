@@ -286,7 +286,9 @@ def knobs_of(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob
 
             key = f"mission[{i}].{step.name}.{knob.key}"
             min_size = slowdown if "duration" in knob.covers else 0.0
-            increase = step.least_increase(knob, problem.objects, names, problem.separation)
+            increase = step.least_increase(
+                knob, problem.objects, names, problem.requirements.separation
+            )
             min_size = max(min_size, increase)
             if "hinge" in knob.covers:
                 lacking = (v.limit - v.value for v in violations if v.constraint == "hinge")
@@ -574,7 +576,7 @@ def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[C
 
 def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
     """Yield changes to routes around obstacles, nearer ones first."""
-    distance = float(np.max(problem.team.cable_length)) + problem.separation.radius
+    distance = float(np.max(problem.team.cable_length)) + problem.requirements.separation.radius
     for i, step in enumerate(problem.mission):
         for waypoint in step.detours(problem.objects, _names(violations), distance):
             place = np.round(waypoint, 2).tolist()

@@ -36,6 +36,7 @@ from hitchopt.storage.archive import folded
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, Indices, check_instance, lazy, sequence
+from hitchopt.values.fields import keys_of
 
 NAME = re.compile(r"[^\W\d][\w-]*")
 """Valid names of teams; teams of external plans are named plan.team."""
@@ -327,8 +328,8 @@ def _joint_requirements(
 ) -> Requirements:
     """Return the requirements between teams: the larger of all distances and tracking errors."""
     of_teams = [flown.motion.requirements for flown in teams]
-    distances = [vars(requirements.separation) for requirements in of_teams]
-    largest = {key: max(values[key] for values in distances) for key in distances[0]}
+    distances = [requirements.separation for requirements in of_teams]
+    largest = {key: max(getattr(each, key) for each in distances) for key in keys_of(Separation)}
     tube = Tube.enclosing(requirements.limits.tube for requirements in of_teams)
     tracking = tube.tracking if tube and tube.level else None
     limits = replace(of_teams[0].limits, tracking=tracking)

@@ -20,10 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.drones.quadrotor import MODELS
+from hitchopt.drones.quadrotor import LARGEST_DEFAULT, MODELS, usual_ellipsoid
 from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Team
+from hitchopt.hitch.requirements import Separation
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject
@@ -104,6 +105,31 @@ def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
             f"{cables} are assumed weightless; at {1e3 * density:g} g/m vertices would hang "
             f"{100.0 * drop:.2g} cm lower: state {key}.cable_density"
         )
+
+
+def ellipsoid_notes(flight: Flight, problem: str = "") -> Iterator[str]:
+    """Yield a note for every team with heavy drones whose problem does not state an ellipsoid.
+
+    ``problem`` is the text of the problem file; without it, the default ellipsoid is not stated.
+    """
+    data = parse_yaml(problem) if problem else None
+    section = data.get("separation") if isinstance(data, dict) else None
+    if isinstance(section, dict) and not {"radius", "height"}.isdisjoint(section):
+        return
+    default = Separation()
+    for flown in flight.teams:
+        motion = flown.motion
+        stated, mass = motion.requirements.separation, float(np.max(motion.team.mass))
+        radius, height = usual_ellipsoid(mass)
+        is_small = stated.radius < radius or stated.height < height
+        is_default = (stated.radius, stated.height) == (default.radius, default.height)
+        if mass > LARGEST_DEFAULT and is_small and (is_default or data is not None):
+            drones = f"drones of {flown.name}" if flown.name else "drones"
+            yield (
+                f"{drones} weigh up to {mass:g} kg, but their ellipsoid of {stated.radius:g} m and "
+                f"{stated.height:g} m is not stated; at this mass that of x260_bolt would be "
+                f"{radius:g} m and {height:g} m: state separation.radius and separation.height"
+            )
 
 
 def assumption_notes(flight: Flight, problem: str = "") -> Iterator[str]:

@@ -53,7 +53,7 @@ def encoded(value: Any) -> Any:
     if isinstance(value, Swarm):
         value = {"drones": value.drones, "quadrotor": value.quadrotor}
     elif is_dataclass(value):
-        values = {field.name: getattr(value, field.name) for field in fields(value)}
+        values = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
         if isinstance(value, Team):
             del values["assignment"]  # records of plans have it beside the team
         keys = keys_of(type(value))

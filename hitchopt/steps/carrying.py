@@ -73,7 +73,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.steps.straddling import Tie, Untie, check_hinge
 from hitchopt.values import Array, Points
-from hitchopt.values.fields import Key, documented, points, with_fields, words
+from hitchopt.values.fields import Key, documented, keys_of, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
 AROUND_SPEED = 0.15
@@ -572,7 +572,7 @@ class Grasp(TensionStep):
 
 def _wider(separation: Separation) -> Separation:
     """Return the distances to keep with the margin for closing."""
-    wider = {key: CLOSING_MARGIN * distance for key, distance in vars(separation).items()}
+    wider = {key: CLOSING_MARGIN * getattr(separation, key) for key in keys_of(Separation)}
     return replace(separation, **wider)
 
 

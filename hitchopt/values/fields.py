@@ -129,7 +129,9 @@ def _declared_keys(record: type[Any]) -> Iterator[tuple[str, Key]]:
     for field in fields(record):
         annotations = getattr(hints[field.name], "__metadata__", ())
         for key in (each for each in annotations if isinstance(each, Key)):
-            default = arguments[field.name].default if field.name in arguments else field.default
+            default = field.default
+            if default is MISSING and field.name in arguments:
+                default = arguments[field.name].default
             if field.default_factory is not MISSING:
                 default = field.default_factory()
             name = key.name or field.name + "_deg" * (key.kind.degrees is not None)
