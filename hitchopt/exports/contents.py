@@ -6,6 +6,8 @@ origin, after rounding. They are computed in consecutive windows, to save memory
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
@@ -20,7 +22,7 @@ import numpy as np
 from hitchopt.errors import FileError, optional_module
 from hitchopt.exports.placing import AXES
 from hitchopt.storage.archive import reading
-from hitchopt.storage.files import file_bytes, parsed_json
+from hitchopt.storage.files import file_bytes, parsed_json, strict_json
 from hitchopt.storage.tables import SEPARATORS, Table
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import BREAK_TOLERANCE, merged_breaks, on_breaks
@@ -259,6 +261,22 @@ def read_manifest(folder: Path, name: str = MANIFEST) -> dict[str, Any]:
         content = parsed_json(file_bytes(path))
     is_manifest = isinstance(content, dict) and content.get("format") == MANIFEST_FORMAT
     return content if is_manifest else {}
+
+
+def sealed(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a manifest with the digest of its own content."""
+    return {**manifest, "digest": _content_digest(manifest)}
+
+
+def is_sealed(manifest: Mapping[str, Any]) -> bool:
+    """Return whether the content of a manifest that was read is that of its digest."""
+    return manifest.get("digest") == _content_digest(manifest)
+
+
+def _content_digest(manifest: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of a manifest's values, whatever its layout and line ends."""
+    content = parsed_json(strict_json({k: x for k, x in manifest.items() if k != "digest"}))
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def listed_names(manifest: Mapping[str, Any], key: str) -> list[str]:

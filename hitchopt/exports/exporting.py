@@ -40,6 +40,7 @@ from hitchopt.exports.contents import (
     PLAN_COPY,
     listed_names,
     read_manifest,
+    sealed,
 )
 from hitchopt.exports.format import ExportTask, Format, FormatOutput, format_of
 from hitchopt.exports.held_tension import held_tension, loop_gains, trailing_times
@@ -480,6 +481,7 @@ def _export_part(
         manifest = _manifest_head(kind, task) | {
             "heading_rad": task.frame.heading,
             "drones": {member.role: member.name for member in task.fleet.members},
+            "addresses": {member.name: member.uri for member in task.fleet.members},
             "start_offsets": dict(zip(task.names, (offsets + 0.0).tolist(), strict=True)),
             "duration": verdict.duration,
             "plan_span": [task.begins, task.begins + task.flight.duration - task.rest],
@@ -495,7 +497,7 @@ def _export_part(
             "digests": {name: digest(folder / name) for name in sorted(written.files)},
             **({"receiver": receiver} if receiver else {}),
         }
-        write_strict_json(folder / MANIFEST, manifest)
+        write_strict_json(folder / MANIFEST, sealed(manifest))
         if NOTE not in written.files and (places := places_text(task.flight, task.fleet)):
             (folder / NOTE).write_text(_note(kind, task, places), "utf-8")
         goes_slack = any(SLACK in reason for reason in task.undetermined)
@@ -583,7 +585,7 @@ def _move_exports(
         content = _manifest_head(kind, task) | {"duration": task.flight.duration, "files": []}
         content |= {"parts": [folder.name for folder in folders], "plan_spans": spans}
         new[place] = {MANIFEST: first.folder.parent / MANIFEST}
-        write_strict_json(new[place][MANIFEST], content)
+        write_strict_json(new[place][MANIFEST], sealed(content))
     new[place][plan.name] = plan
     parts = [place / name for name in listed_names(read_manifest(place), "parts")]
     obsolete = [folder for folder in parts if folder not in new]

@@ -32,6 +32,7 @@ from hitchopt.exports.contents import (
     FileContents,
     Finding,
     error,
+    is_sealed,
     largest_jump,
     listed_names,
     note,
@@ -47,7 +48,7 @@ from hitchopt.hitch import Swarm
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.storage.archive import PLAN, reading
-from hitchopt.storage.files import digest, require_file
+from hitchopt.storage.files import digest, has_other_line_ends, require_file
 from hitchopt.storage.tables import headings, text_lines
 from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined
@@ -73,6 +74,8 @@ DEFAULT_LIMITS = (("speed", "Velocity", 3.0), ("acceleration", "Acceleration", 1
 MAX_INT16 = 32.767  # Maximum coordinate in integer millimetres of 16 bits [m]
 SPEED_OF_SOUND = 340.0  # [m/s]
 WATCHDOG_TIME = 0.5  # Time without setpoints after which a Crazyflie levels itself [s]
+
+CHANGED = "is not what was exported and verified; export it again, without edits"
 
 REMEDIES = dict.fromkeys(("separation", DISTANCE), "move them apart") | {"maxAltitude": "fly lower"}
 """Remedies by check; all other checks bound rates, for which a slower flight is the remedy."""
@@ -452,15 +455,25 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
         yield error("changed", path.name, "differs from the table written with the plan")
     if not files:
         return
+    yield from _plan_findings(path, manifest)
     digests = mapping_at(manifest, "digests")
     for name, file in files.items():
         if not file.exists():
             yield error("missing", name, "was exported but is missing")
         elif digests.get(name) != digest(file):
-            reason = "is not what was exported and verified; export it again, without edits"
-            yield (error if file.suffix.lower() in kind.endings else note)("changed", name, reason)
+            level = error if file.suffix.lower() in kind.endings else note
+            yield level("changed", name, CHANGED)
+    if other := [
+        name for name, file in files.items() if file.exists() and has_other_line_ends(file)
+    ]:
+        more = f" and {len(other) - 1} more" * (len(other) > 1)
+        yield note("line ends", f"{other[0]}{more}", "those of Windows; lines are as exported")
     if (fleet := next(iter(files.values())).parent / SETTINGS).is_file():
-        yield from _start_findings(fleet, contents, mapping_at(manifest, "start_offsets"))
+        settings: Any = read_yaml(fleet)
+        robots = mapping_at(settings if isinstance(settings, Mapping) else {}, "robots")
+        offsets = mapping_at(manifest, "start_offsets")
+        yield from _start_findings(fleet.name, robots, contents, offsets)
+        yield from _identity_findings(fleet.name, robots, manifest)
     understated = mapping_at(manifest, "tracking").get("understated")
     reasons = {"tension": manifest.get("undetermined_tension"), "tracking": understated}
     for rule, texts in reasons.items():
@@ -481,23 +494,68 @@ def _manifest_of(path: Path) -> tuple[dict[str, Any], dict[str, Path]]:
     return own or folder, {name: path for name in names if own or name == path.name}
 
 
+def _plan_findings(path: Path, manifest: Mapping[str, Any]) -> Iterator[Finding]:
+    """Yield errors for a manifest and a copy of the plan that are not those of the export.
+
+    The copy is in the folder of the export, also that of its parts; single files have none.
+    """
+    folder = path if path.is_dir() else path.parent
+    home = folder
+    if folder.name in listed_names(read_manifest(folder.parent), "parts"):
+        home = folder.parent
+        manifests = {f"{home.name}/{MANIFEST}": read_manifest(home), MANIFEST: manifest}
+    else:
+        manifests = {MANIFEST: manifest}
+    for name, content in manifests.items():
+        if not is_sealed(content):
+            yield error("changed", name, CHANGED)
+    if path.is_file() and (folder / f"{path.name}.{MANIFEST}").is_file():
+        return
+    if not (copy := home / PLAN_COPY).is_file():
+        yield error("missing", PLAN_COPY, "was exported but is missing; export the plan again")
+    elif manifest.get("plan_digest") != digest(copy):
+        yield error("changed", PLAN_COPY, f"is not the plan of {MANIFEST}; export the plan again")
+
+
+def _identity_findings(
+    fleet: str, robots: Mapping[str, Any], manifest: Mapping[str, Any]
+) -> Iterator[Finding]:
+    """Yield errors for robots that would fly trajectories, or have parameters, of other drones.
+
+    Their addresses may be edited, but two robots may neither share nor exchange them.
+    """
+    remedy = "state names and addresses in a fleet file, and export again"
+    exported = {uri: name for name, uri in mapping_at(manifest, "addresses").items()}
+    owners = dict[Any, str]()
+    for role, name in mapping_at(manifest, "drones").items():
+        robot = mapping_at(robots, name)
+        if (own := robot.get("role", role)) != role:
+            reason = f"{fleet} names it {own}, but its trajectory is that of {role}"
+            yield error("identity", name, f"{reason}; {remedy}")
+        uri = robot.get("uri")
+        other = owners.setdefault(uri, name)
+        other = exported.get(uri, name) if other == name else other
+        if uri is not None and other != name:
+            reason = f"{fleet} gives it the radio address of {other}"
+            yield error("identity", name, f"{reason}; {remedy}")
+
+
 def _start_findings(
-    fleet: Path, contents: FileContents, offsets: Mapping[str, Any]
+    fleet: str, robots: Mapping[str, Any], contents: FileContents, offsets: Mapping[str, Any]
 ) -> Iterator[Finding]:
     """Yield errors for drones whose initial positions are not below their first positions.
 
     ``offsets`` are the manifest's, of the first points of the files from these positions [m].
     """
-    starts, content = next(contents.windows()).coefficients[0, :, :2, 0], read_yaml(fleet)
-    robots = mapping_at(content if isinstance(content, Mapping) else {}, "robots")
+    starts = next(contents.windows()).coefficients[0, :, :2, 0]
     for name, first in zip(contents.names, starts.tolist(), strict=True):
         offset = each if _is_point(each := offsets.get(name)) else [0.0, 0.0, 0.0]
         start = [first[0] - offset[0], first[1] - offset[1]]
         point = mapping_at(robots, name).get("initial_position")
         if not _is_point(point):
-            yield error("start", name, f"is not in {fleet.name}; add its initial_position")
+            yield error("start", name, f"is not in {fleet}; add its initial_position")
         elif (distance := math.dist(point[:2], start)) > START_TOLERANCE:
-            reason = f"{fleet.name} places it {distance:.3g} m from below its first position, "
+            reason = f"{fleet} places it {distance:.3g} m from below its first position, "
             yield error("start", name, f"{reason}{start[0]:.4g}, {start[1]:.4g}; correct it")
 
 

@@ -238,6 +238,12 @@ def digest(path: Path) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
+def has_other_line_ends(path: Path) -> bool:
+    """Return whether a text has line ends of Windows, which hitchopt does not write."""
+    content = file_bytes(path)
+    return b"\r\n" in content and b"\0" not in content
+
+
 def write_strict_json(path: Path, content: dict[str, Any]) -> None:
     """Write indented JSON in UTF-8; raises OSError if the file cannot be written."""
     path.write_text(strict_json(content) + "\n", encoding="utf-8", newline="\n")

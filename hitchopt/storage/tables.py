@@ -106,6 +106,13 @@ class Table:
             raise FileError(f"{self.source}: has {len(table)} rows; at least {min_rows} are needed")
         return table
 
+    def check_finite(self, numbers: Array, names: Sequence[str]) -> None:
+        """Raise FileError if a number (rows, columns) of columns with some names is not finite."""
+        for row, column in np.argwhere(~np.isfinite(numbers))[:1].tolist():
+            line = next(islice(self.rows(), row, None))[0]
+            where = f"{self.source}: line {line}, column {names[column]}"
+            raise FileError(f"{where}: not a number ({numbers[row, column]:g})")
+
     def _numbers(self, indices: Sequence[int], blanks: bool, *, commas: bool) -> Array:
         values = array("d")
         for number, cells in self.rows():

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import exported, swarm_plan
+from exported_plans import exported, swarm_of, swarm_plan
 from refusals import memory_below
 from rosbags.rosbag2 import Writer
 
@@ -39,6 +39,15 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in HOMES:
         exported(swarm_plan(), name, home / name, rate=20.0 if name == "csv" else None)
     return home
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> Path:
+    """The export of a swarm in two parts."""
+    places = np.array([[[0.0, 0, 1], [1, 0, 1.2]], [[0.5, 0, 1], [1.5, 0, 1.2]]])
+    motion = swarm_of(np.concatenate([places, places[::-1]] * 12), np.arange(48.0) * 2.0)
+    exported(motion, "crazyswarm2", tmp_path / "parts")
+    return tmp_path / "parts"
 
 
 def report(path: Path, rules: Rules | None = None) -> Report:
@@ -154,7 +163,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (rows(lambda s: s[:-1]), "ends within the sample"),
         (text(",d2,", ",d2,nonsense"), "line 4: x is 'nonsense.*', no number"),
         (rows(lambda s: s[:1]), "has no rows"),
-        (rows(lambda s: [s[0], "nan,d0" + ",0" * 26]), "a time is nan or infinite"),
+        (rows(lambda s: [s[0], "nan,d0" + ",0" * 26]), "line 2, column t: not a number"),
         (rows(lambda s: [*s[:-1], s[-1][:80]]), "cells, not 28; is it cut off"),
     ],
     "gltf/plan.glb": [
@@ -693,3 +702,113 @@ def test_files_that_are_not_as_exported(exports: Path, tmp_path: Path) -> None:
     assert "changed" not in said(report(tmp_path / "one.skyc"))
     edit(tmp_path / "one.skyc", lambda f: f["show.json"]["meta"].clear())
     assert "error changed" in said(report(tmp_path / "one.skyc"))
+
+
+MANIFEST_EDITS: dict[str, Any] = {
+    "plan_digest": "0" * 64,
+    "yaw_deg": 90.0,
+    "duration": 3.5,
+    "origin_enu": [0.1, 0.0, 0.0],
+    "stretch": 2.0,
+    "plan_span": [0.0, 1.0],
+}
+
+
+@pytest.mark.parametrize("key", MANIFEST_EDITS)
+@pytest.mark.parametrize("name", ["crazyswarm2", "csv"])
+def test_a_manifest_that_was_edited_is_an_error(
+    name: str, key: str, exports: Path, tmp_path: Path
+) -> None:
+    """Whatever its layout: only values count."""
+    folder = Path(shutil.copytree(exports / name, tmp_path / "a"))
+    content = json.loads((folder / "export.json").read_text("utf-8"))
+    (folder / "export.json").write_text(json.dumps(dict(reversed(content.items()))), "utf-8")
+    assert report(folder).sound
+    (folder / "export.json").write_text(json.dumps(content | {key: MANIFEST_EDITS[key]}), "utf-8")
+    found = {(f.rule, f.where) for f in report(folder).findings if f.level == "error"}
+    copies = {("changed", "exported_plan.npz")} if key == "plan_digest" else set()
+    assert found == {("changed", "export.json"), *copies}
+
+
+def test_the_plan_of_an_export_is_that_of_its_manifest(exports: Path, tmp_path: Path) -> None:
+    """Also for one file of the folder; a single exported file has no plan beside it."""
+    folder = Path(shutil.copytree(exports / "crazyswarm2", tmp_path / "a"))
+    copy = folder / "exported_plan.npz"
+    copy.write_bytes((exports / "csv" / "exported_plan.npz").read_bytes())
+    assert report(folder).sound  # the same plan
+    copy.write_bytes(copy.read_bytes() + b"\0")
+    for path in (folder, folder / "d1.csv"):
+        assert "error changed" in said(report(path))
+    copy.unlink()
+    for path in (folder, folder / "d1.csv"):
+        assert "error missing" in said(report(path))
+    exported(swarm_plan(), "csv", tmp_path / "one.csv")
+    assert report(tmp_path / "one.csv").sound
+
+
+def test_parts_share_the_plan_in_their_folder(parts: Path) -> None:
+    assert all(found.sound for found in lint(parts))
+    manifest = parts / "export.json"
+    content = json.loads(manifest.read_text("utf-8"))
+    manifest.write_text(json.dumps(content | {"duration": 1.0}), "utf-8")
+    for found in lint(parts):
+        assert {f.where for f in found.findings if f.level == "error"} == {"parts/export.json"}
+    (parts / "exported_plan.npz").unlink()
+    assert all("error missing" in said(found) for found in lint(parts))
+
+
+def test_line_ends_of_windows_are_noted_alone(exports: Path, tmp_path: Path) -> None:
+    """As Git and editors write them, in tables and all other texts."""
+    for name in ("crazyswarm2", "csv", "skybrush", "compressed"):
+        folder = Path(shutil.copytree(exports / name, tmp_path / name))
+        before = report(folder)
+        texts = [
+            x for x in folder.iterdir() if x.suffix in {".csv", ".yaml", ".py", ".txt", ".json"}
+        ]
+        for path in texts:
+            path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+        found = report(folder)
+        assert (found.flight, found.sound) == (before.flight, before.sound)
+        added = [f for f in found.findings if f not in before.findings]
+        listed = json.loads((folder / "export.json").read_text("utf-8"))["files"]
+        are_noted = any(path.name in listed for path in texts)
+        assert [(f.level, f.rule) for f in added] == [("note", "line ends")] * are_noted
+
+
+@pytest.mark.parametrize("number", ["NaN", "nan", "inf", "-inf"])
+@pytest.mark.parametrize(("name", "column"), [("d1.csv", "y^3"), ("setpoints_enu.csv", "vy")])
+def test_numbers_that_are_none_are_located(
+    name: str, column: str, number: str, exports: Path, tmp_path: Path
+) -> None:
+    source = exports / ("crazyswarm2" if name == "d1.csv" else "csv") / name
+    lines = source.read_text().splitlines()
+    index = lines[0].split(",").index(column)
+    cells = lines[3].split(",")
+    cells[index] = number
+    lines[3] = ",".join(cells)
+    (tmp_path / name).write_text("\n".join(lines))
+    with pytest.raises(FileError, match=rf"line 4, column {re.escape(column)}: not a number"):
+        lint(tmp_path / name)
+
+
+IDENTITIES: dict[str, tuple[tuple[str, str], ...]] = {
+    "roles": (("role: d0", "role: x"), ("role: d1", "role: d0"), ("role: x", "role: d1")),
+    "one role": (("role: d1", "role: d2"),),
+    "addresses": (("E701", "E7FF"), ("E702", "E701"), ("E7FF", "E702")),
+    "one address": (("E702", "E701"),),
+    "other addresses": (("E701", "E7A1"), ("E702", "E7A2"), ("E703", "E7A3")),
+}
+
+
+@pytest.mark.parametrize("edits", IDENTITIES)
+def test_robots_keep_their_trajectories(edits: str, exports: Path, tmp_path: Path) -> None:
+    """Their radio addresses may become those of real drones."""
+    folder = Path(shutil.copytree(exports / "crazyswarm2", tmp_path / "a"))
+    fleet = folder / "crazyflies.yaml"
+    text = fleet.read_text("utf-8")
+    for old, new in IDENTITIES[edits]:
+        assert old in text
+        text = text.replace(old, new)
+    fleet.write_text(text, "utf-8")
+    assert said(report(folder)).count("error") == (edits != "other addresses")
+    assert ("error identity" in said(report(folder))) is (edits != "other addresses")

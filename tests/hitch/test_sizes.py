@@ -34,7 +34,7 @@ def problem_of(quadrotor: Any, **more: Any) -> dict[str, Any]:
     }
 
 
-HEAVY = {"mass": 2.0, "max_thrust": 40}
+HEAVY: dict[str, Any] = {"mass": 2.0, "max_thrust": 40}
 STATED: list[tuple[dict[str, float], tuple[float, float]]] = [
     ({}, LARGE),
     ({"cable": 0.15}, LARGE),

@@ -203,6 +203,7 @@ class Crazyswarm2(CrazyflieFormat):
         if rows.width != 1 + len(POWERS):
             raise FileError(f"{path}: {_width_error(rows.width)}")
         table = rows.numbers(range(rows.width))
+        rows.check_finite(table, ("duration", *POWERS))
         with np.errstate(over="ignore"):  # reported below
             table = table.astype(np.float32).astype(np.float64)
         if not np.all(np.isfinite(table)):

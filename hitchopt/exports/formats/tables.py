@@ -125,7 +125,9 @@ class CsvTable(TableFormat):
     ) -> tuple[NDArray[np.str_], Array, str]:
         """Read the columns that are there; the file's name has the frame."""
         table = labelled_table(lambda: text_lines(path), ("t", "drone"), str(path))
-        numbers = table.numbers(["t", *present_columns(table, columns)])
+        labels = ["t", *present_columns(table, columns)]
+        numbers = table.numbers(labels)
+        table.check_finite(numbers, labels)
         drones = np.array(table.words("drone"), np.str_)
         return drones, numbers, path.stem.rpartition("_")[2]
 

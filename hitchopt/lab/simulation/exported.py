@@ -25,7 +25,13 @@ from hitchopt.drones.controllers import (
 )
 from hitchopt.drones.firmware import CONTROLLER_NUMBERS
 from hitchopt.errors import FileError, InputError, UnsupportedError
-from hitchopt.exports.contents import MANIFEST, PLAN_COPY, listed_names, read_manifest
+from hitchopt.exports.contents import (
+    MANIFEST,
+    PLAN_COPY,
+    is_sealed,
+    listed_names,
+    read_manifest,
+)
 from hitchopt.exports.firmware import SETTINGS, mapping_at
 from hitchopt.exports.format import Format, format_of
 from hitchopt.exports.formats.crazyflie import LANDED, CrazyflieFormat
@@ -175,6 +181,7 @@ def read_exported(path: Path, plan: Path | None = None) -> ExportedFlight:
         files = [path] if path.is_file() else [folder / x for x in listed_names(content, "files")]
         digests = mapping_at(content, "digests")
         changed += [f.name for f in files if digests.get(f.name, digest(f)) != digest(f)]
+        changed += [MANIFEST] * (not is_sealed(content))
         parts.append(_part(kind, content, files, drones))
     return _flown(kind, title, parts, changed, flight.stretched(stretch))
 
