@@ -155,7 +155,7 @@ def write_c3d_without_rate(path: Path, flight: RecordedFlight) -> Path:
 REFUSED: dict[str, tuple[Write, str]] = {
     "no format": (text_file("hello, world\n"), "name a table of Motive with its header, of Vicon"),
     "empty": (text_file(""), "has no line of column names"),
-    "another table": (text_file("t,drone,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
+    "another table": (text_file("t,body,x,y,z\n0,q0,0,0,1\n"), "names with t, name, x, y, z"),
     "no bodies": (text_file("t,name,x,y,z\n0,marker,0,0,1\n"), "contains no positions of bodies"),
     "local space": (partial(w.write_motive, space="Local"), "export it in Global space"),
     "Motive without its header": (

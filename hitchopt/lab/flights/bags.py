@@ -11,12 +11,13 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.bag_files import METADATA, opened_bag
+from hitchopt.lab.flights.logs import px4_values
 from hitchopt.lab.flights.recordings import (
     MARKER,
     QUANTITIES,
@@ -47,10 +48,29 @@ MIN_TURN = 1e-6  # Smallest change of an attitude that is measured
 
 # Packages of crazyswarm, of ROS 1, and of crazyswarm2, and definitions that bags may lack
 CRAZYFLIES = ("crazyswarm", "crazyflie_driver", "crazyflie_interfaces")
-POSE = "motion_capture_tracking_interfaces/msg/NamedPose"
+CAPTURE = "motion_capture_tracking_interfaces"
+POSE = f"{CAPTURE}/msg/NamedPose"
+OPTITRACK = "mocap4r2_msgs"
+VICON = ("vicon_receiver", "vicon_msgs")  # Packages with the same message
+VICON_UNIT = 1e-3  # Unit of its positions [m]
 MESSAGES = {
     POSE: "string name\ngeometry_msgs/Pose pose\n",
-    f"{POSE}Array": f"std_msgs/Header header\n{POSE.replace('msg/', '')}[] poses\n",
+    f"{POSE}Array": f"std_msgs/Header header\n{CAPTURE}/NamedPose[] poses\n",
+    f"{CAPTURE}/msg/LatencyInfo": "string source\nuint32 latency\n",
+    f"{POSE}ArrayV2": "std_msgs/Header header\nuint64 timestamp\n"
+    f"{CAPTURE}/LatencyInfo[] latencies\n{CAPTURE}/NamedPose[] poses\n",
+    f"{OPTITRACK}/msg/Marker": "int8 id_type\nint32 marker_index\nstring marker_name\n"
+    "geometry_msgs/Point translation\n",
+    f"{OPTITRACK}/msg/RigidBody": "string rigid_body_name\n"
+    f"{OPTITRACK}/Marker[] markers\ngeometry_msgs/Pose pose\n",
+    f"{OPTITRACK}/msg/RigidBodies": "std_msgs/Header header\nuint32 frame_number\n"
+    f"{OPTITRACK}/RigidBody[] rigidbodies\n",
+    **{
+        f"{package}/msg/Position": "float32 x_trans\nfloat32 y_trans\nfloat32 z_trans\n"
+        "float32 x_rot\nfloat32 y_rot\nfloat32 z_rot\nfloat32 w\nstring segment_name\n"
+        "string subject_name\nint32 frame_number\nstring translation_type\n"
+        for package in VICON
+    },
     "crazyflie_interfaces/msg/Position": "std_msgs/Header header\n"
     "float32 x\nfloat32 y\nfloat32 z\nfloat32 yaw\n",
     "crazyflie_interfaces/msg/FullState": "std_msgs/Header header\ngeometry_msgs/Pose pose\n"
@@ -62,8 +82,21 @@ MESSAGES = {
 _Parts = dict[str, Any]
 """Numbers of a sample by quantity."""
 
-Samples = list[tuple[str, Any, _Parts]]
-"""Frame, header and quantities of each body in a message."""
+
+class _Stamp(NamedTuple):
+    """The parent frame of a sample, and its time [s], 0 if it is not stated."""
+
+    parent: str
+    t: float
+
+
+Samples = list[tuple[str, _Stamp, _Parts]]
+"""Frame, stamp and quantities of each body in a message."""
+
+
+def _stamp(header: Any) -> _Stamp:
+    """Return the stamp of a message's header."""
+    return _Stamp(header.frame_id.strip("/"), float(header.stamp.sec + 1e-9 * header.stamp.nanosec))
 
 
 def _xyz(vector: Any) -> tuple[float, float, float]:
@@ -82,40 +115,99 @@ def _transform(transform: Any) -> _Parts:
 
 def _full_state(m: Any) -> Samples:
     values = {"velocity": _xyz(m.twist.linear), "acceleration": _xyz(m.acc)}
-    return [("", m.header, {**_pose(m.pose), **values})]
+    return [("", _stamp(m.header), {**_pose(m.pose), **values})]
 
 
 def _position(m: Any) -> Samples:
-    return [("", m.header, {"position": _xyz(m), "yaw": (m.yaw,)})]
+    return [("", _stamp(m.header), {"position": _xyz(m), "yaw": (m.yaw,)})]
 
 
 def _imu(m: Any) -> Samples:
     values = {"rates": _xyz(m.angular_velocity), "specific_force": _xyz(m.linear_acceleration)}
-    return [("", m.header, values)]
+    return [("", _stamp(m.header), values)]
+
+
+def _log(m: Any) -> Samples:
+    """Return the values of a log; those of crazyswarm2 are stamped from the drone's boot [ms]."""
+    stamp = _stamp(m.header)
+    boot_time = getattr(m, "timestamp", None)
+    return [
+        (
+            "",
+            stamp if boot_time is None else stamp._replace(t=1e-3 * boot_time),
+            {"values": m.values},
+        )
+    ]
+
+
+def _vicon(m: Any) -> Samples:
+    """Return the pose of a segment; newer versions of the message have a header."""
+    values = [VICON_UNIT * getattr(m, f"{axis}_trans") for axis in "xyz"]
+    attitude = (m.x_rot, m.y_rot, m.z_rot, m.w)
+    stamp = _stamp(m.header) if hasattr(m, "header") else _Stamp("", 0.0)
+    return [(m.subject_name, stamp, {"position": values, "attitude": attitude})]
+
+
+def _px4_stamp(m: Any) -> _Stamp:
+    """Return the stamp of a message of PX4, of the sample if it is stated [µs]."""
+    return _Stamp("", 1e-6 * (getattr(m, "timestamp_sample", 0) or m.timestamp))
+
+
+def _px4_odometry(m: Any) -> Samples:
+    """Return pose and rates of a drone in PX4's axes, and its velocity in those of the world."""
+    position = px4_values("world", m.position)
+    attitude, rates = px4_values("attitude", m.q), px4_values("body", m.angular_velocity)
+    parts = {"position": position, "attitude": attitude, "rates": rates}
+    if m.velocity_frame == m.pose_frame:
+        parts["velocity"] = px4_values("world", m.velocity)
+    return [("", _px4_stamp(m), parts)]
+
+
+def _px4_position(m: Any) -> Samples:
+    """Return the estimated position and velocity of a drone while they are valid."""
+    position = px4_values("world", (m.x, m.y, m.z))
+    velocity = px4_values("world", (m.vx, m.vy, m.vz))
+    parts = {
+        "position": position if m.xy_valid and m.z_valid else np.full(3, np.nan),
+        "velocity": velocity if m.v_xy_valid and m.v_z_valid else np.full(3, np.nan),
+    }
+    return [("", _px4_stamp(m), parts)]
 
 
 # Message types that are read, those with positions by preference: whether messages name the
 # bodies, and functions that return the samples of a message
 MESSAGE_TYPES: dict[str, tuple[bool, Callable[[Any], Samples]]] = {
-    f"{POSE}Array": (True, lambda m: [(x.name, m.header, _pose(x.pose)) for x in m.poses]),
+    **{
+        f"{POSE}Array{version}": (
+            True, lambda m: [(x.name, _stamp(m.header), _pose(x.pose)) for x in m.poses],
+        )
+        for version in ("", "V2")
+    },
+    f"{OPTITRACK}/msg/RigidBodies": (
+        True, lambda m: [(x.rigid_body_name, _stamp(m.header), _pose(x.pose))
+                         for x in m.rigidbodies],
+    ),
+    **{f"{x}/msg/Position": (False, _vicon) for x in VICON},
     "geometry_msgs/msg/TransformStamped": (
-        False, lambda m: [(m.child_frame_id, m.header, _transform(m.transform))],
+        False, lambda m: [(m.child_frame_id, _stamp(m.header), _transform(m.transform))],
     ),
     "tf2_msgs/msg/TFMessage": (
-        True, lambda m: [(x.child_frame_id, x.header, _transform(x.transform))
+        True, lambda m: [(x.child_frame_id, _stamp(x.header), _transform(x.transform))
                          for x in m.transforms],
     ),
-    "geometry_msgs/msg/PoseStamped": (False, lambda m: [("", m.header, _pose(m.pose))]),
+    "geometry_msgs/msg/PoseStamped": (False, lambda m: [("", _stamp(m.header), _pose(m.pose))]),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (
-        False, lambda m: [("", m.header, _pose(m.pose.pose))],
+        False, lambda m: [("", _stamp(m.header), _pose(m.pose.pose))],
     ),
     "nav_msgs/msg/Odometry": (
-        False, lambda m: [(m.child_frame_id, m.header, _pose(m.pose.pose))],
+        False, lambda m: [(m.child_frame_id, _stamp(m.header), _pose(m.pose.pose))],
     ),
+    "px4_msgs/msg/VehicleOdometry": (False, _px4_odometry),
+    "px4_msgs/msg/VehicleLocalPosition": (False, _px4_position),
     **{f"{x}/msg/FullState": (False, _full_state) for x in CRAZYFLIES},
     **{f"{x}/msg/Position": (False, _position) for x in CRAZYFLIES},
     **{
-        f"{x}/msg/{name}": (False, lambda m: [("", m.header, {"values": m.values})])
+        f"{x}/msg/{name}": (False, _log)
         for x in CRAZYFLIES
         for name in ("GenericLogData", "LogDataGeneric")
     },
@@ -295,16 +387,12 @@ def _streams(topic: Topic, kind: str, messages: Sequence[tuple[float, Any]]) -> 
     logged_quantity, logged_count, logged_unit = LOGGED.get(last_part, ("", 0, 1.0))
     samples_of = MESSAGE_TYPES[kind][1]
     for received, message in messages:
-        for frame, header, parts in samples_of(message):
+        for frame, stamp, parts in samples_of(message):
             values = parts.pop("values", ())
             if len(values) == logged_count > 0:
                 parts[logged_quantity] = logged_unit * np.asarray(values)
-            # Logs of crazyswarm2 are stamped from the drone's boot [ms]
-            boot_time = getattr(message, "timestamp", None)
-            t = _time(header) if boot_time is None else 1e-3 * boot_time
             if parts:
-                parent = header.frame_id.strip("/")
-                samples[frame.strip("/")].append((parent, t, received, parts))
+                samples[frame.strip("/")].append((*stamp, received, parts))
     return {frame: _stream(topic, own) for frame, own in samples.items()}
 
 
@@ -324,11 +412,6 @@ def _stream(topic: Topic, samples: Sequence[tuple[str, float, float, _Parts]]) -
     )
 
 
-def _time(header: Any) -> float:
-    """Return the time of a stamp [s], 0 if there is none."""
-    return float(header.stamp.sec + 1e-9 * header.stamp.nanosec)
-
-
 def _points(received: float, cloud: Any) -> Array:
     """Return rows (m, 4) of time [s] and position of the points of a cloud of float32."""
     float32 = 7
@@ -338,7 +421,7 @@ def _points(received: float, cloud: Any) -> Array:
         np.ascontiguousarray(data[:, offsets[axis] : offsets[axis] + 4]).view("<f4")
         for axis in "xyz"
     ]
-    t = np.full((len(data), 1), _time(cloud.header) or received)
+    t = np.full((len(data), 1), _stamp(cloud.header).t or received)
     return np.concatenate([t, *axes], axis=1)
 
 
@@ -353,7 +436,7 @@ def _tracks_by_body(
     for topic in topics:
         frames = frames_of[topic.name]
         for frame, name in _names_by_frame(topic, list(frames)).items():
-            parent = frames.get(frames[frame].parent)
+            parent = frames.get(frames[frame].parent) if frames[frame].parent else None
             if parent is not None and _moves(parent):
                 omitted.append(frame)
                 continue

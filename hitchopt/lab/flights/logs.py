@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from hitchopt.errors import FileError
@@ -319,21 +320,29 @@ def _ulog_rows(topic: Mapping[str, Any], variables: UlogVariables) -> Array:
     """Return rows of time [s] and values, in the axes of this package, while they are valid."""
     names = variables.names.split()
     values = np.stack([topic[name].astype(np.float64) for name in names], axis=1)
-    match variables.axes:
-        case "world":
-            values = values @ WORLD.T
-        case "body":
-            values = values @ BODY.T
-        case "attitude":
-            values = _ulog_attitudes(values)
+    values = px4_values(variables.axes, values)
     t = 1e-6 * topic.get("timestamp_sample", topic["timestamp"]).astype(np.float64)
     flags = [topic[name] != 0 for name in variables.valid.split() if name in topic]
     is_valid = np.all([np.ones(len(t), np.bool_), *flags], axis=0)
     return np.column_stack([t, values])[is_valid]
 
 
-def _ulog_attitudes(values: Array) -> Array:
-    """Return quaternions x, y, z, w from those w, x, y, z of PX4; nan if they are none."""
+def px4_values(axes: str, values: ArrayLike) -> Array:
+    """Return values (…, k) in PX4's axes, as of ``UlogVariables``, in those of this package.
+
+    Quaternions w, x, y, z become x, y, z, w; nan if they are none.
+    """
+    numbers: Array = np.asarray(values, np.float64)
+    if axes == "world":
+        numbers = numbers @ WORLD.T
+    elif axes == "body":
+        numbers = numbers @ BODY.T
+    elif axes == "attitude":
+        numbers = _px4_attitudes(numbers.reshape(-1, 4)).reshape(numbers.shape)
+    return numbers
+
+
+def _px4_attitudes(values: Array) -> Array:
     is_known = np.isfinite(values).all(axis=1) & np.any(values != 0.0, axis=1)
     attitudes = Rotation.from_quat(values[is_known][:, [1, 2, 3, 0]]).as_matrix()
     quaternions = np.full_like(values, np.nan)

@@ -9,6 +9,7 @@ boot.
 from __future__ import annotations
 
 import csv
+import math
 import re
 import struct
 from collections import defaultdict
@@ -36,7 +37,7 @@ from hitchopt.lab.flights.recordings import (
 )
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import file_text, opened, parsed_json
-from hitchopt.storage.tables import labelled_table, text_lines
+from hitchopt.storage.tables import Table, labelled_table, text_lines
 from hitchopt.values import Array, check_choice
 from hitchopt.values import path as checked_path
 
@@ -51,6 +52,7 @@ RATES = (4.0, 3000.0)  # Plausible sampling rates [Hz]
 # Required columns of a plain table, in any order: time [s], the name of a body (q0, r0, …, a vertex
 # p0, …, or any name) or MARKER for an unlabeled point, and its position [m]
 HEADER = "t,name,x,y,z"
+OWN_HEADER = "t,drone,x,y,z"  # Those of setpoints.csv and of exports, in the plan's axes
 
 # Columns of names in the tables of a simulated flight, and prefixes of the names
 TABLES = {"vertices.csv": ("vertex", "p"), "drones.csv": ("drone", "")}
@@ -62,6 +64,7 @@ UNLABELED = ("*", "unlabel", "unidentified", "u_", MARKER)  # Prefixes of labels
 MAX_HEADER_LINES = 50  # Lines in which the titles of a table are searched
 # Lines of a Qualisys header that name markers or bodies, and numbers of each of them in a row
 QUALISYS_COLUMNS = {"MARKER_NAMES": 3, "BODY_NAMES": 16}
+EXTERNAL = "ext"  # Their FREQUENCY if another clock triggers frames
 TIME_TOLERANCE = 2e-3  # Largest rounding error of the printed time of a frame [s]
 BODY_RADIUS = 0.3  # Largest distance of markers from the middle of their body [m]
 NUMBERED = re.compile(r"(.+?)(?:_| - )(\d{1,3})")  # Names of markers with numbers
@@ -149,16 +152,27 @@ def _read(path: Path, unit: str | None, topic: str | None) -> RecordedFlight:
             return read(single_file(matching), unit)
     known = ", ".join(name for name, _ in (*TABLE_FORMATS.values(), *TOPIC_FORMATS.values()))
     known += f", the directory of a simulated flight, or a table with the columns {HEADER}"
+    known += f" or {OWN_HEADER}"
     if path.is_dir():
         listed = ", ".join(each.name for each in files[:5]) or "no file"
         raise FileError(f"contains {listed}: no recording; name {known}")
-    try:
-        table = labelled_table(partial(text_lines, path), HEADER.split(","), str(path))
-    except FileError as error:
-        raise FileError(f"{error}; name {known}") from None
+    table, owner = _plain_table(path, known)
     _refuse_topic(topic)
-    rows, names = table.numbers(["t", "x", "y", "z"], blanks=True), table.words("name")
+    rows, names = table.numbers(["t", "x", "y", "z"], blanks=True), table.words(owner)
     return flight_of("table", positions_of(_by_name(names, rows)), unit or "m")
+
+
+def _plain_table(path: Path, known: str) -> tuple[Table, str]:
+    """Return a table with the columns of HEADER or OWN_HEADER, and its column of names."""
+    refusal: FileError | None = None
+    for header in (HEADER, OWN_HEADER):
+        try:
+            table = labelled_table(partial(text_lines, path), header.split(","), str(path))
+        except FileError as error:
+            refusal = refusal or error
+        else:
+            return table, header.split(",")[1]
+    raise FileError(f"{refusal}; name {known}") from None
 
 
 def _refuse_topic(topic: str | None) -> None:
@@ -372,7 +386,8 @@ def read_vicon(path: Path, unit: str | None) -> RecordedFlight:
 def read_qualisys(path: Path, unit: str | None) -> RecordedFlight:
     """Return the flight in a TSV table of Qualisys Track Manager, of markers or of rigid bodies.
 
-    Times follow from the frequency: the header's time stamp is not that of the first frame.
+    Times follow from the frequency: the header's time stamp is not that of the first frame. Those
+    of an external clock are in the column Time. Gaps are blank, NULL or zeros.
     """
     lines, header = text_lines(path), dict[str, list[str]]()
     for line in islice(lines, MAX_HEADER_LINES):
@@ -382,8 +397,10 @@ def read_qualisys(path: Path, unit: str | None) -> RecordedFlight:
             break
     else:
         raise FileError(f"has no line {' or '.join(QUALISYS_COLUMNS)}; export it with its header")
-    hertz = float(header.get("FREQUENCY", ["nan"])[0].replace(",", "."))
-    if not hertz > 0.0:
+    frequency = header.get("FREQUENCY", ["nan"])[0].strip()
+    is_external = frequency.casefold() == EXTERNAL
+    hertz = math.nan if is_external else float(frequency.replace(",", "."))
+    if not (hertz > 0.0 or is_external):
         raise FileError(f"has a FREQUENCY of {hertz:g} Hz; export it again")
     names, width = header[key], QUALISYS_COLUMNS[key]
     titles, first = list[str](), ""
@@ -397,9 +414,16 @@ def read_qualisys(path: Path, unit: str | None) -> RecordedFlight:
     if len(columns) != len(names):  # No titles: at most the frame and its time come first
         before = len(first.strip("\t\n").split("\t")) - width * len(names)
         columns = [max(before, 0) + width * k for k in range(len(names))]
-    rows, points = table_of(chain([first], lines), "\t", columns)
+    gaps_blank = (re.sub(r"\bNULL\b", "", line) for line in chain([first], lines))
+    rows, points = table_of(gaps_blank, "\t", columns)
     points = {k: x[np.any(x[:, 1:] != 0.0, axis=1)] for k, x in points.items()}  # Gaps are 0
-    t, length_unit = np.arange(len(rows)) / hertz, unit or "mm"
+    if is_external:  # Frames are triggered by another clock, which only this column has
+        if "Time" not in titles[:2]:
+            raise FileError("has a FREQUENCY of EXT, and no column Time; export it with times")
+        t = rows[:, titles.index("Time")]
+    else:
+        t = np.arange(len(rows)) / hertz
+    length_unit = unit or "mm"
     bodies = names if key == "BODY_NAMES" else ()
     samples, notes = rows_of(t, points, names, length_unit, bodies)
     return flight_of("Qualisys TSV", positions_of(samples), length_unit, notes=notes)

@@ -20,6 +20,7 @@ from hitchopt.values import Array, as_array
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
 NAMES = {"meters": "m", "centimeters": "cm", "millimeters": "mm", "inches": "in", "feet": "ft"}
 
+NEAR_ORIGIN = 0.1  # Largest distance of bodies near the origin [m]
 MIN_EPOCH = 1e7  # Smallest time that counts from a date or from a computer's start [s]
 MARKER = "marker"  # Name of the rows of unlabeled points
 
@@ -307,14 +308,22 @@ def flight_of(
     """Return a flight of bodies, of points named MARKER, and of loads, with lengths in a unit.
 
     Positions of bodies are in order of time. ``fields`` are others of ``RecordedFlight``. Rows
-    without a value and rows that repeat a time are omitted. Raises FileError for an unknown unit or
-    descending times.
+    without a value, those of lost bodies, and rows that repeat a time are omitted. Raises FileError
+    for an unknown unit or descending times.
     """
     loads, notes = loads or {}, list(notes)
     drones = {name: own for name, own in bodies.items() if name != MARKER}
-    recorded = {name: own["position"].rows for name, own in drones.items()}
-    recorded = {name: rows for name, rows in recorded.items() if len(rows)}
-    units = _Units(scale_of(unit), _epoch(recorded) if fields.get("one_clock", True) else 0.0)
+    length_unit, lost = scale_of(unit), 0
+    recorded = dict[str, Array]()
+    for name, own in drones.items():
+        rows = own["position"].rows
+        is_lost = _is_lost(rows, length_unit)
+        lost += int(np.sum(is_lost))
+        if not np.all(is_lost):
+            recorded[name] = rows[~is_lost]
+    if lost:
+        notes.append(f"{lost} samples omitted: x = y = z = 0, as drivers publish lost bodies")
+    units = _Units(length_unit, _epoch(recorded) if fields.get("one_clock", True) else 0.0)
     if units.epoch:
         clock = f"at {units.epoch:.3f} s of the recording's clock"
         notes.append(f"times start at the first position, {clock}")
@@ -341,6 +350,22 @@ def flight_of(
     )
 
 
+def _is_lost(rows: Array, unit: float) -> NDArray[np.bool_]:
+    """Return whether positions of a body (m, 4), of lengths in a unit [m], are those of a lost one.
+
+    These are exactly zero. A body that was near the origin before or after may really be there.
+    """
+    is_zero: NDArray[np.bool_] = np.all(rows[:, 1:] == 0.0, axis=1)
+    seen = np.flatnonzero(~is_zero & np.isfinite(rows).all(axis=1))
+    if not len(seen):
+        return is_zero
+    after = np.searchsorted(seen, np.arange(len(rows)))
+    neighbours = np.stack([np.maximum(after - 1, 0), np.minimum(after, len(seen) - 1)])
+    distances = unit * np.linalg.norm(rows[seen[neighbours], 1:], axis=-1)
+    is_far: NDArray[np.bool_] = np.all(distances > NEAR_ORIGIN, axis=0)
+    return is_zero & is_far
+
+
 def _epoch(recorded: Mapping[str, Array]) -> float:
     """Return the first time [s] if times count from a date or from a computer's start, else 0."""
     start = min((float(rows[0, 0]) for rows in recorded.values()), default=0.0)
@@ -360,7 +385,10 @@ def _signals(
     signals = defaultdict[str, dict[str, Signal]](dict)
     for name, own in content.items():
         for quantity, logged in own.items():
-            if quantity not in apart and len(rows := _ordered(logged.rows)):
+            rows = _ordered(logged.rows)
+            if quantity.endswith("attitude"):  # Lost bodies have quaternions of zeros
+                rows = rows[np.any(rows[:, 1:] != 0.0, axis=1)]
+            if quantity not in apart and len(rows):
                 signals[name][quantity] = units.signal(quantity, rows)
     return dict(signals)
 
