@@ -261,8 +261,8 @@ def contents(value: Any) -> object:
         return value
     if kind is np.ndarray:
         return value.dtype.str, value.shape, value.strides, value.tobytes()
-    if names := getattr(kind, "__dataclass_fields__", None):
-        return kind, [contents(getattr(value, name)) for name in names]
+    if fields := getattr(kind, "__dataclass_fields__", None):  # Others follow from arguments
+        return kind, [contents(getattr(value, name)) for name, each in fields.items() if each.init]
     if isinstance(value, Mapping):
         return [(key, contents(each)) for key, each in value.items()]
     if isinstance(value, (tuple, list)):

@@ -103,7 +103,9 @@ def bits(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.shape, np.asarray(value, dtype=np.float64).tobytes()
     if dataclasses.is_dataclass(value):
-        return type(value), [bits(getattr(value, f.name)) for f in dataclasses.fields(value)]
+        return type(value), [
+            bits(getattr(value, f.name)) for f in dataclasses.fields(value) if f.init
+        ]
     if isinstance(value, dict):
         return [(key, bits(part)) for key, part in value.items()]
     return [bits(part) for part in value] if isinstance(value, tuple) else repr(value)
