@@ -223,8 +223,8 @@ def _leave_diagnosis(
     ``seconds`` [s]. The problem's text with one change is written to a file: ``repair_to`` is the
     text, the file and the number of the change.
     """
-    from hitchopt.exports.directory import DIAGNOSIS, diagnosis_content, save_diagnosis
-    from hitchopt.storage.files import PREVIOUS
+    from hitchopt.exports.directory import diagnosis_content, save_diagnosis
+    from hitchopt.storage.files import DIAGNOSIS, PREVIOUS
 
     report_error(error)  # first, in case the diagnosis cannot be written
     content = diagnosis_content(error)

@@ -21,6 +21,7 @@ from hitchopt.motion.states import States, flight_states_at, iterate_flight_stat
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.decimals import formatted, padded
 from hitchopt.storage.files import (
+    DIAGNOSIS,
     Writer,
     digest,
     file_bytes,
@@ -34,7 +35,6 @@ from hitchopt.values import Array
 SETPOINTS = "setpoints.csv"  # Setpoints of drones
 VERTICES = "vertices.csv"  # Vertices and tensions
 CERTIFICATE = "certificate.json"  # Certificate of the plan
-DIAGNOSIS = "diagnosis.json"  # Reasons why there is no plan
 SUMMARY = "summary.png"  # Picture of the plan
 REPORT = "report.html"  # Report of the plan
 STATICS = "statics.json"  # Static equilibria of the plan

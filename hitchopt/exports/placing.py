@@ -168,7 +168,9 @@ def placeholder_fleet(roles: Sequence[str], *, dotted: bool = False) -> Fleet:
 
 def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
     """Return the fleet of a fleet file or a crazyflies.yaml, with all drones of a plan."""
-    keys: FleetKeys = mapping_of(FleetKeys).check("", read_yaml(path))
+    data = read_yaml(path)
+    _check_roles(data, roles)
+    keys: FleetKeys = mapping_of(FleetKeys).check("", data)
     root = "robots" if keys.robots else "drones"
     drones: dict[str, Member] = {}
     unique: set[str] = set()
@@ -196,14 +198,31 @@ def read_fleet(path: str | Path, roles: Sequence[str]) -> Fleet:
                 )
             unique.add(value.lower())
         drones[member.role] = member
-    for role in (*drones, *roles):
-        if role not in drones or role not in roles:
-            names = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
-            bound = "a drone of the plan" if role in drones else "named once, in the fleet"
-            remedy = f"{names}; a robot's role states which one it flies"
-            raise InputError(root, role, bound, remedy)
+    for role in roles:
+        if role not in drones:
+            raise InputError(root, role, "named once, in the fleet", _role_remedy(roles))
     members, types = tuple(drones[role] for role in roles), keys.types or keys.robot_types
     return Fleet(members, types, keys.settings or keys.all, is_placeholder=False)
+
+
+def _check_roles(data: object, roles: Sequence[str]) -> None:
+    """Raise InputError for the first enabled robot that flies no drone of the plan.
+
+    Its other keys do not matter then.
+    """
+    sections = data if isinstance(data, Mapping) else {}
+    root = "robots" if sections.get("robots") else "drones"
+    robots = sections.get(root)
+    for name, entry in robots.items() if isinstance(robots, Mapping) else ():
+        own = entry if isinstance(entry, Mapping) else {}
+        role = own.get("role") or name
+        if own.get("enabled") is not False and isinstance(role, str) and role not in roles:
+            raise InputError(root, role, "a drone of the plan", _role_remedy(roles))
+
+
+def _role_remedy(roles: Sequence[str]) -> str:
+    names = f"the plan's drones are {', '.join(roles[:6])}{', …' if len(roles) > 6 else ''}"
+    return f"{names}; a robot's role states which one it flies"
 
 
 AXES = {

@@ -31,7 +31,7 @@ from hitchopt.motion.retiming import shifted
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import REST_DRIFT, check_overlaps, poses_of
 from hitchopt.storage.archive import PLAN, READ_ERRORS, read_arrays
-from hitchopt.storage.files import PREVIOUS, digest
+from hitchopt.storage.files import DIAGNOSIS, PREVIOUS, digest
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Indices, line, text
@@ -241,8 +241,12 @@ def read_saved_plan(path: Path) -> SavedPlan:
             words = f"{path}: there is no such file" if path.name != PLAN else ""
             words = words or f'No plan in "{path.parent}"'
             remedy = "name a directory that hitchopt solve -o wrote"
+            if path.name == PLAN and (path.parent / DIAGNOSIS).is_file():
+                words = f'No plan in "{path.parent}", where hitchopt solve was refused'
+                remedy = f"{path.parent / DIAGNOSIS} says why"
             if path.name == PLAN and (path.parent / PREVIOUS / PLAN).is_file():
-                remedy = f"the last certified plan is in {path.parent / PREVIOUS}"
+                last = f"the last certified plan is in {path.parent / PREVIOUS}"
+                remedy = f"{remedy}; {last}" if "refused" in words else last
             raise FileError(f"{words}: {remedy}.") from None
         if isinstance(error, KeyError):
             reason = f"not a plan that hitchopt wrote: {error} is missing"

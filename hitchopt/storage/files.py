@@ -27,6 +27,7 @@ from hitchopt.errors import FileError
 if sys.platform != "win32":
     import fcntl
 
+DIAGNOSIS = "diagnosis.json"  # Reasons why there is no plan in a directory
 PREVIOUS = "previous"  # Name of the subdirectory with the last set
 
 BackupPolicy = Literal["leave", "keep", "remove"]

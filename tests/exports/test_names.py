@@ -17,6 +17,8 @@ import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
 from hitchopt.drones.firmware import firmware_parameters
+from hitchopt.errors import InputError
+from hitchopt.exports.placing import read_fleet
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.storage.yaml_file import read_yaml
@@ -243,3 +245,24 @@ def test_read_plans_are_the_plans_that_were_written(tmp_path: Path) -> None:
     motion = read_plan(tmp_path / "and turned around" / "plan.npz")
     np.testing.assert_array_equal(motion.drones.coefficients, plan.motion.drones.coefficients)
     assert motion.team == plan.motion.team
+
+
+@pytest.mark.parametrize(
+    "entry",
+    ["{name: cf1}", "{}", "{uri: x, name: 1}", "{role: q0x, uri: radio://0/80/2M/E7E7E7E701}"],
+)
+def test_who_is_no_drone_of_the_plan_is_said_first(entry: str, tmp_path: Path) -> None:
+    """Whatever else is wrong with its entry; robots that are not enabled may have any name."""
+    fleet = tmp_path / "fleet.yaml"
+    fleet.write_text(f"drones:\n  a0: {entry}\n", "utf-8")
+    role = "q0x" if "q0x" in entry else "a0"
+    with pytest.raises(InputError, match=rf"^drones = '{role}': must be a drone of the plan; "):
+        read_fleet(fleet, ["q0", "r0"])
+    uris = [f"radio://0/80/2M/E7E7E7E70{k}" for k in (1, 2)]
+    lines = [
+        f"  q0: {{uri: {uris[0]}}}",
+        f"  r0: {{uri: {uris[1]}}}",
+        f"  a0: {{enabled: false, uri: {uris[0]}}}",
+    ]
+    fleet.write_text("\n".join(["drones:", *lines]), "utf-8")
+    assert [member.role for member in read_fleet(fleet, ["q0", "r0"]).members] == ["q0", "r0"]

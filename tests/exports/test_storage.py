@@ -446,3 +446,19 @@ def test_check_compares_the_certificate(
     assert (result.exit_code, words in result.stderr) == (3, True), result.stderr
     path.unlink()
     assert CliRunner().invoke(main, ["check", str(tmp_path)]).exit_code == 0
+
+
+@pytest.mark.parametrize("has_previous", [False, True])
+def test_the_folder_of_a_refused_solve_names_what_it_has(
+    has_previous: bool, tmp_path: Path
+) -> None:
+    if has_previous:
+        motion = hitch_plan()
+        save_plan(tmp_path, Flight.of(motion), certificate_of(Flight.of(motion)))
+    save_diagnosis(tmp_path, {"format": "hitchopt-diagnosis/1"})
+    done = CliRunner().invoke(main, ["check", str(tmp_path)])
+    said = " ".join(done.output.split())
+    assert done.exit_code == 2
+    assert "solve was refused" in said
+    assert f"{tmp_path / 'diagnosis.json'} says why".replace(" ", "") in said.replace(" ", "")
+    assert ("the last certified plan is in" in said) is has_previous
