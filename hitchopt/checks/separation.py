@@ -91,7 +91,8 @@ def _leg_change(motion: Motion, check: Check) -> str:
     spread = float((unit(r - end) - unit(q - start)) @ unit(end - start))
     if abs(spread) <= PARALLEL:
         return f"use {LARGER_POLYGON}"
-    return f"use a {'shorter' if spread < 0.0 else 'longer'} cable or {LARGER_POLYGON}"
+    polygon = f" or {LARGER_POLYGON}" if motion.hold_at(time) is None else ""  # or the object's
+    return f"use a {'shorter' if spread < 0.0 else 'longer'} cable{polygon}"
 
 
 def _is_rolling(motion: Motion, time: float) -> bool:

@@ -236,8 +236,12 @@ def test_paths_that_turn_too_often_are_refused_where_they_do() -> None:
         lambda s: TRIANGLE * (1.0 + 0.1 * s) + 0.05 * np.exp(-(((s - 0.5013) * 3000.0) ** 2)),
         lambda s: TRIANGLE + 0.05 * np.sin(32_000.0 * np.pi * s),
         lambda s: TRIANGLE * (np.nan if 0.7001 < s < 0.7012 else 1.0),
+        lambda s: TRIANGLE * (1.0 + 0.1 * s) + 0.3j,
+        lambda _: np.ma.masked_array(TRIANGLE, mask=[[True, False]] + [[False] * 2] * 2),
+        np.ma.masked_array(np.stack([TRIANGLE] * 3), mask=True),
+        np.stack([TRIANGLE] * 3) * (1.0 + 0.3j),
     ],
 )
-def test_functions_that_differ_from_every_spline_are_refused(vertices: Any) -> None:
+def test_what_is_no_smooth_curve_of_real_numbers_is_refused(vertices: Any) -> None:
     with pytest.raises(ho.InputError, match="vertices"):
         ho.Path.of(ho.Team(3, 2.4), vertices)
