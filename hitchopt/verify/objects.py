@@ -78,7 +78,8 @@ def clear_objects(p: Plan, b: int) -> Iterator[Row]:
             if o != b:
                 gap = partial(other_gap, o=o, slab=slab, block=block)
                 yield prove(*p.object_limit, moving, gap)
-        yield prove(p.arena_row, 0.0, carried, partial(arena_gap, slab=slab))
+        if not body.fixed:  # columns may touch walls and ceiling
+            yield prove(p.arena_row, 0.0, carried, partial(arena_gap, slab=slab))
 
     def inner_gap(s: Spans, _: Index, slab: Slab, o: int, block: Slab) -> Line:
         """Return the distance to a slightly smaller body, since surfaces may touch."""

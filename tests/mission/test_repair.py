@@ -38,6 +38,7 @@ from hitchopt.mission.solving import contents, solve_problem
 from hitchopt.steps.moving import Hold
 from hitchopt.steps.step import Edit, StepPlan, StepTask, altitude_knobs
 from hitchopt.storage.yaml_file import read_yaml, split_key
+from hitchopt.verify import verify
 
 
 def edited(data: Any, edits: Iterable[Edit]) -> dict[str, Any]:
@@ -679,12 +680,13 @@ def under_ceiling(height: float, at: float) -> dict[str, Any]:
     }
 
 
-def test_fixed_objects_may_touch_the_ceiling() -> None:
-    radii = [
-        ho.solve(problem_from_dict(under_ceiling(top, 0.9))).certificate["tracking_radius"].worst
-        for top in (2.1, 2.2)
-    ]
+@pytest.mark.slow
+def test_fixed_objects_may_touch_the_ceiling(tmp_path: Path) -> None:
+    plans = [ho.solve(problem_from_dict(under_ceiling(top, 0.9))) for top in (2.1, 2.2)]
+    radii = [plan.certificate["tracking_radius"].worst for plan in plans]
     assert radii[1] == pytest.approx(radii[0])
+    plans[1].save(tmp_path / "plan")
+    assert {row.verdict for row in verify(tmp_path / "plan")} == {"proven"}
 
 
 @pytest.mark.slow
