@@ -6,6 +6,8 @@ timed (``motion_along``) and certified.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hitchopt.api import step_errors, step_problem
@@ -115,9 +117,11 @@ def time(
     seconds = None if duration is None else positive("duration", duration)
     requirements = Requirements(
         Limits() if limits is None else limits,
-        (Separation() if separation is None else separation).for_drones(path.team),
+        Separation() if separation is None else separation,
         arena,
     )
+    of_drones = requirements.separation.for_drones(path.team)
+    requirements = replace(requirements, separation=of_drones)
     enforced = requirements.with_reserve
     check_shapes(path)
     check_loads(path, enforced.limits)
