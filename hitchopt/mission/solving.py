@@ -240,9 +240,6 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
 
 
-EFFORT_PER_ROBOT = 2e4
-"""Effort to plan a step, per robot, beyond which no further candidate is tried."""
-
 CACHE_SIZE = 32  # Capacity of the cache in steps; one of 1000 robots takes 76 MB
 
 _CACHE: dict[bytes, StepPlan] = {}
@@ -326,8 +323,9 @@ def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> St
 
 def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:
     """Return the certified plan of steps without a stop."""
-    budget = Effort(EFFORT_PER_ROBOT * task.before.team.robots)
-    task = replace(task, progress=report, effort=budget)
+    per_robot = max(step.effort_per_robot for step in group)
+    effort = Effort(per_robot * task.before.team.robots)
+    task = replace(task, progress=report, effort=effort)
     with planners_faults():
         plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
         plan = with_settling(plan, task, group[-1].settling)

@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from hitchopt.errors import (
     HitchoptError,
@@ -23,8 +23,10 @@ from hitchopt.errors import (
 )
 
 T = TypeVar("T")
+U = TypeVar("U")
+T_co = TypeVar("T_co", covariant=True)
 
-CANDIDATE_COST = 1e3
+CANDIDATE_COST = 100.0
 """Effort of planning and certifying a candidate without a search."""
 
 MIN_LIMIT = 1e-9
@@ -56,24 +58,27 @@ class Effort:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate(Generic[T]):
+class Candidate(Generic[T_co]):
     """One way to meet a goal."""
 
     name: str
     """What it is, a noun in the singular: candidates of one name are counted."""
 
-    plan: Callable[[], T]
+    plan: Callable[[], T_co]
     """Return its certified plan, or raise InfeasibleError."""
 
-    amended: Callable[[InfeasibleError], Candidate[T] | None] | None = None
+    amended: Callable[[InfeasibleError], Candidate[T_co] | None] | None = None
     """Return the candidate that avoids a failure of this one; None if nothing can be changed."""
+
+    explained: Callable[[InfeasibleError], InfeasibleError] | None = None
+    """Return its error with what only a long analysis tells, for the best failure of all."""
 
 
 class Failure(NamedTuple):
     """A candidate that failed."""
 
-    name: str
-    """Name of the candidate."""
+    candidate: Candidate[Any]
+    """The candidate."""
 
     error: HitchoptError
     """What it breaks, or where its planner failed."""
@@ -104,12 +109,22 @@ def first_certified(
             except (TimeLimitError, RequestError):
                 raise
             except InfeasibleError as error:
-                failures.append(Failure(candidate.name, error))
+                failures.append(Failure(candidate, error))
                 candidate = None if candidate.amended is None else candidate.amended(error)
             except HitchoptError as error:
-                failures.append(Failure(candidate.name, error))
+                failures.append(Failure(candidate, error))
                 candidate = None
     raise _refusal(failures) from _best(failures).error
+
+
+def first_feasible(candidate: Candidate[T], otherwise: U) -> T | U:
+    """Return the plan of a candidate, or what holds without it: one that is only better, or None.
+
+    Nothing is said of its failure.
+    """
+    fallback: Candidate[T | U] = Candidate("as it is", lambda: otherwise)
+    ways: list[Candidate[T | U]] = [candidate, fallback]
+    return first_certified(ways, Effort())
 
 
 def excess(error: HitchoptError) -> float:
@@ -134,11 +149,14 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     It is ``complete`` unless the effort reached its limit before all candidates were tried.
     """
     best = _best(failures)
-    if not isinstance(best.error, InfeasibleError):
-        return PlannerError(best.error)
+    error = best.error
+    if not isinstance(error, InfeasibleError):
+        return PlannerError(error)
+    if best.candidate.explained is not None:
+        error = best.candidate.explained(error)
     if len(failures) == 1 and complete:
-        return best.error
-    counts = Counter(failure.name for failure in failures)
+        return error
+    counts = Counter(failure.candidate.name for failure in failures)
     names = [name if count == 1 else f"{count} {name}s" for name, count in counts.items()]
     note = f"the best of {len(failures)} candidates: {', '.join(names)}"
     if not complete:
@@ -146,5 +164,5 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     first = failures[0]
     if first is not best and isinstance(first.error, InfeasibleError):
         violation = replace(first.error.violations[0], remedy="")
-        note += f"; {first.name}: {str(violation).rstrip('; ')}"
-    return InfeasibleError(best.error.violations, f"{best.error.note}\n{note}".strip())
+        note += f"; {first.candidate.name}: {str(violation).rstrip('; ')}"
+    return InfeasibleError(error.violations, f"{error.note}\n{note}".strip())

@@ -30,6 +30,7 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
+from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.capacity import best_rim_hold, team_for_rim
 from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
@@ -49,8 +50,6 @@ from hitchopt.planners.carrying.polygons import (
 )
 from hitchopt.steps.certified_motions import (
     end_of_morph,
-    excess,
-    nearest_feasible,
     require_certified,
 )
 from hitchopt.steps.moving import Morph, Transport
@@ -388,7 +387,15 @@ def first_orientation(
     """Return the first certified plan of several orientations, or the plan of the only one."""
     if len(planners) == 1:
         return planners[0](task)
-    return nearest_feasible(partial(planner, task) for planner in planners)
+    orientations = (
+        Candidate("orientation", partial(certified_plan, planner, task)) for planner in planners
+    )
+    return first_certified(orientations, task.effort, task.progress)
+
+
+def certified_plan(planner: Callable[[StepTask], StepPlan], task: StepTask) -> StepPlan:
+    """Return a planner's certified plan."""
+    return require_certified(planner(task))
 
 
 GRIP_TURNS = 6
@@ -516,34 +523,40 @@ class Grasp(TensionStep):
         if body.rim is None:
             key, bound = f"objects.{self.object}.rim", "given if it is held by rest"
             raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
+        height = body.rim.height
         requirements = requirements_near(task, self.object)
         with_margin = replace(requirements, separation=_wider(requirements.separation))
         closing_task = task.within(requirements, task.before)
-        failures = list[HoldFailure]()
-        for clasps in task.grasp.polygons.below_rim:
-            below = polygon_at(body, clasps)
-            goal = end_of_morph(task.hitch, below, None, with_margin).hitch
-            for hitch in hitches_below(goal, with_margin):
-                hold = RestHold(team, body, clasps, body.rim.height, hitch.fractions, hitch.roll)
-                planner = planner_of(task).from_state(tension=tension, hold=hold)
-                moves = [
-                    *planner.retension(team.tension, tension),
-                    planner.rim_move(planner.gap, 0.0),
-                ]
-                try:
-                    require_hold(task, planner)
-                    legs = RolledLegs(hitch.q_legs, hitch.roll)
-                    closing = require_certified(Morph(below, legs).plan(closing_task))
-                    rising = planner.motion(moves, self.name)
-                    parts = [closing.motion, rising]
-                    motion = step_motion(self, task, parts, rising.phases[0].hold)
-                    if np.any(hitch.roll):  # drones and cables sink toward the ground
-                        require_certified(StepPlan(motion, task.before))
-                except InfeasibleError as error:
-                    failures.append(HoldFailure(planner, error))
-                    continue
-                return plan_to(task, planner.state, motion, body.place)
-        raise best_hold_error(task, failures)
+
+        def held(planner: MovePlanner, hitch: Hitch, below: ConvexPolygon) -> StepPlan:
+            """Return the plan that closes the hitch below the rim and rises to it."""
+            moves = [
+                *planner.retension(team.tension, tension),
+                planner.rim_move(planner.gap, 0.0),
+            ]
+            require_hold(task, planner)
+            legs = RolledLegs(hitch.q_legs, hitch.roll)
+            closing = require_certified(Morph(below, legs).plan(closing_task))
+            rising = planner.motion(moves, self.name)
+            parts = [closing.motion, rising]
+            motion = step_motion(self, task, parts, rising.phases[0].hold)
+            if np.any(hitch.roll):  # drones and cables sink toward the ground
+                require_certified(StepPlan(motion, task.before))
+            return plan_to(task, planner.state, motion, body.place)
+
+        def holds() -> Iterator[Candidate[StepPlan]]:
+            """Yield the holds below the rim: by its polygons, and by legs and their rolls."""
+            for clasps in task.grasp.polygons.below_rim:
+                below = polygon_at(body, clasps)
+                goal = end_of_morph(task.hitch, below, None, with_margin).hitch
+                for hitch in hitches_below(goal, with_margin):
+                    hold = RestHold(team, body, clasps, height, hitch.fractions, hitch.roll)
+                    planner = planner_of(task).from_state(tension=tension, hold=hold)
+                    explained = partial(hold_error, task, planner)
+                    plan = partial(held, planner, hitch, below)
+                    yield Candidate("hold", plan, explained=explained)
+
+        return first_certified(holds(), task.effort, task.progress)
 
     def _grip(self, task: StepTask, body: SolidObject, tension: Array) -> StepPlan:
         """Plan how cables grip the object with tensions (n,) [N]."""
@@ -574,22 +587,6 @@ def _wider(separation: Separation) -> Separation:
     """Return the distances to keep with the margin for closing."""
     wider = {key: CLOSING_MARGIN * getattr(separation, key) for key in keys_of(Separation)}
     return replace(separation, **wider)
-
-
-class HoldFailure(NamedTuple):
-    """Legs that do not hold an object, or to which the hitch does not close."""
-
-    planner: MovePlanner
-    """Planner of the moves in which the object is held."""
-
-    error: InfeasibleError
-    """Limits that the hold or the closing breaks."""
-
-
-def best_hold_error(task: StepTask, failures: Sequence[HoldFailure]) -> InfeasibleError:
-    """Return the error of the legs whose violations are smallest."""
-    best = min(failures, key=lambda failure: excess(failure.error))
-    return hold_error(task, best.planner, best.error)
 
 
 def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,6 @@ from hitchopt.errors import (
     HitchoptError,
     InfeasibleError,
     RequestError,
-    TimeLimitError,
     Violation,
 )
 from hitchopt.geometry import Outline
@@ -29,6 +29,7 @@ from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import SETTLE, CableState, Motion, Phase, concatenated
+from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
 from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Points
@@ -90,49 +91,6 @@ def require_tracking(motion: Motion, stated: Requirements | None) -> None:
     radius = certificate[TRACKING_RADIUS.name]
     if not radius.holds:
         raise infeasible_error(replace(certificate, limited=(radius,)), flown)
-
-
-def attempt(planner: Callable[[], StepPlan]) -> StepPlan | HitchoptError:
-    """Return a planner's plan or its error; only TimeLimitError is raised."""
-    try:
-        return planner()
-    except TimeLimitError:
-        raise
-    except HitchoptError as error:
-        return error
-
-
-def first_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
-    """Return the plan of the first planner that succeeds, or raise the first error."""
-    errors = list[HitchoptError]()
-    for planner in planners:
-        outcome = attempt(planner)
-        if isinstance(outcome, StepPlan):
-            return outcome
-        errors.append(outcome)
-    raise errors[0]
-
-
-def excess(error: HitchoptError) -> float:
-    """Return the largest violation of an error, relative to its limit; infinite without any."""
-    if not isinstance(error, InfeasibleError):
-        return math.inf
-    shortfalls = [
-        abs(violation.value - violation.limit) / max(abs(violation.limit), MIN_LIMIT)
-        for violation in error.violations
-    ]
-    return max(shortfalls, default=math.inf)
-
-
-def nearest_feasible(planners: Iterable[Callable[[], StepPlan]]) -> StepPlan:
-    """Return the first certified plan, or raise the error with the smallest violation."""
-    errors = list[HitchoptError]()
-    for planner in planners:
-        outcome = attempt(lambda planner=planner: require_certified(planner()))  # type: ignore[misc]
-        if isinstance(outcome, StepPlan):
-            return outcome
-        errors.append(outcome)
-    raise min(errors, key=excess)
 
 
 def rest_motion(hitch: Hitch, requirements: Requirements, duration: float, phase: Phase) -> Motion:
@@ -341,7 +299,9 @@ def _nearest(
 
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
-DIRECT_TOO_SLOW = "the step's own route takes longer"
+OWN_ROUTE = "the step's own route"
+OPTIMISED_ROUTE = "optimised route"
+FASTER_ROUTE = "faster route"
 BEST_ROUTE = "the best route tried"
 FASTER = "faster than the step's own route"
 
@@ -419,18 +379,19 @@ def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
 
     ``phase`` has the name and the index of the step. Raises InfeasibleError if no route was found.
     """
-    direct = attempt(lambda: require_certified(straight_plan(task, end, phase)))
-    if isinstance(direct, StepPlan):
-        if not task.optimiser or direct.path is None or not is_slow(direct, task.hitch, end):
-            return direct
-        faster = attempt(lambda: optimised_plan(task, end, phase, straight=direct.path))
-        return faster if isinstance(faster, StepPlan) else direct
-    if not task.optimiser:
-        raise direct
-    other = attempt(lambda: optimised_plan(task, end, phase))
-    if isinstance(other, StepPlan):
-        return other
-    raise combined_failure(direct, other, "the optimiser found no other route")
+
+    def straight_or_faster() -> StepPlan:
+        """Return the plan along the straight route, or a faster one if that is slow."""
+        own = require_certified(straight_plan(task, end, phase))
+        if not task.optimiser or own.path is None or not is_slow(own, task.hitch, end):
+            return own
+        faster = partial(optimised_plan, task, end, phase, straight=own.path)
+        return first_feasible(Candidate(FASTER_ROUTE, faster), own)
+
+    routes = [Candidate(OWN_ROUTE, straight_or_faster)]
+    if task.optimiser:
+        routes.append(Candidate(OPTIMISED_ROUTE, partial(optimised_plan, task, end, phase)))
+    return first_certified(routes, task.effort)
 
 
 def optimised_plan(
@@ -552,33 +513,6 @@ def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: P
         for violation, check in zip(unplaced, named, strict=True)
     ]
     raise InfeasibleError(placed)
-
-
-def combined_failure(direct: HitchoptError, other: HitchoptError, note: str) -> HitchoptError:
-    """Return one error for two infeasible routes; a route that is only too slow has priority."""
-
-    def min_duration(error: InfeasibleError) -> float:
-        """Return the minimum duration of a route [s] that is only too slow, else inf."""
-        durations = [
-            violation.limit
-            for violation in error.violations
-            if (violation.constraint, violation.sense) == ("duration", "min")
-        ]
-        is_only_slow = len(durations) == len(error.violations)
-        return max(durations, default=math.inf) if is_only_slow else math.inf
-
-    errors = [error for error in (direct, other) if isinstance(error, InfeasibleError)]
-    if not errors:
-        return direct
-    reported = min(errors, key=min_duration)
-    if min_duration(reported) == math.inf:
-        reported = errors[-1]  # that of the best other route, if any limit of it is known
-    if reported is not direct and isinstance(direct, InfeasibleError):
-        note = DIRECT_TOO_SLOW
-        if min_duration(direct) == math.inf:
-            violation = replace(direct.violations[0], remedy="")
-            note = f"{DIRECT_INFEASIBLE}: {str(violation).rstrip('; ')}"
-    return InfeasibleError(reported.violations, reported.note or note)
 
 
 FRICTION_SHARES = (1.0, 0.8, 0.65, 0.5, 0.4, 0.3, 0.25)

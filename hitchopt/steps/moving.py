@@ -13,17 +13,19 @@ import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, RequestError, Violation
+from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
 from hitchopt.steps.certified_motions import (
+    FASTER_ROUTE,
+    OPTIMISED_ROUTE,
+    OWN_ROUTE,
     End,
-    attempt,
     check_at_rest,
-    combined_failure,
     end_of_action,
     end_of_morph,
     hover_motion,
@@ -129,55 +131,58 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
-        end = self.end(task)
-        requested = self._requested_plan(task, end)
-        if isinstance(requested, StepPlan):
-            return requested
-        direct = attempt(lambda: require_certified(self.direct_plan(task, end)))
-        if isinstance(direct, StepPlan):
-            was_searched = requested is not None
-            return direct if was_searched else self._faster_plan(task, end, direct)
+        return first_certified(self.routes(task, self.end(task)), task.effort, task.progress)
+
+    def routes(self, task: StepTask, end: End) -> Iterator[Candidate[StepPlan]]:
+        """Yield the routes to the end: the optimised one first if the step asks for it.
+
+        Raises InfeasibleError if its own route is infeasible, and the hitch at an end of it breaks
+        a limit at rest.
+        """
+        is_requested = self._requests_optimiser(task, end)
+        if is_requested:
+            yield Candidate(OPTIMISED_ROUTE, partial(self._requested_plan, task, end))
+        own_plan = self._own_plan if is_requested else self._own_or_faster_plan
+        yield Candidate(OWN_ROUTE, partial(own_plan, task, end))
         for hitch in (task.hitch, end.hitch):
             self.check_end(hitch, task)
-        if not task.optimiser:
-            raise direct
-        optimised = requested or attempt(partial(self._optimised_plan, task, end))
-        if isinstance(optimised, StepPlan):
-            return optimised
-        is_free = self.prescribed_duration is None
-        route = "other route" if is_free else "route that is fast enough either"
-        raise combined_failure(direct, optimised, f"the optimiser found no {route}")
+        if task.optimiser and not is_requested:
+            yield Candidate(OPTIMISED_ROUTE, partial(self._optimised_plan, task, end))
 
-    def _requested_plan(self, task: StepTask, end: End) -> StepPlan | HitchoptError | None:
-        """Return the optimised plan that the step asks for, or its failure; None without a request.
-
-        Raises InputError for an unsuitable cost.
-        """
-        from hitchopt.planners.morph.morph import moves, straight_path
+    def _requests_optimiser(self, task: StepTask, end: End) -> bool:
+        """Return whether the step asks for an optimised route."""
+        from hitchopt.planners.morph.morph import moves
 
         options = self._search_options
         for_time = options.allow_slides or options.tension is not None
         is_requested = options.cost is not None or (for_time and self.prescribed_duration is None)
-        if not (task.optimiser and is_requested and moves(task.hitch, end.hitch)):
-            return None
-        try:
-            straight = straight_path(task.hitch, end.hitch, task.requirements)
-        except InfeasibleError:
-            straight = None
-        outcome = attempt(partial(self._optimised_plan, task, end, straight=straight))
-        if isinstance(outcome, InputError):  # of the cost
-            raise outcome
-        return outcome
+        return task.optimiser and is_requested and moves(task.hitch, end.hitch)
 
-    def _faster_plan(self, task: StepTask, end: End, direct: StepPlan) -> StepPlan:
-        """Return an optimised plan in place of a slow direct one, if the step looks for one."""
+    def _requested_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the optimised plan that the step asks for, which may be along straight lines."""
+        from hitchopt.planners.morph.morph import straight_path
+
+        def straight() -> Path | None:
+            """Return the path along straight lines."""
+            return straight_path(task.hitch, end.hitch, task.requirements)
+
+        known = first_feasible(Candidate("straight lines", straight), None)
+        return self._optimised_plan(task, end, straight=known)
+
+    def _own_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the certified plan along the step's own route."""
+        return require_certified(self.direct_plan(task, end))
+
+    def _own_or_faster_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan along the step's own route, or a faster one if it looks for one."""
+        own = self._own_plan(task, end)
         searches = self.searches_faster_routes and task.optimiser
-        if not searches or self.prescribed_duration is not None or direct.path is None:
-            return direct
-        if not is_slow(direct, task.hitch, end.hitch):
-            return direct
-        outcome = attempt(partial(self._optimised_plan, task, end, straight=direct.path))
-        return outcome if isinstance(outcome, StepPlan) else direct
+        if not searches or self.prescribed_duration is not None or own.path is None:
+            return own
+        if not is_slow(own, task.hitch, end.hitch):
+            return own
+        faster = partial(self._optimised_plan, task, end, straight=own.path)
+        return first_feasible(Candidate(FASTER_ROUTE, faster), own)
 
     @property
     def _search_options(self) -> SearchOptions:
@@ -399,25 +404,16 @@ class Morph(ShapeStep):
         return end_of_morph(task.hitch, self.outline, self.split, task.requirements)
 
     def fly(self, task: StepTask) -> StepPlan:
-        """Return the plan to the nearest legs, or to spread ones where these break a limit."""
-        nearest = attempt(partial(super().fly, task))
-        if isinstance(nearest, StepPlan):
-            return nearest
-        self.check_end(task.hitch, task)
-        if self.legs is not None or self._end_holds(task):
-            raise nearest
-        spread = attempt(partial(replace(self, legs="spread").fly, task))
-        if isinstance(spread, StepPlan):
-            return spread
-        raise nearest
+        """Return the plan to the nearest legs, or to spread ones where these are infeasible."""
 
-    def _end_holds(self, task: StepTask) -> bool:
-        """Return whether the hitch at the end keeps all limits at rest."""
-        try:
-            self.check_end(self.end(task).hitch, task)
-        except InfeasibleError:
-            return False
-        return True
+        def ends() -> Iterator[Candidate[StepPlan]]:
+            """Yield the ends of the step by their legs."""
+            yield Candidate("nearest legs", partial(super(Morph, self).fly, task))
+            self.check_end(task.hitch, task)
+            if self.legs is None:
+                yield Candidate("spread legs", partial(replace(self, legs="spread").fly, task))
+
+        return first_certified(ends(), task.effort, task.progress)
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along straight lines."""

@@ -510,6 +510,9 @@ class Step(Record, ABC):
     """True if teams of two robots support the step; their cables form a hitch only around an
     object."""
 
+    effort_per_robot: ClassVar[float] = 2e5
+    """Effort to plan the step, per robot, beyond which no further candidate is tried."""
+
     moves_points: ClassVar[bool] = False
     """True if the step moves single points of an outline, which the file then has to state."""
 

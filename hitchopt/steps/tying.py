@@ -89,6 +89,7 @@ class Form(Step):
     """
 
     needs_hitch: ClassVar[bool | None] = False
+    effort_per_robot: ClassVar[float] = 3e4
     polygon: Polygon
     altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
     legs: Annotated[

@@ -134,10 +134,11 @@ def test_a_shut_way_is_gone_round_or_the_refusal_says_so(monkeypatch: pytest.Mon
     assert half.certificate.certified
     monkeypatch.setattr(OptimisedMorph, "solve", lambda _: [])
     ho.forget()
-    with pytest.raises(ho.InfeasibleError, match="the optimiser found no other route") as caught:
+    tried = "the best of 2 candidates: the step's own route, optimised route"
+    with pytest.raises(ho.InfeasibleError, match=tried) as caught:
         ho.morph(start, SQUARE.renumbered(2))
     assert caught.value.violations[0].constraint == "convexity"
-    with pytest.raises(ho.InfeasibleError, match="no route that is fast enough"):
+    with pytest.raises(ho.InfeasibleError, match=tried):
         ho.morph(start, SQUARE.renumbered(1), duration=2.0)
 
 
