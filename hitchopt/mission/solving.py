@@ -199,7 +199,7 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     except InfeasibleError as error:
         advised = _with_tracking_advice(error, mission.requirements, mission.team)
         advised = _with_tilt_advice(advised, mission.requirements, mission.team)
-        raise advised.of_team(mission.name) from None
+        raise advised.of_team(mission.name) from error
 
 
 def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
@@ -224,7 +224,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
             named = _in_step(error, first, group)
             rest = [f"{i} ({step.name})" for i, step in enumerate(steps)][first + len(group) :]
             note = f"{UNPLANNED}{', '.join(rest)}" if rest else ""
-            raise InfeasibleError(named.violations, f"{named.note}\n{note}".strip()) from None
+            raise InfeasibleError(named.violations, f"{named.note}\n{note}".strip()) from error
         plans.append(plan)
         motions.append(plan.motion)
         state = plan.after

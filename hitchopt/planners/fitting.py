@@ -24,6 +24,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Section
+from hitchopt.planners.candidates import Candidate, first_feasible
 from hitchopt.planners.carrying.polygons import (
     EDGE_MARGIN,
     GRIP_STRETCHES,
@@ -353,10 +354,13 @@ def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
     gap = clearance + EDGE_MARGIN
     centre = task.section.centroid
     polygons = HoldPolygons.about(grip.vertices, centre, (task.section,), gap, GRIP_STRETCHES)
-    try:
+
+    def enclosing() -> tuple[Grip, float]:
+        """Return the grip with the cable that encloses, if that is longer."""
         needed = shortest_cable([ConvexPolygon(polygons.around)], task.requirements)
         if needed > task.cable_length:
             return best_grip(replace(task, cable_length=needed)), needed
-    except InfeasibleError:  # the shorter cable grips, but may not enclose
-        pass
-    return grip, task.cable_length
+        return grip, task.cable_length
+
+    # The shorter cable grips, but may not enclose
+    return first_feasible(Candidate("longer cable", enclosing), (grip, task.cable_length))

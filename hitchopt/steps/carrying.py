@@ -163,7 +163,7 @@ def require_hold(task: StepTask, planner: MovePlanner) -> None:
             require_certified(StepPlan(taking, task.before), when)
     except InfeasibleError as error:
         violations = [replace(violation, when=when) for violation in error.violations]
-        raise InfeasibleError(violations, error.note) from None
+        raise InfeasibleError(violations, error.note) from error
 
 
 def check_hold(task: StepTask, planner: MovePlanner) -> None:
@@ -171,7 +171,7 @@ def check_hold(task: StepTask, planner: MovePlanner) -> None:
     try:
         require_hold(task, planner)
     except InfeasibleError as error:
-        raise hold_error(task, planner, error) from None
+        raise hold_error(task, planner, error) from error
 
 
 def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:

@@ -500,7 +500,7 @@ def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: P
             replace(violation, when=violation.when.replace("of the path", route))
             for violation in error.violations
         ]
-        raise InfeasibleError(violations, error.note) from None
+        raise InfeasibleError(violations, error.note) from error
     plan = plan_along(task, path, end, phase)
     if plan.certificate.certified:
         return plan
@@ -677,7 +677,7 @@ def check_start(task: StepTask) -> None:
                 spans.append(_overstretched(violation, task.before))
             else:
                 consequences.append(violation)
-        raise InfeasibleError([*spans, *consequences], error.note) from None
+        raise InfeasibleError([*spans, *consequences], error.note) from error
 
 
 def _overstretched(violation: Violation, state: RestState) -> Violation:

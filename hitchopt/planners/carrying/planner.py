@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise, product
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase, PhaseHold, concatenated
 from hitchopt.objects import SolidObject
+from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.carrying.holds import GripHold, HoldingHitch
 from hitchopt.planners.carrying.moves import Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
@@ -376,26 +378,26 @@ class MovePlanner:
         has_friction = hold.team.cable_friction > 0.0
         friction_shares = FRICTION_SHARES if has_friction else (0.0,)
         tensions_between = self._tensions_between(hold, tension[1] if opens else None)
-        errors = list[InfeasibleError]()
-        for between, friction_share in product(tensions_between, friction_shares):
+
+        def passed(between: Array, friction_share: float) -> Passage:
+            """Return the passage at tensions in between, with a share of friction compensated."""
             feedforward = -friction_share if opens else friction_share
             remark = ""
             if has_friction:
                 remark = f"legs lean against {friction_share:.0%} of clasp friction"
-            try:
-                moves = self._passage_moves(hold, tension, between, closure, feedforward)
-                motion = self.motion(moves, name, remark)
-            except InfeasibleError as error:  # legs cannot pull so much harder
-                errors.append(error)
-                continue
+            moves = self._passage_moves(hold, tension, between, closure, feedforward)
+            motion = self.motion(moves, name, remark)
             violated = first_violated(motion, PASSAGE_CHECKS)
             if violated is None:
                 return Passage(motion, moves)
             verb = "opens" if opens else "closes"
             when = f"as the hitch {verb} around objects.{self.state.object}"
             remedy = "use lighter cables or a different cable length, or smooth the outline"
-            errors.append(InfeasibleError([violated.violation(when, remedy)]))
-        raise errors[0]
+            raise InfeasibleError([violated.violation(when, remedy)])
+
+        shares = product(tensions_between, friction_shares)
+        passages = (Candidate("passage", partial(passed, *share)) for share in shares)
+        return first_certified(passages, Effort())
 
     def _passage_moves(
         self,

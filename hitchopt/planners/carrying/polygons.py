@@ -514,7 +514,7 @@ def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirem
         return best_grip(task).vertices
     except InfeasibleError as error:
         words = f"around objects.{name}"
-        raise InfeasibleError([replace(v, when=words) for v in error.violations]) from None
+        raise InfeasibleError([replace(v, when=words) for v in error.violations]) from error
 
 
 # Rests.

@@ -22,6 +22,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase, PhaseHold, concatenated
 from hitchopt.motion.retiming import resting
 from hitchopt.objects.placing import poses_of
+from hitchopt.planners.candidates import Candidate, first_feasible
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
@@ -208,9 +209,9 @@ class StraddlePlanner(MovePlanner):
         If pairs cannot roll, or cables cannot be pitched or balanced, only this one, with
         horizontal cables.
         """
-        try:
-            rolling = self.closest_rolling
-        except InfeasibleError:
+        rolls = Candidate("rolling pairs", lambda: self.closest_rolling)
+        rolling = first_feasible(rolls, None)
+        if rolling is None:
             yield -math.inf, self
             return
         if not rolling.is_kept:

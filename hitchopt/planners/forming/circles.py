@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import rotated
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import balanced_legs
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import SPREAD_MARGIN, LegTask
+from hitchopt.planners.candidates import Candidate, first_feasible
 from hitchopt.values import Array
 
 
@@ -162,10 +162,11 @@ def _spread(
     team: Team, polygon: ConvexPolygon, altitude: float, requirements: Requirements
 ) -> Hitch | None:
     """Return the hitch with spread legs without roll, or None if they break a distance."""
-    try:
+
+    def spread() -> Hitch | None:
+        """Return the hitch."""
         legs = balanced_legs(team, polygon)
-        task = LegTask.at_rest(team, polygon, legs, requirements, SPREAD_MARGIN)
-        split = task.split()
+        split = LegTask.at_rest(team, polygon, legs, requirements, SPREAD_MARGIN).split()
         return Hitch(team, polygon, altitude, split.q_legs[0]) if split.margin >= 1.0 else None
-    except InfeasibleError:
-        return None
+
+    return first_feasible(Candidate("spread legs", spread), None)

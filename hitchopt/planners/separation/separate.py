@@ -258,8 +258,8 @@ def _last_resort(
     report("searching for a feasible duration")
     try:
         fastest = SeparatedCurves(replace(task, duration=None)).solve(report)
-    except InfeasibleError:
-        raise InfeasibleError(nearest.violations, note) from None
+    except InfeasibleError as error:
+        raise InfeasibleError(nearest.violations, note) from error
     duration = fastest.drones.duration
     if duration > task.duration:
         raise InfeasibleError([_too_short(task, duration, "the fastest route found takes longer")])
