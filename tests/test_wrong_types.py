@@ -289,7 +289,7 @@ READ: list[Callable[[Any], Any]] = [
     lambda x: ho.ConvexPolygon(ho.Morph(x).polygon).vertices,
     lambda x: ho.Prism(x, 0.0, 1.0).polygon.vertices,
     lambda x: ho.FollowVertex(0, x, speed=0.2).path,
-    lambda x: PiecewisePolynomial([0.0, 1.0, 2.0, 3.0], x).at([0.5]),
+    lambda x: PiecewisePolynomial(np.arange(4.0), x).at([0.5]),
 ]
 
 
@@ -316,8 +316,8 @@ def test_what_numpy_would_convert_is_no_time(wrong: Any) -> None:
 def test_numbers_of_other_libraries_are_those_of_python() -> None:
     for two in (Tensor(2.0), np.array(2.0), np.float32(2.0), Tensor(2)):
         assert ho.Limits(speed=two).speed == 2.0  # type: ignore[arg-type]
-        assert ho.Team(3, two).cable_length.tolist() == [2.0] * 3  # type: ignore[arg-type]
-        assert PLAN.at(two).positions == pytest.approx(PLAN.at(2.0).positions)  # type: ignore[arg-type]
+        assert ho.Team(3, two).cable_length.tolist() == [2.0] * 3
+        assert PLAN.at(two).positions == pytest.approx(PLAN.at(2.0).positions)
     assert ho.Team(Tensor(3), 2.0).robots == 3  # type: ignore[arg-type]
     assert PLAN.at(range(2)).t.tolist() == [0.0, 1.0]
 

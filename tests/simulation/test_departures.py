@@ -35,7 +35,7 @@ def moved(drone: int, offset: Any, after: float = 0.5) -> Array:
     return drones
 
 
-def kinds(flight: SimulatedFlight) -> list[tuple[str, tuple[str, ...], float]]:
+def kinds(flight: SimulatedFlight) -> list[Any]:
     """Return the kinds, names and times of departures."""
     return [(each.kind, each.where, each.time) for each in departures(flight)]
 

@@ -38,9 +38,12 @@ def plain_picture() -> bytes:
 @pytest.mark.parametrize("style", STYLES, ids=lambda style: next(iter(style)))
 def test_pictures_are_those_without_the_users_style(style: dict[str, Any]) -> None:
     expected = plain_picture()
-    with mpl.rc_context(style):
+    with mpl.rc_context():
+        settings: Any = style
+        mpl.rcParams.update(settings)
+        chosen = dict(mpl.rcParams)
         assert picture() == expected
-        assert {key: mpl.rcParams[key] for key in style} == mpl.RcParams(style)
+        assert dict(mpl.rcParams) == chosen
 
 
 def test_cards_of_notebooks_need_no_tex() -> None:
