@@ -13,7 +13,8 @@ import numpy as np
 
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.distances import UNBOUNDED, Flags
-from hitchopt.checks.drones import Drones, SagTerms, edge_sags, leg_sags
+from hitchopt.checks.drone_forces import SagTerms, edge_sags, leg_sags
+from hitchopt.checks.drones import Drones
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, Evaluator, WorstCase, WorstOverSpans
 from hitchopt.checks.solids import placed_objects

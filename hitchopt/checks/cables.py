@@ -13,7 +13,8 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.checks.drones import Drones, edge_sags
+from hitchopt.checks.drone_forces import edge_sags
+from hitchopt.checks.drones import Drones
 from hitchopt.checks.friction import FrictionLegs
 from hitchopt.checks.grips import arc_lengths, wrapped_arcs
 from hitchopt.checks.objects import select

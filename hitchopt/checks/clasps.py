@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.checks.certificate import Check, with_tolerance
-from hitchopt.checks.drones import leg_sags
+from hitchopt.checks.drone_forces import leg_sags
 from hitchopt.checks.friction import friction_excess, leg_excess
 from hitchopt.checks.grips import missing_force, unbalanced
 from hitchopt.checks.objects import select

@@ -18,7 +18,7 @@ import numpy as np
 from hitchopt.checks.bodies import cable_ends
 from hitchopt.checks.certificate import with_tolerance
 from hitchopt.checks.distances import GROUND, Flags, Ground, Moving, PairSpans, Shape, nearest
-from hitchopt.checks.drones import steepness_of
+from hitchopt.checks.drone_forces import steepness_of
 from hitchopt.checks.spans import ROUNDING, cable_names, position_margin
 from hitchopt.hitch.catenary import (
     SERIES_LIMIT,

@@ -206,10 +206,9 @@ class DronesOnClock(OnClock, Drones):
         """Return the acceleration or the jerk."""
         return self._accelerations_and_jerks[order - 2]
 
-    @lazy
-    def load_rate(self) -> Enclosed:
-        """[N/s] The time derivative of the load."""
-        return super().load_rate * self.clock.rate
+    def by_time(self, rate: Enclosed) -> Enclosed:
+        """Return a time derivative, from that with respect to the plan's time."""
+        return rate * self.clock.rate
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,6 +172,10 @@ class Enclosed:
         """The first two components."""
         return Enclosed(self.c[..., :2, :], self.r)
 
+    def with_z(self, height: Enclosed) -> Enclosed:
+        """Return a horizontal vector with a vertical component."""
+        return vector(self, height)
+
     def along_z(self) -> Enclosed:
         """Return a scalar as a vector along z."""
         return Enclosed(self.c * UPWARD, self.r)
@@ -180,7 +184,7 @@ class Enclosed:
         """Return the angle to another vector; anything from 0 to 180° where one may vanish."""
         return Angle(self.direction.dot(Enclosed.of(other).direction))
 
-    @property
+    @lazy
     def direction(self) -> Enclosed:
         """Unit vector y / |y|; the zero vector and radius 1 where y may vanish."""
         inverse = self.norm.inverse
