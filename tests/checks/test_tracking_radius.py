@@ -92,7 +92,7 @@ def test_a_refusal_names_the_distance_that_limits_the_radius() -> None:
     motion = with_tracking(planned("triangle").motion, 0.3)
     check = radius_of(motion)
     assert not check.holds
-    words = f"; limited by {check.binding}; use longer cables"
+    words = f"; limited by {check.binding}; {tracking.TRACKING_RADIUS.remedy}"
     assert words in str(check.violation("at rest", tracking.TRACKING_RADIUS.remedy))
 
 
