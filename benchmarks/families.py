@@ -603,7 +603,6 @@ def outcome(data: dict[str, Any], seed: int) -> Outcome:
     problem = ho.problem_from_dict(data)
     team = data["team"] if "team" in data else data["teams"]["a"]
     size = team.get("robots", team.get("drones", 0))
-    ho.forget()
     start_time = time.process_time()
     try:
         plan = ho.solve(problem)

@@ -98,7 +98,6 @@ def measure(kind: str, n: int, limit: float) -> Measurements:
         return _rival(start, goal, limits, separation, limit)
 
     def plan(k: int = 0) -> ho.Plan:
-        ho.forget()
         moved = goal.translated([STEP * k, 0.0])
         return ho.morph(start, moved, separation=separation, optimize=kind != "straight")
 
@@ -179,7 +178,6 @@ def outcomes(seed: int, rivals: dict[int, Rival], limit: float) -> dict[str, Out
         return {}
 
     def flight_of(optimize: bool) -> float | None:
-        ho.forget()
         try:
             return ho.morph(start, goal, separation=separation, optimize=optimize).duration
         except ho.InfeasibleError:

@@ -176,8 +176,7 @@ class Pair:
         return ho.Hitch.spread(team, self.data[key], self.data["altitude"])
 
     def plan(self, optimize: bool) -> ho.Plan:
-        """Return the plan of the morph, without anything remembered."""
-        ho.forget()
+        """Return the plan of the morph."""
         return ho.morph(self.hitch("start"), self.data["goal"], optimize=optimize)
 
     @cached_property

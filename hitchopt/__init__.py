@@ -32,7 +32,7 @@ PUBLIC_NAMES = {
     "mission.loading": ("load_problem", "problem_from_dict"),
     "mission.others": ("Other",),
     "mission.problem": ("DronesStart", "HitchStart", "Problem"),
-    "mission.solving": ("forget",),
+    "mission.solving": ("Cache",),
     "motion.flight": ("Flight",),
     "motion.motion": ("Motion",),
     "objects": ("Rim", "Section", "SolidObject"),

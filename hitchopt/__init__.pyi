@@ -31,7 +31,7 @@ from hitchopt.mission.loading import problem_from_dict as problem_from_dict
 from hitchopt.mission.others import Other as Other
 from hitchopt.mission.problem import DronesStart as DronesStart, HitchStart as HitchStart
 from hitchopt.mission.problem import Problem as Problem
-from hitchopt.mission.solving import forget as forget
+from hitchopt.mission.solving import Cache as Cache
 from hitchopt.motion.flight import Flight as Flight
 from hitchopt.motion.motion import Motion as Motion
 from hitchopt.objects import Rim as Rim, Section as Section, SolidObject as SolidObject

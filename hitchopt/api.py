@@ -19,7 +19,7 @@ from hitchopt.hitch.requirements import Arena, Limits, Prism, Separation
 from hitchopt.mission.others import Other
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
-from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.solving import Cache, solve_problem
 from hitchopt.motion.request import check_request
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
@@ -51,6 +51,7 @@ def solve(
     rules: Iterable[Rule[Any]] = (),
     limit: float | None = None,
     progress: Progress | None = None,
+    cache: Cache | None = None,
 ) -> Plan:
     """Return the certified plan of a mission from a start, of a problem, or of a problem file.
 
@@ -66,6 +67,7 @@ def solve(
     rules: custom limits, in addition to those of a problem.
     limit: time limit [s]; None: unlimited.
     progress: status callback.
+    cache: steps of earlier plans, which are reused where their requests are equal, and of this one.
 
     Raises
     ------
@@ -101,10 +103,12 @@ def solve(
         for name, value in _given({"mission": mission, **stated}).items():
             bound = "omitted: the problem states it"
             raise InputError(name, value, bound, "change it there, or pass a start and a mission")
+    if cache is not None:
+        check_instance("cache", cache, Cache)
     if added:
         task = replace(task, rules=(*task.rules, *added))
     with time_limit(_seconds(limit), progress) as report:
-        solution = solve_problem(task, report)
+        solution = solve_problem(task, report, cache=cache)
     check_request(task.request, solution.flight)
     return Plan(solution.flight, solution.certificate, task.title, source)
 

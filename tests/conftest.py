@@ -12,8 +12,6 @@ from clocks import Clock
 from hypothesis import settings
 from plans import FOLDER, digest
 
-import hitchopt as ho
-
 # A busy machine is no failure, and every run tries the same examples.
 settings.register_profile("hitchopt", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("hitchopt")
@@ -44,12 +42,6 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_collection_finish() -> None:
     """Leave what was imported and collected out of garbage collections from here on."""
     gc.freeze()
-
-
-@pytest.fixture(autouse=True)
-def _nothing_remembered() -> None:
-    """No test gets what another one has planned, but for those that ask ``plans`` for it."""
-    ho.forget()
 
 
 @pytest.fixture

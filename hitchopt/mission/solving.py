@@ -1,4 +1,4 @@
-"""Planning of a problem in one loop over its steps, with a cache of finished steps."""
+"""Planning of a problem in one loop over its steps, and a cache of finished steps."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from hitchopt.errors import (
     EXCHANGED,
     HitchoptError,
     InfeasibleError,
+    OneLine,
     Progress,
     TimeLimitError,
     Violation,
@@ -48,7 +49,7 @@ from hitchopt.steps.certified_motions import (
     with_settling,
 )
 from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
-from hitchopt.values import Array
+from hitchopt.values import Array, integer
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.path import Path
@@ -146,18 +147,23 @@ def check_controllers(team: Team) -> None:
 
 
 def solve_problem(
-    problem: Problem, progress: Progress | None = None, *, optimiser: bool = True
+    problem: Problem,
+    progress: Progress | None = None,
+    *,
+    optimiser: bool = True,
+    cache: Cache | None = None,
 ) -> CertifiedFlight:
     """Return the certified plan of all teams; without ``optimiser`` on direct routes only.
 
-    ``progress`` is a status callback. With other plans in the air a team may wait before each step.
+    ``progress`` is a status callback; ``cache`` has the steps of earlier plans. With other plans in
+    the air a team may wait before each step.
 
     Raises InfeasibleError with the violated limits, locations and times: a team cannot fly alone,
     no start time separates it from the others, or the plan violates a custom rule. Raises
     HitchoptError if a planner failed on a problem that may be feasible.
     """
     report = progress or (lambda _: None)
-    certified = _plan_teams(problem, report, optimiser=optimiser)
+    certified = _plan_teams(problem, report, cache, optimiser=optimiser)
     if not problem.rules:
         return certified
     certificate = with_rules(certified.certificate, certified.flight, problem.rules, report)
@@ -166,10 +172,12 @@ def solve_problem(
     return replace(certified, certificate=certificate)
 
 
-def _plan_teams(problem: Problem, report: Progress, *, optimiser: bool) -> CertifiedFlight:
+def _plan_teams(
+    problem: Problem, report: Progress, cache: Cache | None, *, optimiser: bool
+) -> CertifiedFlight:
     """Return the plan of all teams, certified for the limits of hitchopt."""
     alone = {
-        name: _plan_alone(mission, report, optimiser=optimiser)
+        name: _plan_alone(mission, report, cache, optimiser=optimiser)
         for name, mission in problem.teams.items()
     }
     if problem.others or len(alone) > 1:
@@ -181,10 +189,12 @@ def _plan_teams(problem: Problem, report: Progress, *, optimiser: bool) -> Certi
 def route_of(problem: Problem) -> Path | None:
     """Return the path of the only step of one team's problem; None if nothing moves."""
     (mission,) = problem.teams.values()
-    return _plan_alone(mission, lambda _: None, optimiser=True).paths[0]
+    return _plan_alone(mission, lambda _: None, None, optimiser=True).paths[0]
 
 
-def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
+def _plan_alone(
+    mission: TeamMission, report: Progress, cache: Cache | None, *, optimiser: bool
+) -> CertifiedMotion:
     """Return the certified plan of one team alone."""
 
     def report_team(status: str) -> None:
@@ -193,7 +203,7 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     if mission.team.has_cables:
         check_controllers(mission.team)
     try:
-        return _plan_steps(mission, report_team, optimiser=optimiser)
+        return _plan_steps(mission, report_team, cache, optimiser=optimiser)
     except TimeLimitError:
         raise
     except InfeasibleError as error:
@@ -202,7 +212,9 @@ def _plan_alone(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         raise advised.of_team(mission.name) from error
 
 
-def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> CertifiedMotion:
+def _plan_steps(
+    mission: TeamMission, report: Progress, cache: Cache | None, *, optimiser: bool
+) -> CertifiedMotion:
     """Return the certified plan of all steps."""
     steps, requirements = mission.steps, mission.requirements
     with_reserve = requirements.with_reserve  # the reserve is for stops on the common clock
@@ -213,7 +225,7 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
         needed, stated = map(state.with_objects, (with_reserve, requirements))
         task = StepTask(state, first, needed, optimiser, stated)
         try:
-            plan = _plan_group(group, task, report)
+            plan = _plan_group(group, task, report, cache)
         except TimeLimitError:
             raise
         except HitchoptError as error:
@@ -240,15 +252,30 @@ def _plan_steps(mission: TeamMission, report: Progress, *, optimiser: bool) -> C
     return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
 
 
-CACHE_SIZE = 32  # Capacity of the cache in steps; one of 1000 robots takes 76 MB
+class Cache(OneLine):
+    """Plans of steps, for problems that are planned again after an edit.
 
-_CACHE: dict[bytes, StepPlan] = {}
-"""Plans of steps by the digests of their requests, the least recently used first."""
+    Steps are planned anew only from the first one whose request differs. Requests are compared by
+    their contents; steps with a custom cost are not stored, since functions cannot be compared.
+    """
 
+    def __init__(self, size: int = 32) -> None:
+        """Create an empty cache of up to ``size`` steps; one of 1000 robots takes 76 MB."""
+        self.size = integer("size", size, 1)
+        self._plans: dict[bytes, StepPlan] = {}  # the least recently used first
 
-def forget() -> None:
-    """Clear the cache of steps planned in this process."""
-    _CACHE.clear()
+    def _parts(self) -> Iterator[str]:
+        yield f"{len(self._plans)} of {self.size} steps"
+
+    def take(self, request: bytes) -> StepPlan | None:
+        """Return the plan of a request, by its digest, and remove it; None if it is not stored."""
+        return self._plans.pop(request, None)
+
+    def store(self, request: bytes, plan: StepPlan) -> None:
+        """Store the plan of a request in place of the one that was not used for longest."""
+        self._plans[request] = plan
+        if len(self._plans) > self.size:
+            del self._plans[next(iter(self._plans))]
 
 
 def contents(value: Any) -> object:
@@ -305,19 +332,19 @@ def _assigned_sides(team: Team, drones: Array) -> Assignment:
     return replace(Assignment.fixed(team.robots), flipped=flipped)
 
 
-def _plan_group(group: tuple[Step, ...], task: StepTask, report: Progress) -> StepPlan:
+def _plan_group(
+    group: tuple[Step, ...], task: StepTask, report: Progress, cache: Cache | None
+) -> StepPlan:
     """Return the certified plan of steps without a stop, from the cache if possible."""
-    if any(getattr(step, "cost", None) is not None for step in group):
-        return _new_plan(group, task, report)  # functions cannot be compared
-    key = hashlib.sha256(repr(contents((group, task))).encode()).digest()
-    plan = _CACHE.pop(key, None)
+    if cache is None or any(getattr(step, "cost", None) is not None for step in group):
+        return _new_plan(group, task, report)
+    request = hashlib.sha256(repr(contents((group, task))).encode()).digest()
+    plan = cache.take(request)
     if plan is None:
         plan = _new_plan(group, task, report)
     else:
         report("reused from cache")
-    _CACHE[key] = plan
-    if len(_CACHE) > CACHE_SIZE:
-        del _CACHE[next(iter(_CACHE))]
+    cache.store(request, plan)
     return plan
 
 

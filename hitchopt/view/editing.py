@@ -24,7 +24,7 @@ from hitchopt.mission.changes import with_edits_in
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem, TeamMission
 from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
-from hitchopt.mission.solving import solve_problem
+from hitchopt.mission.solving import Cache, solve_problem
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
@@ -209,6 +209,7 @@ class Editing:
     def __init__(self, text: str, path: Path, planned: CertifiedFlight) -> None:
         self.path, self.planned = path, planned
         self._worker: threading.Thread | None = None
+        self._cache = Cache()  # an edit plans the later steps only
         self.listener: Callable[[], None] = lambda: None
         self._texts, self._place = [text], 0
         self._on_disk = text if path.exists() else None
@@ -342,7 +343,7 @@ class Editing:
         with self._planning, suppress(_StaleError):
             self._check(version)
             try:
-                planned = solve_problem(problem, report)
+                planned = solve_problem(problem, report, cache=self._cache)
             except InfeasibleError as error:
                 words = f"{error}\nlooking for changes that make it feasible …"
                 self._publish(version, Status(PlanState.REFUSED, words))

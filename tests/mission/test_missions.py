@@ -141,10 +141,12 @@ def test_after_an_edit_only_what_it_changes_is_planned() -> None:
         transport = Transport(np.array([last, 2.2, 1.3]), 0.2)
         return mission(MOVES[3], Hold(1.0), *blended(MOVES[:2]), transport, **options)
 
-    def solved(problem: ho.Problem) -> tuple[ho.Plan, list[bool]]:
+    cache = ho.Cache()
+
+    def solved(problem: ho.Problem, cache: ho.Cache | None = cache) -> tuple[ho.Plan, list[bool]]:
         """Return the plan, and whether each of its four motions is from the cache."""
         reports: list[str] = []
-        plan = ho.solve(problem, progress=reports.append)
+        plan = ho.solve(problem, progress=reports.append, cache=cache)
         parts = [x for x in reports if x == FROM_CACHE or x.startswith("certifying step")]
         return plan, [part == FROM_CACHE for part in parts]
 
@@ -155,9 +157,10 @@ def test_after_an_edit_only_what_it_changes_is_planned() -> None:
     assert solved(edited(0.4, limits=ho.Limits(speed=0.99)))[1] == [False] * 4
     again, cached = solved(edited(0.3))
     assert cached == [True] * 4
-    ho.forget()
-    anew, cached = solved(edited(0.3))
+    anew, cached = solved(edited(0.3), None)  # by default nothing is remembered
     assert cached == [False] * 4
+    small = ho.Cache(1)
+    assert solved(edited(0.3), small)[1] == solved(edited(0.3), small)[1] == [False] * 4
     contents = [[array.tobytes() for array in arrays_in(plan)] for plan in (first, again, anew)]
     assert contents[0] == contents[1] == contents[2]
 

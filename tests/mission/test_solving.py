@@ -133,7 +133,6 @@ def test_a_shut_way_is_gone_round_or_the_refusal_says_so(monkeypatch: pytest.Mon
     assert "the step's own route is infeasible" in half.phases[0].remark
     assert half.certificate.certified
     monkeypatch.setattr(OptimisedMorph, "solve", lambda _: [])
-    ho.forget()
     tried = "the best of 2 candidates: the step's own route, optimised route"
     with pytest.raises(ho.InfeasibleError, match=tried) as caught:
         ho.morph(start, SQUARE.renumbered(2))

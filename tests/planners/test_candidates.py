@@ -157,7 +157,6 @@ def test_records_that_planners_build_from_bad_values_leave_the_file_valid(
         raise InputError("altitude", np.inf, "finite", "write a number")
 
     monkeypatch.setattr(place, fault)
-    ho.forget()
     try:
         plan = ho.solve(ho.problem_from_dict(problem))
     except HitchoptError as error:

@@ -207,7 +207,6 @@ def test_optimised_plans_are_repeated_bit_by_bit() -> None:
     start = Hitch.spread(Team(4, 2.4), SQUARE)
     durations = list[float]()
     for _ in range(2):
-        ho.forget()
         plan = ho.morph(start, SQUARE.rotated(0.9).translated([0.4, 0.0]), optimize=True)
         durations.append(plan.duration)
     assert durations[0] == durations[1]
