@@ -74,7 +74,7 @@ def test_it_agrees_with_the_certificate(name: str, tmp_path: Path) -> None:
         assert np.isnan(row.with_errors) is not bool(erring)
         if erring:
             sign = 1.0 if check.sense == "min" else -1.0
-            assert sign * limit <= sign * row.with_errors < sign * row.worst
+            assert sign * limit <= sign * row.with_errors <= sign * row.worst  # equal at a floor
     assert found.keys() <= OWN
 
 
