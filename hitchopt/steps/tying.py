@@ -21,7 +21,7 @@ from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
-from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps.certified_motions import (
     check_at_rest,
@@ -89,7 +89,7 @@ class Form(Step):
     """
 
     needs_hitch: ClassVar[bool | None] = False
-    effort_per_robot: ClassVar[float] = 3e4
+    effort_per_robot: ClassVar[float] = 1.2e4
     polygon: Polygon
     altitude: Annotated[float, Key(ALTITUDE, "Height of the hitch's plane")] = 1.0
     legs: Annotated[
@@ -380,8 +380,15 @@ def unmorphed_plan(task: StepTask, tying: PreHitch) -> StepPlan:
 
 
 def reshaped(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
-    """Return the plan of a morph with friction feed-forward."""
-    return with_friction_feedforward(plan_to_hitch(task, end, phase), timed=False)
+    """Return the plan of a morph with friction feed-forward, for a share of the task's effort."""
+    effort = Effort(MORPH_EFFORT_PER_ROBOT * task.before.team.robots, whole=task.effort)
+    plan = plan_to_hitch(replace(task, effort=effort), end, phase)
+    return with_friction_feedforward(plan, timed=False)
+
+
+MORPH_EFFORT_PER_ROBOT = 4e3
+"""Effort per robot of the morph between a hitch on a circle and the goal: twice the largest one of
+eight irregular hitches that are tied so; where it does not suffice, another circle is faster."""
 
 
 def approach_motion(task: StepTask, goal: Array) -> Motion:
@@ -566,6 +573,7 @@ class CloseVertex(RollStep):
 class Release(Step):
     """Untie the hitch in the reverse order of tying, until its cables hang free."""
 
+    effort_per_robot: ClassVar[float] = 1.2e4
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
