@@ -150,6 +150,9 @@ MAX_ROLLED_EFFORT = 2.0
 """Maximum effort of these guesses together, over that of one, beyond which no further one is
 tried."""
 
+LEGS_EFFORT_PER_ROBOT = 200.0
+"""Effort per robot to find leg lengths along a guess and to judge it, which counts for the plan."""
+
 END_MARGIN_FACTOR = 1.0 - 1e-4
 """Factor on the margins of the ends, which they then satisfy despite rounding."""
 
@@ -417,6 +420,7 @@ class OptimisedMorph:
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
         """Return the motion along a guess with leg lengths that keep distances, or None."""
+        self.effort.spend(LEGS_EFFORT_PER_ROBOT * guess.team.robots)
         try:
             check_shapes(guess.path)
             path = with_legs_clear(guess.path, self.requirements)
