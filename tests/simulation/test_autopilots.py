@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scripted import hanging_task, regular_hitch, resting_task
+from scripted import changed, hanging_task, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.drones.controllers import (
@@ -46,7 +46,7 @@ from hitchopt.lab.simulation.estimator import (
 )
 from hitchopt.lab.simulation.flight import SETTLE_TIME, FlightInProgress, fly
 from hitchopt.lab.simulation.settings import DRONES, INDOOR, Settings, settings_of
-from hitchopt.lab.simulation.task import Commands, Task, TeamTask
+from hitchopt.lab.simulation.task import RATE, Commands, Task, TeamTask
 from hitchopt.lab.simulation.world import BODY_RADIUS, RADII_OF_GYRATION, RigidBodies
 from hitchopt.motion.states import states_at
 from hitchopt.values import Array
@@ -769,6 +769,22 @@ def test_the_commands_of_several_teams_hold_their_last_setpoint() -> None:
         for name, values in both[index].arrays.items():
             expected = [getattr(x[index], name) for x in (short, long)]
             np.testing.assert_array_equal(values, np.concatenate(expected))
+
+
+@pytest.mark.parametrize("controller", ["mellinger", "ideal"])
+def test_the_hover_before_a_flight_is_independent_of_its_first_jerk(controller: str) -> None:
+    """Drones that held the body rates of the first setpoint tilted, and began 6 cm off."""
+    hitch = regular_hitch(3)
+    positions = np.repeat(hitch.drones[None], 2, axis=0)
+    settings = Settings(controller=controller, pull_test=False)
+    starts = []
+    for jerk in (0.0, 10.0):
+        task = hanging_task(hitch.team, positions, np.zeros_like(positions))
+        (part,) = task.teams
+        jerks = np.full_like(positions, jerk)
+        states = replace(part.states, jerks=jerks, accelerations=jerks / RATE * [[[0.0]], [[1.0]]])
+        starts.append(fly(changed(task, states=states), settings).record.drones[0])
+    np.testing.assert_array_equal(*starts)
 
 
 def test_the_expected_time_is_that_of_steps_which_count() -> None:

@@ -48,6 +48,7 @@ MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do 
 PULL_RATIO = 1.5  # Tension of the pull test over the plan's
 PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its first half
 
+BEFORE = -1  # Sample of the commands before the flight, which drones hold at rest
 REST_SAMPLES = round(REST_TIME * RATE)  # Number of samples of a rest before a pull test
 FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
 ESTIMATE_STEPS = 60  # Steps whose time tells that of the whole flight
@@ -283,6 +284,10 @@ class FlightInProgress:
         self.files = self._commands.files
         return loops
 
+    def _hovering(self) -> Commands:
+        """Return the first commands as drones hold them before the flight, at rest."""
+        return self._commands.until(0, self._task.states.accelerations[0])[0]
+
     def _fly_all(self) -> None:
         """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
         end = self._task.duration
@@ -358,6 +363,8 @@ class FlightInProgress:
         )
         friction = world.model.flex_friction.copy()
         world.model.flex_friction[:] = 0.0
+        resting = self._setpoints[:1].ending_at_rest()[0]
+        self._moment = replace(self._moment_at(0), setpoints=resting)
         for time in islice(self._settling, steps):
             progress = min(1.0, (time + SETTLE_TIME) / TIGHTENING_TIME)
             share = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
@@ -365,6 +372,7 @@ class FlightInProgress:
             offset = (1.0 - share) * tied[:, None] * self._loose_offset
             self._step(time, 0, np.where(tied, share, 1.0), offset)
         world.model.flex_friction[:] = friction
+        self._moment = self._moment_at(0)
 
     def _fly(self, begin: float, end: float, pull: float = 1.0) -> None:
         """Fly between two times [s], while the tension grows to ``pull`` times its value."""
@@ -487,11 +495,12 @@ class FlightInProgress:
             if time >= 0.0:
                 pilots.integrate(setpoints.positions - bodies.positions, period)
             return
-        sample = max(0, math.floor(RATE * (time - self._command_delay) + ROUNDING))
+        sample = max(BEFORE, math.floor(RATE * (time - self._command_delay) + ROUNDING))
         source = (sample, moment.index) if setpoints is moment.setpoints else None
         if source is None or source != self._source_of_sent:
             self._source_of_sent = source
-            self._sent = self._corrected(self._commands[sample], setpoints)
+            commands = self._hovering() if sample == BEFORE else self._commands[sample]
+            self._sent = self._corrected(commands, setpoints)
         pilots.advance(self._sent, bodies, period)
 
     def _corrected(self, commands: Commands, setpoints: States) -> Commands:
