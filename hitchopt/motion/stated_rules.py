@@ -17,7 +17,8 @@ MAX_UNIT = 16  # Maximum number of characters of a unit
 class StatedRule(ByValue):
     """A custom rule with the worst value that was certified when its plan was saved.
 
-    Nothing recomputes it without its formula: it is no check, and neither holds nor is violated.
+    Nothing recomputes it without its formula. It is violated if ``worst`` violates the limit, and
+    not recomputed otherwise.
 
     Attributes
     ----------

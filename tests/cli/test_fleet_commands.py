@@ -162,6 +162,18 @@ def test_notes_of_several_parts_are_said_once(place: Path) -> None:
     assert said.count("certified as exported") > 1
 
 
+def test_lint_passes_tables_and_texts_with_the_line_ends_of_windows(plan: Path) -> None:
+    run("export", plan, "--format", "crazyswarm2", "--stiffness", "4.75", "-o", "files", code=0)
+    texts = {".csv", ".json", ".py", ".txt", ".yaml"}
+    changed = [path for path in Path("files").iterdir() if path.suffix in texts]
+    assert {".csv", ".json"} <= {path.suffix for path in changed}
+    for path in changed:
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    done = run("lint", "files", code=0)
+    assert "0 errors" in done.stdout
+    assert "line ends" in done.stdout + done.stderr
+
+
 def test_shows_declare_limits_and_hold_the_tension(plan: Path) -> None:
     slack = ("export", plan, "--format", "skybrush", "--allow-slack", "-o", "files")
     (part,) = json.loads(run(*slack, "--json", code=0).stdout)["parts"]
