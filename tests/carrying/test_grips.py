@@ -259,7 +259,7 @@ def test_edges_that_bend_to_the_left_grip_nothing(motion: Motion, tmp_path: Path
     assert not check(changed, "grip").holds
     write_plan(tmp_path / "plan.npz", ho.Flight.of(changed))
     (told,), _ = second.read(tmp_path / "plan.npz")
-    assert ("grip", "violated") in {(row.name, row.verdict) for row in gripped(told, 0)}
+    assert ("wrap", "violated") in {(row.name, row.verdict) for row in gripped(told, 0)}
 
 
 def test_grips_open_with_little_tension(motion: Motion) -> None:
