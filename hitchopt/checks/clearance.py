@@ -175,15 +175,28 @@ Cables that are drawn taut rise: their distances from drones are horizontal, too
 """
 
 
-def _drones_and_bodies(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and prisms, and of drones and objects."""
+def _drones_and_standing(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of drones and prisms, and of drones and fixed objects."""
     drones = drones_of(motion)
     points = Enclosed(drones.corners)
     for prism in motion.requirements.keep_out:
         yield pairs_with_shape(motion, points, drones.names, "", Solid(prism.slab))
+    yield from _drones_and_objects(motion, fixed=True)
+
+
+def _drones_and_movable(motion: Motion) -> Iterator[Moving]:
+    """Yield pairs of drones and objects that can be held."""
+    yield from _drones_and_objects(motion, fixed=False)
+
+
+def _drones_and_objects(motion: Motion, *, fixed: bool) -> Iterator[Moving]:
+    """Yield pairs of drones and objects that are ``fixed`` or not."""
+    drones = drones_of(motion)
+    points = Enclosed(drones.corners)
     for name, body, pose in placed_objects(motion):
-        for slab in body.slabs:
-            yield pairs_with_shape(motion, points, drones.names, name, Solid(slab), pose)
+        if body.fixed is fixed:
+            for slab in body.slabs:
+                yield pairs_with_shape(motion, points, drones.names, name, Solid(slab), pose)
 
 
 KEEP_OUT = CheckRule(
@@ -193,15 +206,26 @@ KEEP_OUT = CheckRule(
     lambda motion: (
         DISTANCES["keep_out"].limit(motion.requirements.separation) if obstacles(motion) else None
     ),
-    (Evaluator(nearest(_drones_and_bodies), exported=True, formulas=(gap, Solid.normals)),),
+    (
+        Evaluator(
+            nearest(_drones_and_standing),
+            exported=True,
+            formulas=(gap, Solid.normals),
+            bodies=(("drones", "objects"),),
+        ),
+        Evaluator(nearest(_drones_and_movable), exported=True, bodies=(("drones", "held"),)),
+    ),
     "move the keep-out volumes or objects, fly farther from them, or lower separation.radius",
     group="distances",
     key="separation.radius",
-    bodies=(("drones", "objects"),),
+    bodies=(("drones", "objects"), ("drones", "held")),
     proves="the minimum distance [m] of a drone to an object, or of a single drone to a prism",
     unproven="prisms for hitches",
 )
-"""Distance of drones from prisms and objects: at least the radius of their ellipsoids."""
+"""Distance of drones from prisms and objects: at least the radius of their ellipsoids.
+
+Objects that can be held err with the vertices that hold them.
+"""
 
 
 EDGE = 1

@@ -114,13 +114,15 @@ class Evaluator:
 
     ``evaluate`` takes the motion and the limit. If ``exported``, curves in exported files are
     checked as well. ``formulas`` is the code printed in the documentation, in addition to a formula
-    of ``WorstOverSpans``.
+    of ``WorstOverSpans``. ``bodies`` are kinds of bodies as in ``CheckRule``, if it does not
+    evaluate all of the rule's.
     """
 
     evaluate: Callable[[Motion, float], WorstCase]
     states: Set[CableState] = frozenset(CableState)
     exported: bool = False
     formulas: tuple[object, ...] = ()
+    bodies: tuple[Bodies, ...] = ()
 
 
 def largest_error(gamma: float) -> float:
@@ -129,10 +131,25 @@ def largest_error(gamma: float) -> float:
 
 
 class SpanResult(NamedTuple):
-    """The check of a time span in which cables are in one of ``states``."""
+    """The check of a time span in which cables are in one of ``states``, of kinds of bodies."""
 
     states: Set[CableState]
     check: Check
+    bodies: tuple[Bodies, ...] = ()
+
+
+def approach(bodies: Sequence[Bodies], gamma: float, *, hitched: bool) -> float:
+    """Return the largest approach of two bodies per radius of tracking errors.
+
+    Drones are within the radius of their plan, vertices and what they hold within ``gamma`` times
+    the radius. Taut cables of a hitch end at both; without a hitch, cables have the errors of their
+    drones.
+    """
+    of_hitch = largest_error(gamma)
+    errors = {"drones": 1.0, "vertices": gamma, "held": of_hitch}
+    errors["cables"] = of_hitch if hitched else 1.0
+    pairs = [kinds for kinds in bodies if len(kinds) == 2]
+    return max(sum(errors.get(kind, 0.0) for kind in pair) for pair in pairs)
 
 
 REPORT_IT = "this plan must not be flown; please report it"
@@ -216,17 +233,6 @@ class CheckRule(Quantity):
         """Pairs of kinds of bodies that keep a distance."""
         return tuple(bodies for bodies in self.bodies if len(bodies) == 2)
 
-    def approach(self, gamma: float, *, hitched: bool) -> float:
-        """Return the largest approach of two bodies per radius of tracking errors.
-
-        Drones are within the radius of their plan, vertices within ``gamma`` times the radius. Taut
-        cables of a hitch end at both; without a hitch, cables have the errors of their drones.
-        """
-        of_hitch = largest_error(gamma)
-        errors = {"drones": 1.0, "vertices": gamma, "held": of_hitch}
-        errors["cables"] = of_hitch if hitched else 1.0
-        return max(sum(errors.get(kind, 0.0) for kind in pair) for pair in self.pairs)
-
     def limit_of(self, motion: Motion) -> float | None:
         """Return the limit for a motion; None if the rule does not apply to it."""
         states = motion.cable_states
@@ -259,7 +265,8 @@ class CheckRule(Quantity):
                 spans = (motion,) if states <= applicable else runs_of(motion, applicable)
                 for span in spans:
                     worst_case = evaluator.evaluate(span, limit)
-                    results.append(SpanResult(applicable, worst_case.check(self, limit)))
+                    bodies = evaluator.bodies or self.bodies
+                    results.append(SpanResult(applicable, worst_case.check(self, limit), bodies))
         return tuple(results)
 
 

@@ -40,7 +40,7 @@ from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smaller_cas
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import Drones
 from hitchopt.checks.hanging import cable_displacement
-from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult, SpanResults, WorstCase
+from hitchopt.checks.rule import CheckRule, ReportRule, SpanResult, SpanResults, WorstCase, approach
 from hitchopt.checks.separation import SEPARATION
 from hitchopt.checks.spans import ROUNDING, cable_names, phase_parts
 from hitchopt.geometry.vectors import shortest_offset, unit
@@ -130,7 +130,7 @@ def _slack_radii(motion: Motion, results: SpanResults, gamma: float) -> Iterator
                 continue
             hitched = not result.states <= FREE_STATES
             check = result.check
-            radius = _slack(check) / rule.approach(gamma, hitched=hitched)
+            radius = _slack(check) / approach(result.bodies, gamma, hitched=hitched)
             yield WorstCase(radius, check.time, check.where, binding=check.name)
 
 

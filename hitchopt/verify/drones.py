@@ -43,10 +43,11 @@ def drones(p: Plan) -> Iterator[Row]:
     if lim["body_rate"] is not None:
         yield prove("body_rate deg/s max", lim["body_rate"] * DEGREES, s, turning)
     yield prove(p.arena_row, 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
-    keep_out = "keep_out m min", sep["radius"]
     for b, slab in [*p.slabs, *p.walls]:
         gap = partial(to_slab, b=b, slab=slab)
-        yield prove(*keep_out, s, gap)
+        can_be_held = b >= 0 and not p.bodies[b].fixed
+        error = p.tracking if can_be_held else 0.0  # objects err with what holds them
+        yield prove("keep_out m min", sep["radius"] + error, s, gap)
     for b, slab in [] if p.n else p.slabs:
         if moves(p, p.bodies[b]):
             over = partial(over_slab, b=b, slab=slab.scaled(p.wash))

@@ -36,6 +36,7 @@ from numpy.typing import ArrayLike
 import hitchopt as ho
 from hitchopt.checks import Certificate, Check, certify, merged
 from hitchopt.checks.registry import QUANTITIES, RULES
+from hitchopt.checks.rule import approach
 from hitchopt.hitch import Team
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
@@ -103,7 +104,7 @@ def test_lists_of_limits_follow_from_the_bodies_that_they_state() -> None:
     for rule in RULES:  # only drones err: what stands does not
         if rule.pairs and {kind for pair in rule.pairs for kind in pair} <= {"drones", *FIXED}:
             drones = max(pair.count("drones") for pair in rule.pairs)
-            assert rule.approach(3.0, hitched=True) == drones
+            assert approach(rule.bodies, 3.0, hitched=True) == drones
 
 
 def transformed(matrix: Array, shift: ArrayLike = 0.0) -> Callable[[Motion], Motion]:

@@ -28,6 +28,7 @@ from refusals import assert_refused
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
 from hitchopt.checks.registry import RULES, TEAM_REPORTS
+from hitchopt.checks.rule import approach
 from hitchopt.checks.separation import closeness
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
@@ -374,3 +375,28 @@ def test_closest_pairs_bound_samples_and_match_the_certificate(n: int, spans: in
 def test_a_single_drone_is_refused() -> None:
     assert_refused(lambda: closeness(ho.Flight.of(swarm(1, 0))), "drones", "neighbour")
     assert_refused(lambda: closeness(ho.Flight.of(swarm(2, 0)), 0), "spans", "at least 1")
+
+
+def test_what_is_held_errs_with_the_vertices_that_hold_it() -> None:
+    """A drone may approach a held object by two radii: its own, and that of the vertices."""
+    alone = (("drones", "objects"),)
+    assert approach(alone, 1.0, hitched=True) == 1.0
+    assert approach((*alone, ("drones", "held")), 1.0, hitched=True) == 2.0
+    assert approach((("drones", "held"),), 3.0, hitched=False) == 4.0
+
+
+def test_drones_keep_off_a_held_box_if_both_err() -> None:
+    motion = planned("carry_box").motion
+    radius = radius_of(motion).worst
+    index, box = next(
+        (k, body) for k, body in enumerate(motion.requirements.objects.values()) if not body.fixed
+    )
+    closest = np.inf
+    for t in np.linspace(0.0, motion.duration, 400):
+        pose = motion.poses.at(t)[index]
+        cosine, sine = pose[3:5]
+        local = (motion.drones.at(t) - pose[:3]) @ np.array(
+            [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]
+        )
+        closest = min(closest, *(np.min(slab.clearance(local).distance) for slab in box.slabs))
+    assert closest - 2.0 * radius >= motion.requirements.separation.radius

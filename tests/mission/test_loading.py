@@ -436,7 +436,7 @@ def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None
     plain_data: Any = parse_yaml(text)
     schema, swarm = problem_schema()["$defs"], "Swarm" if kind == "_swarm" else ""
     for key, name in (("limits", "Limits"), ("separation", "Separation")):
-        assert list(data[key]) == list(schema[f"{swarm}{name}"]["properties"])
+        assert sorted(data[key]) == sorted(schema[f"{swarm}{name}"]["properties"])
     assert set(data["team"]) == set(schema[team]["properties"])
     assert list(data["team"]["quadrotor"]) == [x.name for x in keys_of(ho.Quadrotor).values()]
     if kind == "_carry":
