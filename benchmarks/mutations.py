@@ -103,39 +103,42 @@ MUTATIONS = (
     Mutation("drones.py", "    over=Points,\n", "    over=Drones,\n", "triangle", "drones in place of vertices"),
     Mutation("hanging.py", "OWN_DISTANCES * (limit + 2.0 * requirements.limits.tube.level)", "OWN_DISTANCES * limit", "checks/test_own_cables.py", "own cables without errors of drones"),
     Mutation("crossing.py", "partial(_unclasped, motion.team.layout) if is_linked else None", "partial(_unclasped, motion.team.layout)", "checks/test_bodies.py", "neighbours of cables that are not linked missed"),
-    Mutation("/verify/drones.py", "[*p.slabs, *p.walls]", "[*p.slabs]", "verify/test_limits.py", "prisms missed"),
-    Mutation("/verify/drones.py", "[*p.slabs, *p.walls]", "[*p.slabs, *p.walls[:1]]", "verify/test_limits.py", "prisms but the first missed"),
-    Mutation("/verify/drones.py", "error = s.plan.tracking ", "error = 0.0 ", "verify/test_limits.py", "errors of drones at walls dropped"),
-    Mutation("/verify/drones.py", "[2] - error * s.plan.ratio", "[2] - error", "verify/test_limits.py", "vertical errors at ceilings taken for horizontal ones"),
-    Mutation("/verify/drones.py", '(lim["reserve"] if k > 1 else 1.0)', "1.0", "verify/test_limits.py", "reserves of stops dropped"),
-    Mutation("/verify/drones.py", '(lim["reserve"] if k > 1 else 1.0)', '(lim["reserve"] if k > 2 else 1.0)', "verify/test_limits.py", "reserves of accelerations dropped"),
+    Mutation("/verify/drones.py", "[*p.slabs, *p.walls]", "[*p.slabs]", "verify/test_limits.py::test_prisms_stand_in_the_way", "prisms missed"),
+    Mutation("/verify/drones.py", "[*p.slabs, *p.walls]", "[*p.slabs, *p.walls[:1]]", "verify/test_limits.py::test_prisms_stand_in_the_way", "prisms but the first missed"),
+    Mutation("/verify/drones.py", "error = s.plan.tracking ", "error = 0.0 ", "verify/test_limits.py::test_walls_are_as_far_as_drones_may_err", "errors of drones at walls dropped"),
+    Mutation("/verify/drones.py", "[2] - error * s.plan.ratio", "[2] - error", "verify/test_limits.py::test_walls_are_as_far_as_drones_may_err", "vertical errors at ceilings taken for horizontal ones"),
+    Mutation("/verify/drones.py", '(lim["reserve"] if k > 1 else 1.0)', "1.0", "verify/test_limits.py::test_reserves_are_left_for_stops", "reserves of stops dropped"),
+    Mutation("/verify/drones.py", '(lim["reserve"] if k > 1 else 1.0)', '(lim["reserve"] if k > 2 else 1.0)', "verify/test_limits.py::test_reserves_are_left_for_stops", "reserves of accelerations dropped"),
     Mutation("/verify/drones.py", "(s.point(i, 2) + G * UP)", "(s.point(i, 2) + 0.9 * G * UP)", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "a factor of gravity"),
     Mutation("/verify/drones.py", "lambda s, i: thrust(s, i).norm())", "lambda s, i: thrust(s, i)[:2].norm())", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "upward thrust dropped"),
-    Mutation("/verify/cables.py", "(0.25, 0.5, 0.75)], sag)", "(0.25, 0.5, 0.75)])", "verify/test_limits.py", "sag at walls dropped"),
+    Mutation("/verify/cables.py", "(0.25, 0.5, 0.75)], sag)", "(0.25, 0.5, 0.75)])", "verify/test_limits.py::test_cables_sag_toward_the_floor", "sag at walls dropped"),
     Mutation("/verify/cables.py", "np.where(ramp, 0.0, low)", "0.0", "verify/test_forged_files.py::test_every_cable_has_its_own_ramp", "smallest tensions dropped"),
-    Mutation("/verify/cables.py", "-total_turn(s) + (361.0 if", "-total_turn(s) + (721.0 if", "verify/test_limits.py", "two turns of an outline"),
+    Mutation("/verify/cables.py", "-total_turn(s) + (361.0 if", "-total_turn(s) + (721.0 if", "verify/test_limits.py::test_outlines_turn_once", "two turns of an outline"),
     Mutation("/verify/cables.py", "shared = np.any(", "shared = np.all(", "verify/test_verify.py::test_it_agrees_with_the_certificate[triangle]", "parts that share a clasp taken for others"),
-    Mutation("/verify/cables.py", 'lim["leg"] + 2.0 * p.tracking', 'lim["leg"]', "verify/test_limits.py", "errors of drones in legs dropped"),
-    Mutation("/verify/reading.py", '("cable", 2.0), ("crossing", 2.0)', '("cable", 2.0), ("crossing", 1.0)', "verify/test_limits.py", "errors of one cable of two"),
-    Mutation("/verify/reading.py", "np.array([wide + error, wide + error, high * self.ratio])", "np.array([wide, wide, high * self.ratio])", "verify/test_limits.py", "ellipsoids without errors of drones"),
+    Mutation("/verify/cables.py", 'lim["leg"] + 2.0 * p.tracking', 'lim["leg"]', "verify/test_limits.py::test_distances_are_wider_by_errors_of_drones", "errors of drones in legs dropped"),
+    Mutation("/verify/reading.py", '("cable", 2.0), ("crossing", 2.0)', '("cable", 2.0), ("crossing", 1.0)', "verify/test_limits.py::test_distances_are_wider_by_errors_of_drones", "errors of one cable of two"),
+    Mutation("/verify/reading.py", "np.array([wide + error, wide + error, high * self.ratio])", "np.array([wide, wide, high * self.ratio])", "verify/test_limits.py::test_ellipsoids_contain_those_of_drones_with_errors", "ellipsoids without errors of drones"),
     Mutation("/verify/reading.py", "if not low[q, k, 1 - start]:", "if True:", "verify/test_forged_files.py::test_tensions_rise_to_the_smallest_at_which_a_hitch_is_held", "ramps that end anywhere"),
-    Mutation("/verify/reading.py", "not (rest[q] and low[q, k, start])", "not rest[q]", "verify/test_forged_files.py::test_no_tension_falls_between_two_ramps", "ramps that do not begin below the tension"),
-    Mutation("/verify/driver.py", "    for k in range(3):\n        curves = (p.points", "    for k in range(2):\n        curves = (p.points", "verify/test_limits.py", "jumps of accelerations missed"),
-    Mutation("/verify/driver.py", "broken = excess > TOLERANCE * max(abs(limit), 1.0)", "broken = False", "storage/test_stated_rules.py", "stated rules hold, whatever their worst value"),
-    Mutation("/verify/tying.py", "np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)", "0.0 * drawn[s.piece, None]", "verify/test_limits.py", "errors of drones in spans dropped"),
+    Mutation("/verify/reading.py", "not (rest[q] and low[q, k, start])", "not rest[q]", "verify/test_forged_files.py::test_what_dips_from_the_smallest_tension_and_back_is_no_ramp", "ramps that do not begin below the tension"),
+    Mutation("/verify/driver.py", "    for k in range(3):\n        curves = (p.points", "    for k in range(2):\n        curves = (p.points", "verify/test_limits.py::test_no_derivative_up_to_the_acceleration_jumps", "jumps of accelerations missed"),
+    Mutation("/verify/driver.py", "broken = excess > TOLERANCE * max(abs(limit), 1.0)", "broken = False", "storage/test_stated_rules.py::test_a_rule_that_its_own_record_violates_is_violated", "stated rules hold, whatever their worst value"),
+    Mutation("/verify/tying.py", "np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)", "0.0 * drawn[s.piece, None]", "verify/test_limits.py::test_hanging_cables_are_longer_than_chords_with_errors", "errors of drones in spans dropped"),
     Mutation("/verify/spans.py", "verdict = \"violated\" if worst < target else \"not proven\"", "verdict = \"violated\" if worst < target else \"proven\"", "verify/test_verify.py::test_what_stays_undecided_is_not_proven", "what is not decided is proven"),
     Mutation("/verify/spans.py", "effort.spent > effort.allowed", "False", "verify/test_forged_files.py::test_proofs_share_their_effort", "no effort of all proofs"),
     Mutation("/verify/arithmetic.py", "turn = n > self.deviation, self.slope * self.deviation", "turn = n > self.deviation, 0.0 * self.deviation", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "turns of directions dropped"),
     Mutation("/verify/arithmetic.py", "+ self.slope * o.deviation\n", "\n", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "a term of products dropped"),
+    Mutation("/verify/arithmetic.py", "q = np.max(np.abs(ends), 0) * self.q + q", "q = np.abs(slope[:, 0]) * self.q + q", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "slopes of functions at midpoints alone"),
+    Mutation("/verify/arithmetic.py", "np.max(np.where(candidate, rate, 0.0), axis=0)", "q[at]", "verify/test_verify.py::test_values_and_slopes_stay_within_their_bounds", "minima of several taken for one"),
     Mutation("/planners/timing/ramps.py", "4.0 * accelerations * distances", "3.0 * accelerations * distances", "planners/test_timing.py::test_fastest_ramps_are_those_of_the_clock", "peak speeds with a plateau"),
     Mutation("/planners/timing/ramps.py", "np.cbrt(0.25 * distances", "np.cbrt(0.2 * distances", "planners/test_timing.py::test_fastest_ramps_are_those_of_the_clock", "peak speeds without a plateau"),
     Mutation("/planners/timing/ramps.py", "rises_without = 2.0 * np.sqrt(peaks / jerk)", "rises_without = 1.9 * np.sqrt(peaks / jerk)", "planners/test_timing.py::test_fastest_ramps_are_those_of_the_clock", "times of rises without a plateau"),
-    Mutation("/planners/timing/timed_motion.py", "(rate / (FINAL_SHARE * limit)) ** (1.0 / order)", "(rate / (FINAL_SHARE * limit)) ** 1.0", "planners/test_timing.py", "stretches of rates of any order alike"),
-    Mutation("/planners/timing/timed_motion.py", "mass * jerk / stretch**3", "mass * jerk / stretch**2", "planners/test_timing.py", "order of a stretched jerk"),
-    Mutation("/planners/timing/timed_motion.py", "force_rates / stretch", "force_rates", "planners/test_timing.py", "rates of forces are not stretched"),
-    Mutation("/planners/timing/profile.py", "fastest_drone / self.limits.speed", "0.5 * fastest_drone / self.limits.speed", "planners/test_timing.py", "half of drones' speeds"),
-    Mutation("/planners/timing/profile.py", "math.tan(self.share * self.limits.tilt) ** 2", "math.tan(self.share * self.limits.tilt)", "planners/test_timing.py", "cone of tilt"),
-    Mutation("/planners/timing/clock.py", "1.5 * x1 * self.second", "0.5 * x1 * self.second", "planners/test_timing.py", "a factor of jerk on a clock"),
+    Mutation("/planners/timing/timed_motion.py", "(rate / (FINAL_SHARE * limit)) ** (1.0 / order)", "(rate / (FINAL_SHARE * limit)) ** 1.0", "planners/test_timing.py::test_a_rigid_shift_takes_the_known_time", "stretches of rates of any order alike"),
+    Mutation("/planners/timing/timed_motion.py", "mass * jerk / stretch**3", "mass * jerk / stretch**2", "planners/test_timing.py::test_the_stretch_of_a_known_turn_is_exact", "order of a stretched jerk"),
+    Mutation("/planners/timing/timed_motion.py", "force_rates / stretch", "force_rates", "planners/test_timing.py::test_a_flight_with_the_needed_stretch_just_keeps_its_limit", "rates of forces are not stretched"),
+    Mutation("/planners/timing/profile.py", "fastest_drone / self.limits.speed", "0.5 * fastest_drone / self.limits.speed", "planners/test_timing.py::test_a_rigid_shift_takes_the_known_time", "half of drones' speeds"),
+    Mutation("/planners/timing/profile.py", "math.tan(self.share * self.limits.tilt) ** 2", "math.tan(self.share * self.limits.tilt)", "planners/test_timing.py::test_one_limit_binds_near_the_optimal_duration", "cone of tilt"),
+    Mutation("/planners/timing/clock.py", "1.5 * x1 * self.second", "0.5 * x1 * self.second", "planners/test_timing.py::test_jerks_on_a_clock_are_rates_of_accelerations", "a factor of jerk on a clock"),
+    Mutation("/planners/timing/profile.py", "vertex_ratio = self.vertex_speed", "vertex_ratio = 0.5 * self.vertex_speed", "planners/test_timing.py::test_one_limit_binds_near_the_optimal_duration", "half of vertices' speeds"),
 )  # fmt: skip
 
 
@@ -188,11 +191,19 @@ def disagreement(package: Path, path: Path) -> str:
     return "" if certified else "not certified"
 
 
-def failure(package: Path, tests: str) -> str:
-    """Return the first fast test of a file that fails with a package, or nothing."""
+def failure(package: Path, tests: str, plans: Path) -> str:
+    """Return the first fast test of a file that fails with a package, or nothing.
+
+    ``plans`` is the folder of plans that tests share.
+    """
     options = ["-q", "-x", "-n", "0", "-p", "no:cacheprovider", "-m", "not slow"]
     command = [sys.executable, "-m", "pytest", *options, f"tests/{tests}"]
-    environment = {**os.environ, "PYTHONPATH": str(package), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(package),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "HITCHOPT_TESTED_PLANS": str(plans),
+    }
     process = subprocess.run(
         command, capture_output=True, text=True, env=environment, cwd=package, check=False
     )
@@ -201,9 +212,16 @@ def failure(package: Path, tests: str) -> str:
 
 
 def finding(package: Path, mutation: Mutation, folder: Path) -> str:
-    """Return what a package's certificate is found by: a plan, or a test; nothing if it is sound."""
+    """Return what a package's certificate is found by: a plan, or a test; nothing if it is sound.
+
+    Mutants of ``verify`` share the plans of their tests, which it does not change; every other one
+    plans anew.
+    """
     if ".py" in mutation.plan:
-        return failure(package, mutation.plan)
+        if mutation.file.startswith("/verify/"):
+            return failure(package, mutation.plan, folder / "of_tests")
+        with tempfile.TemporaryDirectory() as own:
+            return failure(package, mutation.plan, Path(own))
     return disagreement(package, plan(mutation.plan, folder))
 
 
@@ -211,9 +229,15 @@ def main() -> int:
     """Print the table of all mutations."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plans", type=Path, default=None)
-    parser.add_argument("--only", default="", help="words of the mutations to make")
+    parser.add_argument(
+        "--only", nargs="+", default=[""], help="parts of words or paths of the mutations to make"
+    )
     options = parser.parse_args()
-    mutations = [each for each in MUTATIONS if options.only in each.words]
+    mutations = [
+        each
+        for each in MUTATIONS
+        if any(part in f"{each.words} ({each.path})" for part in options.only)
+    ]
     missed = 0
     with tempfile.TemporaryDirectory() as temporary:
         folder, package = options.plans or Path(temporary) / "plans", Path(temporary) / "package"

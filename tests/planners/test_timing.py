@@ -13,6 +13,7 @@ from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from hitchopt import Hitch, Limits, Separation, Team
+from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Swarm
@@ -34,6 +35,7 @@ from hitchopt.planners.timing.timed_motion import (
     turning_stretch,
 )
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values.fields import with_fields
 from problems.random_morph import random_convex_polygon
 
 
@@ -171,6 +173,20 @@ def clocked(seed: int, samples: int) -> ClockedPath:
     return ClockedPath(demands, first, second, third, np.full(samples, 1.5))
 
 
+def test_jerks_on_a_clock_are_rates_of_accelerations() -> None:
+    """By differences over the clock τ, whose rate is √x."""
+    path, tau = clocked(5, 2001), np.linspace(0.0, 1.0, 2001)
+    x, x1, x2 = 1.0 + 0.5 * tau - 0.4 * tau**2, 0.5 - 0.8 * tau, np.full(2001, -0.8)
+    shape = (-1, 1, 1)
+    accelerations = x.reshape(shape) * path.second + 0.5 * x1.reshape(shape) * path.first
+    rates = np.gradient(accelerations, tau, axis=0, edge_order=2)
+    jerks = np.sqrt(x)[:, None] * np.linalg.norm(rates, axis=-1)
+    limits, ratios = path.demands.limits, path.ratios(np.stack([x, x1, x2]))
+    acceleration = np.linalg.norm(accelerations, axis=-1)
+    np.testing.assert_allclose(ratios[0], acceleration / limits.acceleration, rtol=1e-12)
+    np.testing.assert_allclose(ratios[1], jerks / limits.jerk, rtol=1e-4, atol=1e-6)
+
+
 @settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_derivatives_of_rows_by_differences(seed: int) -> None:
@@ -236,12 +252,16 @@ def test_the_stretch_of_a_known_turn_is_exact() -> None:
 
 
 def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:
+    """Of thrusts' rates jerks are the largest part, or rates of cables' forces if all is slow."""
     motion = planned("triangle").motion
     rest = math.atan(0.4 / (0.132 * 9.81))
     tilt = 0.5 * (rest + math.radians(planned("triangle").certificate["tilt"].worst))
-    tight = replace(motion.requirements, limits=replace(motion.requirements.limits, tilt=tilt))
-    stretch = needed_stretch(replace(motion, requirements=tight))
-    assert stretch > 1.05
-    for share, kept in ((1.001, True), (0.98, False)):
-        slowed = replace(motion, requirements=tight).slowed(share * stretch)
-        assert ho.certify(slowed)["tilt"].holds is kept
+    for name, limit in (("tilt", tilt), ("body_rate", math.radians(1.0))):
+        limits = with_fields(motion.requirements.limits, **{name: limit})
+        tight = motion.replaced(requirements=replace(motion.requirements, limits=limits))
+        stretch = needed_stretch(tight)
+        assert stretch > 1.05
+        for share, kept in ((1.001, True), (0.98, False)):
+            check = RULE_OF[name].check(tight.slowed(share * stretch))
+            assert check is not None
+            assert check.holds is kept

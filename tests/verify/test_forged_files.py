@@ -123,6 +123,25 @@ def test_no_tension_falls_between_two_ramps(tmp_path: Path) -> None:
     assert row.worst == pytest.approx(check.worst, rel=0.02)
 
 
+@pytest.mark.parametrize("is_tied", [True, False])
+def test_what_dips_from_the_smallest_tension_and_back_is_no_ramp(
+    *, is_tied: bool, tmp_path: Path
+) -> None:
+    """It is next to cables that are not linked, and both of its ends are at that tension."""
+    plan, piece = (planned("form_square"), -1) if is_tied else (planned_of(UNTIED), 1)
+
+    def dip(_: Settings, arrays: Arrays) -> None:
+        for name in ("tensions", "leg_tensions"):
+            ramp = arrays[f"groups/0/{name}"][piece]
+            full = np.max(ramp, axis=-1, keepdims=True)
+            ramp[:] = full * (1.0 - 0.5 * np.sin(np.linspace(0.0, np.pi, ramp.shape[-1])))
+
+    row, check = tensions_of(forged(plan, tmp_path / "plan.npz", dip))
+    assert row.verdict == "violated"
+    assert row.worst == pytest.approx(0.42 * plan.motion.team.tension[0], rel=0.02)
+    assert not check.holds
+
+
 @pytest.mark.parametrize("at", [0, 1, -1])
 def test_phases_shorter_than_files_resolve_alter_nothing(at: int, tmp_path: Path) -> None:
     def shorter(settings: Settings, _: Arrays) -> None:

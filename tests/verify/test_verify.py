@@ -209,6 +209,8 @@ def test_curves_that_are_no_plan_are_refused_at_once(
 
 FORMULAS: dict[str, Callable[[Line, Line], Line]] = {
     "product": lambda x, y: x * y.dot(x) + y * 2.0 - 1.0,
+    "square": lambda x, _: x.dot(x),
+    "exponential": lambda x, _: (x[0] * x[0] * 0.1).map(np.exp, np.exp),
     "norm": lambda x, _: x.norm(),
     "direction": lambda x, _: x.unit(),
     "inverse": lambda x, _: x.norm().inverse(),
@@ -224,11 +226,14 @@ WIDE = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 """What is not known of a wide span is infinite, or not a number."""
 
 
-def spans_of(seed: int, width: float, offset: float) -> Spans:
+def spans_of(seed: int, width: float, offset: float, degree: int = 5) -> Spans:
     """Return spans of polynomials; cables hang between them."""
     rng = np.random.default_rng(seed)
     plan: Any = SimpleNamespace(h=np.array([0.7, 1.3]), breaks=np.array([0.0, 0.7, 2.0]))
-    plan.points, plan.effort = Curve(rng.normal(size=(2, 8, 3, 6)) + offset, plan.h), Effort(10**6)
+    plan.points, plan.effort = (
+        Curve(rng.normal(size=(2, 8, 3, degree + 1)) + offset, plan.h),
+        Effort(10**6),
+    )
     plan.length = np.full((8, 1), 60.0)
     piece, item = np.repeat([0, 1], 4), np.tile(np.arange(4), 2)[:, None]
     return Spans(plan, piece, item, rng.uniform(width, 1.0 - width, size=8), np.full(8, width))
@@ -236,11 +241,15 @@ def spans_of(seed: int, width: float, offset: float) -> Spans:
 
 @WIDE
 @pytest.mark.parametrize("width", [0.1, 0.01, 0.001])
+@pytest.mark.parametrize("degree", [1, 2, 5])
 @pytest.mark.parametrize("formula", FORMULAS)
-def test_values_and_slopes_stay_within_their_bounds(formula: str, width: float) -> None:
+def test_values_and_slopes_stay_within_their_bounds(
+    formula: str, degree: int, width: float
+) -> None:
+    """Slopes of lines and parabolas deviate by as much as is told, those of others by less."""
     make = FORMULAS[formula]
     for seed in range(5):
-        s = spans_of(seed, width, 2.0)
+        s = spans_of(seed, width, 2.0, degree)
         i = s.item[:, 0]
         found, far = make(s.point(i), s.point(i + 4)), np.zeros(8)
         for share in np.linspace(-1.0, 1.0, 41):
