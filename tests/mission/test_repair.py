@@ -478,6 +478,7 @@ def test_a_slipping_grip_gets_a_lighter_or_rougher_object() -> None:
     form, carry, *_ = data["mission"]
     data["team"] = {key: data["team"][key] for key in data["team"].keys() - {"quadrotor"}}
     data["team"]["cable_length"] = 1.6
+    del data["limits"]["tracking"]
     data |= {"start": {"hitch": {**form["form"]}}, "mission": [carry]}
     (name, body), *_ = data["objects"].items()
     body["mass"] *= 3.0
