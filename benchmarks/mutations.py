@@ -208,7 +208,9 @@ def failure(package: Path, tests: str, plans: Path) -> str:
         command, capture_output=True, text=True, env=environment, cwd=package, check=False
     )
     failed = [line for line in process.stdout.splitlines() if line.startswith(("FAILED", "ERROR"))]
-    return failed[0].rpartition("::")[2][:60] if failed else ""
+    if failed:
+        return failed[0].rpartition("::")[2][:60]
+    return f"pytest ends with {process.returncode}" if process.returncode else ""
 
 
 def finding(package: Path, mutation: Mutation, folder: Path) -> str:
