@@ -134,6 +134,7 @@ def _drones_and_clasped(motion: Motion) -> Iterator[Moving]:
 
 ON_GROUND = frozenset({CableState.GROUND})
 DRAWN = frozenset({CableState.DRAWN})
+LAYING = frozenset({CableState.LAYING})
 
 CABLE_CLEARANCE = CheckRule(
     "cable_clearance",
@@ -146,10 +147,11 @@ CABLE_CLEARANCE = CheckRule(
         Evaluator(nearest(_drones_and_drawn), DRAWN, exported=True),
         Evaluator(
             nearest(_drones_and_hanging),
-            FREE_STATES - ON_GROUND - DRAWN,
+            FREE_STATES - ON_GROUND - DRAWN - LAYING,
             exported=True,
             formulas=(chain_distance,),
         ),
+        Evaluator(nearest(_drones_and_hanging), LAYING, exported=True),
         Evaluator(
             nearest(_drones_and_clasped),
             FREE_STATES | TAUT_STATES,
@@ -473,10 +475,11 @@ OBJECT_CLEARANCE = CheckRule(
         Evaluator(nearest(moving_object_pairs), TAUT_STATES),
         Evaluator(
             nearest(_hanging_and_objects),
-            FREE_STATES - DRAWN,
+            FREE_STATES - DRAWN - LAYING,
             exported=True,
             formulas=(beside_or_above,),
         ),
+        Evaluator(nearest(_hanging_and_objects), LAYING, exported=True),
         Evaluator(nearest(_hanging_and_objects), DRAWN, exported=True),
         Evaluator(nearest(_clasped_and_objects), FREE_STATES | TAUT_STATES),
     ),

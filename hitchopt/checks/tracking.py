@@ -6,7 +6,9 @@ straight between them. For two drones, it is half the shortest shift of their of
 their ellipsoids touch; for other bodies, the slack of checks divided by the approach of both. A
 hanging cable moves with its ends, and its depth changes. A cable that is drawn taut hangs no lower
 than before. Where errors could pull it taut, its drones move at no more than DRAWING_SPEED: faster
-ones would snap it.
+ones would snap it. A laid cable is taut, as in a hitch: its drones pull it, and it moves with them.
+Neighbours that come down on each other are meant to touch: their order is that of the check
+``interlacing``, which errors do not change, since cables keep ``crossing`` where they slide in.
 
 If ``limits.tracking`` is larger vertically than horizontally, errors are within an ellipsoid with
 radius r and the same ratio of height and radius. Heights are divided by this ratio in all
@@ -35,7 +37,7 @@ from hitchopt.checks.arena import ARENA, drone_wall_gap
 from hitchopt.checks.bodies import drones_of
 from hitchopt.checks.cables import SPAN
 from hitchopt.checks.certificate import Check
-from hitchopt.checks.clearance import CABLE_CLEARANCE, OBJECT_CLEARANCE
+from hitchopt.checks.clearance import CABLE_CLEARANCE, DRAWN, LAYING, OBJECT_CLEARANCE
 from hitchopt.checks.distances import Moving, PairSpans, Shape, gap, smaller_case, smallest
 from hitchopt.checks.downwash import DOWNWASH, drones_above_objects, lead
 from hitchopt.checks.drones import Drones
@@ -153,8 +155,7 @@ def _wall_radii(motion: Motion) -> Iterator[WorstCase]:
 
 def _span_radii(motion: Motion) -> Iterator[WorstCase]:
     """Yield the radii [m] with which free cables are as long as their chords."""
-    drawn = frozenset({CableState.DRAWN})
-    for states, excess in ((FREE_STATES - drawn, _excess), (drawn, _excess_unless_slow)):
+    for states, excess in ((FREE_STATES - DRAWN - LAYING, _excess), (DRAWN, _excess_unless_slow)):
         for span in motion.spans(states):
             tightest = worst(Drones.of(span), excess, "min")
             cable = cable_names(span)[tightest.item // 2]
@@ -186,9 +187,9 @@ def _slack(check: Check) -> float:
 
 
 def _is_hanging(result: SpanResult) -> bool:
-    """Return whether cables hang in a time span, and are not replaced by their chords."""
-    on_chords = ({CableState.GROUND}, {CableState.DRAWN})
-    return result.states.isdisjoint(TAUT_STATES) and result.states not in on_chords
+    """Return whether cables hang in a time span: neither taut nor replaced by their chords."""
+    others = ({CableState.GROUND}, DRAWN, LAYING)
+    return result.states.isdisjoint(TAUT_STATES) and result.states not in others
 
 
 def _excess(spans: Drones) -> Bound:

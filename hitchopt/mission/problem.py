@@ -96,7 +96,7 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
             stage = stage.after(step, objects)
             before, outline = outline, step.checked_polygon_after(whole, outline, reason)
             if step.rolls_pairs:
-                check_rollable(f"step {i} ({step.name})", whole, mission.requirements)
+                check_rollable(f"step {i} ({step.name})", whole)
             if (before is None) is not (outline is None):
                 reason = f"step {i} ({step.name}) {'untied' if outline is None else 'tied'} it"
             _check_blend(steps, i)

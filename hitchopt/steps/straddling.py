@@ -176,7 +176,7 @@ class Tie(Step):
         requirements = task.requirements
         team = task.before.team
         body = requirements.objects[self.around]
-        check_rollable(f"step {task.index} ({self.name})", team, requirements)
+        check_rollable(f"step {task.index} ({self.name})", team)
         self._check_friction(body)
         height = self._checked_height(task, body)
         check_pull(float(np.max(tension)), team, requirements)

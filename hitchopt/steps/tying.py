@@ -444,7 +444,7 @@ def missing_radius(error: InfeasibleError) -> float:
     return max((each.limit - each.value for each in radii), default=0.0)
 
 
-def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
+def check_rollable(step: str, team: Team) -> None:
     """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid.
 
     ``step`` names the step that lays or rolls them.
@@ -455,8 +455,6 @@ def check_rollable(step: str, team: Team, requirements: Requirements) -> None:
         "follows": team.cable_density == 0.0,
         "unequal tensions: set one team.tension": np.ptp(team.tension) > 0.0,
         "loads on clasps, which do not roll: omit team.load": np.any(team.load),
-        "tracking errors: set limits.tracking: 0, and a larger separation.radius for the drones' "
-        "errors": requirements.limits.tube.level > 0.0,
     }
     for reason, applies in reasons.items():
         if applies:

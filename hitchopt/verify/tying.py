@@ -108,7 +108,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
     pairs, foreign = np.triu_indices(p.n, 1), np.argwhere(np.arange(p.N)[:, None] // 2 != k)
     clasped = p.clasped[pairs] & ~np.isin(p.state, (*UNLINKED, DRAWN))[:, None]
     both = Spans.of(p, p.free[:, None] & ~clasped, np.column_stack(pairs), p.cables, p.cables)
-    drawn, level = p.state == DRAWN, ground | (p.state == DRAWN)
+    taut, level = np.isin(p.state, (DRAWN, LAID)), ground | (p.state == DRAWN)
     free, hanging = (Spans.of(p, on, k, p.cables) for on in (p.free, p.free & ~level))
     lying, tightened = Spans.of(p, p.free & level, foreign, *ends), p.state == TIGHTENED
     apart = p.clasping[:, None] & ~p.clasped[pairs]
@@ -128,9 +128,10 @@ def free_cables(p: Plan) -> Iterator[Row]:
     def chord_share(s: Spans, k: Index) -> Line:
         """Return chords, longer by errors of both ends, over lengths.
 
-        While cables are drawn taut, errors may make them straight if drones are slow.
+        While cables are drawn taut, errors may make them straight if drones are slow. Laid ones are
+        taut.
         """
-        chord, error = s.q_to_r(k), np.where(drawn[s.piece, None], 0.0, 2.0 * p.tracking)
+        chord, error = s.q_to_r(k), np.where(taut[s.piece, None], 0.0, 2.0 * p.tracking)
         if p.ratio == 1.0:
             return (chord.norm() + error) * (1.0 / p.length[k])
         level, height = chord[:2].norm() + error, chord[2].norm() + error * p.ratio

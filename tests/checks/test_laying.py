@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from by_hand import point_to_segment
+from by_hand import point_to_segment, segment_to_segment
 from motions import altered, plus, row
 from second_opinions import Rows, opinion_of
 from test_interlacing import stages_of as swaps_of
@@ -329,3 +329,87 @@ def test_laying_may_pause() -> None:
     ]
     parts = [stages[0], *hop, *stages[1:]]
     assert not wrong([*parts, *reversed_stages(parts)])
+
+
+@cache
+def erring_plan(n: int) -> ho.Plan:
+    """Return the plan of a ring that is laid by drones with errors of 3 cm."""
+    edge, length = RINGS[n]
+    y = 1.3 * (np.arange(n) - 0.5 * (n - 1))
+    q = np.column_stack([np.full(n, -0.4 * length), y, np.zeros(n)])
+    return ho.form(
+        q=q,
+        r=q * [-1.0, 1.0, 1.0],
+        team=ho.Team(n, length, tension=0.7, cable_density=0.01),
+        polygon=ho.regular_polygon(n, edge, angle=0.3),
+        altitude=1.5,
+        by="laying",
+        limits=ho.Limits(tracking=0.03),
+    )
+
+
+def sagging(q: np.ndarray, r: np.ndarray, depth: float) -> np.ndarray:
+    """Return 60 links (…, 60, 2, 3) of cables that sag by a depth below their chords."""
+    share = np.linspace(0.0, 1.0, 61)[:, None]
+    points = q[..., None, :] + share * (r - q)[..., None, :]
+    points[..., 2] -= (4.0 * depth * share * (1.0 - share))[:, 0]
+    return np.stack([points[..., :-1, :], points[..., 1:, :]], axis=-2)
+
+
+@pytest.mark.parametrize("n", [3, pytest.param(6, marks=pytest.mark.slow)])
+def test_errors_of_the_certified_radius_keep_every_distance(n: int, tmp_path: Path) -> None:
+    """Drones, and vertices as pairs roll, err in random directions, by the radius and less.
+
+    Where errors would pull a cable longer than it is, it is straight.
+    """
+    plan = erring_plan(n)
+    motion, limits = plan.motion, plan.motion.requirements.separation
+    radius = plan.certificate["tracking_radius"].worst
+    assert plan.certificate.certified
+    assert radius >= 0.03
+    assert {row.verdict for row in opinion_of(motion, tmp_path)} == {"proven"}
+    names = ["draw taut", "slide in", "lay", "tension", "roll"]
+    assert [each.name for each in motion.phases if each.name in names] == names
+    rng, layout, drone = np.random.default_rng(n), motion.team.layout, np.arange(2 * n)
+    samples = 400
+
+    def error(count: int) -> np.ndarray:
+        direction = rng.normal(size=(samples, count, 3))
+        direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+        return radius * direction * rng.choice([0.3, 1.0], size=(samples, 1, 1))
+
+    for phase in motion.phases:
+        if phase.name not in names:
+            continue
+        times = np.linspace(phase.start, phase.end - 1e-9, samples)
+        drones = motion.drones.at(times) + error(2 * n)
+        q, r = drones[:, 0::2], drones[:, 1::2]
+        i, j = np.triu_indices(2 * n, 1)
+        separation = np.linalg.norm((drones[:, i] - drones[:, j]) * limits.scale, axis=-1)
+        assert np.min(separation) >= 1.0
+        if phase.state is ROLLING:
+            places = motion.vertices.at(times) + error(n)
+            p, after = places[:, layout.starts], places[:, layout.ends]
+            links = np.stack([np.stack(x, axis=-2) for x in ((q, p), (p, after), (after, r))], 2)
+        elif phase.state is LAYING:
+            links = sagging(q, r, 0.05)
+        else:
+            slack = np.maximum(motion.team.cable_length - np.linalg.norm(r - q, axis=-1), 0.0)
+            depth = float(np.max(np.sqrt(0.375 * slack * motion.team.cable_length)))
+            links = np.concatenate([sagging(q, r, 0.0), sagging(q, r, depth)], axis=2)
+        first, last = links[..., 0, :], links[..., 1, :]
+        distances = point_to_segment(
+            drones[:, :, None, None], first[:, None, :, :], last[:, None, :, :]
+        )
+        distances[:, drone, drone // 2] = np.inf
+        assert np.min(distances) >= limits.cable, phase.name
+        if phase.name == "slide in":  # the upper cable passes over the lower one, or beside it
+            for c in range(n):
+                above, below = layout.ahead[c], layout.behind[c]
+                if laying_of(n).senses[c] < 0.0:
+                    above, below = below, above
+                lowest = np.min(links[:, above, ..., 2], axis=(1, 2))
+                height = lowest - np.max(links[:, below, ..., 2], axis=(1, 2))
+                ends = (x[:, k] * [1.0, 1.0, 0.0] for k in (above, below) for x in (q, r))
+                beside = segment_to_segment(*ends)
+                assert np.min(np.maximum(height, beside)) >= limits.crossing

@@ -247,16 +247,14 @@ def test_teams_that_cannot_be_laid_are_refused_by_name(team: ho.Team, words: str
         laid(team)
 
 
-def test_the_remedy_plans_laying_with_a_named_controller() -> None:
-    """Its tracking error widens all distances unless the limit is 0."""
-    for name in ("mellinger", "px4", "lee"):
-        kind = ho.Quadrotor(controller=name)
-        team = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, quadrotor=kind)
-        with pytest.raises(UnsupportedError, match=r"set limits\.tracking: 0"):
-            laid(team)
-    plan = laid(team, limits=ho.Limits(tracking=0.0))
+def test_laying_keeps_distances_for_the_errors_of_a_named_controller() -> None:
+    kind = ho.Quadrotor(0.132, controller="mellinger", gains={"kp": 4.75, "kd": 1.32, "ki": 0.0})
+    team = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, quadrotor=kind)
+    plan = laid(team)
+    radius = plan.certificate["tracking_radius"]
     assert plan.certificate.certified
-    assert plan.motion.team.quadrotor[0].controller == name
+    assert radius.limit is not None
+    assert radius.worst >= radius.limit > 0.04
 
 
 @pytest.mark.parametrize("order", [[0, 1], [0, 1, 1], [0, 1, 3]])

@@ -28,7 +28,7 @@ from hitchopt.planners.carrying.moves import Move, SmoothLaw, polynomials
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.planners.carrying.straddle import MIN_BEND, OPEN, Place, PlaceChange, Straddle
-from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO, MIN_SEPARATION
+from hitchopt.planners.forming.prehitch import MIN_SEPARATION, longest_spans
 from hitchopt.planners.forming.stages import (
     SMOOTH,
     Keyframe,
@@ -58,9 +58,6 @@ STRADDLE_SPEED = 0.3
 
 MAX_TURN = math.radians(20.0)
 """[rad] Largest angle by which hanging cables turn about an object on straight lines."""
-
-SLACK_OVER_ERROR = 6.0
-"""Slack of hanging cables over the position error of drones, which displaces tauter ones far."""
 
 BESIDE = 0.08
 """[m] Distance of straight cables to the object, in addition to ``separation.object``."""
@@ -239,7 +236,7 @@ class StraddlePlanner(MovePlanner):
         chords = pairs[:, 1] - pairs[:, 0]
         chord_lengths = length(chords)
         chord_rises = chords[:, 2]
-        spans = np.minimum(_longest_spans(team, self.requirements), chord_lengths)
+        spans = np.minimum(longest_spans(team, self.requirements), chord_lengths)
         level_share = np.sqrt((spans**2 - chord_rises**2) / (chord_lengths**2 - chord_rises**2))
         scale = level_share[:, None, None] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
         halfway_scale = math.cos(0.5 * MAX_TURN) * scale  # drones are nearest halfway through turns
@@ -365,14 +362,6 @@ def _gap_to_cables(drones: Array, leg_ends: Array, contacts: Array) -> float:
     return float(np.min(length(offsets)))
 
 
-def _longest_spans(team: Team, requirements: Requirements) -> Array:
-    """Return the distances (n,) [m] of drones whose cables hang beside the object."""
-    height_error = requirements.position_error * requirements.height_ratio
-    longest_hanging = MAX_SPAN_RATIO * team.cable_length
-    with_slack = team.cable_length - SLACK_OVER_ERROR * height_error
-    return np.asarray(np.minimum(longest_hanging, with_slack))
-
-
 def find_straddle(
     name: str,
     hold: GripHold,
@@ -404,7 +393,7 @@ def find_straddle(
     centre = np.mean(hold.polygon, axis=0)
     aligned = rotated(hold.polygon - centre, _angle_to_side(hold))
     before = [] if drones is None else [_hanging_cables(team, drones)]
-    level_cables = Catenary.spanning(_longest_spans(team, requirements), 0.0, team.cable_length)
+    level_cables = Catenary.spanning(longest_spans(team, requirements), 0.0, team.cable_length)
     beside = _distance_beside(hold, requirements, [level_cables, *before])
 
     def candidates() -> Iterator[tuple[float, StraddlePlanner]]:

@@ -17,7 +17,7 @@ from typing import ClassVar
 import numpy as np
 
 from hitchopt.geometry import differences, shortest_offset
-from hitchopt.geometry.vectors import left_of
+from hitchopt.geometry.vectors import left_of, length
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
@@ -27,9 +27,9 @@ from hitchopt.hitch.series import JET
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.forming.prehitch import (
-    MAX_SPAN_RATIO,
     MIN_SEPARATION,
     SAMPLES,
+    longest_spans,
     smallest_separation,
 )
 from hitchopt.planners.forming.stages import (
@@ -160,6 +160,12 @@ class Laying:
     offsets: Array | float = 0.0
     """(n, 2) [m], of the start from the edges' lines."""
 
+    spans: Array | float = 0.0
+    """(n,) [m], distances of drones with hanging cables."""
+
+    errors: bool = False
+    """True if drones have position errors, which may pull hanging cables taut."""
+
     doubtful: ClassVar[bool] = True
     """True if a requirement may be violated: samples are of drones alone."""
 
@@ -197,9 +203,13 @@ class Laying:
         """(2n, 3) [m]: the drones outside of the edges' lines, with hanging cables."""
         pairs = self.drones_outside.reshape(-1, 2, 3)
         middles = np.mean(pairs, axis=1, keepdims=True)
-        chords = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
-        scale = MAX_SPAN_RATIO * self.hitch.team.cable_length / chords
-        drones: Array = middles + scale[:, None, None] * (pairs - middles)
+        chords = pairs[:, 1] - pairs[:, 0]
+        scale = np.repeat((self.spans / length(chords))[:, None, None], 3, axis=-1)
+        if self.errors:  # drones that draw cables taut keep their heights
+            rises = chords[:, 2]
+            level_share = np.sqrt((self.spans**2 - rises**2) / (length(chords) ** 2 - rises**2))
+            scale = level_share[:, None, None] * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
+        drones: Array = middles + scale * (pairs - middles)
         return np.asarray(drones.reshape(-1, 3))
 
     def clear_of_ground(self, requirements: Requirements) -> Laying:
@@ -215,8 +225,10 @@ class Laying:
     def stages(self, requirements: Requirements, index: int = 0) -> list[Motion]:
         """Return the motions from hanging cables to the hitch, in phases of step ``index``."""
         roll = roll_motion(self.path, requirements, Phase("roll", index, 0.0, 0.0))
+        # Errors may pull cables taut: their drones are slow, at distances that hold for any slack
+        drawn = CableState.DRAWN if self.errors else CableState.FREE
         keyframes = (
-            Keyframe("draw taut", self.drones_outside),
+            Keyframe("draw taut", self.drones_outside, drawn),
             Keyframe("slide in", self.drones_above, CableState.LAYING),
             Keyframe("lay", self.drones_laid, CableState.LAYING),
         )
@@ -259,9 +271,10 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     """
     separation = requirements.separation
     distance = planned_distance(separation)
-    unplaced = Laying(hitch, levels)
+    spans = longest_spans(hitch.team, requirements)
+    unplaced = Laying(hitch, levels, spans=spans, errors=requirements.position_error > 0.0)
     laid = unplaced.drones_laid
-    spacing = _largest_sag(hitch.team, laid) + distance
+    spacing = _largest_sag(hitch.team, laid) + requirements.height_ratio * distance
     along = hitch.polygon.edge_directions
     outward = left_of(along)
 

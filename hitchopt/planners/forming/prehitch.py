@@ -61,6 +61,9 @@ SAMPLED_SEPARATION = 0.99 * MIN_SEPARATION
 MAX_SPAN_RATIO = 0.97
 """Largest distance of the drones of a hanging cable, over its length."""
 
+SLACK_OVER_ERROR = 6.0
+"""Slack of hanging cables over the position error of drones, which displaces tauter ones far."""
+
 CLEARANCE = 1.05
 """Clearance of drones to cables, over ``Separation.cable``."""
 
@@ -98,6 +101,14 @@ CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 
 MIN_VALUE = 1e-9
 """[m or 1] Smallest value of a bound by which its limit is divided."""
+
+
+def longest_spans(team: Team, requirements: Requirements) -> Array:
+    """Return the distances (n,) [m] of drones from which hanging cables are drawn taut."""
+    height_error = requirements.position_error * requirements.height_ratio
+    longest_hanging = MAX_SPAN_RATIO * team.cable_length
+    with_slack = team.cable_length - SLACK_OVER_ERROR * height_error
+    return np.asarray(np.minimum(longest_hanging, with_slack))
 
 
 @dataclass(frozen=True, eq=False)
