@@ -244,7 +244,7 @@ def _certified(
         return worst_of(checks)
 
     checks = [*map(checked, RULES), *map(reported, limited)]
-    return _stored(flight, checks, lambda: map(reported, unlimited))
+    return _stored(flight, checks, lambda: map(reported, unlimited), gamma)
 
 
 def with_rules(
@@ -337,12 +337,19 @@ def certificate_of(flight: Flight, progress: Callable[[str], None] | None = None
 
 
 def _stored(
-    flight: Flight, checks: Sequence[Check | None], reports: Callable[[], Iterable[Check | None]]
+    flight: Flight,
+    checks: Sequence[Check | None],
+    reports: Callable[[], Iterable[Check | None]],
+    gamma: float = GAMMA,
 ) -> Certificate:
-    """Return the certificate, which is stored without reports: these refer to the flight."""
+    """Return the certificate, which is stored without reports: these refer to the flight.
+
+    One with another ``gamma`` than the default is not stored: its limit of tracking errors differs.
+    """
     limited = tuple(filter(None, checks))
     stored = Certificate(flight.duration, limited, flight_digest=flight_digest(flight))
-    _CERTIFICATES[flight.alone or flight] = stored
+    if gamma == GAMMA:
+        _CERTIFICATES[flight.alone or flight] = stored
     return replace(stored, reports=lambda: filter(None, reports()))
 
 

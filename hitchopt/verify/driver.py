@@ -17,7 +17,16 @@ from .catenary import lowest_height
 from .drones import drones, thrust
 from .links import interlacing, roll_changes
 from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
-from .reading import CONTACT_TOL, DRAWN, LAID, ROLLING, Plan, UnreadableError, read
+from .reading import (
+    CONTACT_TOL,
+    DRAWN,
+    LAID,
+    ROLLING,
+    TAUT_TOL,
+    Plan,
+    UnreadableError,
+    read,
+)
 from .request import requested
 from .shapes import to_frame
 from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Spans, Worst, fault_row, prove, worst_row
@@ -183,10 +192,12 @@ def hopeless(p: Plan) -> Iterator[Row]:
         yield worst_row("continuity", "m", 1e-6, [(float(steps[q]), float(p.breaks[q + 1]), "")])
     if not p.n:
         return
-    loose = np.max(p.tensions.c[0], axis=(2, 3), initial=0.0) < MIN_TENSION
-    for q, k in np.argwhere(loose & p.taut[:, None] & ~p.ramp)[:1]:
-        lacking = float(np.min(p.tension_range[q, k]))
-        yield worst_row("tension", "N", 1e-4, [(lacking, float(p.breaks[q]), p.cables[k])])
+    largest = np.max(p.tensions.c[0], axis=(2, 3), initial=0.0)
+    lacking = np.min(p.tension_range, axis=2) - largest
+    is_loose = (largest < MIN_TENSION) & (lacking > TAUT_TOL) & p.taut[:, None] & ~p.ramp
+    for q, k in np.argwhere(is_loose)[:1]:
+        missing = [(float(lacking[q, k]), float(p.breaks[q]), p.cables[k])]
+        yield worst_row("tension", "N", TAUT_TOL, missing)
 
 
 def plan_rows(p: Plan) -> Iterator[Row]:

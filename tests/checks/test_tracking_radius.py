@@ -27,7 +27,7 @@ from refusals import assert_refused
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
-from hitchopt.checks.registry import RULES, TEAM_REPORTS
+from hitchopt.checks.registry import RULES, TEAM_REPORTS, certificate_of
 from hitchopt.checks.rule import approach
 from hitchopt.checks.separation import closeness
 from hitchopt.hitch import Team
@@ -231,6 +231,14 @@ def test_drones_and_hanging_cables_may_go_toward_each_other(seed: int) -> None:
     motion = free_motion(team, drones)
     most = tracking_radius(motion, np.linspace(0.0, motion.duration, 201))
     assert 0.0 <= radius_of(motion).worst <= most * (1.0 + 1e-4)
+
+
+def test_certificates_of_another_gamma_are_not_those_of_exports() -> None:
+    hitch = ho.Hitch.balanced(ho.Team(3, 2.4), [[0, -0.6], [-0.52, 0.3], [0.52, 0.3]], 1.5)
+    flight = ho.solve(hitch, ho.Hold(0.5), limits=ho.Limits(tracking=0.01)).flight
+    for gamma in (0.0, 3.0):
+        certify(flight, gamma=gamma)
+        assert certificate_of(flight)["tracking_radius"].gamma == 1.0
 
 
 def test_larger_gammas_never_help_and_are_stated() -> None:

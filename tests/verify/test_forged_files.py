@@ -301,3 +301,19 @@ def test_forged_curves_are_refused_within_the_effort_of_all_proofs(
     effort = own[0].effort
     assert effort.allowed < EFFORT + PER_FIRST * effort.spent
     assert effort.spent <= 2 * effort.allowed
+
+
+@pytest.mark.parametrize("tension", [5e-5, 5e-4])
+def test_tiny_tensions_hide_no_other_limit(tension: float, tmp_path: Path) -> None:
+    """Two drones of a hitch without tension are in one place: more than the tension is judged."""
+    start = ho.Hitch.balanced(ho.Team(3, 2.4), [[0, -0.6], [-0.52, 0.3], [0.52, 0.3]], 1.5)
+
+    def change(settings: Settings, arrays: Arrays) -> None:
+        settings["groups"][0]["records"]["team"]["tension"] = [tension] * 3
+        for name in ("tensions", "leg_tensions"):
+            arrays[f"groups/0/{name}"] *= 0.0
+        drones = arrays["groups/0/drones"]
+        drones[:, 0] = drones[:, 1]
+
+    path = forged(ho.solve(start, ho.Hold(0.5)), tmp_path / "plan.npz", change)
+    assert names(second.verify(path)) & {"separation", "tension"}
