@@ -101,7 +101,8 @@ def _not_rolling(motion: Motion) -> Flags:
     """Return all cables (n,) if one contradicts rolling.
 
     Vertices are at rest, and so are legs except for the sag of their tension; some clasp is open.
-    Unequal tensions, loads and objects are not allowed.
+    Loads and objects are not allowed. Both legs of a pair turn about the sum of their pulls, which
+    both edges determine: cables that run straight have the same one, also at unequal tensions.
     """
     is_wrong = (
         _vertices_move(motion)
@@ -109,7 +110,6 @@ def _not_rolling(motion: Motion) -> Flags:
         or _pulls_differ(motion)
         or not _has_open_clasp(motion)
         or _is_loaded(motion)
-        or bool(np.ptp(motion.team.tension) > 0.0)
     )
     return np.full(motion.team.robots, is_wrong)
 

@@ -453,8 +453,8 @@ def check_rollable(step: str, team: Team) -> None:
         "an open chain: laying ties rings; use by: swaps": not team.layout.closed,
         "cables without weight: set team.cable_density, from which the pull of a taut cable "
         "follows": team.cable_density == 0.0,
-        "unequal tensions: set one team.tension": np.ptp(team.tension) > 0.0,
-        "loads on clasps, which do not roll: omit team.load": np.any(team.load),
+        "loads, which hang from clasps, while cables only lie on one another: omit "
+        "team.load": np.any(team.load),
     }
     for reason, applies in reasons.items():
         if applies:

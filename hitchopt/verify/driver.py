@@ -121,9 +121,9 @@ def phase_faults(p: Plan) -> Iterator[Fault]:
             rolls = varies(p.points.c[0][on][:, p.V]) or varies(legs, drift)
             yield at, rolls, "vertices or legs move while pairs roll"
             T, pulled = p.tensions.c[0][on], p.pulls.c[0][on]
-            other = np.ptp(p.team) > 0.0 or np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
+            other = np.max(np.abs(pulled - np.repeat(T, 2, 1))) > 1e-4
             busy = np.any(p.load) or np.any((p.rest | p.active)[:, on]) or other
-            yield at, bool(busy), "pairs with loads or unequal tensions roll"
+            yield at, bool(busy), "pairs with loads or unequal pulls roll"
             start, change, _ = roll_changes(p, np.flatnonzero(on))
             shut = np.abs([start, start + change]) < OPEN_ROLL
             yield at, bool(np.all(shut)), "no pair rolls or lies across"
