@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import product
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,30 @@ from .objects import body_gap
 from .reading import LAID, Plan
 from .shapes import Slab, distance, prism_gap
 from .spans import Row, Spans, prove
+
+Corners = Sequence[Line]
+
+DRONES, TAUT, HANGING, BEING_LAID, CLASPING = "drones", "taut", "hanging", "being laid", "clasping"
+REGIONS = {HANGING, BEING_LAID, CLASPING}
+"""Cables without a hitch, which vertical regions contain."""
+
+
+class Bodies(NamedTuple):
+    """Drones of a plan, or its cables in one state."""
+
+    kind: str
+    pieces: Mask
+    names: Sequence[str]
+    corners: Callable[[Spans, Index], Corners]
+
+
+class PlanObject(NamedTuple):
+    """A convex section of an object of a plan."""
+
+    number: int
+    slab: Slab
+    pieces: Mask
+    names: Sequence[str]
 
 
 class Pair(Plan):
@@ -28,124 +52,183 @@ class Pair(Plan):
     def __init__(
         self, p: Plan, q: Plan, separation: dict[str, float], tube: tuple[float, float]
     ) -> None:
-        self.plans, self.size, self.effort = (p, q), max(p.size, q.size), p.effort
-        breaks = np.concatenate([p.breaks, q.breaks])
-        self.breaks = np.unique(breaks)
+        self.plans = (p, q)
+        self.size = max(p.size, q.size)
+        self.effort = p.effort
+        self.breaks = np.unique(np.concatenate([p.breaks, q.breaks]))
         self.h = np.diff(self.breaks)
         self.set_distances(separation, tube)
 
-    def pieces(self, time: Array) -> Iterator[Items]:
-        """Yield pieces of each plan at times (m,), the first or last one beyond its duration."""
-        for p in self.plans:
-            yield np.clip(np.searchsorted(p.breaks, time) - 1, 0, len(p.h) - 1)
+    def spans(self, first: Bodies | PlanObject, second: Bodies | PlanObject) -> Spans:
+        """Return spans of all pairs of a body of the first plan and one of the second plan."""
+        middles = self.breaks[:-1] + 0.5 * self.h
+        first_piece, second_piece = (piece_at(p, middles) for p in self.plans)
+        both = first.pieces[first_piece] & second.pieces[second_piece]
+        items = np.indices((len(first.names), len(second.names))).reshape(2, -1).T
+        return Spans.of(self, both, items, first.names, second.names)
 
-    def both(self, s: Spans) -> Iterator[Spans]:
-        """Yield spans of each plan."""
-        for p, piece in zip(self.plans, self.pieces(s.time), strict=True):
-            x = (s.time - p.breaks[piece]) / p.h[piece]
-            own = Spans(p, piece, s.item, np.clip(x, 0.0, 1.0), 0.0 * x)
-            own.t, own.zero, own.moving = s.t, s.zero, 1.0 * ((x > 0.0) & (x < 1.0))
-            yield own
-
-    def items(self, first: Solid, second: Solid) -> Spans:
-        """Return spans of all pairs of items of both plans."""
-        one, two = self.pieces(self.breaks[:-1] + 0.5 * self.h)
-        items = np.indices((len(first[1]), len(second[1]))).reshape(2, -1).T
-        return Spans.of(self, first[0][one] & second[0][two], items, first[1], second[1])
+    def both(self, s: Spans) -> tuple[Spans, Spans]:
+        """Return spans of each plan at the times of spans of the pair."""
+        p, q = self.plans
+        return at_times_of(s, p), at_times_of(s, q)
 
 
-Solid = tuple[Mask, Sequence[str], Callable[..., Any]]
+def piece_at(p: Plan, time: Array) -> Items:
+    """Return the pieces of a plan at times (m,), the first or last one beyond its duration."""
+    return np.clip(np.searchsorted(p.breaks, time) - 1, 0, len(p.h) - 1)
 
 
-def solids(p: Plan) -> list[Solid]:
-    """Return masks of pieces, names and corners of drones and of cables.
+def at_times_of(s: Spans, p: Plan) -> Spans:
+    """Return the spans of a plan at the times of spans of a pair of plans."""
+    piece = piece_at(p, s.time)
+    x = (s.time - p.breaks[piece]) / p.h[piece]
+    spans = Spans(p, piece, s.item, np.clip(x, 0.0, 1.0), 0.0 * x)
+    spans.t, spans.zero = s.t, s.zero
+    spans.moving = 1.0 * ((x > 0.0) & (x < 1.0))
+    return spans
 
-    Cables are segments, sheets if they hang, strips if they are laid, or hulls if they clasp.
-    """
-    drones, laid = (p.all_pieces, p.names, lambda s, i: [s.point(i)]), p.state == LAID
+
+def bodies_of(p: Plan) -> list[Bodies]:
+    """Return drones and cables: segments, or what contains cables without a hitch."""
+    laid = p.state == LAID
     hanging = p.free & ~laid & ~p.clasping
-    sheets = (hanging, p.cables, Spans.sheet), (laid, p.cables, Spans.strip)
-    hulls = p.clasping, p.cables, Spans.hull
-    return [drones, (p.taut, p.segment_names, Spans.segment), *sheets, hulls]
+    return [
+        Bodies(DRONES, p.all_pieces, p.names, lambda s, i: [s.point(i)]),
+        Bodies(TAUT, p.taut, p.segment_names, Spans.segment),
+        Bodies(HANGING, hanging, p.cables, Spans.sheet),
+        Bodies(BEING_LAID, laid, p.cables, Spans.strip),
+        Bodies(CLASPING, p.clasping, p.cables, Spans.hull),
+    ]
 
 
 def between_plans(pair: Pair) -> Iterator[Row]:
     """Prove distances between drones and cables of two plans.
 
-    Vertical regions contain cables without a hitch. Distances to them are horizontal or vertical
-    ones.
+    Distances to vertical regions are horizontal or vertical ones.
     """
+    p, q = pair.plans
+    for first, second in product(bodies_of(p), bodies_of(q)):
+        spans = pair.spans(first, second)
+        kinds = {first.kind, second.kind}
+        limit = pair.cable_limit if DRONES in kinds else pair.crossing_limit
+        measure: Callable[[Corners, Corners], Line] = partial(distance, ratio=pair.ratio)
+        if kinds == {DRONES}:
+            limit = ("separation ratio min", 1.0)
+            measure = partial(separation_ratio, pair)
+        elif kinds & REGIONS:
+            measure = partial(prism_gap, ratio=pair.ratio)
+        yield prove(*limit, spans, between(pair, first, second, measure))
+        if kinds in ({DRONES, TAUT}, {DRONES, BEING_LAID}):
+            downwash = between(pair, first, second, partial(downwash_ratio, pair))
+            yield prove("downwash ratio min", 1.0, spans, downwash)
 
-    def ratio(a: list[Line], b: list[Line]) -> Line:
-        return ((a[0] - b[0]) * pair.scale).norm()
 
-    def below(a: list[Line], b: list[Line]) -> Line:
-        """Return the distance over half an ellipsoid, large for cables above the drone.
+def between(
+    pair: Pair, first: Bodies, second: Bodies, measure: Callable[[Corners, Corners], Line]
+) -> Callable[[Spans, Index, Index], Line]:
+    """Return the formula of a measure of the corners of two bodies, i and j of their plans."""
 
-        The distance of a point from a strip is that of the chord above from the points up to the
-        strip's depth over that point.
-        """
-        drone, cable = (a[0], b) if len(a) == 1 else (b[0], a)
-        drone, *cable = (x * pair.wash for x in (drone, *cable))
-        rise = minimum(*(x[2] for x in cable)) - drone[2] - pair.wash_lead
-        over = [drone + (cable[0] - cable[2])] if cable[2:] else []
-        return distance([drone, *over], cable[:2]).unless(rise)
+    def formula(s: Spans, i: Index, j: Index) -> Line:
+        first_spans, second_spans = pair.both(s)
+        return measure(first.corners(first_spans, i), second.corners(second_spans, j))
 
-    def gap(s: Spans, *items: Index, of: Sequence[Solid], measure: Callable[..., Line]) -> Line:
-        return measure(*(x[2](t, k) for x, t, k in zip(of, pair.both(s), items, strict=True)))
+    return formula
 
-    for (i, one), (j, two) in product(*(enumerate(solids(p)) for p in pair.plans)):
-        measure = partial(prism_gap if max(i, j) > 1 else distance, ratio=pair.ratio)
-        limit, s = pair.cable_limit if 0 in (i, j) else pair.crossing_limit, pair.items(one, two)
-        if i == j == 0:
-            measure, limit = partial(ratio), ("separation ratio min", 1.0)
-        yield prove(*limit, s, partial(gap, of=(one, two), measure=measure))
-        if {i, j} in ({0, 1}, {0, 3}):  # cables are taut, or laid
-            yield prove("downwash ratio min", 1.0, s, partial(gap, of=(one, two), measure=below))
+
+def separation_ratio(pair: Pair, first: Corners, second: Corners) -> Line:
+    """Return the distance of two drones over that at which their ellipsoids touch."""
+    return ((first[0] - second[0]) * pair.scale).norm()
+
+
+def downwash_ratio(pair: Pair, first: Corners, second: Corners) -> Line:
+    """Return the distance over half an ellipsoid, large for cables above the drone.
+
+    The distance of a point from a strip is that of the chord above from the points up to the
+    strip's depth over that point.
+    """
+    drone, cable = (first[0], second) if len(first) == 1 else (second[0], first)
+    drone = drone * pair.wash
+    cable = [corner * pair.wash for corner in cable]
+    rise = minimum(*(corner[2] for corner in cable)) - drone[2] - pair.wash_lead
+    start, end, *below = cable
+    points = [drone, drone + (start - below[0])] if below else [drone]
+    return distance(points, [start, end]).unless(rise)
 
 
 def object_distances(pair: Pair) -> Iterator[Row]:
-    """Prove distances of drones, cables and objects of a plan to another plan's own objects.
-
-    Distances of hanging cables are horizontal ones.
-    """
+    """Prove distances of drones, cables and objects of a plan to another plan's own objects."""
     p, q = pair.plans
-
-    def own_objects(p: Plan, q: Plan) -> Iterator[tuple[int, Slab, Solid]]:
-        mine, theirs = (x.settings["objects"] for x in (p, q))
-        for b, slab in p.slabs:
-            name = p.bodies[b].name
-            if np.any(p.moving[b]) or mine[name] != theirs.get(name):
-                yield b, slab, (p.all_pieces, [name], Spans.world)
-
-    def gap(s: Spans, *i: Index, b: int, slab: Slab, corners: Any) -> Line:
-        mine, theirs = pair.both(s)
-        points = [theirs.local(b, x) for x in corners(mine, i[0])]
-        if len(points) < 5:
-            return slab.gap(*points[:2], ratio=pair.ratio)
-        *outline, lowest = points
-        height = (lowest[2] - top[b]) * (1.0 / pair.ratio)
-        return maximum(slab.gap(*outline, outline[0], ratio=pair.ratio), height)
-
-    def height_ratio(s: Spans, i: Index, _: Index, b: int, slab: Slab) -> Line:
-        mine, theirs = pair.both(s)
-        return slab.below(theirs.local(b, mine.point(i)) * pair.wash, pair.wash_lead)
-
-    def object_gap(s: Spans, *_: Index, b: int, slab: Slab, o: int, block: Slab) -> Line:
-        mine, theirs = pair.both(s)
-        return body_gap(mine, o, block, theirs, b, slab, pair.ratio)
-
-    top = [max(slab.upper for slab in body.slabs) for body in q.bodies]
+    drones = bodies_of(p)[0]
     cable_limit = pair.object_limit[0], pair.object_limit[1] + pair.tracking  # objects err too
-    for b, slab, body in own_objects(q, p):
-        for i, one in enumerate(solids(p)):
-            limit = cable_limit if i else ("keep_out m min", pair.sep["radius"] + pair.tracking)
-            tall = slab.enlarged(0.0, -BIG, BIG) if i > 1 else slab
-            yield prove(*limit, pair.items(one, body), partial(gap, b=b, slab=tall, corners=one[2]))
-        if np.any(q.moving[b]) or moves(p, q.bodies[b]):
-            drones = solids(p)[0]
-            over = partial(height_ratio, b=b, slab=slab.scaled(pair.wash))
-            yield prove("downwash ratio min", 1.0, pair.items(drones, body), over)
-        for o, block, other in own_objects(p, q):
-            gaps = partial(object_gap, b=b, slab=slab, o=o, block=block)
-            yield prove(*cable_limit, pair.items(other, body), gaps)
+    drone_limit = "keep_out m min", pair.sep["radius"] + pair.tracking
+    for obstacle in own_objects(q, p):
+        for bodies in bodies_of(p):
+            limit = drone_limit if bodies.kind == DRONES else cable_limit
+            yield prove(*limit, pair.spans(bodies, obstacle), from_object(pair, bodies, obstacle))
+        if np.any(q.moving[obstacle.number]) or moves(p, q.bodies[obstacle.number]):
+            spans = pair.spans(drones, obstacle)
+            yield prove("downwash ratio min", 1.0, spans, object_downwash(pair, obstacle))
+        for carried in own_objects(p, q):
+            spans = pair.spans(carried, obstacle)
+            yield prove(*cable_limit, spans, between_objects(pair, carried, obstacle))
+
+
+def own_objects(p: Plan, q: Plan) -> Iterator[PlanObject]:
+    """Yield the objects of a plan that it moves, or that another plan does not know as they are."""
+    objects, other_objects = p.settings["objects"], q.settings["objects"]
+    for number, slab in p.slabs:
+        name = p.bodies[number].name
+        if np.any(p.moving[number]) or objects[name] != other_objects.get(name):
+            yield PlanObject(number, slab, p.all_pieces, [name])
+
+
+def from_object(
+    pair: Pair, bodies: Bodies, obstacle: PlanObject
+) -> Callable[[Spans, Index, Index], Line]:
+    """Return the formula of the distance of bodies to an object of the other plan.
+
+    It is horizontal for cables without a hitch. Cables being clasped may also be above the object,
+    whose height is that of its highest section.
+    """
+    slab = obstacle.slab
+    column = slab.enlarged(0.0, -BIG, BIG)
+    top = max(part.upper for part in pair.plans[1].bodies[obstacle.number].slabs)
+
+    def formula(s: Spans, i: Index, _: Index) -> Line:
+        spans, other_spans = pair.both(s)
+        corners = [other_spans.local(obstacle.number, x) for x in bodies.corners(spans, i)]
+        if bodies.kind in (DRONES, TAUT):
+            return slab.gap(*corners, ratio=pair.ratio)
+        if bodies.kind != CLASPING:
+            start, end, *_ = corners
+            return column.gap(start, end, ratio=pair.ratio)
+        *outline, lowest = corners
+        height = (lowest[2] - top) * (1.0 / pair.ratio)
+        return maximum(column.gap(*outline, outline[0], ratio=pair.ratio), height)
+
+    return formula
+
+
+def object_downwash(pair: Pair, obstacle: PlanObject) -> Callable[[Spans, Index, Index], Line]:
+    """Return the formula of the distance of an object over half an ellipsoid below a drone."""
+    slab = obstacle.slab.scaled(pair.wash)
+
+    def formula(s: Spans, i: Index, _: Index) -> Line:
+        spans, other_spans = pair.both(s)
+        drone = other_spans.local(obstacle.number, spans.point(i))
+        return slab.below(drone * pair.wash, pair.wash_lead)
+
+    return formula
+
+
+def between_objects(
+    pair: Pair, carried: PlanObject, obstacle: PlanObject
+) -> Callable[[Spans, Index, Index], Line]:
+    """Return the formula of the distance of an object of each plan."""
+
+    def formula(s: Spans, _i: Index, _j: Index) -> Line:
+        spans, other_spans = pair.both(s)
+        first, second = (carried.number, carried.slab), (obstacle.number, obstacle.slab)
+        return body_gap(spans, *first, other_spans, *second, pair.ratio)
+
+    return formula
