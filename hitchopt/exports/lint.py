@@ -11,9 +11,9 @@ import re
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
-from typing import Annotated, Any, TypeGuard
+from typing import Annotated, Any, NamedTuple, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +54,7 @@ from hitchopt.storage.yaml_file import read_yaml
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
-from hitchopt.values import Array
+from hitchopt.values import Array, known
 from hitchopt.values import path as checked_path
 from hitchopt.values.fields import Key, Record
 from hitchopt.values.units import ACCELERATION, SPEED
@@ -169,7 +169,10 @@ def _report(path: Path, rules: Rules) -> Report:
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # such numbers are reported
             kind, contents = load(path)
-            flight, findings = _joint_flight(kind, contents, rules)
+            limits = rules.limits(contents.own)
+            joint = JointFlight.of(contents, limits, rules)
+            flight = _figures(joint, contents, limits)
+            findings = [*_flight_findings(joint, kind, contents, rules)]
             settings = read_yaml(path / SETTINGS) if (path / SETTINGS).is_file() else None
             if isinstance(settings, Mapping):
                 findings += settings_findings(settings, read_manifest(path))
@@ -266,66 +269,119 @@ def _kind(path: Path, formats: Sequence[Format], exported_as: str) -> Format:
     raise FileError(f"{path}: its first line, {first!r}, {reason}")
 
 
-def _joint_flight(
-    kind: Format, contents: FileContents, rules: Rules
-) -> tuple[FleetFigures, list[Finding]]:
-    """Return figures of the joint flight, and findings; raises FileError for invalid numbers."""
-    names, own = contents.names, contents.own
-    limits, checks = rules.limits(own), dict[str, Check]()
-    jumps = [(0.0, 0, 0.0)] * (contents.smooth + 1)
-    windows = contents.windows()
-    last = next(windows)
-    first, start = last.coefficients[0, ..., 0], float(last.breaks[0])
-    is_relative = len(first) > 1 and float(np.max(np.ptp(first, axis=0))) < RELATIVE_START
-    reach, longest = (0.0, ""), 0.0
-    for window in (last, *windows):
-        extents = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
-        farthest = float(np.max(extents)), names[int(np.argmax(extents))]
-        if farthest[0] > MAX_COORDINATE:
-            reason = f"goes {farthest[0]:.3g} m from the origin; units are metres"
-            raise FileError(f"{farthest[1]} {reason}")
-        if (shortest := np.min(window.durations)) < MIN_PIECE:
-            at = float(window.breaks[np.argmin(window.durations)])
-            raise FileError(f"a piece lasts {shortest:.2g} s at t = {at:g} s; omit it")
-        reach = max(reach, farthest)
-        for check in _checks(contents, window, limits, None if is_relative else rules.separation):
-            checks[check.name] = worst_of([checks.get(check.name), check]) or check
-        extended = window if window is last else joined([last, window])
-        jumps = [max(jump, largest_jump(extended, order)) for order, jump in enumerate(jumps)]
-        longest = max(longest, float(np.max(window.durations)))
-        last = window.slice_pieces(slice(window.pieces - 1, window.pieces))
-    values = defaultdict(lambda: math.nan, {name: check.worst for name, check in checks.items()})
-    if (fastest := checks.get("speed")) is not None and fastest.worst > SPEED_OF_SOUND:
+class Reach(NamedTuple):
+    """The largest coordinate of any drone, including control points."""
+
+    size: float  # [m]
+    drone: str
+
+
+@dataclass(frozen=True, eq=False)
+class JointFlight:
+    """What the windows of all D drones' flight have in common."""
+
+    start: float  # [s]
+    starts: Array  # (D, 3) [m], first positions
+    last: PiecewisePolynomial  # the last piece
+    checks: Mapping[str, Check]  # the worst of all windows, by name
+    jumps: Sequence[tuple[float, int, float]]  # the largest by order: size, drone and time [s]
+    reach: Reach
+    longest: float  # longest piece [s]
+
+    @classmethod
+    def of(cls, contents: FileContents, limits: Mapping[str, float], rules: Rules) -> JointFlight:
+        """Return the flight of files, read window by window; FileError for invalid numbers."""
+        names = contents.names
+        checks = dict[str, Check]()
+        jumps = [(0.0, 0, 0.0)] * (contents.smooth + 1)
+        reach = Reach(0.0, "")
+        longest = 0.0
+        windows = contents.windows()
+        first = next(windows)
+        starts = first.coefficients[0, ..., 0]
+        separation = None if _are_relative(starts) else rules.separation
+        last: PiecewisePolynomial | None = None
+        for window in chain([first], windows):
+            reach = max(reach, _valid_reach(window, names))
+            for check in _checks(contents, window, limits, separation):
+                checks[check.name] = worst_of([checks.get(check.name), check]) or check
+            continued = window if last is None else joined([last, window])
+            jumps = [max(jump, largest_jump(continued, i)) for i, jump in enumerate(jumps)]
+            longest = max(longest, float(np.max(window.durations)))
+            last = window.slice_pieces(slice(window.pieces - 1, window.pieces))
+        start = float(first.breaks[0])
+        return cls(start, starts, known(last), checks, jumps, reach, longest)
+
+
+def _are_relative(starts: Array) -> bool:
+    """Return whether all drones begin at one point, as relative trajectories do."""
+    return len(starts) > 1 and float(np.max(np.ptp(starts, axis=0))) < RELATIVE_START
+
+
+def _valid_reach(window: PiecewisePolynomial, names: Sequence[str]) -> Reach:
+    """Return the reach of a window; FileError for far positions or pieces that are too short."""
+    extents = np.max(np.abs(window.coefficients), axis=(0, 2, 3))
+    farthest = int(np.argmax(extents))
+    reach = Reach(float(extents[farthest]), names[farthest])
+    if reach.size > MAX_COORDINATE:
+        reason = f"goes {reach.size:.3g} m from the origin; units are metres"
+        raise FileError(f"{reach.drone} {reason}")
+    shortest = int(np.argmin(window.durations))
+    duration = window.durations[shortest]
+    if duration < MIN_PIECE:
+        time = float(window.breaks[shortest])
+        raise FileError(f"a piece lasts {duration:.2g} s at t = {time:g} s; omit it")
+    return reach
+
+
+def _figures(
+    joint: JointFlight, contents: FileContents, limits: Mapping[str, float]
+) -> FleetFigures:
+    """Return the figures of a joint flight; FileError for speeds above that of sound."""
+    checks = joint.checks
+    fastest = checks.get("speed")
+    if fastest is not None and fastest.worst > SPEED_OF_SOUND:
         reason = f"flies at {fastest.worst:.3g} m/s at t = {fastest.time:g} s, faster than sound"
         raise FileError(f"{fastest.where[0]} {reason}; are its times in other units?")
-    flight = FleetFigures(
-        float(last.breaks[-1]) - start,
-        *(values["speed"], values["acceleration"]),
-        values["separation"] if len(names) > 1 else math.inf,
-        tuple(jump[0] for jump in jumps),
-        reach[0],
-        *(limits["speed"], limits["acceleration"]),
-        tuple(checks[key] for key in own if key in checks),
+    values = defaultdict(lambda: math.nan, {name: check.worst for name, check in checks.items()})
+    return FleetFigures(
+        duration=float(joint.last.breaks[-1]) - joint.start,
+        speed=values["speed"],
+        acceleration=values["acceleration"],
+        separation=values["separation"] if len(contents.names) > 1 else math.inf,
+        jumps=tuple(size for size, _, _ in joint.jumps),
+        reach=joint.reach.size,
+        speed_limit=limits["speed"],
+        acceleration_limit=limits["acceleration"],
+        own=tuple(checks[key] for key in contents.own if key in checks),
     )
+
+
+def _flight_findings(
+    joint: JointFlight, kind: Format, contents: FileContents, rules: Rules
+) -> Iterator[Finding]:
+    """Yield the findings on a joint flight."""
+    names = contents.names
+    own = contents.own
     defaults = [name for name, *_ in DEFAULT_LIMITS if getattr(rules, name) is None]
-    violated = (check for check in checks.values() if not check.holds)
-    findings = [_violation(check, is_default=check.name in defaults) for check in violated]
-    findings += _end_findings(last, names, jumps, rules)
-    findings += _time_findings(kind, contents, longest)
-    if reach[0] > MAX_INT16:
-        reason = f"is up to {reach[0]:.4g} m from the origin; 16 bits hold {MAX_INT16} m: move it"
-        findings.append(note("range", reach[1], reason))
-    if start != 0.0:
-        findings.append(warning("start", "", f"time begins at {start:g} s, not at 0; shift it"))
-    if is_relative:
+    for check in joint.checks.values():
+        if not check.holds:
+            yield _violation(check, is_default=check.name in defaults)
+    yield from _end_findings(joint.last, names, joint.jumps, rules)
+    yield from _time_findings(kind, contents, joint.longest)
+    reach = joint.reach
+    if reach.size > MAX_INT16:
+        reason = f"is up to {reach.size:.4g} m from the origin; 16 bits hold {MAX_INT16} m: move it"
+        yield note("range", reach.drone, reason)
+    if joint.start != 0.0:
+        yield warning("start", "", f"time begins at {joint.start:g} s, not at 0; shift it")
+    if _are_relative(joint.starts):
         reason = "not checked: all begin at one point, as relative trajectories do"
-        findings.append(warning("separation", "", f"{reason}; specify their starts"))
+        yield warning("separation", "", f"{reason}; specify their starts")
     elif kind.several:
-        findings += _sequence_findings(names, first, last.coefficients[-1, ..., -1])
+        yield from _sequence_findings(names, joint.starts, joint.last.coefficients[-1, ..., -1])
     if {DISTANCE, LOWEST} <= set(own):
-        reason = f"applies where both drones are above {own[LOWEST]:g} m"
-        findings.append(note(DISTANCE, "", reason))
-    return flight, findings
+        yield note(DISTANCE, "", f"applies where both drones are above {own[LOWEST]:g} m")
 
 
 def _checks(
