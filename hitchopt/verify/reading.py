@@ -419,7 +419,7 @@ class Plan:
         self.tensions = Curve(T[:, :, None], self.h)
         on_cables = [vertices, contacts.reshape(m, 2 * n, 3, contacts.shape[-1])]
         if np.any(self.bent):
-            on_cables.append(self._inner_ends(vertices))
+            on_cables.append(self._read_inner_ends(vertices))
         self._read_ties(vertices)
         self.clasped = np.zeros((n, n), dtype=bool)  # cables that clasp each other
         self.clasped[self.clasps, self.behind] = self.clasped[self.behind, self.clasps] = True
@@ -442,17 +442,22 @@ class Plan:
         self.segment_names = leg_names + [f"{self.label}edge {j}" for j in k] * (len(rows) - 1)
         return on_cables
 
-    def _inner_ends(self, vertices: Array) -> Array:
-        """Read inner ends of legs (m, 2n, 3, N + 1) of cables that bend on their own."""
+    def _read_inner_ends(self, vertices: Array) -> Array:
+        """Read the inner ends of legs (m, 2n, 3, N + 1), and let legs and edges end there.
+
+        Cables that bend on their own state theirs. Those of other cables are at vertices.
+        """
         m, n = len(vertices), self.n
-        own = self._array("anchors", m, n, 2, 3)
-        count = max(own.shape[-1], vertices.shape[-1])
-        clasps = elevate(vertices, count)[:, self.anchor - self.N]
-        own = elevate(own, count).reshape(clasps.shape)
-        self.anchor = self.pull_point = self.edges[2, -1] + 1 + np.arange(2 * n)
-        self.edges[[0, 3]] = self.anchor.reshape(n, 2).T
+        stated = self._array("anchors", m, n, 2, 3)
+        coefficients = max(stated.shape[-1], vertices.shape[-1])
+        at_vertices = elevate(vertices, coefficients)[:, self.anchor - self.N]
+        stated = elevate(stated, coefficients).reshape(at_vertices.shape)
+        last_contact = self.edges[2, -1]
+        inner_ends = last_contact + 1 + np.arange(2 * n)
+        self.anchor = self.pull_point = inner_ends
+        self.edges[0], self.edges[3] = inner_ends[0::2], inner_ends[1::2]
         self.labels += self.names
-        return np.where(self.bent[:, None, None, None], own, clasps)
+        return np.where(self.bent[:, None, None, None], stated, at_vertices)
 
     def _read_ties(self, vertices: Array) -> None:
         """Read which drones turn about vertices, and vertices of the hitch before or after."""
