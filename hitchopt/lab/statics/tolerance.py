@@ -12,7 +12,7 @@ first order is added to every range. It is infinite if there is no rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -178,8 +178,8 @@ def tolerance(
             "t", t, "one time, or a list of them", "pass a one-dimensional array of times [s]"
         )
     rest = equilibrium(motion, times, **conditions)
-    parts = [_range(motion, rest, i, errors, conditions) for i in range(len(times))]
-    return Tolerance(errors, rest, *(np.stack(values) for values in zip(*parts, strict=True)))
+    ranges = [_ranges(motion, rest, i, errors, conditions) for i in range(len(times))]
+    return Tolerance(errors, rest, *(np.stack(values) for values in zip(*ranges, strict=True)))
 
 
 def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
@@ -199,40 +199,93 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]
 
 
-def _range(
+class Ranges(NamedTuple):
+    """Ranges at one time, as in ``Tolerance``, in the same order."""
+
+    tension_halves: Array
+    tension_remainder: float
+    vertex_halves: Array
+    vertex_remainder: float
+    ellipsoids: Array
+
+
+def _ranges(
     motion: Motion, rest: Equilibrium, i: int, errors: Sizes, conditions: dict[str, Any]
-) -> tuple[Any, ...]:
-    """Return the arrays of a Tolerance at one time, in order."""
-    n, resolved = motion.team.robots, conditions_of(motion.team, **conditions)
+) -> Ranges:
+    """Return the ranges at the i-th time of a hitch at rest.
+
+    Outputs are n tensions and the coordinates of vertices; errors are those of n cables and of 2n
+    positions and 2n forces of drones.
+    """
+    n = motion.team.robots
+    resolved = conditions_of(motion.team, **conditions)
     energy = energy_of(motion.team, resolved, samples_of(motion, rest.t[i], resolved)[1])
     clasps = rest.vertices[i, motion.team.layout.clasps]
-    rows = responses(energy, np.concatenate([rest.drones[i], clasps])[None])[:, : 5 * n]
-    sizes = np.array([[one.bound, DEVIATIONS * one.deviation] for one in errors.values()])
-    bound, three = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
-    spread = np.linalg.norm(rows * three[:, None], axis=(1, 2))
-    halves = length(rows) @ bound + spread
-    # Every bound is one ellipsoid, all deviations are another.
-    J = rows[n:].reshape(-1, 3, 5 * n, 3)
-    squares = np.einsum("pijc,pkjc->jpik", J, J)
-    spreads = np.tensordot(three**2, squares, 1)[None]
-    each = np.concatenate([bound[:, None, None, None] ** 2 * squares, spreads])
-    ellipsoids = enclosing_ellipsoids(each)
-    # Worst-case errors of the widest ranges
-    widest = np.append(np.argsort(-halves[:n])[:CORNERS], n + np.argsort(-halves[n:])[:CORNERS])
-    scale = np.where(spread > 0.0, spread, 1.0)[widest, None, None]
-    ends = bound[:, None] * unit(rows[widest]) + three[:, None] ** 2 * rows[widest] / scale
-    ends = np.concatenate([ends, -ends])
-    change = np.einsum("oji,sji->so", rows, ends)
-    parts = np.split(ends, [n, 3 * n], axis=1)
-    parts[0] = parts[0][..., 0]
-    deviations = {name: resolved[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
+    nodes = np.concatenate([rest.drones[i], clasps])
+    slopes = responses(energy, nodes[None])[:, : 5 * n]  # (outputs, 5n, 3)
+    sizes = np.array([[size.bound, DEVIATIONS * size.deviation] for size in errors.values()])
+    bounds, deviations = np.repeat(sizes, [n, 2 * n, 2 * n], axis=0).T
+    spreads = np.linalg.norm(slopes * deviations[:, None], axis=(1, 2))
+    halves = length(slopes) @ bounds + spreads
+
+    widest_tensions = np.argsort(-halves[:n])[:CORNERS]
+    widest_coordinates = n + np.argsort(-halves[n:])[:CORNERS]
+    widest = np.append(widest_tensions, widest_coordinates)
+    worst_errors = _worst_errors(slopes[widest], bounds, deviations, spreads[widest])
+    tension_remainder = vertex_remainder = np.inf
+    settled = _settled(motion, rest.t[i], worst_errors, conditions, resolved)
+    if settled is not None:
+        changes = np.einsum("oji,sji->so", slopes, worst_errors)
+        tensions = np.maximum(rest.tensions[i] + changes[:, :n], energy.slack_tension[0])
+        vertices = rest.vertices[i] + changes[:, n:].reshape(len(changes), -1, 3)
+        tension_remainder = REMAINDER_FACTOR * float(np.max(np.abs(settled.tensions - tensions)))
+        vertex_remainder = REMAINDER_FACTOR * float(np.max(length(settled.vertices - vertices)))
+    return Ranges(
+        halves[:n],
+        tension_remainder,
+        halves[n:].reshape(-1, 3),
+        vertex_remainder,
+        _ellipsoids(slopes[n:], bounds, deviations),
+    )
+
+
+def _ellipsoids(slopes: Array, bounds: Array, deviations: Array) -> Array:
+    """Return the ellipsoids (points, 3, 3) [m²] of vertices.
+
+    Every bounded error moves a vertex within one ellipsoid, all deviations within another one.
+    ``slopes`` (3 points, 5n, 3) are those of coordinates in the errors.
+    """
+    jacobians = slopes.reshape(-1, 3, *slopes.shape[1:])
+    squares = np.einsum("pijc,pkjc->jpik", jacobians, jacobians)
+    of_bounds = bounds[:, None, None, None] ** 2 * squares
+    of_deviations = np.tensordot(deviations**2, squares, 1)[None]
+    return enclosing_ellipsoids(np.concatenate([of_bounds, of_deviations]))
+
+
+def _worst_errors(slopes: Array, bounds: Array, deviations: Array, spreads: Array) -> Array:
+    """Return the errors (2k, 5n, 3) at which each of k outputs is largest, then smallest.
+
+    ``slopes`` (k, 5n, 3) are those of the outputs, ``spreads`` (k,) their parts of deviations.
+    """
+    divisors = np.where(spreads > 0.0, spreads, 1.0)[:, None, None]
+    of_bounds = bounds[:, None] * unit(slopes)
+    largest = of_bounds + deviations[:, None] ** 2 * slopes / divisors
+    return np.concatenate([largest, -largest])
+
+
+def _settled(
+    motion: Motion,
+    t: float,
+    errors: Array,
+    conditions: dict[str, Any],
+    resolved: dict[str, Any],
+) -> Equilibrium | None:
+    """Return the hitch at rest with errors (s, 5n, 3), without friction; None without a rest."""
+    n = motion.team.robots
+    cable_length, offsets, forces = np.split(errors, [n, 3 * n], axis=1)
+    parts = (cable_length[..., 0], offsets, forces)
+    with_errors = {name: resolved[name] + part for name, part in zip(SAMPLED, parts, strict=True)}
     try:
-        corners = equilibrium(motion, rest.t[i], **(conditions | deviations | {"friction": 0.0}))
+        return equilibrium(motion, t, **(conditions | with_errors | {"friction": 0.0}))
     except InfeasibleError:  # errors are too large for first order
-        tension_remainder = vertex_remainder = np.inf
-    else:
-        tensions = np.maximum(rest.tensions[i] + change[:, :n], energy.slack_tension[0])
-        vertices = rest.vertices[i] + change[:, n:].reshape(len(change), -1, 3)
-        tension_remainder = REMAINDER_FACTOR * float(np.max(np.abs(corners.tensions - tensions)))
-        vertex_remainder = REMAINDER_FACTOR * float(np.max(length(corners.vertices - vertices)))
-    return halves[:n], tension_remainder, halves[n:].reshape(-1, 3), vertex_remainder, ellipsoids
+        return None
