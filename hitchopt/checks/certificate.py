@@ -213,9 +213,13 @@ def _empty_value(sense: str) -> float:
 def worst_of(checks: Iterable[Check | None]) -> Check | None:
     """Return the worst of one quantity's checks over several time spans; None if there is none."""
     worst: Check | None = None
-    for check in filter(None, checks):  # the first one of those that tie
-        tie = TIE * max(1.0, abs(worst.utilization)) if worst and worst.is_evaluated else 0.0
-        if worst is None or check.utilization > worst.utilization + tie:
+    for check in filter(None, checks):
+        if worst is None:
+            worst = check
+            continue
+        # Of those that tie, the first one is the worst
+        tie = TIE * max(1.0, abs(worst.utilization)) if worst.is_evaluated else 0.0
+        if check.utilization > worst.utilization + tie:
             worst = check
     return worst
 

@@ -665,19 +665,14 @@ def _smallest_angle(motion: Motion, limit: float) -> WorstCase:
     target = with_tolerance(limit, "min", share=0.5)
     smallest = worst(Corners.of(motion), _exterior, "min", target=target)
     angle = max(smallest.worst, MIN_ANGLE)
-    remainder = 360.0 - _sum_of_angles(motion)
+    at_start = _corners(motion)[0, : len(layout.clasps), :, :, 0]
+    behind, ahead = np.moveaxis(at_start, 1, 0)
+    remainder = 360.0 - float(np.sum(np.degrees(turn(ahead, behind))))
     if angle > MIN_ANGLE and remainder < min(angle, -ANGLE_ROUNDING):
         return WorstCase(remainder, float(motion.vertices.breaks[0]), ends)
     is_clasp = smallest.item < len(layout.clasps)
     where = (names[layout.clasps[smallest.item]],) if is_clasp else ends
     return WorstCase(angle, smallest.time, where)
-
-
-def _sum_of_angles(motion: Motion) -> float:
-    """Return the sum of the exterior angles [deg] of all clasps at the start."""
-    clasps = np.arange(len(motion.team.layout.clasps))
-    behind, ahead = np.moveaxis(_corners(motion)[0, clasps, :, :, 0], 1, 0)
-    return float(np.sum(np.degrees(turn(ahead, behind))))
 
 
 CONVEXITY = CheckRule(

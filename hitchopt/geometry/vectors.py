@@ -115,10 +115,15 @@ def shortest_offset(differences: Array) -> Array:
         return differences[..., 0, :]
     if count == 2:
         return _nearest(differences[..., 0, :], differences[..., 1, :])
-    first, last = differences.take([0, 2, 0, 1], axis=-2), differences.take([1, 3, 2, 3], axis=-2)
+    # The differences of segments are corners of a parallelogram, whose sides are 0-1, 2-3, 0-2, 1-3
+    side_starts = differences.take([0, 2, 0, 1], axis=-2)
+    side_ends = differences.take([1, 3, 2, 3], axis=-2)
     start = differences[..., 0, :]
-    inner = _inner(start, differences[..., 2, :] - start, start - differences[..., 1, :])
-    return _shortest(np.concatenate([_nearest(first, last), inner[..., None, :]], axis=-2))
+    along_first = differences[..., 2, :] - start
+    along_second = start - differences[..., 1, :]
+    inner = _inner(start, along_first, along_second)
+    on_sides = _nearest(side_starts, side_ends)
+    return _shortest(np.concatenate([on_sides, inner[..., None, :]], axis=-2))
 
 
 def _shortest(offsets: Array) -> Array:

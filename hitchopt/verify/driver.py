@@ -210,10 +210,13 @@ def plan_rows(p: Plan) -> Iterator[Row]:
 
 def distances(p: Plan) -> Iterator[Row]:
     """Yield the rows of drones, cables and objects, with all distances."""
-    taut = (taut_cables,) if np.any(p.taut) else ()
-    bent = (bent_cables,) if np.any(p.bent) else ()
-    for check in (drones, *taut, *bent, *((free_cables,) if p.n else ())):
-        yield from check(p)
+    yield from drones(p)
+    if np.any(p.taut):
+        yield from taut_cables(p)
+    if np.any(p.bent):
+        yield from bent_cables(p)
+    if p.n:
+        yield from free_cables(p)
     for b in range(len(p.bodies)):
         yield from clear_objects(p, b)
 

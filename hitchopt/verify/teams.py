@@ -200,7 +200,7 @@ def from_object(
         if bodies.kind in (DRONES, TAUT):
             return slab.gap(*corners, ratio=pair.ratio)
         if bodies.kind != CLASPING:
-            start, end, *_ = corners
+            start, end = corners[:2]
             return column.gap(start, end, ratio=pair.ratio)
         *outline, lowest = corners
         height = (lowest[2] - top) * (1.0 / pair.ratio)

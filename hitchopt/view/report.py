@@ -217,16 +217,19 @@ def plots_of(flight: Flight, certificate: Certificate) -> Iterator[dict[str, Any
 
 def _tensions(flown: TeamMotion) -> Iterator[dict[str, Any]]:
     """Yield the plot of the extreme tensions of a team's hitch, if it has one."""
-    motion, limits = flown.motion, list[tuple[Array, Array, str]]()
+    motion = flown.motion
+    limits = list[tuple[Array, Array, str]]()
     if motion.team.has_cables and np.any(motion.formed):
         states = sample_states(Flight.of(motion))
         curves = np.full((2, len(states.t)), np.nan)
         tensions = states.tensions[states.formed]
         curves[:, states.formed] = np.min(tensions, axis=1), np.max(tensions, axis=1)
         ranges = stated_tensions(motion)
-        steps = np.repeat(motion.drones.breaks - motion.drones.breaks[0], 2)[1:-1]
+        breaks = motion.drones.breaks - motion.drones.breaks[0]
+        ends_of_pieces = np.repeat(breaks, 2)[1:-1]
         for bounds in (np.min(ranges[..., 0], axis=1), np.max(ranges[..., 1], axis=1)):
-            limits.append((steps, np.repeat(np.where(motion.formed, bounds, np.nan), 2), ""))
+            of_pieces = np.where(motion.formed, bounds, np.nan)
+            limits.append((ends_of_pieces, np.repeat(of_pieces, 2), ""))
         yield _plot(
             f"{flown.label('tension')} [N],\nas stated", "max", states.t, curves, limits, None
         )

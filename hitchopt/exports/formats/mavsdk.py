@@ -126,14 +126,16 @@ class MavsdkDroneShow(Format):
 
     def read(self, folder: Path, task: ExportTask) -> FileContents:
         """Return the receiver's motion, without cable forces in accelerations."""
-        tables, rise = read_tables([folder / name for name in self.files(task)]), rise_of(task)
-        rows = round(rise.duration * task.rate)
-        if len(tables) <= rows + 1:
+        tables = read_tables([folder / name for name in self.files(task)])
+        rise = rise_of(task)
+        rise_rows = round(rise.duration * task.rate)
+        if len(tables) <= rise_rows + 1:
             raise FileError(f"{folder}: its drones do not have as many rows as the plan")
         # Altitudes are relative to the first row, which is on the ground.
         ground = task.frame.points(np.array([0.0, 0.0, task.flight.requirements.floor]))[2]
         tables[..., 3] += ground - tables[0, :, 3]
-        t, values = tables[rows:, 0, 0] - rise.duration, tables[rows:, :, 1:]
+        t = tables[rise_rows:, 0, 0] - rise.duration
+        values = tables[rise_rows:, :, 1:]  # positions, velocities, accelerations
         values[..., 6:] += task.samples(t)["cable_forces"] / task.masses[:, None]
         values[t > task.flight.duration, :, 6:] = 0.0
         return FileContents.of_samples(task.names, t, values, "ned", SMOOTH)

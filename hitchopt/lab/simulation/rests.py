@@ -146,7 +146,9 @@ def _vertices(
 
     ``pulled`` are those of the pull test, if there is one.
     """
-    task, record, layout = flight.task, flight.record, flight.task.team.layout
+    task = flight.task
+    record = flight.record
+    layout = task.team.layout
     index = record.index[rows]
     planned = task.states.vertices[index][:, layout.clasps[clasps]]
     errors = length(record.vertices[rows][:, clasps] - planned)
@@ -155,13 +157,18 @@ def _vertices(
     links = clasp_links(_linking(flight, end), layout)[clasps]
     vertices = {}
     for c, point in enumerate(layout.clasps[clasps].tolist()):
-        name, linking, force = task.team.point_names[point], int(links[c]), float(bearing[c])
-        moved, holds = np.nan, abs(linking) == 1 and bool(bearing[c] >= least[c] > 0.0)
-        if (tested := pulled.get(name)) is not None:
-            moved, holds = tested.moved, tested.holds
+        name = task.team.point_names[point]
+        linking = int(links[c])
+        tested = pulled.get(name)
+        if tested is None:
+            moved = np.nan
+            holds = abs(linking) == 1 and bool(bearing[c] >= least[c] > 0.0)
+        else:
+            moved = tested.moved
+            holds = tested.holds
         spread = vars(Spread.of(errors[:, c]))
         vertices[name] = VertexAtRest(
-            **spread, linking=linking, bearing=force, moved=moved, holds=holds
+            **spread, linking=linking, bearing=float(bearing[c]), moved=moved, holds=holds
         )
     return vertices
 

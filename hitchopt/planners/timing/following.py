@@ -71,16 +71,17 @@ def distances_from(path: Path, motion: Motion, progress: PiecewisePolynomial) ->
     x = np.linspace(0.0, 1.0, SPANS + 1)
     s = _at(progress, x).clip(0.0, 1.0)
     on_path = path.vertices.at(s.ravel()).reshape(*s.shape, *path.vertices.shape)
-    apart = _largest(_at(motion.vertices, x) - on_path)
+    apart = np.max(length(_at(motion.vertices, x) - on_path), axis=-1)
     ends = np.maximum(apart[:, 1:], apart[:, :-1])
     spans_of_time = motion.vertices.durations / SPANS
     bulges = spans_of_time**2 / 8.0 * _largest_second_rates(motion.vertices)
     path_bulges = np.diff(s) ** 2 / 8.0 * _path_rates(path.vertices, s)[:, None]
     bounds: Array = np.max(ends + path_bulges, axis=1) + bulges
-    drone_x, drone_s = x[::DRONE_STRIDE], s[:, ::DRONE_STRIDE]
+    drone_x = x[::DRONE_STRIDE]
+    drone_s = s[:, ::DRONE_STRIDE]
     drones = drone_jets(path.team, path.flat(drone_s.ravel(), 1)).positions[..., 0]
     drones = drones.reshape(*drone_s.shape, *motion.drones.shape)
-    drones_apart = np.max(_largest(_at(motion.drones, drone_x) - drones), axis=1)
+    drones_apart = np.max(length(_at(motion.drones, drone_x) - drones), axis=(1, 2))
     return np.asarray(np.maximum(bounds, drones_apart))
 
 
@@ -89,11 +90,6 @@ def _at(part: PiecewisePolynomial, x: Array) -> Array:
     basis = bernstein.basis(x, part.degree)
     values: Array = np.moveaxis(bernstein.transform(part.coefficients, basis), -1, 1)
     return values
-
-
-def _largest(offsets: Array) -> Array:
-    """Return the length [m] of the largest of offsets (pieces, m, k, 3), as (pieces, m)."""
-    return np.asarray(np.max(length(offsets), axis=-1))
 
 
 def _largest_second_rates(part: PiecewisePolynomial) -> Array:
