@@ -6,8 +6,6 @@ timed (``motion_along``) and certified.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hitchopt.api import step_errors, step_problem
@@ -104,7 +102,8 @@ def time(
     path: by ``route`` or ``Path.of``.
     duration: exact duration [s]; default: as fast as the limits allow.
     limits: limits of motion; default as in a problem file.
-    separation, arena: requirements that ``certify`` checks; defaults as in a problem file.
+    separation, arena: requirements that ``certify`` checks; defaults as in a problem file. As
+        there, drones' models and controllers provide what they do not state.
 
     Raises
     ------
@@ -119,9 +118,7 @@ def time(
         Limits() if limits is None else limits,
         Separation() if separation is None else separation,
         arena,
-    )
-    of_drones = requirements.separation.for_drones(path.team)
-    requirements = replace(requirements, separation=of_drones)
+    ).flown_by(path.team)
     enforced = requirements.with_reserve
     check_shapes(path)
     check_loads(path, enforced.limits)

@@ -125,7 +125,8 @@ class Replanner(OneLine):
     ----------
     team: of the hitch.
     start: the hitch at t = 0, or a plan in flight.
-    limits, separation, arena: requirements of the plans; None for the plan's, or the defaults.
+    limits, separation, arena: requirements of the plans; None for the plan's, or the defaults. As
+        in problems, drones' models and controllers provide what they do not state.
 
     Raises
     ------
@@ -158,7 +159,7 @@ class Replanner(OneLine):
         if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "use the team of the start")
         specified = {key: value for key, value in options.items() if value is not None}
-        self.requirements = replace(motion.requirements, **specified)
+        self.requirements = replace(motion.requirements, **specified).flown_by(own)
         self.motion, self._goal = replace(motion, requirements=self.requirements), goal
         self._limits = limits = self.requirements.with_reserve.limits
         if limits.body_rate is not None:  # the jerk that turns a hovering drone at this rate
