@@ -597,3 +597,11 @@ def test_a_terminal_sees_a_bar_filled_by_counts_and_a_file_none(
         ("0 of 0 done", (None, None)),
     ):
         assert progress_in(message) == done
+
+
+def test_a_key_of_a_file_that_is_called_as_an_option_is_placed_in_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "problem.yaml"
+    file.write_text("limit: {speed: 1}\n" + problem_text(TRIANGLE))
+    error = refused("solve", file, "-o", tmp_path / "out")
+    assert "problem.yaml:1" in error
+    assert "--limit" not in error
