@@ -281,3 +281,30 @@ def test_legs_that_do_not_clear_as_they_roll_bind_separation() -> None:
     with pytest.raises(InfeasibleError, match="separation"):
         laid(short, legs=[0.42, 0.42, 0.42])
     assert laid(short).certificate["separation"].worst > 1.0
+
+
+TWO_LAYINGS = """
+teams:
+  a: {robots: 3, cable_length: 2.3, cable_density: 0.01, tension: 0.7}
+  b: {robots: 3, cable_length: 2.3, cable_density: 0.01, tension: [0.7, 0.7, 0.6]}
+limits: {tracking: 0.02}
+start:
+  a: {drones: {q: [[-3.7, 1.3, 0], [-3.7, 0, 0], [-3.7, -1.3, 0]],
+    r: [[-2.3, 1.3, 0], [-2.3, 0, 0], [-2.3, -1.3, 0]]}}
+  b: {drones: {q: [[2.3, 1.3, 0], [2.3, 0, 0], [2.3, -1.3, 0]],
+    r: [[3.7, 1.3, 0], [3.7, 0, 0], [3.7, -1.3, 0]]}}
+mission:
+  - a: {form: {polygon: [[-3, 0.751], [-2.35, -0.375], [-3.65, -0.375]], altitude: 1.5, by: laying}}
+    b: {form: {polygon: [[3, 0.751], [3.65, -0.375], [2.35, -0.375]], altitude: 1.5, by: laying}}
+"""
+
+
+@pytest.mark.slow
+def test_two_teams_lay_their_cables_beside_each_other(tmp_path: Path) -> None:
+    file = tmp_path / "two.yaml"
+    file.write_text(TWO_LAYINGS)
+    plan = ho.solve(file)
+    assert plan.certificate.certified
+    for team in plan.flight.teams:
+        assert "roll" in {phase.name for phase in team.motion.phases}
+    assert {row.verdict for row in opinion_of(plan.flight, tmp_path)} == {"proven"}
