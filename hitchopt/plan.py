@@ -31,6 +31,7 @@ from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.motion.states import States, final_hitch, flight_states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
+from hitchopt.support import Feature
 from hitchopt.values import check_instance, flag, integer, nonnegative, path, text
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class Plan(OneLine):
 
         Raises UnsupportedError for several teams: each has its motion in ``flight.teams``.
         """
-        return self.flight.of_one_team("plan.motion", others=True)
+        return self.flight.of_one_team(Feature.MOTION)
 
     @property
     def stated_rules(self) -> tuple[StatedRule, ...]:
@@ -107,7 +108,7 @@ class Plan(OneLine):
         Raises InputError if the plan ends with free cables, UnsupportedError if the tensions have
         changed, or for several teams.
         """
-        return final_hitch(self.flight.of_one_team("plan.end", others=True))
+        return final_hitch(self.flight.of_one_team(Feature.END))
 
     @property
     def notes(self) -> tuple[str, ...]:

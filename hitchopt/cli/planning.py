@@ -320,11 +320,11 @@ def check(
         certificate = ho.certify(saved, progress, gamma)
     unsurvivable: Sequence[UnsurvivableSpan] = ()
     if survivable:
-        from hitchopt.live.lost import FEATURE
         from hitchopt.live.lost import survivable as survivable_share
+        from hitchopt.support import Feature
 
         with ProgressBar("planning reactions") as progress:
-            motion = flight.of_one_team(FEATURE)
+            motion = flight.of_one_team(Feature.REACTION)
             share, unsurvivable = survivable_share(motion, progress=progress)
         reported = (*certificate.checks[len(certificate.limited) :], share)
         certificate = replace(certificate, reports=lambda: reported)

@@ -24,12 +24,13 @@ import numpy as np
 
 from hitchopt.checks.drones import largest_rate
 from hitchopt.drones.controllers import DAMPING_RATIO
-from hitchopt.errors import InfeasibleError, InputError, UnsupportedError, Violation
+from hitchopt.errors import InfeasibleError, InputError, Violation
 from hitchopt.hitch import Team
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.retiming import prolonged
 from hitchopt.motion.states import states_at
+from hitchopt.support import Feature, Neighbour, refused_value, unsupported
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, positive
@@ -82,7 +83,7 @@ def held_tension(
     too fast.
     """
     if not flight.has_cables:
-        raise UnsupportedError("hold_tension=True: single drones have no cables")
+        raise unsupported(Feature.HOLD_TENSION, Neighbour.SINGLE_DRONES)
     held = {
         each.name: _team_setpoints(each.motion, stiffness, damping)
         for each in flight.teams
@@ -154,9 +155,8 @@ def _team_setpoints(
     """Return the setpoints of one team with cables."""
     team = motion.team
     if is_overridden(team):
-        bound = "0 with hold_tension=True: integral gains would pull drones to the moved setpoints"
-        remedy = "set team.quadrotor.gains.ki to 0, there and on board"
-        raise InputError("gains.ki", float(np.max(team.integral_gain)), bound, remedy)
+        gain = float(np.max(team.integral_gain))
+        raise refused_value(Feature.HOLD_TENSION, Neighbour.INTEGRAL_GAINS, gain)
     k, c = loop_gains(team, stiffness, damping, "hold_tension=True")
     masses = team.mass[:, None]
     critical = 2.0 * np.sqrt(k * masses)

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks.spans import positions
-from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import differences, shortest_offset
 from hitchopt.hitch.energy import energy_of
 from hitchopt.hitch.pairs import SEPARATION, TautBodies, end_combinations, limits_of, scales_of
@@ -33,6 +33,7 @@ from hitchopt.lab.statics.equilibrium import conditions_of, samples_of
 from hitchopt.live.player import Sampler, Setpoints
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import HITCHED_STATE, Motion
+from hitchopt.support import Feature, Neighbour, refused_value, unsupported
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.values import Array, as_array, finite, nonnegative, per_robot, positive
 from hitchopt.values.fields import suggest_keywords
@@ -106,11 +107,12 @@ class Feedback(OneLine):
         flown = getattr(plan, "flight", plan)
         flight = Flight.of(flown) if isinstance(flown, Flight | Motion) else None
         if flight is None or not flight.has_cables:
-            raise InputError("plan", plan, "a Plan or Motion of a hitch", "solve or load one")
-        motion = flight.of_one_team("feedback")
-        if motion.requirements.keep_out or motion.requirements.objects:
-            reason = "feedback does not support keep-outs and objects: fly without them"
-            raise UnsupportedError(reason)
+            raise refused_value(Feature.FEEDBACK, Neighbour.SINGLE_DRONES, plan)
+        motion = flight.of_one_team(Feature.FEEDBACK)
+        if motion.requirements.keep_out:
+            raise unsupported(Feature.FEEDBACK, Neighbour.KEEP_OUTS)
+        if motion.requirements.objects:
+            raise unsupported(Feature.FEEDBACK, Neighbour.OBJECTS)
         self.motion, team = motion, motion.team
         self._rate, self._delay = positive("rate", rate), nonnegative("delay", delay)
         default = STIFFNESS_PER_MASS * team.mass[:, None]

@@ -30,11 +30,10 @@ from hitchopt.motion.retiming import append_motion, resting
 from hitchopt.motion.states import States, states_at
 from hitchopt.planners.forming.prehitch import smallest_separation
 from hitchopt.planners.timing.ramps import fastest_clock
+from hitchopt.support import REFUSALS, Feature, Neighbour
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array, nonnegative, positive
-
-FEATURE = "a reaction to a lost drone"  # it supports a single team
 
 DELAY = 0.05  # time from the loss until the survivors react [s]
 LIMIT_SHARE = 0.8  # fraction of the limits that is used in the descent
@@ -127,7 +126,7 @@ class Reactions:
     def _certified_motion(self, time: float) -> Motion:
         """Return the certified motion after a loss at a time [s]."""
         if self.motion.team.has_cables and self.motion.requirements.objects:
-            reason = "the team carries objects, or is among them"
+            reason = str(REFUSALS[Feature.REACTION, Neighbour.OBJECTS])
             if self.motion.team.robots == 2 and self.motion.team.layout.closed:
                 reason += "; two cables need all four drones: their load falls"
             raise _no_reaction(time, reason)

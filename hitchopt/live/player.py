@@ -16,9 +16,10 @@ from math import comb
 import numpy as np
 
 from hitchopt.checks.stops import MAX_STOP, MIN_STOP, ClockLimits, StopTable, stop_table
-from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
+from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
+from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
 from hitchopt.values import Array, finite, nonnegative
@@ -82,8 +83,7 @@ class Player(OneLine):
             raise InputError("plan", plan, "a Plan or a Motion", "solve or load one")
         flight = Flight.of(flown)
         if flight.others:
-            reason = f"{flight.others[0].name} flies on a clock that cannot be slowed"
-            raise UnsupportedError(f"{reason}; plan without others, or use aborts only")
+            raise unsupported(Feature.PLAYER, Neighbour.OTHERS, other=flight.others[0].name)
         self.flight = flight
         self._shared = _shared_data(flight.alone or flight)
         self._start, self._end = (float(b) for b in flight.breaks[[0, -1]])

@@ -38,6 +38,7 @@ from hitchopt.plan import Plan
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.planners.morph.path import cable_along
 from hitchopt.steps.certified_motions import infeasible_error, rest_motion
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, check_instance, finite, integer, nonnegative, points
@@ -151,7 +152,12 @@ class Replanner(OneLine):
         for (key, value), kind in zip(options.items(), (Limits, Separation, Arena), strict=True):
             check_instance(key, value, kind, type(None))
         if isinstance(start, Plan):
-            motion, goal = start.flight.of_one_team("a replanner"), start.end
+            motion = start.flight.of_one_team(Feature.REPLANNER)
+            if not motion.team.has_cables:
+                raise refused_value(Feature.REPLANNER, Neighbour.SINGLE_DRONES, start)
+            if not motion.formed[-1]:
+                raise refused_value(Feature.REPLANNER, Neighbour.FREE_CABLES, start)
+            goal = start.end
         else:
             phase = Phase("hold", 0, 0.0, HOLD)
             motion, goal = rest_motion(start, Requirements(), HOLD, phase), start

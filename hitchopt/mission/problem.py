@@ -46,6 +46,7 @@ from hitchopt.steps.step import (
     slack_split,
 )
 from hitchopt.steps.tying import Form, check_rollable
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, ByValue, Points, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
@@ -480,9 +481,8 @@ class Problem(ByValue):
             for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):
                 object.__setattr__(self, name, value)
         if self.keep_out and self.kind != "swarm":
-            remedy = "add objects with fixed=True"
-            bound = "omitted unless single drones fly alone"
-            raise InputError("keep_out", f"{len(self.keep_out)} prisms", bound, remedy)
+            prisms = f"{len(self.keep_out)} prisms"
+            raise refused_value(Feature.HITCH, Neighbour.KEEP_OUTS, prisms)
 
     def _requirements(self, team: Team, objects: Mapping[str, SolidObject]) -> Requirements:
         parts = self.limits, self.separation, self.arena, self.keep_out, objects

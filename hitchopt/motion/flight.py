@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.drones.controllers import Tube
-from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.requirements import Arena, Requirements, Separation
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase
@@ -33,6 +33,7 @@ from hitchopt.motion.retiming import (
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.storage.archive import folded
+from hitchopt.support import REFUSALS, Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, Indices, check_instance, lazy, sequence
@@ -129,9 +130,8 @@ class Flight(OneLine):
             raise InputError("teams", [], "at least one", "name the teams that fly")
         self._check_names()
         if len(self.all_teams) > 1 and self._has_bent_cables:
-            message = "cables that bend around an object on their own keep no distances to other"
-            remedy = "plan the team that ties them in a file without others"
-            raise UnsupportedError(f"{message} teams; {remedy}")
+            neighbour = Neighbour.SEVERAL_TEAMS if len(self.teams) > 1 else Neighbour.OTHERS
+            raise unsupported(Feature.TWO_CABLES, neighbour)
         if len(self.teams) == 1:
             object.__setattr__(self, "teams", (replace(self.teams[0], name=""),))
             return
@@ -177,18 +177,16 @@ class Flight(OneLine):
         """The motion of a team that flies alone; None with other teams or external plans."""
         return self.teams[0].motion if len(self.all_teams) == 1 else None
 
-    def of_one_team(self, feature: str, *, others: bool = False) -> Motion:
+    def of_one_team(self, feature: Feature) -> Motion:
         """Return the motion of the only team, for a feature that supports a single one.
 
-        Raises UnsupportedError for several teams, and for external plans unless ``others``.
+        Raises UnsupportedError for several teams, and for external plans that it does not support.
         """
-        flying = self.teams if others else self.all_teams
-        if len(flying) > 1:
-            names = ", ".join(flown.name or "the team" for flown in flying)
-            remedy = "plan that team in a separate file"
-            if len(self.teams) == 1:
-                remedy = "plan it without others"
-            raise UnsupportedError(f"{feature} supports a single team, not {names}; {remedy}")
+        names = ", ".join(flown.name or "the team" for flown in self.all_teams)
+        if len(self.teams) > 1:
+            raise unsupported(feature, Neighbour.SEVERAL_TEAMS, teams=names)
+        if self.others and (feature, Neighbour.OTHERS) in REFUSALS:
+            raise unsupported(feature, Neighbour.OTHERS, teams=names)
         return self.teams[0].motion
 
     @property

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InputError, OneLine, UnsupportedError
+from hitchopt.errors import InputError, OneLine
 from hitchopt.geometry.vectors import dot, length
 from hitchopt.hitch import GRAVITY, Hitch, Swarm, Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.loads import leg_tensions, tautness
 from hitchopt.motion.motion import Motion
+from hitchopt.support import Feature, Neighbour, refused_value, unsupported
 from hitchopt.values import Array, as_array, nonnegative, positive
 
 HOVER = np.array([0.0, 0.0, GRAVITY])
@@ -374,10 +375,11 @@ def final_hitch(motion: Motion) -> Hitch:
     Raises InputError if there is no hitch at the end; UnsupportedError if cables end with other
     tensions than the team's.
     """
-    if not (motion.team.has_cables and motion.formed[-1]):
-        remedy = "form one, or continue with the drones at plan.at(plan.duration)"
-        raise InputError("end", "free cables", "a hitch", remedy)
     team = motion.team
+    if not team.has_cables:
+        raise refused_value(Feature.END, Neighbour.SINGLE_DRONES, "single drones")
+    if not motion.formed[-1]:
+        raise refused_value(Feature.END, Neighbour.FREE_CABLES, "free cables")
     layout = team.layout
     drones = motion.drones.coefficients[-1, ..., -1]
     vertices = motion.vertices.coefficients[-1, ..., -1]
@@ -402,5 +404,5 @@ def final_hitch(motion: Motion) -> Hitch:
             break
     hitch = hitch_of(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))
     if np.max(np.abs(hitch.drones - drones)) > MAX_DEVIATION:
-        raise UnsupportedError("the plan ends with tensions other than the team's: cannot continue")
+        raise unsupported(Feature.END, Neighbour.OTHER_TENSIONS)
     return hitch

@@ -71,6 +71,7 @@ from hitchopt.steps.step import (
     planner_of,
 )
 from hitchopt.steps.straddling import Tie, Untie, check_hinge
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, keys_of, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
@@ -115,7 +116,7 @@ def object_of(task: StepTask, name: str) -> SolidObject:
     objects, key = task.requirements.objects, f"objects.{name}"
     body = objects[name]
     if not task.before.team.layout.closed:
-        raise RequestError("team.topology", "open", "closed if objects are held", "close it")
+        raise refused_value(Feature.HOLDING, Neighbour.CHAINS, "open", RequestError)
     if body.fixed:
         remedy = "omit it, or only tie two cables around it"
         raise RequestError(f"{key}.fixed", True, "false if it is lifted", remedy)

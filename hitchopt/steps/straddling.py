@@ -34,6 +34,7 @@ from hitchopt.steps.step import (
     planner_of,
 )
 from hitchopt.steps.tying import approach_motion, check_rollable
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented
 from hitchopt.values.units import LENGTH, TENSION
@@ -101,11 +102,12 @@ def check_hinge(planner: MovePlanner) -> None:
 
 def _check_two(team: Team, remedy: str) -> None:
     """Raise InputError with a remedy for a team of other than two robots."""
-    where = "where cables are tied around an object"
     if team.robots != 2:
-        raise RequestError("robots", team.robots, f"2 {where}", remedy)
+        bound = "2 where cables are tied around an object"
+        raise RequestError("robots", team.robots, bound, remedy)
     if not team.layout.closed:
-        raise RequestError("topology", team.topology, f"closed {where}", "leave team.topology out")
+        feature, neighbour = Feature.TWO_CABLES, Neighbour.CHAINS
+        raise refused_value(feature, neighbour, team.topology, RequestError)
 
 
 @documented

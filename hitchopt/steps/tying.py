@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks.tracking import TRACKING_RADIUS
-from hitchopt.errors import InfeasibleError, InputError, RequestError, UnsupportedError
+from hitchopt.errors import InfeasibleError, InputError, RequestError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
@@ -53,6 +53,7 @@ from hitchopt.steps.step import (
     checks_relaxed_by,
     scaled_outline_edit,
 )
+from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, Indices
 from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, with_fields, words
 from hitchopt.values.units import ALTITUDE
@@ -449,16 +450,14 @@ def check_rollable(step: str, team: Team) -> None:
 
     ``step`` names the step that lays or rolls them.
     """
-    reasons = {
-        "an open chain: laying ties rings; use by: swaps": not team.layout.closed,
-        "cables without weight: set team.cable_density, from which the pull of a taut cable "
-        "follows": team.cable_density == 0.0,
-        "loads, which hang from clasps, while cables only lie on one another: omit "
-        "team.load": np.any(team.load),
+    present = {
+        Neighbour.CHAINS: not team.layout.closed,
+        Neighbour.WEIGHTLESS: team.cable_density == 0.0,
+        Neighbour.LOADS: np.any(team.load),
     }
-    for reason, applies in reasons.items():
-        if applies:
-            raise UnsupportedError(f"{step}: laying and rolling do not support {reason}")
+    for neighbour, is_present in present.items():
+        if is_present:
+            raise unsupported(Feature.LAYING, neighbour, step)
 
 
 CIRCLE_REMARK = "tied as a polygon on a circle, since the goal cannot be tied directly"

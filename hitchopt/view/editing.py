@@ -39,6 +39,7 @@ from hitchopt.storage.yaml_file import (
     with_entries,
     with_value,
 )
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array
 from hitchopt.values.fields import EMPTY, keys_of
 from hitchopt.view.style import atomic_write
@@ -239,7 +240,7 @@ class Editing:
 
     def _height_after(self, index: int) -> float:
         """Return the height of the planned hitch at the end of a step [m]."""
-        return height_after(self.planned.flight.of_one_team("editing", others=True), index)
+        return height_after(self.planned.flight.teams[0].motion, index)
 
     def change(self, text: str) -> None:
         """Replace the text; raise InputError or FileError if it is not the problem of a hitch."""
@@ -324,8 +325,10 @@ class Editing:
 
     def _read(self, text: str) -> Problem:
         problem = parse_problem(text, self.path.name, self.path.parent)
-        if problem.kind != "hitch":
-            raise InputError("team", "drones", "a team of catenary robots", "edit the file")
+        if problem.kind == "swarm":
+            raise refused_value(Feature.EDITING, Neighbour.SINGLE_DRONES, "drones")
+        if problem.kind == "teams":
+            raise refused_value(Feature.EDITING, Neighbour.SEVERAL_TEAMS, "several")
         return problem
 
     def _begin(self, problem: Problem) -> None:

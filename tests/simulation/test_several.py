@@ -29,6 +29,7 @@ from hitchopt.mission.problem import HitchStart, Problem
 from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.steps.moving import Hold
+from hitchopt.support import Feature
 from hitchopt.values import Array
 from hitchopt.view.scene import ghost_scene
 
@@ -156,8 +157,8 @@ def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
             call()
     with pytest.raises(UnsupportedError, match="show flies on a clock"):
         ho.Player(show)
-    with pytest.raises(UnsupportedError, match=r"a test supports .*; plan it without others"):
-        show.of_one_team("a test")
+    with pytest.raises(UnsupportedError, match=r"a replanner supports .*; plan it without others"):
+        show.of_one_team(Feature.REPLANNER)
     result = CliRunner().invoke(
         main, ["statics", str(folder), "--at", "8", "--perturb", "stiffness=40"]
     )

@@ -26,6 +26,7 @@ from hitchopt.lab.statics.calibrate import COSINES, IN_SPACE, TURNS, Estimate, f
 from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.motion.states import States
 from hitchopt.storage.yaml_file import parse_yaml
+from hitchopt.support import Feature
 from hitchopt.values import Array
 
 DENSITY, MU, RATE = 0.012, 0.17, 20.0
@@ -322,7 +323,7 @@ def run(*arguments: str | Path) -> Result:
 
 
 def test_flights_as_planned_have_lengths_and_no_errors(plan_folder: Path, tmp_path: Path) -> None:
-    table = write(tmp_path / "flight.csv", rows_of(team_task(plan_folder, "a test")))
+    table = write(tmp_path / "flight.csv", rows_of(team_task(plan_folder, Feature.CALIBRATE)))
     output = tmp_path / "team.yaml"
     result = run("calibrate", table, "--plan", plan_folder, "-o", output)
     assert result.exit_code == 0, result.output
@@ -343,7 +344,7 @@ def test_flights_as_planned_have_lengths_and_no_errors(plan_folder: Path, tmp_pa
 def test_order_other_columns_and_unknown_names_do_not_matter(
     plan_folder: Path, tmp_path: Path
 ) -> None:
-    rows = rows_of(team_task(plan_folder, "a test"))
+    rows = rows_of(team_task(plan_folder, Feature.CALIBRATE))
     plain = ho.read_flight(write(tmp_path / "a.csv", rows)).tracks
     mixed = sorted(rows, key=lambda row: row.split(",")[1][::-1])  # one body after another
     fields = [row.split(",") for row in mixed]
@@ -379,7 +380,7 @@ def test_positions_are_interpolated_between_neighbours() -> None:
 
 
 def test_windows_need_half_of_their_samples(plan_folder: Path) -> None:
-    task = team_task(plan_folder, "a test")
+    task = team_task(plan_folder, Feature.CALIBRATE)
     vertices = task.states.vertices.copy()
     vertices[55:120, 0] = np.nan  # 5 of 50 samples are left, then 30
     drones = task.states.positions.copy()
@@ -412,7 +413,7 @@ def test_gaps_in_movements_do_not_bias_means() -> None:
 
 
 def test_invalid_recordings_are_refused(plan_folder: Path, tmp_path: Path) -> None:
-    rows = rows_of(team_task(plan_folder, "a test"))
+    rows = rows_of(team_task(plan_folder, Feature.CALIBRATE))
     tables = (
         ([r for r in rows if ",r1," not in r], "5 bodies (q0, r0, q1, q2, r2) for 6"),
         ([*rows, "inf,q0,1,2,3"], "a time is not finite"),
@@ -450,7 +451,7 @@ def test_doubtful_recordings_are_repaired_with_a_note_or_refused(
     plan_folder: Path, tmp_path: Path
 ) -> None:
     rows, lost = (
-        rows_of(team_task(plan_folder, "a test")),
+        rows_of(team_task(plan_folder, Feature.CALIBRATE)),
         np.random.default_rng(5).random(1000) < 0.1,
     )
 
@@ -530,7 +531,7 @@ def test_a_simulated_flight_is_calibrated_from_its_files(plan_folder: Path) -> N
 
 
 def test_a_team_of_different_kinds_lists_them(plan_folder: Path) -> None:
-    task = team_task(plan_folder, "a test")
+    task = team_task(plan_folder, Feature.CALIBRATE)
     recording = Recording(task.states.t, task.states.positions, task.states.vertices)
     plain = ho.calibrate(recording, task, density=0.01)
     stiffness = (Estimate(4.0, 0.2), Estimate(4.0, 0.2), Estimate(np.nan, np.inf, "nothing moves"))

@@ -82,11 +82,12 @@ def evaluate(
     evaluation.tex, a picture, and recording.npz, which `hitchopt view DIR --ghost OUT` shows.
     """
     from hitchopt.lab.simulation.exported import is_export, team_task
+    from hitchopt.support import Feature
     from hitchopt.values.fields import Missing
 
     task = None
     if plan is not None:
-        task = team_task(plan if is_export(plan) else plan_path(plan).parent, "evaluate")
+        task = team_task(plan if is_export(plan) else plan_path(plan).parent, Feature.EVALUATE)
     if markers:
         if task is None:
             remedy = "name the directory of the plan"

@@ -244,22 +244,25 @@ def _with_loss(
     """Return settings and task of a flight with the loss of a drone, and report the reaction."""
     from hitchopt.lab.simulation.settings import Loss
     from hitchopt.lab.simulation.task import Task
-    from hitchopt.live.lost import FEATURE, RELEASE_TIME, Reactions
+    from hitchopt.live.lost import RELEASE_TIME, Reactions
     from hitchopt.motion.plan_file import read_plan
+    from hitchopt.support import Feature
 
     loss = Loss.parsed(text)
     settings = replace(settings, lost=loss)
     if not react:
         return settings, task
     with ProgressBar("planning the reaction"):
-        motion = read_plan(plan_path(directory)).of_one_team(FEATURE)
+        motion = read_plan(plan_path(directory)).of_one_team(Feature.REACTION)
         reaction = Reactions(motion).plan(loss.drone, loss.time)
     say(
         f"reaction: tension is released from t = {reaction.start:.3f} s, all drones are on the "
         f"ground at {reaction.motion.duration:.3f} s; hovering takes up to {reaction.thrust:.0%} "
         "of a drone's thrust"
     )
-    released = task.of_one_team(FEATURE).released(reaction.motion, reaction.start, RELEASE_TIME)
+    released = task.of_one_team(Feature.REACTION).released(
+        reaction.motion, reaction.start, RELEASE_TIME
+    )
     return settings, Task((released,))
 
 

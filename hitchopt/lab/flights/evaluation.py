@@ -36,6 +36,7 @@ from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
+from hitchopt.support import Feature
 from hitchopt.values import Array, check_choice, finite, nonnegative, path, positive, text
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, POINTS
@@ -267,7 +268,7 @@ def evaluate(
         flight = read_flight(path("recording", flight), unit, topic)
     elif unit is not None or topic is not None:
         raise InputError("unit, topic", (unit, topic), "omitted", "the recording is read already")
-    task = team_task(plan, "evaluate")
+    task = team_task(plan, Feature.EVALUATE)
     if flight.simulated and start is None:
         start = 0.0  # The clock of a simulation is the plan's
     try:

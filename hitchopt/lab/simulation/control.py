@@ -35,6 +35,7 @@ from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, RigidBo
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.support import Feature
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
@@ -125,7 +126,7 @@ class FlownDrones:
         team, calibrated = task.team, settings.as_calibrated
         kinds = team.kinds
         if calibrated is not None:
-            kinds = calibrated_kinds(task.of_one_team("drones as calibrated").team, calibrated)
+            kinds = calibrated_kinds(task.of_one_team(Feature.AS_CALIBRATED).team, calibrated)
         trims = np.array([kind.trim or (0.0, 0.0) for kind in kinds])
         lean = stiffness[:, :1] * trims / (GRAVITY * team.mass[:, None])  # tangents of tilts
         axis, size = left_of(lean), length(lean)

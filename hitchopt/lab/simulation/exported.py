@@ -52,6 +52,7 @@ from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import digest
 from hitchopt.storage.yaml_file import read_yaml
+from hitchopt.support import Feature
 from hitchopt.trajectory import PiecewisePolynomial, joined
 from hitchopt.values import Array, Indices
 from hitchopt.values import path as checked_path
@@ -137,7 +138,7 @@ def read_flown(path: Path) -> Task:
     return read_exported(path).task
 
 
-def team_task(plan: TeamTask | Plan | Path | str, feature: str) -> TeamTask:
+def team_task(plan: TeamTask | Plan | Path | str, feature: Feature) -> TeamTask:
     """Return the task of a plan, its directory or an export, for a ``feature`` of one team.
 
     Raises FileError if the plan is missing or damaged, and UnsupportedError for several teams.

@@ -34,6 +34,7 @@ from hitchopt.lab.simulation.world import (
 )
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
+from hitchopt.support import Feature
 from hitchopt.values import Array
 
 CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of the time step
@@ -161,7 +162,7 @@ class FlightInProgress:
         team, preset = task.team, settings.preset
         self._may_stream, settings = settings.upload is None, resolved(task, settings)
         if task.flight is not None and settings.lost is not None:
-            task.flight.of_one_team("the simulated loss of a drone")
+            task.flight.of_one_team(Feature.SIMULATED_LOSS)
         self._task, self._settings = task, settings
         self.files = ""  # what an export of the plan would contain, in words; empty if streamed
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)

@@ -20,6 +20,7 @@ from hitchopt.drones.controllers import (
     Gains,
 )
 from hitchopt.errors import InputError, OneLine
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import WORD, nonnegative
 from hitchopt.values.fields import (
     ANYTHING,
@@ -299,8 +300,7 @@ class Settings(Record):
         if isinstance(self.estimator, str):
             object.__setattr__(self, "estimator", ESTIMATORS[self.estimator])
         if self.upload and self.feedback:
-            bound = "omitted with upload"
-            raise InputError("feedback", True, bound, "uploaded files cannot be corrected")
+            raise refused_value(Feature.FEEDBACK, Neighbour.UPLOADS, True)
 
     @property
     def lag(self) -> float:

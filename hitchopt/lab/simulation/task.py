@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.drones.controllers import EstimatorParameters, FlightController
-from hitchopt.errors import UnsupportedError
 from hitchopt.exports.directory import refuse_mixture
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import Team
@@ -27,6 +26,7 @@ from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
 from hitchopt.storage.archive import PLAN
+from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, lazy
 
@@ -379,7 +379,7 @@ class Task:
     def of(cls, flight: Flight) -> Task:
         """Return the task of a plan; UnsupportedError for drones without cables."""
         if not flight.has_cables:
-            raise UnsupportedError("single drones have no cables; simulate a hitch's plan")
+            raise unsupported(Feature.SIMULATION, Neighbour.SINGLE_DRONES)
         t = sample_times(flight.duration, RATE)
         tied = [each for each in flight.teams if each.motion.team.has_cables]
         single = [each for each in flight.teams if not each.motion.team.has_cables]
@@ -387,13 +387,13 @@ class Task:
         teams = tuple(TeamTask.in_flight(each, t, flight.others) for each in tied)
         return cls(teams, flight, passing)
 
-    def of_one_team(self, feature: str) -> TeamTask:
+    def of_one_team(self, feature: Feature) -> TeamTask:
         """Return the task of the only team, for a ``feature`` that supports a single one.
 
         Raises UnsupportedError for several teams.
         """
         if self.flight is not None:
-            self.flight.of_one_team(feature, others=True)
+            self.flight.of_one_team(feature)
         return self.teams[0]
 
     @property

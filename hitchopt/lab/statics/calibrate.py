@@ -57,6 +57,7 @@ from hitchopt.lab.statics.equilibrium import conditions_of
 from hitchopt.lab.statics.rests import DronesAtRests, drones_at_rests
 from hitchopt.plan import Plan
 from hitchopt.storage.archive import PLAN, reading
+from hitchopt.support import Feature
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path
 
@@ -373,7 +374,7 @@ def _recording_and_task(
         plan = Path(os.path.abspath(recording)).parent if plan is None else plan
     if plan is None:
         raise InputError("plan", None, "the directory of a plan", "name the plan that was flown")
-    task = team_task(plan, "calibrate")
+    task = team_task(plan, Feature.CALIBRATE)
     if isinstance(recording, Path):
         with reading(recording, "recording"):
             recording = _aligned(read_flight(recording), task, density)

@@ -19,13 +19,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError, Violation
+from hitchopt.errors import InfeasibleError, InputError, OneLine, Violation
 from hitchopt.geometry.vectors import dot, length, unit
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.energy import AXIAL_STIFFNESS, HitchEnergy, energy_of
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
+from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, as_array, check_instance, plain
 from hitchopt.values.fields import Key, keys_of
 from hitchopt.values.units import AXIAL_FORCE, STIFFNESS
@@ -194,10 +195,10 @@ class Equilibrium(OneLine):
         return tuple(f"p{k}" for k in clasps[~self.bears.reshape(-1, len(clasps)).all(axis=0)])
 
 
-def motion_of(plan: Plan | Motion, feature: str) -> Motion:
+def motion_of(plan: Plan | Motion) -> Motion:
     """Return the motion of a plan; UnsupportedError for several teams."""
     check_instance("plan", plan, Plan, Motion)
-    return plan.flight.of_one_team(feature, others=True) if isinstance(plan, Plan) else plan
+    return plan.flight.of_one_team(Feature.STATICS) if isinstance(plan, Plan) else plan
 
 
 def equilibrium(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Equilibrium:
@@ -225,7 +226,7 @@ def equilibrium(plan: Plan | Motion, t: ArrayLike, **conditions: Any) -> Equilib
     UnsupportedError: single drones, several teams, or objects that are carried.
     InfeasibleError: there is no rest.
     """
-    motion = motion_of(plan, "equilibrium")
+    motion = motion_of(plan)
     resolved = conditions_of(motion.team, **conditions)
     shape, samples = samples_of(motion, t, resolved)
     size = max(1, BLOCK // motion.team.robots)
@@ -247,7 +248,7 @@ def samples_of(
     Names are those of ``States`` and ``conditions_of``; errors are those of ``equilibrium``.
     """
     if not motion.team.has_cables:
-        raise UnsupportedError("a plan of single drones has no cables")
+        raise unsupported(Feature.STATICS, Neighbour.SINGLE_DRONES)
     states = states_at(motion, t)
     if not np.all(states.formed):
         spans = [f"{p.start:g} to {p.end:g} s" for p in motion.phases if p.formed]
@@ -256,7 +257,7 @@ def samples_of(
     carrying = np.any(states.load_share > 0.0, axis=-1)
     if np.any(carrying):
         when = f"t = {float(states.t[carrying].flat[0]):.4g} s"
-        raise UnsupportedError(f"{when}: statics do not model objects that a hitch carries")
+        raise unsupported(Feature.STATICS, Neighbour.OBJECTS, when)
     axes = PLANNED | SAMPLED
     values = {name: vars(states)[name] if name in PLANNED else conditions[name] for name in axes}
     item_shapes = {name: v.shape[v.ndim - axes[name] :] for name, v in values.items()}

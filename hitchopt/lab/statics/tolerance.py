@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.errors import InfeasibleError, InputError, OneLine, UnsupportedError
+from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.energy import energy_of
 from hitchopt.hitch.rest_errors import REMAINDER_FACTOR, enclosing_ellipsoids, responses
@@ -32,6 +32,7 @@ from hitchopt.lab.statics.equilibrium import (
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.plan import Plan
+from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import SCALAR, WORD, Array, as_array, nonnegative
 from hitchopt.values.fields import Key, Kind
 
@@ -169,7 +170,7 @@ def tolerance(
     UnsupportedError: a plan without a taut hitch, or of several teams.
     InfeasibleError: there is no rest.
     """
-    motion = motion_of(plan, "tolerance")
+    motion = motion_of(plan)
     sizes = {"cable": cable_error, "position": position_error, "force": force_error}
     errors = {name: ErrorSize.of(f"{name}_error", size) for name, size in sizes.items()}
     times = taut_times(motion) if t is None else np.atleast_1d(as_array("t", t))
@@ -188,14 +189,15 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     Times at which tensions rise from zero or fall to zero are excluded. UnsupportedError: there are
     no other times.
     """
+    if not motion.team.has_cables:
+        raise unsupported(Feature.STATICS, Neighbour.SINGLE_DRONES)
     times = np.linspace(0.0, motion.duration, CANDIDATES * count)
-    if motion.team.has_cables:
-        states = states_at(motion, times)
-        taut = states.taut(motion.team.tension)
-        unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
-        times = times[taut & unloaded]
-    if not motion.team.has_cables or not len(times):
-        raise UnsupportedError("a plan without a taut hitch has no tensions")
+    states = states_at(motion, times)
+    taut = states.taut(motion.team.tension)
+    unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
+    times = times[taut & unloaded]
+    if not len(times):
+        raise unsupported(Feature.STATICS, Neighbour.FREE_CABLES)
     return times[np.unique(np.linspace(0, len(times) - 1, count).round().astype(np.intp))]
 
 

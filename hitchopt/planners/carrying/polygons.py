@@ -22,6 +22,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import Section, SolidObject
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, Indices
 
 REST_STRETCHES = np.ones(1)
@@ -504,8 +505,8 @@ def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirem
     kinds = [kind.uncalibrated for kind in team.quadrotor]
     for key, values in (("cable_length", team.cable_length), ("quadrotor", kinds)):
         if len(set(values)) > 1:
-            bound = "equal for all robots if they grip an object"
-            raise RequestError(f"team.{key}", list(values), bound, "use one kind")
+            feature, neighbour = Feature.GRIPPING, Neighbour.UNEQUAL_KINDS
+            raise refused_value(feature, neighbour, list(values), RequestError, name=key)
     drone, cable = kinds[0], float(team.cable_length[0])
     tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.cable_friction, body.section

@@ -14,6 +14,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.casadi_model import CostFunction, model
 from hitchopt.planners.morph.path import Path
 from hitchopt.planners.optimise.knots import KnotPath, QuadraticTerms
+from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array
 
 if TYPE_CHECKING:
@@ -57,8 +58,7 @@ class ShapeCost:
         if not callable(self.function):
             raise self._refusal("specify one, or None")
         if not self.team.layout.closed:
-            remedy = "omit the cost: routes of chains are not optimised"
-            raise RequestError("cost", self.name, "given for a closed hitch only", remedy)
+            raise refused_value(Feature.COST, Neighbour.CHAINS, self.name, RequestError)
         _ = self._integrand
 
     @property

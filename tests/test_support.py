@@ -1,0 +1,203 @@
+"""What works with what: each refusal is declared, raised in its words, and in the table."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from generators.support_page import write_support_page
+from plans import PROBLEMS, ROOT, planned
+
+import hitchopt as ho
+from hitchopt.errors import HitchoptError
+from hitchopt.exports.held_tension import held_tension
+from hitchopt.hitch.requirements import Requirements
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import Task
+from hitchopt.lab.statics.tolerance import taut_times
+from hitchopt.live.lost import Reactions
+from hitchopt.motion.flight import TeamMotion
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import final_hitch
+from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.planners.optimise.cost import ShapeCost
+from hitchopt.steps.carrying import object_of
+from hitchopt.steps.tying import check_rollable
+from hitchopt.support import REFUSALS, Feature, Neighbour
+from hitchopt.view.editing import Editing
+
+DIRECT = {
+    "errors.py": "optional packages",
+    "support.py": "the declaration",
+    "exports/format.py": "formats of other packages",
+    "exports/exporting.py": "formats of other packages",
+    "lab/simulation/exported.py": "files for viewers",
+    "cli/fleet.py": "operating systems",
+    "live/links.py": "packages of radios, and parameters on board",
+    "view/own_pages.py": "versions of viser",
+}
+"""Modules that raise an UnsupportedError of their own, and about what: no combination."""
+
+
+def test_combinations_are_refused_from_the_declaration() -> None:
+    package = ROOT / "hitchopt"
+    direct = {
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Name)
+        and node.func.id == "UnsupportedError"
+    }
+    assert direct == DIRECT.keys()
+
+
+def test_the_table_has_every_refusal() -> None:
+    page = write_support_page()
+    table = [line.split("|")[1:-1] for line in page.splitlines() if line.startswith("| ")]
+    head, *rows = [[cell.strip() for cell in row] for row in table]
+    assert head == ["", *Neighbour]
+    cells = {
+        (row[0], name): cell for row in rows for name, cell in zip(head[1:], row[1:], strict=True)
+    }
+    assert {pair for pair, cell in cells.items() if cell} == {tuple(map(str, x)) for x in REFUSALS}
+    notes = dict(re.findall(r"^(\d+)\. (.+)\.$", page, re.MULTILINE))
+    for (feature, neighbour), refusal in REFUSALS.items():
+        words = re.sub(r"\{\w+\}", "…", str(refusal))
+        assert words in notes[cells[feature, neighbour]]
+
+
+def triangle() -> Motion:
+    return planned("triangle").motion
+
+
+def swarm() -> ho.Flight:
+    return planned("swarms/circle_6").flight
+
+
+def drum() -> Motion:
+    """Return the motion of two cables that are tied around a drum, carry it and are untied."""
+    return planned("two_robots_drum").motion
+
+
+def in_company(motion: Motion, neighbour: Neighbour) -> ho.Flight:
+    """Return a flight of a motion next to another team or plan, 50 m above the triangle."""
+    above = triangle().drones.coefficients + np.array([0.0, 0.0, 50.0])[:, None]
+    other = triangle().replaced(drones=replace(triangle().drones, coefficients=above))
+    if neighbour == Neighbour.OTHERS:
+        return ho.Flight((TeamMotion("", motion),), (TeamMotion("others.show", other),))
+    return ho.Flight((TeamMotion("a", motion), TeamMotion("b", other)))
+
+
+def with_requirements(**stated: Any) -> Motion:
+    return triangle().replaced(requirements=replace(triangle().requirements, **stated))
+
+
+def edit(name: str) -> None:
+    path = PROBLEMS / f"{name}.yaml"
+    Editing(path.read_text(encoding="utf-8"), path, SimpleNamespace())  # type: ignore[arg-type]
+
+
+WALL = ho.Prism([[5, 5], [5, 6], [6, 6], [6, 5]], 0.0, 1.0)
+HEAVY = ho.Team(3, 2.3, tension=0.7, cable_density=0.01)
+LOADED = ho.Team(3, 2.3, tension=0.7, cable_density=0.01, load=0.01)
+CHAIN = ho.Team(3, 2.3, topology="open", cable_density=0.01)
+DRUM = ho.load_problem(PROBLEMS / "grip_drum.yaml").objects["drum"]
+
+
+def laid(team: ho.Team) -> None:
+    check_rollable("step 0 (form)", team)
+
+
+def held_by(team: ho.Team) -> Any:
+    """Return what ``object_of`` reads of the task of a step."""
+    requirements = Requirements(objects={"drum": DRUM})
+    return SimpleNamespace(requirements=requirements, before=SimpleNamespace(team=team))
+
+
+def with_team(**values: Any) -> Motion:
+    return triangle().replaced(team=replace(triangle().team, **values))
+
+
+def slack() -> Motion:
+    tensions = triangle().tensions
+    return triangle().replaced(
+        tensions=replace(tensions, coefficients=np.zeros_like(tensions.coefficients))
+    )
+
+
+def carrying_time() -> float:
+    lift = next(phase for phase in drum().phases if phase.name == "lift")
+    return 0.5 * (lift.start + lift.end)
+
+
+RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
+    (Feature.HITCH, Neighbour.KEEP_OUTS): lambda: replace(
+        ho.load_problem(PROBLEMS / "triangle.yaml"), keep_out=(WALL,)
+    ),
+    (Feature.LAYING, Neighbour.CHAINS): lambda: laid(CHAIN),
+    (Feature.LAYING, Neighbour.WEIGHTLESS): lambda: laid(replace(HEAVY, cable_density=0.0)),
+    (Feature.LAYING, Neighbour.LOADS): lambda: laid(LOADED),
+    (Feature.TWO_CABLES, Neighbour.CHAINS): lambda: ho.Tie("drum").resolved_for(
+        ho.Team(2, 2.3, topology="open")
+    ),
+    (Feature.TWO_CABLES, Neighbour.SEVERAL_TEAMS): lambda: in_company(
+        drum(), Neighbour.SEVERAL_TEAMS
+    ),
+    (Feature.TWO_CABLES, Neighbour.OTHERS): lambda: in_company(drum(), Neighbour.OTHERS),
+    (Feature.HOLDING, Neighbour.CHAINS): lambda: object_of(held_by(CHAIN), "drum"),
+    (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: grip_clasps(
+        "drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements()
+    ),
+    (Feature.COST, Neighbour.CHAINS): lambda: ShapeCost(CHAIN, lambda _, s: s),
+    (Feature.END, Neighbour.SINGLE_DRONES): lambda: final_hitch(swarm().teams[0].motion),
+    (Feature.END, Neighbour.FREE_CABLES): lambda: final_hitch(drum()),
+    (Feature.END, Neighbour.OTHER_TENSIONS): lambda: final_hitch(
+        with_team(tension=[0.3, 0.6, 0.9])
+    ),
+    (Feature.REPLANNER, Neighbour.SINGLE_DRONES): lambda: ho.Replanner(
+        triangle().team, planned("swarms/circle_6")
+    ),
+    (Feature.REPLANNER, Neighbour.FREE_CABLES): lambda: ho.Replanner(
+        drum().team, planned("two_robots_drum")
+    ),
+    (Feature.HOLD_TENSION, Neighbour.SINGLE_DRONES): lambda: held_tension(swarm()),
+    (Feature.HOLD_TENSION, Neighbour.INTEGRAL_GAINS): lambda: held_tension(
+        ho.Flight.of(with_team(quadrotor=ho.Quadrotor(controller="mellinger")))
+    ),
+    (Feature.PLAYER, Neighbour.OTHERS): lambda: ho.Player(in_company(triangle(), Neighbour.OTHERS)),
+    (Feature.REACTION, Neighbour.OBJECTS): lambda: Reactions(drum()).plan("q0", 1.0),
+    (Feature.FEEDBACK, Neighbour.SINGLE_DRONES): lambda: ho.Feedback(swarm()),
+    (Feature.FEEDBACK, Neighbour.OBJECTS): lambda: ho.Feedback(
+        with_requirements(objects={"drum": DRUM})
+    ),
+    (Feature.FEEDBACK, Neighbour.KEEP_OUTS): lambda: ho.Feedback(
+        with_requirements(keep_out=(WALL,))
+    ),
+    (Feature.FEEDBACK, Neighbour.UPLOADS): lambda: Settings(
+        controller="mellinger", upload=True, feedback=True
+    ),
+    (Feature.EDITING, Neighbour.SINGLE_DRONES): lambda: edit("swarms/circle_6"),
+    (Feature.EDITING, Neighbour.SEVERAL_TEAMS): lambda: edit("two_teams"),
+    (Feature.STATICS, Neighbour.SINGLE_DRONES): lambda: taut_times(swarm().teams[0].motion),
+    (Feature.STATICS, Neighbour.FREE_CABLES): lambda: taut_times(slack()),
+    (Feature.STATICS, Neighbour.OBJECTS): lambda: ho.equilibrium(drum(), carrying_time()),
+    (Feature.SIMULATION, Neighbour.SINGLE_DRONES): lambda: Task.of(swarm()),
+}
+"""A refused call of each combination, but those that ``Flight.of_one_team`` refuses."""
+
+
+@pytest.mark.parametrize(("feature", "neighbour"), REFUSALS)
+def test_each_combination_is_refused_in_its_words(feature: Feature, neighbour: Neighbour) -> None:
+    def of_one_team() -> object:
+        return in_company(triangle(), neighbour).of_one_team(feature)
+
+    words = re.sub(r"\\\{\w+\\\}", ".*", re.escape(str(REFUSALS[feature, neighbour])))
+    with pytest.raises(HitchoptError, match=words):
+        RAISED.get((feature, neighbour), of_one_team)()
