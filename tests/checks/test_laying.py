@@ -376,7 +376,7 @@ def test_errors_of_the_certified_radius_keep_every_distance(n: int, tmp_path: Pa
     def error(count: int) -> np.ndarray:
         direction = rng.normal(size=(samples, count, 3))
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
-        return radius * direction * rng.choice([0.3, 1.0], size=(samples, 1, 1))
+        return np.asarray(radius * direction * rng.choice([0.3, 1.0], size=(samples, 1, 1)))
 
     for phase in motion.phases:
         if phase.name not in names:
