@@ -191,7 +191,7 @@ def taut_times(motion: Motion, count: int = SAMPLES) -> Array:
     """
     if not motion.team.has_cables:
         raise unsupported(Feature.STATICS, Neighbour.SINGLE_DRONES)
-    times = np.linspace(0.0, motion.duration, CANDIDATES * count)
+    times: Array = np.linspace(0.0, motion.duration, CANDIDATES * count)
     states = states_at(motion, times)
     taut = states.taut(motion.team.tension)
     unloaded = ~np.any(states.load_share > 0.0, axis=-1)  # statics do not model objects
