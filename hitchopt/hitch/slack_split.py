@@ -332,7 +332,7 @@ class LegTask:
             rolled = replace(self, roll=sign * angle)
             try:
                 margin = margin_of(rolled)
-            except InfeasibleError:
+            except InfeasibleError:  # clasps have no balance
                 return False
             return margin >= self.largest_margin * (1.0 - ROLL_MARGIN_ERROR)
 

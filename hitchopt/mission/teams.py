@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from hitchopt.mission.problem import Problem
 from hitchopt.motion.flight import Flight, TeamMotion, moved_objects
 from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
+from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.schedule import STEP, Blocked, Placed, SampledPath, Schedule
 from hitchopt.steps.certified_motions import CertifiedFlight, infeasible_error
 from hitchopt.trajectory import PiecewisePolynomial
@@ -58,33 +60,47 @@ def schedule_teams(
         for index, (row, before) in enumerate(_items(alone, problem.items))
     ]
     others = [each for name, other in problem.others.items() for each in other.teams(name)]
-    for margin in MARGINS:
+
+    def schedule(margin: float) -> Flight:
+        """Return the flight in which sampled times keep distances with a margin [m]."""
         report("finding the start time of each team")
         tracking_margin = margin + 2.0 * requirements.limits.tube.largest
         flown, clock = {name: list[Motion]() for name in alone}, 0.0
-        try:
-            for item in items:
-                placed = list[Placed]()
-                for other in others:  # sampled from this time of the plan on
-                    first, last = other.motion.drones.breaks[[0, -1]].tolist()
-                    start = math.floor((first - clock) / STEP + 1e-9)
-                    path = padded(other.motion, min(clock + STEP * start, first), last)
-                    sampled = SampledPath(replace(other, motion=path), moved_objects(path))
-                    placed.append(Placed(sampled, start))
-                clock += item.fly(flown, placed, tracking_margin)
-        except InfeasibleError:
-            if margin == 0.0:
-                raise
-            break  # report the certificate of the smaller margin
+        for item in items:
+            placed = list[Placed]()
+            for other in others:  # sampled from this time of the plan on
+                first, last = other.motion.drones.breaks[[0, -1]].tolist()
+                start = math.floor((first - clock) / STEP + 1e-9)
+                path = padded(other.motion, min(clock + STEP * start, first), last)
+                sampled = SampledPath(replace(other, motion=path), moved_objects(path))
+                placed.append(Placed(sampled, start))
+            clock += item.fly(flown, placed, tracking_margin)
         wholes = [(name, _merge_waits(concatenated(parts))) for name, parts in flown.items()]
-        flight = Flight(tuple(TeamMotion(*each) for each in wholes), tuple(others))
+        return Flight(tuple(TeamMotion(*each) for each in wholes), tuple(others))
+
+    def certified(margin: float) -> CertifiedFlight:
+        """Return the certified flight with a margin [m]."""
+        flight = schedule(margin)
         report("certifying all teams together")
         certificate = certify(flight)
-        if certificate.certified:
-            break
-    if not certificate.certified:
-        raise infeasible_error(certificate, flight)
-    return CertifiedFlight(flight, certificate)
+        if not certificate.certified:
+            raise infeasible_error(certificate, flight)
+        return CertifiedFlight(flight, certificate)
+
+    def candidate(margin: float, *larger: float) -> Candidate[CertifiedFlight]:
+        """Return the candidate of a margin [m]; it is amended to larger ones unless blocked."""
+
+        def with_larger(error: InfeasibleError) -> Candidate[CertifiedFlight] | None:
+            """Return the candidate of the next margin, if any may help."""
+            return None if isinstance(error, BlockedError) or not larger else candidate(*larger)
+
+        return Candidate("schedule", partial(certified, margin), with_larger)
+
+    return first_certified([candidate(*MARGINS)], Effort(), report)
+
+
+class BlockedError(InfeasibleError):
+    """Two teams without separate times: larger margins do not help."""
 
 
 def _items(
@@ -227,7 +243,7 @@ def _raised(motion: Motion, heights: Array) -> Motion:
     return motion.replaced(drones=add_heights(motion.drones), vertices=add_heights(motion.vertices))
 
 
-def _blocked_error(blocked: Blocked, item: int) -> InfeasibleError:
+def _blocked_error(blocked: Blocked, item: int) -> BlockedError:
     """Return the error of two teams without separate times."""
     x, y, z = blocked.place
     one, other = (name or "this plan" for name in blocked.names)
@@ -240,4 +256,4 @@ def _blocked_error(blocked: Blocked, item: int) -> InfeasibleError:
         remedy = f"move the goal of {one} or {other}, or let one of them fly in a separate item"
     unit = RULE_OF[blocked.check].unit
     values = blocked.check, blocked.value, blocked.limit, "min", unit, (one, other), when, remedy
-    return InfeasibleError([Violation(*values)])
+    return BlockedError([Violation(*values)])

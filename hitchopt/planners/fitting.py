@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -323,11 +324,8 @@ def _margin(
         shortest_leg=requirements.limits.leg,
         margin=SPREAD_MARGIN,
     )
-    try:
-        margin = task.reference_margin() if balanced else _smallest_split_margin(task)
-    except InfeasibleError:
-        return -1.0
-    return min(margin, SPREAD_MARGIN)
+    margin_of = task.reference_margin if balanced else partial(_smallest_split_margin, task)
+    return min(first_feasible(Candidate("balance", margin_of), -1.0), SPREAD_MARGIN)
 
 
 def _smallest_split_margin(task: LegTask) -> float:

@@ -30,7 +30,7 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
-from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
 from hitchopt.planners.carrying.capacity import best_rim_hold, team_for_rim
 from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
@@ -256,7 +256,7 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapac
     max_mass = np.inf
     rim_mass = 0.0
     texts = list[str]()
-    with contextlib.suppress(InfeasibleError):
+    with contextlib.suppress(InfeasibleError):  # some bodies have no polygons
         polygons = planner.state.polygons
         if isinstance(hold, GripHold):
             grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
@@ -606,18 +606,17 @@ def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
         for q_legs in splits:
             if np.min([q_legs, goal.slack - q_legs]) < shortest:
                 continue
-            with contextlib.suppress(InfeasibleError):
-                task = LegTask(
-                    team,
-                    requirements,
-                    polygons=polygon.vertices[None],
-                    reference=q_legs[None],
-                    shortest_leg=shortest,
-                    margin=1.0,
-                    roll=rolls,
-                )
-                if task.reference_margin() >= 1.0:
-                    yield Hitch(team, polygon, goal.altitude, q_legs, rolls)
+            task = LegTask(
+                team,
+                requirements,
+                polygons=polygon.vertices[None],
+                reference=q_legs[None],
+                shortest_leg=shortest,
+                margin=1.0,
+                roll=rolls,
+            )
+            if first_feasible(Candidate("balance", task.reference_margin), 0.0) >= 1.0:
+                yield Hitch(team, polygon, goal.altitude, q_legs, rolls)
 
 
 @documented

@@ -29,7 +29,7 @@ from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE, cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import SETTLE, CableState, Motion, Phase, concatenated
-from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
 from hitchopt.steps.step import IDLE, RestState, RolledLegs, SlackSplit, StepPlan, StepTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Points
@@ -41,9 +41,6 @@ if TYPE_CHECKING:
 LEVEL_TOLERANCE = 1e-3
 """Difference of heights up to which drones count as being at one height [m]: it changes a distance
 of 0.24 m by less than 1e-5 m."""
-
-MIN_LIMIT = 1e-9
-"""Smallest limit by which a violation is divided."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,20 +263,29 @@ def end_of_action(action: Action, legs: SlackSplit | None, requirements: Require
     if legs is not None:
         return end_of_morph(start, polygon, legs, requirements)
     legs_by_law = action.legs_by_law
-    try:
+
+    def by_law() -> End:
+        """Return the hitch with the legs of the action's law."""
         hitch = Hitch(start.team, polygon, start.altitude, legs_by_law, start.roll)
         check_at_rest(hitch, requirements, "at the end")
         return End(hitch)
-    except InfeasibleError as error:
-        violation = error.violations[0]
-    fractions = legs_by_law / cable_slack(start.team, polygon)
-    nearest = _nearest(start, polygon, fractions, requirements)
-    # A cable that does not slide keeps its legs to the last bit, so that its drones stay
-    slides = np.abs(nearest.q_legs - legs_by_law) >= SLIDING_TOLERANCE
-    q_legs = np.where(slides, nearest.q_legs, legs_by_law)
-    end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
-    reason = replace(violation, when="at the end", remedy="with the action's own legs")
-    return End(end, str(reason))
+
+    def nearest_to_law(violation: Violation) -> End:
+        """Return the feasible hitch with the nearest legs; they avoid the violation of the law."""
+        fractions = legs_by_law / cable_slack(start.team, polygon)
+        nearest = _nearest(start, polygon, fractions, requirements)
+        # A cable that does not slide keeps its legs to the last bit, so that its drones stay
+        slides = np.abs(nearest.q_legs - legs_by_law) >= SLIDING_TOLERANCE
+        q_legs = np.where(slides, nearest.q_legs, legs_by_law)
+        end = Hitch(start.team, polygon, start.altitude, q_legs, nearest.roll)
+        reason = replace(violation, when="at the end", remedy="with the action's own legs")
+        return End(end, str(reason))
+
+    def amended(error: InfeasibleError) -> Candidate[End]:
+        """Return the nearest legs as a candidate."""
+        return Candidate("nearest legs", partial(nearest_to_law, error.violations[0]))
+
+    return first_certified([Candidate("the action's own legs", by_law, amended)], Effort())
 
 
 def _nearest(
@@ -391,7 +397,7 @@ def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
     routes = [Candidate(OWN_ROUTE, straight_or_faster)]
     if task.optimiser:
         routes.append(Candidate(OPTIMISED_ROUTE, partial(optimised_plan, task, end, phase)))
-    return first_certified(routes, task.effort)
+    return first_certified(routes, task.effort, task.progress)
 
 
 def optimised_plan(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -140,18 +139,12 @@ class Form(Step):
         Drones fly to where cables hang clear of each other and of the ground, tie the hitch there,
         and lower it to its altitude.
         """
-        from hitchopt.planners.forming.laying import find_laying
-
         requirements = task.requirements
         team = task.before.team
         levels = self._levels(team)
         goal = self._goal(team, levels, requirements)
         check_at_rest(goal, requirements, f"at the end of step {task.index} (form)")
-        if levels is None:
-            plan = self._by_swaps(task, goal)
-        else:
-            laying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
-            plan = tied_plan(task, laying, goal)
+        plan = first_certified(self._ways(task, goal, levels), task.effort, task.progress)
         after = replace(plan.after, swap=self.swap, levels=levels)
         return plan.replaced(self.with_duration(task, plan.motion), after)
 
@@ -164,15 +157,23 @@ class Form(Step):
         order = self.stated_order
         return levels_of(team.layout, None if order is None else team.edges[order])
 
-    def _by_swaps(self, task: StepTask, goal: Hitch) -> StepPlan:
-        """Return the plan that ties the goal, or else a hitch on a circle that becomes the goal."""
-        return first_certified(self._ways_by_swaps(task, goal), task.effort, task.progress)
+    def _ways(
+        self, task: StepTask, goal: Hitch, levels: Indices | None
+    ) -> Iterator[Candidate[StepPlan]]:
+        """Yield the ways to tie the goal.
 
-    def _ways_by_swaps(self, task: StepTask, goal: Hitch) -> Iterator[Candidate[StepPlan]]:
-        """Yield the ways to tie the goal by swaps: directly, or as another hitch on a circle."""
+        Cables are laid on levels (n,), if they are given; otherwise drones swap to tie the goal
+        directly, or another hitch on a circle that becomes the goal.
+        """
+        from hitchopt.planners.forming.laying import find_laying
         from hitchopt.planners.forming.prehitch import find_prehitch
 
         requirements = task.requirements
+
+        def by_laying(levels: Indices) -> StepPlan:
+            """Return the plan that lays the goal's cables on one another."""
+            laying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
+            return require_certified(tied_plan(task, laying, goal))
 
         def directly(swap: SwapSettings) -> StepPlan:
             """Return the plan that ties the goal."""
@@ -184,6 +185,9 @@ class Form(Step):
             tying = tying.clear_of_ground(requirements)
             return morphed_plan(task, tied_plan(task, tying, tying.hitch), goal)
 
+        if levels is not None:
+            yield Candidate("laying", partial(by_laying, levels))
+            return
         for way in swap_ways(self.swap):
             yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
             for tying in tyings_on_circles(goal, requirements, way):
@@ -228,13 +232,16 @@ class Form(Step):
         shortest = assign_robots(team, drones, self.outline, leg)
         if self.by == "laying" or np.ptp(team.cable_length) == 0.0:
             return shortest
-        for evenness in SLACK_EVENNESS:
+
+        def holding(evenness: float) -> Assignment:
+            """Return the assignment with a cost of uneven slack, if the hitch holds at rest."""
             assignment = assign_robots(team, drones, self.outline, leg, evenness)
-            with contextlib.suppress(InfeasibleError):
-                goal = self._goal(assignment.team(team), None, requirements)
-                check_at_rest(goal, requirements, "")
-                return assignment
-        return shortest
+            goal = self._goal(assignment.team(team), None, requirements)
+            check_at_rest(goal, requirements, "")
+            return assignment
+
+        even = (Candidate("assignment", partial(holding, evenness)) for evenness in SLACK_EVENNESS)
+        return first_certified([*even, Candidate("any slack", lambda: shortest)], Effort())
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edit that scales its polygon about the centroid, the centre of later steps."""
@@ -354,7 +361,7 @@ def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
     candidates = [Candidate("morph", partial(whole, in_one))]
     if abs(goal.altitude - start.hitch.altitude) > ALTITUDE_TOLERANCE:
         candidates.append(Candidate("morph before lowering", partial(whole, lowered_last)))
-    return first_certified(candidates, task.effort)
+    return first_certified(candidates, task.effort, task.progress)
 
 
 def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:
@@ -423,7 +430,7 @@ def approach_motion(task: StepTask, goal: Array) -> Motion:
     kinds: list[type[Approach]] = [DirectApproach, GatheredApproach]
     if requirements.objects:
         kinds.append(OverApproach)
-    return first_certified(map(candidate, kinds), task.effort)
+    return first_certified(map(candidate, kinds), task.effort, task.progress)
 
 
 MIN_LARGER_ERRORS = 1e-3
@@ -578,25 +585,30 @@ class Release(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to untie a hitch, in the reverse order of tying it."""
-        from hitchopt.planners.forming.laying import find_laying, split_for_rolling
-
-        before = task.before
-        requirements = task.requirements
-        if before.levels is None:
-            plan = self._by_swaps(task)
-        else:
-            hitch = split_for_rolling(task.hitch, before.assumed_senses, requirements)
-            laid = find_laying(hitch, before.levels, requirements)
-            plan = untied_plan(task, laid.clear_of_ground(requirements), hitch)
+        plan = first_certified(self._ways(task), task.effort, task.progress)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
-    def _by_swaps(self, task: StepTask) -> StepPlan:
-        """Return the plan that unties the hitch as it is, or else one on a circle in its place."""
+    def _ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+        """Yield the ways to untie the hitch.
+
+        Cables that were laid leave each other; otherwise drones swap to untie the hitch as it is,
+        or one on a circle in its place.
+        """
+        from hitchopt.planners.forming.laying import find_laying, split_for_rolling
         from hitchopt.planners.forming.prehitch import find_prehitch
 
         requirements = task.requirements
         hitch = task.hitch
         senses = task.before.assumed_senses
+
+        def by_laying(levels: Indices) -> StepPlan:
+            """Return the plan that takes cables off one another, which the whole plan certifies.
+
+            Only the motion that laid them shows that they interlace.
+            """
+            split = split_for_rolling(hitch, senses, requirements)
+            laid = find_laying(split, levels, requirements).clear_of_ground(requirements)
+            return untied_plan(task, laid, split)
 
         def directly(swap: SwapSettings) -> StepPlan:
             """Return the plan that unties the hitch as it is."""
@@ -608,14 +620,13 @@ class Release(Step):
             tying = tying.with_senses(senses).clear_of_ground(requirements)
             return unmorphed_plan(task, tying)
 
-        def ways() -> Iterator[Candidate[StepPlan]]:
-            """Yield the ways to untie the hitch."""
-            for way in swap_ways(task.before.swap):
-                yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
-                for tying in tyings_on_circles(hitch, requirements, way):
-                    yield Candidate(f"{way.name}circle", partial(on_circle, tying))
-
-        return first_certified(ways(), task.effort, task.progress)
+        if task.before.levels is not None:
+            yield Candidate("laying", partial(by_laying, task.before.levels))
+            return
+        for way in swap_ways(task.before.swap):
+            yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
+            for tying in tyings_on_circles(hitch, requirements, way):
+                yield Candidate(f"{way.name}circle", partial(on_circle, tying))
 
 
 @documented

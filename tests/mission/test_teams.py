@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from plans import PROBLEMS, planned
 
 import hitchopt as ho
 from benchmarks.families import past_team
+from hitchopt.checks import Certificate, certify
 from hitchopt.mission.loading import problem_from_dict, request_in
 from hitchopt.motion.motion import WAIT
 from hitchopt.motion.plan_file import is_of, write_plan
@@ -216,6 +218,26 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
     assert names >= {"climb", "descend", WAIT}
     with pytest.raises(ho.InfeasibleError, match="at any delay"):
         exchanged(9.0)
+
+
+def test_start_times_have_a_larger_margin_until_all_teams_are_certified(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Distances at sampled times suffice only with a margin."""
+    flights = list[ho.Flight]()
+
+    def certify_third(flight: ho.Flight) -> Certificate:
+        flights.append(flight)
+        certificate = certify(flight)
+        first, *rest = certificate.limited
+        failed = replace(first, holds=len(flights) > 2)
+        return replace(certificate, limited=(failed, *rest))
+
+    monkeypatch.setattr("hitchopt.mission.teams.certify", certify_third)
+    said = list[str]()
+    plan = ho.solve(teams(FILE), progress=said.append)
+    assert plan.flight is flights[2]
+    assert "trying schedule 3" in said
 
 
 @pytest.mark.parametrize("seed", [8, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 4))])

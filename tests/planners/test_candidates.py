@@ -165,6 +165,16 @@ def test_records_that_planners_build_from_bad_values_leave_the_file_valid(
         assert plan.certificate.certified
 
 
+def test_laying_is_a_candidate_of_forms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A planner's failure is told as that of a planner, as with swaps."""
+    form = {"polygon": TRIANGLE, "altitude": 1.5, "by": "laying"}
+    laid = {**FORM, "mission": [{"form": form}]}
+    fault = partial(failing, HitchoptError("no offset was found"))
+    monkeypatch.setattr("hitchopt.planners.forming.laying.find_laying", lambda *_: fault())
+    with pytest.raises(PlannerError, match="no offset was found"):
+        ho.solve(ho.problem_from_dict(laid))
+
+
 def test_a_cable_that_errors_may_pull_taut_has_no_altitude() -> None:
     hitch = ho.Hitch.balanced(ho.Team(3, 2.4, cable_density=0.005), TRIANGLE, 1.5)
     requirements = replace(Requirements(), position_error=1.1)

@@ -192,6 +192,15 @@ def test_infeasible_ends_are_refused_by_name(change: dict[str, Any], words: str)
         separate(replace(task_of(PAIR, [[0.0, 0, 1], [-1, 0, 1]]), **change))
 
 
+def test_the_best_of_all_routes_is_refused_with_their_number() -> None:
+    """In a corridor without room for two drones side by side."""
+    corridor = Arena([-1.1, -0.05, 0.95], [1.1, 0.05, 1.05])
+    with pytest.raises(InfeasibleError, match=r"best of \d candidates: \d routes") as caught:
+        separate(task_of(PAIR, PAIR[::-1], arena=corridor))
+    assert "the search of routes is local" in caught.value.note
+    assert caught.value.violations
+
+
 @pytest.mark.slow
 def test_a_feasible_duration_is_suggested() -> None:
     start = np.column_stack([0.4 * np.arange(4), np.full(4, 0.5), np.full(4, 1.0)])

@@ -5,17 +5,17 @@ Cables are weightless here, with equal lengths and tensions.
 
 from __future__ import annotations
 
-import contextlib
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.holding import Capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import SolidObject
+from hitchopt.planners.candidates import Candidate, first_feasible
 from hitchopt.planners.carrying.holds import RestHold
 from hitchopt.planners.carrying.polygons import HoldPolygons, rest_polygons
 from hitchopt.planners.fitting import shortest_cable
@@ -119,11 +119,13 @@ def cuts_rim(team: Team, body: SolidObject, clasps: Array, mass: float) -> bool:
     loaded = with_fields(body, mass=max(mass, CUT_RESOLUTION))
     equal_legs = np.full(team.robots, 0.5)
     level = np.zeros(team.robots)
-    try:
+
+    def cuts() -> bool:
+        """Return False, or raise InfeasibleError where legs cut the rim."""
         RestHold(team, loaded, clasps, height, equal_legs, level).check_rim(team.tension)
-    except InfeasibleError:
-        return True
-    return False
+        return False
+
+    return first_feasible(Candidate("uncut rim", cuts), True)
 
 
 def _uncut_mass(team: Team, body: SolidObject, clasps: Array, cutting: float) -> float:
@@ -172,16 +174,22 @@ def team_for_rim(
     requirements: limits and distances.
     gap: distance of edges around the object [m].
     """
+
+    def holding(number: int) -> RimTeam | None:
+        """Return the team of a size if it holds the object on one of its polygons."""
+        polygons = rest_polygons("object", body, number, gap)[0]
+        team = Team(number, cable_length, tension=tension, quadrotor=kind)
+        for clasps in polygons.below_rim:
+            if cuts_rim(team, body, clasps, body.mass):
+                continue
+            outlines = [ConvexPolygon(polygons.around), ConvexPolygon(clasps)]
+            needed = max(cable_length, shortest_cable(outlines, requirements))
+            if _borne(body, clasps, needed, tension, kind, requirements).mass >= body.mass:
+                return RimTeam(number, needed)
+        return None
+
     others = [number for number in COMPARED_ROBOTS if number != robots]
-    for number in sorted(others, key=lambda number: (abs(number - robots), number)):
-        with contextlib.suppress(InfeasibleError):
-            polygons = rest_polygons("object", body, number, gap)[0]
-            team = Team(number, cable_length, tension=tension, quadrotor=kind)
-            for clasps in polygons.below_rim:
-                if cuts_rim(team, body, clasps, body.mass):
-                    continue
-                outlines = [ConvexPolygon(polygons.around), ConvexPolygon(clasps)]
-                needed = max(cable_length, shortest_cable(outlines, requirements))
-                if _borne(body, clasps, needed, tension, kind, requirements).mass >= body.mass:
-                    return RimTeam(number, needed)
-    return None
+    nearest_first = sorted(others, key=lambda number: (abs(number - robots), number))
+    sizes = (Candidate("team", partial(holding, number)) for number in nearest_first)
+    teams = (first_feasible(size, None) for size in sizes)
+    return next(filter(None, teams), None)

@@ -303,7 +303,7 @@ def distance_margins(paths: Sequence[KnotPath], requirements: Requirements) -> A
             roll=np.concatenate(rolls),
         )
         margins = task.reference_margins()
-    except InfeasibleError:
+    except InfeasibleError:  # clasps have no balance
         margins = np.zeros(len(paths) * knots)
     return margins.reshape(len(paths), knots)
 

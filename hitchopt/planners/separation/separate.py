@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +19,7 @@ from hitchopt.errors import InfeasibleError, Progress, Violation, rounded_up
 from hitchopt.hitch import Swarm
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.motion.motion import Motion
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
 from hitchopt.planners.separation.guesses import pushed_apart, roundabout, scheduled, setting_of
 from hitchopt.planners.separation.prioritized import prioritized
 from hitchopt.planners.separation.program import (
@@ -114,19 +115,44 @@ class SeparatedCurves:
         report = progress or (lambda _: None)
         task = self.task
         _check_ends(task)
-        setting = self.problem
-        if task.duration is not None and task.duration < setting.bound:
-            raise InfeasibleError([_too_short(task, setting.bound, "no drone can be as fast")])
-        evaluations: list[CurveBounds] = []
-        for guess in _guesses(setting):
-            report(f"guess: {guess.rule or 'straight'}")
-            evaluation = _improved(guess, report)
-            if evaluation.clear and evaluation.duration <= (task.duration or math.inf):
-                duration = task.duration or evaluation.duration
-                curves = guess.setting.grid.curves(evaluation.coefficients, duration)
-                return SeparationResult(curves, evaluation.closest, setting.bound, guess.rule)
-            evaluations.append(evaluation)
-        return _last_resort(task, evaluations, report)
+        bound = self.problem.bound
+        if task.duration is not None and task.duration < bound:
+            raise InfeasibleError([_too_short(task, bound, "no drone can be as fast")])
+        return first_certified(self._routes(report), Effort())
+
+    def _routes(self, report: Progress) -> Iterator[Candidate[SeparationResult]]:
+        """Yield the routes from all guesses, then the fastest one at a prescribed duration.
+
+        Raises InfeasibleError if the fastest one takes longer: its duration is a remedy that holds.
+        """
+        task = self.task
+        for guess in _guesses(self.problem):
+            yield Candidate("route", partial(self._route, guess, report))
+        if task.duration is None:
+            return
+        report("searching for a feasible duration")
+        untimed = SeparatedCurves(replace(task, duration=None))
+        fastest = first_feasible(Candidate("fastest route", partial(untimed.solve, report)), None)
+        if fastest is None:
+            return
+        duration = fastest.drones.duration
+        if duration > task.duration:
+            raise InfeasibleError([_too_short(task, duration, SLOW_ROUTE)])
+        slowed = replace(fastest, drones=fastest.drones.stretched(task.duration / duration))
+        yield Candidate("slowed route", lambda: slowed)
+
+    def _route(self, guess: Guess, report: Progress) -> SeparationResult:
+        """Return the curves that programs reach from a guess; raise InfeasibleError otherwise."""
+        report(f"guess: {guess.rule or 'straight'}")
+        task, best = self.task, _improved(guess, report)
+        duration = task.duration or best.duration
+        violations = list(best.violations)
+        if best.clear and best.duration > duration:
+            violations = [_too_short(task, best.duration, SLOW_ROUTE)]
+        if violations:
+            raise InfeasibleError(violations, LOCAL_SEARCH)
+        curves = guess.setting.grid.curves(best.coefficients, duration)
+        return SeparationResult(curves, best.closest, self.problem.bound, guess.rule)
 
 
 class Guess(NamedTuple):
@@ -246,24 +272,11 @@ def _concatenated(parts: Sequence[Planes]) -> Planes:
     )
 
 
-def _last_resort(
-    task: SeparationTask, evaluations: list[CurveBounds], report: Progress
-) -> SeparationResult:
-    """Return the fastest flight at the prescribed duration, or raise InfeasibleError."""
-    nearest = max(evaluations, key=lambda evaluation: evaluation.closest)
-    guesses = len(evaluations)
-    note = f"no route was found from {guesses} guesses; the search is local: others may exist"
-    if task.duration is None:
-        raise InfeasibleError(nearest.violations, note)
-    report("searching for a feasible duration")
-    try:
-        fastest = SeparatedCurves(replace(task, duration=None)).solve(report)
-    except InfeasibleError as error:
-        raise InfeasibleError(nearest.violations, note) from error
-    duration = fastest.drones.duration
-    if duration > task.duration:
-        raise InfeasibleError([_too_short(task, duration, "the fastest route found takes longer")])
-    return replace(fastest, drones=fastest.drones.stretched(task.duration / duration))
+SLOW_ROUTE = "the fastest route found takes longer"
+"""Why a duration is too short."""
+
+LOCAL_SEARCH = "the search of routes is local: others may exist"
+"""Note on routes that violate a limit."""
 
 
 def _too_short(task: SeparationTask, duration: float, reason: str) -> Violation:
