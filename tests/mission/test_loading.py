@@ -426,7 +426,7 @@ def test_models_of_drones_are_named_in_files() -> None:
     ("kind", "team"), [("", "Team"), ("_carry", "Team"), ("_swarm", "SwarmTeam")]
 )
 def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None:
-    """Uncommented, their sections are read, and change nothing."""
+    """Uncommented, their sections are read, and change nothing but that semi-axes are stated."""
     text = problem_text(TEMPLATE.with_stem(f"template{kind}"))
     text = re.sub(r"\n  quadrotor: \S+ .*", "", text)  # the model, instead of its numbers
     uncommented = re.sub(
@@ -442,7 +442,9 @@ def test_templates_show_every_key_with_its_default(kind: str, team: str) -> None
     if kind == "_carry":
         alternatives = {"circle", "file"}  # to an outline
         assert set(data["objects"]["box"]) | alternatives == set(schema["ObjectKeys"]["properties"])
-    read, unchanged = (problem_from_dict(each) for each in (data, plain_data))
+    axes = {"radius": ho.Separation.radius, "height": ho.Separation.height}
+    stated = {**plain_data, "separation": axes}  # over those of the drones' models
+    read, unchanged = (problem_from_dict(each) for each in (data, stated))
     assert plain(read) == plain(unchanged)
 
 
