@@ -178,25 +178,25 @@ Cables that are drawn taut rise: their distances from drones are horizontal, too
 
 
 def _drones_and_standing(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and prisms, and of drones and fixed objects."""
+    """Yield pairs of drones and prisms, and of drones and objects that nothing can hold."""
     drones = drones_of(motion)
     points = Enclosed(drones.corners)
     for prism in motion.requirements.keep_out:
         yield pairs_with_shape(motion, points, drones.names, "", Solid(prism.slab))
-    yield from _drones_and_objects(motion, fixed=True)
+    yield from _drones_and_objects(motion, held=False)
 
 
 def _drones_and_movable(motion: Motion) -> Iterator[Moving]:
-    """Yield pairs of drones and objects that can be held."""
-    yield from _drones_and_objects(motion, fixed=False)
+    """Yield pairs of drones and objects that their cables can hold."""
+    yield from _drones_and_objects(motion, held=True)
 
 
-def _drones_and_objects(motion: Motion, *, fixed: bool) -> Iterator[Moving]:
-    """Yield pairs of drones and objects that are ``fixed`` or not."""
+def _drones_and_objects(motion: Motion, *, held: bool) -> Iterator[Moving]:
+    """Yield pairs of drones and objects that can be ``held`` by cables, or cannot."""
     drones = drones_of(motion)
     points = Enclosed(drones.corners)
     for name, body, pose in placed_objects(motion):
-        if body.fixed is fixed:
+        if (motion.team.has_cables and not body.fixed) is held:
             for slab in body.slabs:
                 yield pairs_with_shape(motion, points, drones.names, name, Solid(slab), pose)
 

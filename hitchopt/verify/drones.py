@@ -45,7 +45,7 @@ def drones(p: Plan) -> Iterator[Row]:
     yield prove(p.arena_row, 0.0, s, lambda s, i: wall_gap(s, [s.point(i)]))
     for b, slab in [*p.slabs, *p.walls]:
         gap = partial(to_slab, b=b, slab=slab)
-        can_be_held = b >= 0 and not p.bodies[b].fixed
+        can_be_held = p.n > 0 and b >= 0 and not p.bodies[b].fixed
         error = p.tracking if can_be_held else 0.0  # objects err with what holds them
         yield prove("keep_out m min", sep["radius"] + error, s, gap)
     for b, slab in [] if p.n else p.slabs:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from plans import planned_of
 
+from hitchopt.checks import certify
 from hitchopt.checks.certificate import Check
 from hitchopt.exports.exporting import Export, export_flight
 from hitchopt.exports.format import ExportTask, format_of
@@ -22,6 +23,7 @@ from hitchopt.hitch.requirements import Arena, Limits, Requirements, Separation
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.motion.plan_file import SavedPlan
+from hitchopt.plan import Plan
 from hitchopt.trajectory import PiecewisePolynomial
 
 Array = NDArray[np.float64]
@@ -111,3 +113,9 @@ def exported(flown: Motion | Flight, name: str, folder: Path, **options: Any) ->
     """Export a flight, with slack cables where nothing holds their tension."""
     saved = SavedPlan(Flight.of(flown), "A plan")
     return export_flight(saved, ExportOptions(name, **{"allow_slack": True, **options}), folder)
+
+
+def reflown(plan: Plan, motion: Motion) -> Plan:
+    """Return a plan with another motion, and its certificate."""
+    flight = Flight.of(motion)
+    return replace(plan, flight=flight, certificate=certify(flight))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from exported_plans import reflown
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
@@ -65,10 +66,7 @@ def test_drones_that_fly_by_them_are_where_the_plan_says(plan: ho.Plan) -> None:
     """Level and upright apart, as a flight controller's gains are."""
     gains = {"kp": [4.75, 3.5], "kd": [1.32, 1.0], "ki": 0}
     kinds = (ho.Quadrotor(controller="mellinger", gains=gains),) * 3
-    plan = replace(
-        plan,
-        flight=ho.Flight.of(replace(plan.motion, team=replace(plan.motion.team, quadrotor=kinds))),
-    )
+    plan = reflown(plan, replace(plan.motion, team=replace(plan.motion.team, quadrotor=kinds)))
     held = held_tension(plan.flight)
     t = np.linspace(0.0, plan.duration, 30)
     away = np.linalg.norm(flown(plan.motion, held, t) - plan.at(t).positions, axis=-1)
@@ -140,7 +138,7 @@ SLACK, INTEGRAL = "Cables will go slack: this receiver takes no cable forces.", 
 def of_kind(plan: ho.Plan, kind: ho.Quadrotor) -> ho.Plan:
     """Return a plan with other drones."""
     team = replace(plan.motion.team, quadrotor=(kind,) * 3)
-    return replace(plan, flight=ho.Flight.of(replace(plan.motion, team=team)))
+    return reflown(plan, replace(plan.motion, team=team))
 
 
 @pytest.mark.parametrize(
@@ -211,7 +209,7 @@ def test_integrals_are_refused_with_gains_that_hold_the_tension(
     walls = ho.Arena([-2.2, -2.2, 0.0], [2.2, 2.2, 3.0])
     walled = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
     other = of_kind(
-        replace(plan, flight=ho.Flight.of(walled)),
+        reflown(plan, walled),
         ho.Quadrotor(controller="mellinger", gains=gains),
     )
     with pytest.raises(ho.InfeasibleError) as caught:
@@ -231,10 +229,8 @@ def test_allowed_slack_is_used_only_where_tensions_cannot_be_held(
     walls = ho.Arena(low - 0.02, high + 0.02)  # setpoints are 10 cm outward
     near = replace(plan.motion, requirements=replace(plan.motion.requirements, arena=walls))
     with pytest.raises(ho.InfeasibleError, match="setpoints that hold the tension exceed"):
-        replace(plan, flight=ho.Flight.of(near)).export("compressed", tmp_path / "near")
-    (lost,) = replace(plan, flight=ho.Flight.of(near)).export(
-        "compressed", tmp_path / "near", allow_slack=True
-    )
+        reflown(plan, near).export("compressed", tmp_path / "near")
+    (lost,) = reflown(plan, near).export("compressed", tmp_path / "near", allow_slack=True)
     assert lost.goes_slack
     assert any(note.startswith(SLACK) for note in lost.notes)
 
@@ -277,7 +273,7 @@ def test_positions_alone_are_refused_where_distances_do_not_allow_for_the_lag(
     def export(tracking: float | ho.Tube, **options: Any) -> None:
         wider = replace(limits, tracking=tracking)
         need = replace(plan.motion.requirements, limits=wider)
-        tight = replace(plan, flight=ho.Flight.of(replace(plan.motion, requirements=need)))
+        tight = reflown(plan, replace(plan.motion, requirements=need))
         tight.export("skybrush", tmp_path, positions_only=True, **options)
 
     def refusal(tracking: float | ho.Tube, **options: Any) -> str:
@@ -312,7 +308,7 @@ def test_errors_to_plan_with_are_those_that_positions_alone_need(
         motion = plan.motion.replaced(
             requirements=need, team=replace(plan.motion.team, quadrotor=kinds)
         )
-        replace(plan, flight=ho.Flight.of(motion)).export("skybrush", tmp_path, positions_only=True)
+        reflown(plan, motion).export("skybrush", tmp_path, positions_only=True)
 
     with pytest.raises(ho.InfeasibleError) as caught:
         export(radius - 2e-3, None)

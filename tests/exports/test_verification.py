@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from exported_plans import PROBLEM, exported, flown_checks, hitch_plan, swarm_plan
+from exported_plans import PROBLEM, exported, flown_checks, hitch_plan, reflown, swarm_plan
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -62,14 +62,14 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], 
 def test_a_motion_is_certified_once_and_another_one_again(
     tmp_path: Path,
 ) -> None:
-    """Exports ask for the certificate of the very motion, whatever a plan says of it."""
+    """Exports ask for the certificate of the very motion."""
     solved = ho.solve(ho.problem_from_dict(PROBLEM))
     solved.save(tmp_path / "plan", picture=False)
     late = np.array(solved.motion.vertices.coefficients)
     late[-1, 0] += 0.01  # which no exported file shows
     moved = solved.motion.replaced(vertices=solved.motion.vertices.replaced(late))
     with pytest.raises(CertificateError, match=r"continuity|cable_length|equilibrium"):
-        replace(solved, flight=ho.Flight.of(moved)).export("csv", tmp_path / "moved")
+        reflown(solved, moved).export("csv", tmp_path / "moved")
     read = read_plan(tmp_path / "plan" / "plan.npz")
     exported(read, "csv", tmp_path / "files")
     evaluated = list[str]()
