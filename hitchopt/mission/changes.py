@@ -400,7 +400,10 @@ def _quadrotor_keys(kind: Quadrotor) -> dict[str, Any]:
     values = {key: v for key, v in vars(kind).items() if key in required or v != defaults[key]}
     if kind.gains is not None:
         gains = {key: pair for key, pair in vars(kind.gains).items() if pair is not None}
-        values["gains"] = {key: list(pair) for key, pair in gains.items()}
+        values["gains"] = {
+            key: level if level == upright else [level, upright]
+            for key, (level, upright) in gains.items()
+        }
     if kind.trim is not None:
         values["trim"] = list(kind.trim)
     if isinstance(kind.tracking, Tube):
