@@ -76,7 +76,7 @@ def settle_row(seed: int) -> tuple[object, ...]:
     rows = (record.t > plan.duration - REST_TIME) & (record.t <= plan.duration)
     pulls = np.mean(record.tensions[rows], axis=0)
     vertices = np.nanmean(record.vertices[rows], axis=0)
-    bends = bend_lengths(simulation.flight.task.of_one_team("this benchmark"), *ROPE)
+    bends = bend_lengths(simulation.flight.task.teams[0], *ROPE)
     equilibrium = ho.equilibrium(
         plan,
         plan.duration,

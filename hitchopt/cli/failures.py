@@ -131,8 +131,8 @@ def report_error(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr, and record the error as a result."""
     from hitchopt.values.fields import Missing
 
-    is_of_command = isinstance(error, InputError) and error.place is None
-    if is_of_command and error.key in (names := options()):
+    names = options()
+    if isinstance(error, InputError) and error.place is None and error.key in names:
         name, value = names[error.key], error.value
         if value is False and error.key in (negated := negations()):
             name, value = negated[error.key], True

@@ -32,7 +32,7 @@ from hitchopt.checks.rule import approach
 from hitchopt.checks.separation import closeness
 from hitchopt.hitch import Team
 from hitchopt.hitch.catenary import Catenary
-from hitchopt.hitch.pairs import DISTANCES
+from hitchopt.hitch.pairs import DISTANCES, Bodies
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.motion.motion import Motion
 from hitchopt.objects import Section
@@ -387,10 +387,11 @@ def test_a_single_drone_is_refused() -> None:
 
 def test_what_is_held_errs_with_the_vertices_that_hold_it() -> None:
     """A drone may approach a held object by two radii: its own, and that of the vertices."""
-    alone = (("drones", "objects"),)
-    assert approach(alone, 1.0, hitched=True) == 1.0
-    assert approach((*alone, ("drones", "held")), 1.0, hitched=True) == 2.0
-    assert approach((("drones", "held"),), 3.0, hitched=False) == 4.0
+    standing: Bodies = ("drones", "objects")
+    held: Bodies = ("drones", "held")
+    assert approach([standing], 1.0, hitched=True) == 1.0
+    assert approach([standing, held], 1.0, hitched=True) == 2.0
+    assert approach([held], 3.0, hitched=False) == 4.0
 
 
 def test_drones_keep_off_a_held_box_if_both_err() -> None:

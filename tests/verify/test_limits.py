@@ -196,7 +196,8 @@ def test_hanging_cables_are_longer_than_chords_with_errors(tracking: Any, tmp_pa
     plan = planned("form_square").motion
     hanging = slice_time(plan, plan.phases[0].start, plan.phases[0].end)
     motion = required(hanging, limits={"tracking": tracking})
-    times = np.linspace(*motion.drones.breaks[[0, -1]], 501)
+    start, end = motion.drones.breaks[[0, -1]].tolist()
+    times = np.linspace(start, end, 501)
     chords = motion.drones.at(times)[:, 1::2] - motion.drones.at(times)[:, 0::2]
     tube = motion.requirements.limits.tube
     if tube.level == tube.height:
