@@ -172,8 +172,9 @@ def test_half_a_turn_too_little_or_too_much_is_refused() -> None:
 
 
 def resting(motion: Motion, state: CableState) -> Motion:
-    """Return a rest at the end of a motion, in another state."""
-    return at_rest(motion, 1.0, Phase("rest", 0, 0.0, 1.0, state=state))
+    """Return a rest at the end of a motion, in another state, whatever its pairs."""
+    phase = Phase("rest", 0, 0.0, 1.0, state=state)
+    return replace(at_rest(motion, 1.0, phase), phases=(phase,))
 
 
 def second_opinion(motions: Sequence[Motion], path: Path, *functions: Rows) -> str:

@@ -69,7 +69,7 @@ def test_infeasible_problems_end_with_3_and_name_the_limits(path: Path) -> None:
     binds = header(path, "Binds")
     told = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
     assert any(line.startswith(f"error: {binds}") for line in told)
-    notes = ("error: the optimiser", "error: the step's own route", "error: not checked yet")
+    notes = ("error: the optimiser", "error: the best of", "error: not checked yet")
     assert all("; " in line for line in told if not line.startswith(notes))
     assert result.stderr.splitlines()[-1] == "no plan; the diagnosis is in out/diagnosis.json"
     found = diagnosis()
