@@ -475,7 +475,9 @@ class Problem(ByValue):
             check_instance("team", self.team, Team)
             steps = sequence("mission", self.mission)
             for i, step in enumerate(steps):
-                check_instance(f"mission[{i}]", step, Step)
+                if not isinstance(step, Step):
+                    remedy = "write it as a record, such as hitchopt.Hold(1.0)"
+                    raise InputError(f"mission[{i}]", step, "a step", remedy)
             requirements = self._requirements(self.team, self.objects)
             own = TeamMission("", self.team, self.start, steps, requirements)
             for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):
