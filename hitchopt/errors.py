@@ -44,10 +44,11 @@ class OneLine:
         return one_line(type(self).__name__, self._parts())
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a record that was pickled or copied, with its arrays read-only as before."""
-        for value in state.values():
-            if hasattr(value, "setflags"):
-                value.setflags(write=False)
+        """Restore what was pickled or copied; arrays of records are read-only, as before."""
+        if is_dataclass(self):  # players, replanners and feedback change their arrays
+            for value in state.values():
+                if hasattr(value, "setflags"):
+                    value.setflags(write=False)
         vars(self).update(state)
 
     def _parts(self) -> Iterator[str]:

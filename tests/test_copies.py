@@ -55,3 +55,13 @@ def test_a_plan_has_the_certificate_of_its_own_flight() -> None:
     with pytest.raises(ho.InputError, match="certificate = 'of another flight'"):
         ho.Plan(one.flight, ho.Certificate(one.duration, one.certificate.checks))
     assert ho.Plan(stricter, ho.certify(stricter)).duration == one.duration
+
+
+def test_copies_of_what_changes_change_on() -> None:
+    """A copy of feedback measures vertices as the original does."""
+    plan = planned("triangle")
+    feedback = ho.Feedback(plan)
+    seen = plan.at(0.0).vertices + 0.01
+    for each in (copy.deepcopy(feedback), feedback):
+        each.step(0.0, 0.01, seen)
+        assert np.any(each.offsets)
