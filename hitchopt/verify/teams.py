@@ -18,7 +18,11 @@ from .spans import Row, Spans, prove
 
 Corners = Sequence[Line]
 
-DRONES, TAUT, HANGING, BEING_LAID, CLASPING = "drones", "taut", "hanging", "being laid", "clasping"
+DRONES = "drones"
+TAUT = "taut"
+HANGING = "hanging"
+BEING_LAID = "being laid"
+CLASPING = "clasping"
 REGIONS = {HANGING, BEING_LAID, CLASPING}
 """Cables without a hitch, which vertical regions contain."""
 

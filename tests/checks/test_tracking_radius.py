@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from motions import (
 )
 from plans import planned
 from refusals import assert_refused
+from second_opinions import opinion_of
 
 import hitchopt as ho
 from hitchopt.checks import Check, certify, tracking
@@ -409,3 +411,26 @@ def test_drones_keep_off_a_held_box_if_both_err() -> None:
         )
         closest = min(closest, *(np.min(slab.clearance(local).distance) for slab in box.slabs))
     assert closest - 2.0 * radius >= motion.requirements.separation.radius
+
+
+def test_a_drone_above_what_can_be_held_may_err_half_as_far(tmp_path: Path) -> None:
+    """The post errs with the vertices, in ``verify`` too; one that is fixed does not."""
+    team = ho.Team(robots=3, cable_length=2.4)
+    start = ho.Hitch.spread(team, [[1, -1], [0.6, 0.5], [1.4, 0.5]], altitude=1.5)
+    motion = ho.solve(start, ho.Hold(1.0)).motion
+    x, y, z = start.drones[0]
+
+    def beside(limits: Limits, *, fixed: bool) -> Motion:
+        top = float(z) - 0.15
+        post = ho.SolidObject(ho.Section(radius=0.1), 0.0, top, 0.1, 0.5, at=[x, y, 0], fixed=fixed)
+        need = replace(motion.requirements, objects={"post": post}, limits=limits)
+        return replace(motion, requirements=need, poses=None, load_share=None)
+
+    held = radius_of(beside(motion.requirements.limits, fixed=False))
+    assert held.binding == "keep_out"
+    assert held.worst == pytest.approx(0.5 * (0.15 - 0.12), rel=1e-6)
+    tracked = Limits(tracking=0.02)
+    for fixed in (True, False):
+        rows = opinion_of(beside(tracked, fixed=fixed), tmp_path)
+        verdicts = {row.verdict for row in rows if row.name == "keep_out"}
+        assert verdicts == ({"proven"} if fixed else {"violated"})
