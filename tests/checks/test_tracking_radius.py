@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -424,7 +425,8 @@ def test_a_drone_above_what_can_be_held_may_err_half_as_far(tmp_path: Path) -> N
         top = float(z) - 0.15
         post = ho.SolidObject(ho.Section(radius=0.1), 0.0, top, 0.1, 0.5, at=[x, y, 0], fixed=fixed)
         need = replace(motion.requirements, objects={"post": post}, limits=limits)
-        return replace(motion, requirements=need, poses=None, load_share=None)
+        from_objects: dict[str, Any] = {"poses": None, "load_share": None}
+        return replace(motion, requirements=need, **from_objects)
 
     held = radius_of(beside(motion.requirements.limits, fixed=False))
     assert held.binding == "keep_out"
