@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import hitchopt as ho
 from hitchopt.errors import Violation
+from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.moving import Hold
-from hitchopt.steps.step import StepPlan, StepTask
 
 TRIANGLE = [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]]
 NEEDED_SPEED = 2.0  # [m/s] of the limit with which a brittle step is feasible

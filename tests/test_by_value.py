@@ -21,10 +21,11 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.others import Other
 from hitchopt.motion.request import decoded, encoded
+from hitchopt.planners.ends import RolledLegs
 from hitchopt.planners.forming import SwapSettings
 from hitchopt.steps import STEPS
 from hitchopt.steps.moving import Hold, Morph, MoveStep
-from hitchopt.steps.step import RolledLegs, Step
+from hitchopt.steps.step import Step
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import ByValue
 from hitchopt.values.fields import EMPTY, keys_of

@@ -25,7 +25,7 @@ from generators.problem_collection import (
     entry,
 )
 from hitchopt.errors import FileError
-from hitchopt.steps.step import RolledLegs
+from hitchopt.planners.ends import RolledLegs
 
 INTRODUCTION = """# Gallery of problems
 

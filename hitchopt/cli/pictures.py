@@ -146,7 +146,7 @@ def _serve(
     ghost: Path | None,
 ) -> LiveView:
     """Show a plan in the page of a server, with an editor that saves to ``file``."""
-    from hitchopt.steps.certified_motions import CertifiedFlight
+    from hitchopt.mission.teams import CertifiedFlight
     from hitchopt.view.editing import Editing
     from hitchopt.view.live import LiveView
     from hitchopt.view.panel import EditingPanel

@@ -22,6 +22,7 @@ import numpy as np
 
 from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch import Hitch
@@ -41,8 +42,7 @@ from hitchopt.motion.retiming import (
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import REST_DRIFT, in_world
 from hitchopt.planners.forming.stages import stage, straight_lines
-from hitchopt.steps.certified_motions import infeasible_error
-from hitchopt.steps.step import RestState, StepTask
+from hitchopt.planners.task import RestState, StepTask
 from hitchopt.steps.tying import Release, vertical_motion
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, InputError, OneLine
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import column_lengths, length, rotated
@@ -37,7 +38,7 @@ from hitchopt.motion.retiming import append_motion, cut, resting, truncated, wit
 from hitchopt.plan import Plan
 from hitchopt.planners.morph.friction import cables_of_legs
 from hitchopt.planners.morph.path import cable_along
-from hitchopt.steps.certified_motions import infeasible_error, rest_motion
+from hitchopt.planners.rests import rest_motion
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.search import rough_bounds

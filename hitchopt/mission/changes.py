@@ -30,6 +30,7 @@ from hitchopt.hitch import GRAVITY, Quadrotor
 from hitchopt.hitch.requirements import Limits
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem
 from hitchopt.objects import Rim
+from hitchopt.planners.ends import RolledLegs
 from hitchopt.steps.moving import ShapeStep
 from hitchopt.steps.step import (
     DECIMALS,
@@ -37,7 +38,6 @@ from hitchopt.steps.step import (
     Edit,
     Edits,
     Knob,
-    RolledLegs,
     altitude_knobs,
     checks_relaxed_by,
     scaled_outline_edit,

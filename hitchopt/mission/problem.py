@@ -31,6 +31,7 @@ from hitchopt.mission.others import MAX_TEAMS, NAME, OTHERS, Other
 from hitchopt.motion.request import request_fields
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import check_placed
+from hitchopt.planners.ends import SlackSplit
 from hitchopt.steps import STEP_KINDS, STEPS
 from hitchopt.steps.flying import SWARM_PLACES, Fly, check_count
 from hitchopt.steps.step import (
@@ -39,7 +40,6 @@ from hitchopt.steps.step import (
     TRIANGLE,
     Legs,
     Polygon,
-    SlackSplit,
     Stage,
     Step,
     shown_legs,

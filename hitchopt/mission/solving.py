@@ -7,15 +7,16 @@ import math
 import pickle
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from hitchopt.checks import merged
+from hitchopt.checks import Certificate, merged
 from hitchopt.checks.arena import ARENA, nearest_wall
 from hitchopt.checks.linking import DURATION
 from hitchopt.checks.registry import RULES, with_rules
+from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.drones.controllers import FlightController, Tube, of_same_firmware
 from hitchopt.errors import (
     EXCHANGED,
@@ -28,27 +29,21 @@ from hitchopt.errors import (
     planners_faults,
 )
 from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.mission.changes import can_be_stiffer
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, TeamMission
-from hitchopt.mission.teams import schedule_teams
+from hitchopt.mission.teams import CertifiedFlight, schedule_teams
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, concatenated
 from hitchopt.planners.candidates import Effort
-from hitchopt.steps.certified_motions import (
-    CertifiedFlight,
-    CertifiedMotion,
-    check_above_ground,
-    check_at_rest,
-    check_start,
-    infeasible_error,
-    named_checks,
-    plan_blended,
-    split_hitch,
-    with_settling,
-)
-from hitchopt.steps.step import RestState, Step, StepPlan, StepTask
+from hitchopt.planners.compensation import with_settling
+from hitchopt.planners.ends import split_hitch
+from hitchopt.planners.rests import check_at_rest, check_start
+from hitchopt.planners.task import RestState, StepPlan, StepTask
+from hitchopt.steps.moving import ShapeStep, plan_blended
+from hitchopt.steps.step import Step
 from hitchopt.values import Array, integer
 
 if TYPE_CHECKING:
@@ -64,6 +59,20 @@ WIDENED = frozenset(rule.name for rule in RULES if rule.pairs)
 
 OF_TWO = frozenset({"hinge", "tracking_radius"})
 """Checks that errors in height break where two cables are tied around an object."""
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedMotion:
+    """Motion of one team's whole plan with its certificate."""
+
+    motion: Motion
+    """The motion."""
+
+    certificate: Certificate
+    """Its certificate."""
+
+    paths: tuple[Path | None, ...] = ()
+    """Paths of the groups of steps; None for one that has none, or several."""
 
 
 def _with_tracking_advice(
@@ -252,6 +261,19 @@ def _plan_steps(
     return CertifiedMotion(motion, certificate, tuple(plan.path for plan in plans))
 
 
+def check_above_ground(motion: Motion) -> None:
+    """Raise InfeasibleError if drones of a plan without an arena go below the ground, z = 0."""
+    heights = motion.drones.coefficients[:, :, 2]
+    if motion.requirements.arena is not None or np.min(heights) >= -ALTITUDE_TOLERANCE:
+        return
+    piece, drone, _ = np.unravel_index(int(np.argmin(heights)), heights.shape)
+    lowest = float(np.min(heights))
+    where = (motion.team.drone_names[drone],)
+    when = f"above the ground at about t = {motion.drones.breaks[piece]:.4g} s"
+    remedy = "keep altitudes above 0, or add an arena with a lower floor"
+    raise InfeasibleError([Violation("arena", lowest, 0.0, "min", "m", where, when, remedy)])
+
+
 class Cache(OneLine):
     """Plans of steps, for problems that are planned again after an edit.
 
@@ -354,7 +376,11 @@ def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> Step
     effort = Effort(per_robot * task.before.team.robots)
     task = replace(task, progress=report, effort=effort)
     with planners_faults():
-        plan = group[0].plan(task) if len(group) == 1 else plan_blended(group, task)
+        if len(group) == 1:
+            plan = group[0].plan(task)
+        else:
+            shape_steps = cast("tuple[ShapeStep, ...]", group)  # no others blend
+            plan = plan_blended(shape_steps, task)
         plan = with_settling(plan, task, group[-1].settling)
     report(f"certifying step {task.index} ({group[0].name})")
     _ = plan.certificate  # stored with the plan

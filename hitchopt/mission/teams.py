@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from hitchopt.checks import certify
+from hitchopt.checks import Certificate, certify
 from hitchopt.checks.registry import RULE_OF
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch.requirements import Separation
 from hitchopt.mission.problem import Problem
@@ -19,7 +20,6 @@ from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.schedule import STEP, Blocked, Placed, SampledPath, Schedule
-from hitchopt.steps.certified_motions import CertifiedFlight, infeasible_error
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 
@@ -38,6 +38,17 @@ CLIMB = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
 """Bernstein coefficients of a unit climb; its first three derivatives vanish at both ends."""
 
 PEAK_DERIVATIVES = 35.0 / 16.0, 7.5132, 52.5  # Maxima of the first three derivatives of CLIMB
+
+
+@dataclass(frozen=True, eq=False)
+class CertifiedFlight:
+    """Flight of a whole plan with its certificate."""
+
+    flight: Flight
+    """The flight."""
+
+    certificate: Certificate
+    """Its certificate."""
 
 
 def schedule_teams(

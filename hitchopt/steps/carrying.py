@@ -48,25 +48,19 @@ from hitchopt.planners.carrying.polygons import (
     grip_polygons,
     rest_polygons,
 )
-from hitchopt.steps.certified_motions import (
-    end_of_morph,
-    require_certified,
-)
+from hitchopt.planners.ends import RolledLegs, end_of_morph
+from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
     Knob,
     ObjectOf,
     Place,
-    RolledLegs,
     Seconds,
     Stage,
     Step,
-    StepPlan,
-    StepTask,
     Yaw,
     checks_relaxed_by,
     moves_plan,
-    plan_in_sequence,
     plan_to,
     planner_of,
 )

@@ -17,7 +17,8 @@ from hitchopt.hitch.team import MAX_DRONES
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.objects import Slab, SolidObject
 from hitchopt.objects.placing import in_world
-from hitchopt.steps.step import Stage, Step, StepPlan, StepTask
+from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.steps.step import Stage, Step
 from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, points
 from hitchopt.values.units import DURATION

@@ -20,27 +20,28 @@ from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
-from hitchopt.steps.certified_motions import (
+from hitchopt.planners.compensation import settling_plan, with_friction_feedforward
+from hitchopt.planners.ends import End, end_of_action, end_of_morph
+from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
+from hitchopt.planners.routes import (
     FASTER_ROUTE,
     OPTIMISED_ROUTE,
     OWN_ROUTE,
-    End,
-    check_at_rest,
-    end_of_action,
-    end_of_morph,
-    hover_motion,
+    blended_plan,
     is_slow,
     optimised_plan,
-    require_certified,
-    rest_motion,
-    settling_plan,
     straight_plan,
-    with_friction_feedforward,
+)
+from hitchopt.planners.task import (
+    RestState,
+    StepPlan,
+    StepTask,
+    plan_in_sequence,
+    require_certified,
 )
 from hitchopt.steps.step import (
     AUTO,
     AUTO_SECONDS,
-    IDLE,
     LEGS,
     LEGS_TEXT,
     PLAN_DURATION,
@@ -57,13 +58,10 @@ from hitchopt.steps.step import (
     SettleAtEnd,
     Stage,
     Step,
-    StepPlan,
-    StepTask,
     WhichPoint,
     Yaw,
     checks_relaxed_by,
     moves_plan,
-    plan_in_sequence,
     planner_of,
     scaled_points,
 )
@@ -219,6 +217,28 @@ class SearchOptions(NamedTuple):
 
     cost: CostFunction | None
     """Custom cost of shapes; None for the time alone."""
+
+
+def plan_blended(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
+    """Return the plan of steps without a stop in between; ``task`` is the first step's.
+
+    Raises InputError for a step without motion.
+    """
+    from hitchopt.planners.morph.morph import moves
+
+    ends = list[Hitch]()
+    start = task.hitch
+    for index, step in enumerate(steps, task.index):
+        step_task = StepTask(RestState(start.team, start.drones, start), index, task.requirements)
+        end = step.end(step_task).hitch
+        step.check_end(end, step_task)
+        if not moves(start, end):
+            bound = "a step with motion if steps are blended"
+            remedy = "omit it, or omit blend"
+            raise RequestError(f"mission[{index}].{step.name}", "no motion", bound, remedy)
+        ends.append(end)
+        start = end
+    return blended_plan(task, [step.name for step in steps], ends)
 
 
 class ActionStep(ShapeStep):

@@ -5,39 +5,36 @@ from __future__ import annotations
 import math
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from functools import cache, cached_property
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, Self
+from functools import cache
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 import numpy as np
 
-from hitchopt.checks import Certificate, certify
-from hitchopt.checks.registry import PART_REPORTS, RULES
-from hitchopt.errors import InputError, OneLine, Progress, RequestError, UnitWarning
+from hitchopt.checks.registry import RULES
+from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import Outline
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.hitch import checked_polygon, checked_roll
 from hitchopt.hitch.pairs import FIXED
-from hitchopt.hitch.requirements import Requirements, Separation
+from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import MAX_ROBOTS
-from hitchopt.motion.motion import Motion, concatenated
+from hitchopt.motion.motion import Motion
 from hitchopt.objects import SolidObject
-from hitchopt.planners.candidates import Effort
 from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner
-from hitchopt.planners.forming import SwapSettings
-from hitchopt.values import Array, ByValue, Indices, Points, finite, per_robot
+from hitchopt.planners.ends import SPLIT, SPLIT_TEXT, RolledLegs, SlackSplit
+from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.values import Array, Points, finite, per_robot
 from hitchopt.values.fields import (
     FLAGS,
     Key,
     Record,
     either,
     integers,
-    list_of,
     mapping_of,
-    one_or_each,
     points,
     strings,
     words,
@@ -46,15 +43,11 @@ from hitchopt.values.units import (
     DURATION,
     LENGTH,
     LENGTH_OR_ZERO,
-    ROLL,
     USUAL_OUTLINE,
     quantity,
     warn_of_unit,
     within_usual,
 )
-
-if TYPE_CHECKING:
-    from hitchopt.planners.morph.path import Path
 
 # Kinds of values, and fields shared by several kinds of steps.
 
@@ -68,7 +61,6 @@ OUTLINE_TEXT = (
     "Vertices [x, y] [m] of a convex polygon, clockwise seen from above, one per robot; one more "
     "of the convex arc of an open chain"
 )
-SPLIT_TEXT = "Slack split of the cables: balanced, spread, or a list of q-legs d_k"
 LEGS_TEXT = f"{SPLIT_TEXT}; or a mapping with sharing (one of these) and roll_deg"
 
 TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
@@ -77,32 +69,10 @@ TRIANGLE = [[0, -1], [-0.4, 0.5], [0.4, 0.5]]
 AUTO: Final = "auto"
 """Automatic choice of a duration, or of a roll that is zero unless limits require one."""
 
-SPLIT = either(words("balanced", "spread"), list_of(LENGTH_OR_ZERO, 2, MAX_ROBOTS))
-
-
-@dataclass(frozen=True, eq=False)
-class RolledLegs(ByValue):
-    """Legs that are rolled out of their plane."""
-
-    sharing: Annotated[Literal["balanced", "spread"] | Array, Key(SPLIT, SPLIT_TEXT)] = "spread"
-    roll: Annotated[
-        Array | None,
-        Key(
-            either(words(auto=None), one_or_each(ROLL, 1, MAX_ROBOTS)),
-            "Roll of the legs about their clasps, q up and r down, one for all or one per clasp; "
-            "auto: none unless legs without it break a limit",
-        ),
-    ] = None
-
-
 LEGS = either(SPLIT, mapping_of(RolledLegs))
 
 Legs = str | Points | Mapping[str, Any] | RolledLegs
 """Legs as arguments: a mode, q-legs ``d_k`` (n,) [m], or these with a roll."""
-
-SlackSplit = Literal["balanced", "spread"] | Array | RolledLegs
-"""Slack split of a hitch: ``balanced``, ``spread``, or the q-legs ``d_k`` (n,) [m]; or one of these
-with a roll. Spread legs without a roll are rolled where they would break a limit."""
 
 
 def slack_split(legs: Legs, team: Team) -> SlackSplit:
@@ -179,10 +149,7 @@ Yaw = Annotated[float, Key(TURN, "Rotation, counter-clockwise")]
 Polygon = Annotated[Outline | Points, Key(OUTLINE, OUTLINE_TEXT, TRIANGLE)]
 
 
-# Records of planning and repair.
-
-IDLE = 0.01
-"""[s] Default duration of a step without motion."""
+# Records of repair.
 
 DECIMALS = 9
 """Number of decimals of numbers in edits."""
@@ -283,158 +250,6 @@ def scaled_points(points: Array, factor: float, centre: Array) -> Array:
 def scaled_outline_edit(key: str, outline: Outline, factor: float, centre: Array) -> Edit:
     """Return the edit that scales an outline about ``centre``."""
     return Edit(key, scaled_points(outline.vertices, factor, centre).tolist())
-
-
-@dataclass(frozen=True, eq=False)
-class RestState:
-    """State at rest between two steps: a hitch, or drones on free cables."""
-
-    team: Team
-    """Robots of the hitch, or of the hitch to be formed."""
-
-    drones: Array
-    """(2n, 3) [m], in the order q0, r0, q1, r1, …"""
-
-    hitch: Hitch | None = None
-    """The hitch; None for free cables."""
-
-    senses: Array | None = None
-    """(clasps,): turning senses of the pairs, 1 if q went up first; None for an initial hitch."""
-
-    swap: SwapSettings = field(default_factory=SwapSettings)
-    """Settings of these turns."""
-
-    levels: Indices | None = None
-    """(n,): levels of cables after laying, 0 the lowest; None for a hitch tied by swaps."""
-
-    open_roll: Array | None = None
-    """(clasps,) [rad]: roll with an open vertex; ``hitch`` has the roll of the closed hitch."""
-
-    grasp: GraspState | None = None
-    """The enclosed or held object; ``hitch`` is then without the object's weight."""
-
-    objects: Mapping[str, SolidObject] | None = None
-    """Objects at their current poses; None for those of the problem."""
-
-    @property
-    def tied(self) -> Hitch:
-        """The hitch; raises InputError on free cables, which problems do not have here."""
-        if self.hitch is None:
-            raise RequestError("start", "free cables", "a hitch", "form one before")
-        return self.hitch
-
-    @property
-    def assumed_senses(self) -> Array:
-        """Turning senses (clasps,) of the pairs; an initial hitch has ones."""
-        return np.ones(len(self.team.layout.clasps)) if self.senses is None else self.senses
-
-    def with_objects(self, requirements: Requirements) -> Requirements:
-        """Return requirements with the objects of this state."""
-        return requirements if self.objects is None else replace(requirements, objects=self.objects)
-
-
-@dataclass(frozen=True, eq=False)
-class StepPlan:
-    """The motion of a step from rest to rest, and the state after it."""
-
-    motion: Motion
-    """The motion, from rest to rest."""
-
-    after: RestState
-    """The state at its end."""
-
-    path: Path | None = None
-    """Path along which the motion was timed; None for other motions."""
-
-    @cached_property
-    def certificate(self) -> Certificate:
-        """Certificate of the motion alone, without the plan's limit of duration."""
-        return certify(self.motion.untimed, reports=PART_REPORTS)
-
-    def replaced(self, motion: Motion, after: RestState) -> StepPlan:
-        """Return the plan with another motion and state; the same motion keeps its certificate."""
-        plan = StepPlan(motion, after)
-        if motion is self.motion:
-            self._share_certificate(plan)
-        return plan
-
-    def with_remark(self, remark: str) -> StepPlan:
-        """Return the plan with a remark appended to those of its phases."""
-        phases = [
-            replace(phase, remark="; ".join(filter(None, [phase.remark, remark])))
-            for phase in self.motion.phases
-        ]
-        plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after, self.path)
-        self._share_certificate(plan)
-        return plan
-
-    def _share_certificate(self, plan: StepPlan) -> None:
-        """Give the certificate, if it is computed, to a plan whose motion passes the same checks.
-
-        Certificates do not depend on states and remarks.
-        """
-        if "certificate" in vars(self):
-            vars(plan)["certificate"] = self.certificate
-
-
-@dataclass(frozen=True, eq=False)
-class StepTask:
-    """The task of planning a step."""
-
-    before: RestState
-    """State at the start."""
-
-    index: int
-    """Index of the step in its mission."""
-
-    requirements: Requirements
-    """Requirements of the plan."""
-
-    optimiser: bool = True
-    """True if the optimiser may be used."""
-
-    stated: Requirements | None = None
-    """Requirements of the problem, of which planners' distances include the tracking errors; None
-    if the plan's are those of the problem."""
-
-    effort: Effort = field(default_factory=Effort)
-    """Effort of planning, and its limit."""
-
-    progress: Progress | None = None
-    """Status callback."""
-
-    @property
-    def hitch(self) -> Hitch:
-        """The hitch at the start; raises InputError on free cables."""
-        return self.before.tied
-
-    @property
-    def grasp(self) -> GraspState:
-        """The enclosed or held object; raises InputError without one."""
-        if self.before.grasp is None:
-            raise RequestError("start", "no object", "an enclosed object", "enclose one before")
-        return self.before.grasp
-
-    def within(self, requirements: Requirements, state: RestState) -> StepTask:
-        """Return the task with other requirements and another start."""
-        return replace(self, before=state, requirements=requirements)
-
-    def plan_ending(self, motion: Motion, hitch: Hitch) -> StepPlan:
-        """Return the plan of a motion to a hitch."""
-        return StepPlan(motion, replace(self.before, hitch=hitch, drones=hitch.drones))
-
-
-def plan_in_sequence(
-    planners: Iterable[Callable[[StepTask], StepPlan]], task: StepTask
-) -> StepPlan:
-    """Return the plan of consecutive motions as one step; each starts where the last one ends."""
-    state = task.before
-    motions = list[Motion]()
-    for planner in planners:
-        plan = planner(task.within(state.with_objects(task.requirements), state))
-        motions.append(plan.motion)
-        state = plan.after
-    return StepPlan(concatenated(motions), state)
 
 
 def planner_of(task: StepTask) -> MovePlanner:

@@ -21,6 +21,7 @@ from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import MovePlanner, check_pull, tying_tension
 from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.step import (
     ALTITUDE_CHECKS,
     Knob,
@@ -28,8 +29,6 @@ from hitchopt.steps.step import (
     Seconds,
     Stage,
     Step,
-    StepPlan,
-    StepTask,
     plan_to,
     planner_of,
 )

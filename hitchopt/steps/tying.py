@@ -21,16 +21,12 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
+from hitchopt.planners.compensation import with_friction_feedforward
+from hitchopt.planners.ends import RolledLegs, split_hitch
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.steps.certified_motions import (
-    check_at_rest,
-    plan_to_hitch,
-    require_certified,
-    require_tracking,
-    rest_plan,
-    split_hitch,
-    with_friction_feedforward,
-)
+from hitchopt.planners.rests import check_at_rest, rest_plan
+from hitchopt.planners.routes import plan_to_hitch
+from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
 from hitchopt.steps.step import (
     AUTO,
     INDEX,
@@ -40,13 +36,10 @@ from hitchopt.steps.step import (
     Knob,
     Legs,
     Polygon,
-    RolledLegs,
     Seconds,
     SettleAtEnd,
     Stage,
     Step,
-    StepPlan,
-    StepTask,
     WhichPoint,
     altitude_knobs,
     checks_relaxed_by,

@@ -25,10 +25,10 @@ from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import Problem, TeamMission
 from hitchopt.mission.repair import NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import Cache, solve_problem
+from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import states_at
 from hitchopt.steps import STEP_KINDS
-from hitchopt.steps.certified_motions import CertifiedFlight
 from hitchopt.steps.step import TRIANGLE, Edit
 from hitchopt.storage.yaml_file import (
     Plain,

@@ -18,7 +18,7 @@ from matplotlib.image import imread
 
 import hitchopt as ho
 from hitchopt.geometry.vectors import unit
-from hitchopt.steps.certified_motions import CertifiedFlight
+from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.values import Array
 from hitchopt.view.editing import Editing, PlanState
 from hitchopt.view.live import LiveView, open_server

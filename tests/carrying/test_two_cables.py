@@ -19,6 +19,7 @@ from hitchopt.checks import certify
 from hitchopt.checks.clasps import BALANCE_LIMIT, PASSED_SHARE
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.tracking import DRAWING_SPEED
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import UnsupportedError, Violation
 from hitchopt.hitch.catenary import Catenary
@@ -35,7 +36,6 @@ from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import GraspState, MovePlanner, first_violated
 from hitchopt.planners.carrying.polygons import HoldPolygons, grip_clasps
 from hitchopt.planners.carrying.straddle_planner import BESIDE, find_straddle
-from hitchopt.steps.certified_motions import infeasible_error
 from hitchopt.steps.straddling import EDGE, PREFERRED_HINGE, Tie, needed_height
 from hitchopt.values import Array
 from hitchopt.verify import objects

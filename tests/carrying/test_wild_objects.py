@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import hitchopt as ho
+from hitchopt.planners.task import RestState, StepTask
 from hitchopt.steps.carrying import Enclose
-from hitchopt.steps.step import RestState, StepTask
 
 FOLDER = Path(__file__).parent / "wild"
 

@@ -43,7 +43,7 @@ from hitchopt.hitch.requirements import Limits, Prism, Requirements, Separation
 from hitchopt.live.lost import LAND_RULES
 from hitchopt.mission.solving import WIDENED
 from hitchopt.motion.motion import Motion, concatenated
-from hitchopt.steps.certified_motions import rest_plan
+from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.values.fields import keys_of

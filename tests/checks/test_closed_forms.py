@@ -40,7 +40,7 @@ from hitchopt.hitch.requirements import Arena, Prism, Requirements
 from hitchopt.hitch.team import Assignment
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion
-from hitchopt.steps.certified_motions import rest_plan
+from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

@@ -17,7 +17,7 @@ from hitchopt.hitch.team import Errors, Swarm
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import PLAIN, HoldBy, Motion, Phase, PhaseHold
 from hitchopt.motion.plan_file import write_plan
-from hitchopt.steps.certified_motions import rest_motion
+from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 from hitchopt.verify import verify

@@ -13,8 +13,8 @@ from refusing_steps import NEEDED_SPEED, brittle_problem, problem_of, refusal
 
 import hitchopt as ho
 from hitchopt.errors import FaultWarning
+from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.moving import Hold
-from hitchopt.steps.step import StepPlan, StepTask
 
 pytestmark = pytest.mark.filterwarnings("always::hitchopt.errors.FaultWarning")
 

@@ -16,8 +16,8 @@ from hitchopt.geometry import regular_polygon
 from hitchopt.hitch.pairs import CROSSING, SEPARATION, TautBodies
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import layout_of
-from hitchopt.steps.certified_motions import split_hitch
-from hitchopt.steps.step import RolledLegs, slack_split
+from hitchopt.planners.ends import RolledLegs, split_hitch
+from hitchopt.steps.step import slack_split
 from hitchopt.values import Array
 from problems.random_morph import random_convex_polygon
 

@@ -14,7 +14,7 @@ from hitchopt.checks import certify
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.replanner import Retarget
 from hitchopt.motion.motion import Phase
-from hitchopt.steps.certified_motions import rest_motion
+from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
 

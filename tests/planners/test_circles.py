@@ -24,7 +24,7 @@ from hitchopt.planners.forming.circles import (
     circular_polygon,
 )
 from hitchopt.planners.morph.path import Path as HitchPath
-from hitchopt.steps.certified_motions import rest_plan
+from hitchopt.planners.rests import rest_plan
 from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
 

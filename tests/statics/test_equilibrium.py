@@ -24,7 +24,7 @@ from hitchopt.lab.statics.files import draw_statics
 from hitchopt.lab.statics.tolerance import ErrorSize, Tolerance, taut_times
 from hitchopt.motion.loads import sags
 from hitchopt.motion.motion import CableState, Phase
-from hitchopt.steps.certified_motions import rest_motion
+from hitchopt.planners.rests import rest_motion
 from hitchopt.trajectory import PiecewisePolynomial
 from problems.random_morph import random_convex_polygon
 

@@ -18,9 +18,9 @@ from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.mission.loading import parse_problem
 from hitchopt.mission.problem import STEP
+from hitchopt.mission.teams import CertifiedFlight
 from hitchopt.motion.states import flight_states_at
 from hitchopt.steps import STEPS
-from hitchopt.steps.certified_motions import CertifiedFlight
 from hitchopt.steps.step import Edit
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.view.editing import (

@@ -1,0 +1,259 @@
+"""Certified plans of morphs along routes: straight, optimised, or through several hitches."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+from hitchopt.checks.violations import infeasible_error, named_checks
+from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.hitch import Hitch
+from hitchopt.hitch.casadi_model import CostFunction
+from hitchopt.motion.flight import Flight
+from hitchopt.motion.motion import Motion, Phase
+from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
+from hitchopt.planners.compensation import with_friction_feedforward
+from hitchopt.planners.rests import IDLE, rest_motion
+from hitchopt.planners.task import StepPlan, StepTask, require_certified
+
+if TYPE_CHECKING:
+    from hitchopt.planners.morph.path import Path
+
+
+DIRECT_INFEASIBLE = "the step's own route is infeasible"
+OWN_ROUTE = "the step's own route"
+OPTIMISED_ROUTE = "optimised route"
+FASTER_ROUTE = "faster route"
+BEST_ROUTE = "the best route tried"
+FASTER = "faster than the step's own route"
+
+
+class SearchThreshold(NamedTuple):
+    """Conditions under which a route faster than the step's own is searched without a request."""
+
+    ratio: float
+    """Duration of the step's own route over its lower bound."""
+
+    turn: float
+    """[rad] Mean turn of the edges."""
+
+
+SEARCH_THRESHOLDS = (
+    SearchThreshold(ratio=1.3, turn=0.0),
+    SearchThreshold(ratio=1.1, turn=math.radians(15.0)),
+)
+"""Straight routes between nearly regular polygons that hardly turn take up to 1.29 times their
+bound, and other routes are no faster. If edges turn, straight lines shorten them midway: of 29
+morphs between irregular polygons, 11 were 6 to 17 % faster on another route."""
+
+MAX_SEARCHED = 24
+"""Number of robots up to which a faster route is searched that was not requested."""
+
+
+def is_slow(plan: StepPlan, start: Hitch, end: Hitch) -> bool:
+    """Return whether a morph takes so much longer than its bound that others may be faster."""
+    from hitchopt.planners.optimise.guesses import turns
+    from hitchopt.planners.optimise.search import min_duration
+
+    if start.team.robots > MAX_SEARCHED or not start.team.layout.closed:
+        return False
+    bound = min_duration(start, end, plan.motion.requirements.limits)
+    turn = abs(turns(start.polygon, end.polygon)[0])
+    return any(
+        plan.motion.duration > threshold.ratio * bound and turn >= threshold.turn
+        for threshold in SEARCH_THRESHOLDS
+    )
+
+
+def plan_along(
+    task: StepTask, path: Path, end: Hitch, phase: Phase, duration: float | None = None
+) -> StepPlan:
+    """Time a path, and return the plan of its motion; reading its certificate certifies it.
+
+    Parameters
+    ----------
+    path: route to the hitch ``end``.
+    phase: with the step's name, index, remark and range of tensions.
+    duration: prescribed duration [s]; None for the fastest one.
+    """
+    from hitchopt.planners.timing.timed_motion import motion_along
+
+    motion = motion_along(path, task.requirements, duration)
+    phases = (phase.retimed(0.0, motion.duration),)
+    return replace(task.plan_ending(motion.replaced(phases=phases), end), path=path)
+
+
+def straight_plan(
+    task: StepTask, end: Hitch, phase: Phase, duration: float | None = None
+) -> StepPlan:
+    """Return the plan along the straight path to a hitch; of one at rest without a path."""
+    from hitchopt.planners.morph.morph import moves, straight_path
+
+    if not moves(task.hitch, end):
+        rest = rest_motion(end, task.requirements, duration or IDLE, phase)
+        return task.plan_ending(rest, end)
+    path = straight_path(task.hitch, end, task.requirements)
+    return plan_along(task, path, end, phase, duration)
+
+
+def blended_plan(task: StepTask, names: Sequence[str], ends: Sequence[Hitch]) -> StepPlan:
+    """Return the plan through the hitches at the ends of steps, without a stop in between.
+
+    One path leads through all of them and is timed as a whole; the phase of each step, with its
+    name, ends as the path passes its hitch. The first step is that of the task.
+    """
+    from hitchopt.planners.morph.morph import BlendedMorph
+
+    motion, joints = BlendedMorph([task.hitch, *ends], task.requirements).solve()
+    times = [0.0, *joints.tolist(), motion.duration]
+    remarks = ["continues without a stop"] * (len(names) - 1) + [""]
+    phases = tuple(
+        Phase(name, task.index + j, times[j], times[j + 1], remarks[j])
+        for j, name in enumerate(names)
+    )
+    plan = task.plan_ending(motion.replaced(phases=phases), ends[-1])
+    return with_friction_feedforward(plan, timed=False)
+
+
+def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
+    """Return the plan of a morph to a hitch at any altitude, on a straight route or a faster one.
+
+    ``phase`` has the name and the index of the step. Raises InfeasibleError if no route was found.
+    """
+
+    def straight_or_faster() -> StepPlan:
+        """Return the plan along the straight route, or a faster one if that is slow."""
+        own = require_certified(straight_plan(task, end, phase))
+        if not task.optimiser or own.path is None or not is_slow(own, task.hitch, end):
+            return own
+        faster = partial(optimised_plan, task, end, phase, straight=own.path)
+        return first_feasible(Candidate(FASTER_ROUTE, faster), own)
+
+    routes = [Candidate(OWN_ROUTE, straight_or_faster)]
+    if task.optimiser:
+        routes.append(Candidate(OPTIMISED_ROUTE, partial(optimised_plan, task, end, phase)))
+    return first_certified(routes, task.effort, task.progress)
+
+
+def optimised_plan(
+    task: StepTask,
+    end: Hitch,
+    phase: Phase,
+    duration: float | None = None,
+    *,
+    straight: Path | None = None,
+    allow_slides: bool = False,
+    cost: CostFunction | None = None,
+) -> StepPlan:
+    """Return the fastest plan that the optimiser finds to a hitch, at the same altitude or not.
+
+    Raises InfeasibleError if the plan takes longer than ``duration`` [s].
+
+    Parameters
+    ----------
+    phase: with the step's name, index and range of tensions.
+    duration: prescribed duration [s], or None.
+    straight: the step's own path, which is a candidate if it is feasible; None if it is not.
+    allow_slides: also try legs that lead and lag.
+    cost: minimised together with the duration.
+    """
+    from hitchopt.planners.morph.legs import legs_clear, with_slides
+    from hitchopt.planners.optimise.cost import ShapeCost
+    from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
+    from hitchopt.planners.timing.timed_motion import check_duration, in_duration
+
+    requirements = task.requirements
+    climb = end.altitude - task.hitch.altitude
+    certified: dict[Motion, StepPlan] = {}
+
+    def climbing(path: Path) -> Path:
+        """Return a path of the search, which is horizontal, with the climb to the end."""
+        return path if path is straight or climb == 0.0 else path.climbing(climb)
+
+    def certified_motion(path: Path) -> Motion | None:
+        """Return a certified motion along a path, if possible with legs that lead and lag."""
+        climbed = climbing(path)
+        variants: list[Path] = []
+        if allow_slides:
+            sliding = with_slides(climbed, requirements.limits)
+            variants += [variant for variant in sliding if legs_clear(variant, requirements)]
+        for variant in (*variants, climbed):
+            try:
+                plan = plan_along(task, variant, end, phase)
+            except HitchoptError:
+                if variant is climbed:
+                    raise
+                continue
+            if plan.certificate.certified:
+                certified[plan.motion] = plan
+                return plan.motion
+        return None
+
+    shape_cost = None if cost is None else ShapeCost(task.hitch.team, cost)
+    morph = OptimisedMorph(
+        task.hitch,
+        end,
+        requirements,
+        certified_motion,
+        phase.tension,
+        straight,
+        shape_cost,
+        task.effort,
+    )
+    try:
+        candidates = morph.solve()
+    except NoRouteError as error:
+        path = climbing(error.best.path)
+        return _plan_along_best(task, path, error.best.name, end, phase)
+    if not candidates:
+        raise HitchoptError("no route was found")
+    fastest = candidates[0]
+    plan = certified[fastest.motion]
+    if duration is not None:
+        check_duration(duration, plan.motion.duration)
+        slower = in_duration(plan.motion, duration)
+        slower = slower.replaced(phases=(phase.retimed(0.0, duration),))
+        plan = require_certified(replace(plan, motion=slower))
+    if plan.path is straight:
+        return plan
+    route = "legs lead and lag"
+    if fastest.name:
+        route = f"on an optimised route, first guess {fastest.name}"
+    if cost is not None:
+        return plan.with_remark(f"{route}; its cost is {fastest.cost:.4g} s")
+    is_feasible = any(not candidate.name for candidate in candidates)
+    return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
+
+
+def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: Phase) -> StepPlan:
+    """Return the plan along the best route that was tried; ``name`` is that of its guess.
+
+    Raises InfeasibleError with the limits that it breaks, and where along the route.
+    """
+    from hitchopt.planners.morph.morph import check_loads, check_shapes
+
+    route = f"along {BEST_ROUTE} ({name})"
+    try:
+        check_shapes(path)
+        check_loads(path, task.requirements.limits)
+    except InfeasibleError as error:
+        violations = [
+            replace(violation, when=violation.when.replace("of the path", route))
+            for violation in error.violations
+        ]
+        raise InfeasibleError(violations, error.note) from error
+    plan = plan_along(task, path, end, phase)
+    if plan.certificate.certified:
+        return plan
+    motion = plan.motion
+    step = f"in step {phase.step} ({phase.name})"
+    unplaced = infeasible_error(plan.certificate, motion).violations
+    named = named_checks(plan.certificate, Flight.of(motion))
+    placed = [
+        replace(violation, when=f"at {check.time / motion.duration:.0%} {route}, {step}")
+        for violation, check in zip(unplaced, named, strict=True)
+    ]
+    raise InfeasibleError(placed)
