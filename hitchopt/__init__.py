@@ -40,34 +40,12 @@ PUBLIC_NAMES = {
     "planners.forming": ("SwapSettings",),
     "planners.morph.path": ("Path",),
     "stages": ("route", "time"),
-    "steps": (
-        "Adjust",
-        "Carry",
-        "CloseVertex",
-        "Enclose",
-        "FollowVertex",
-        "Form",
-        "Grasp",
-        "Hold",
-        "Land",
-        "Leave",
-        "Lift",
-        "Loosen",
-        "Morph",
-        "MoveEdge",
-        "MoveVertex",
-        "OpenVertex",
-        "Release",
-        "SetDown",
-        "Settle",
-        "Tie",
-        "Transport",
-        "TransportObject",
-        "Untie",
-    ),
     "steps.flying": ("Fly",),
 }
-"""Public names by the module of this package that defines them; ``__init__.pyi`` has the same."""
+"""Public names by the module of this package that defines them; ``__init__.pyi`` has the same.
+
+Records of steps are public too: their modules in ``hitchopt/steps`` name them.
+"""
 
 ROOM_NAMES = {
     "checks": ("CertificateError",),
@@ -102,7 +80,15 @@ _MODULES = {name: f"hitchopt.{module}" for module, names in PUBLIC_NAMES.items()
 
 _ROOMS = {name: f"hitchopt.{module}" for module, names in ROOM_NAMES.items() for name in names}
 
-__all__ = sorted(_MODULES)  # noqa: PLE0605, the names above
+
+def _steps() -> dict[str, object]:
+    """Return the records of steps by name."""
+    return {kind.__name__: kind for kind in import_module("hitchopt.steps").STEPS}
+
+
+def _public_names() -> list[str]:
+    """Return all public names."""
+    return sorted([*_MODULES, *_steps()])
 
 
 def __getattr__(name: str) -> object:
@@ -113,15 +99,21 @@ def __getattr__(name: str) -> object:
             return metadata.version("hitchopt")
         except metadata.PackageNotFoundError:
             return "unknown: this checkout is not installed"
+    if name == "__all__":
+        return _public_names()
     if name in _ROOMS:
         raise AttributeError(
             f"module 'hitchopt' has '{name}' in a room: from {_ROOMS[name]} import {name}"
         )
-    if name not in _MODULES:
+    if name in _MODULES:
+        value: object = getattr(import_module(_MODULES[name]), name)
+        return value
+    # Only names of classes: `from hitchopt import verify` must not import steps
+    steps = _steps() if name[:1].isupper() else {}
+    if name not in steps:
         raise AttributeError(f"module 'hitchopt' has no attribute '{name}'")
-    value: object = getattr(import_module(_MODULES[name]), name)
-    return value
+    return steps[name]
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return [*_public_names(), "__version__"]

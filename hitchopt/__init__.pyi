@@ -39,13 +39,10 @@ from hitchopt.plan import Plan as Plan, closest as closest, combine as combine, 
 from hitchopt.planners.forming import SwapSettings as SwapSettings
 from hitchopt.planners.morph.path import Path as Path
 from hitchopt.stages import route as route, time as time
-from hitchopt.steps import Adjust as Adjust, Carry as Carry, CloseVertex as CloseVertex
-from hitchopt.steps import Enclose as Enclose, FollowVertex as FollowVertex, Form as Form
-from hitchopt.steps import Grasp as Grasp, Hold as Hold, Land as Land, Leave as Leave, Lift as Lift
-from hitchopt.steps import Loosen as Loosen, Morph as Morph, MoveEdge as MoveEdge
-from hitchopt.steps import MoveVertex as MoveVertex, OpenVertex as OpenVertex, Release as Release
-from hitchopt.steps import SetDown as SetDown, Settle as Settle, Tie as Tie, Transport as Transport
-from hitchopt.steps import TransportObject as TransportObject, Untie as Untie
+from hitchopt.steps.carrying import *
+from hitchopt.steps.moving import *
+from hitchopt.steps.straddling import *
+from hitchopt.steps.tying import *
 from hitchopt.steps.flying import Fly as Fly
 
 __version__: str

@@ -31,6 +31,7 @@ from generators.page_pictures import KINDS, SCREENSHOTS, screenshot
 from generators.problem_collection import GALLERY, PICTURES, SECTIONS, Section, caption
 from generators.schema_page import write_schema_page
 from generators.script_page import SCRIPTS, write_script_page
+from generators.steps_page import write_steps_page
 from matplotlib import rc_context
 from plans import PROBLEMS, ROOT
 from ruamel.yaml import YAML
@@ -299,7 +300,8 @@ def test_exit_codes_and_public_names_have_their_places() -> None:
         EXIT_INTERRUPTED,
         128 + signal.SIGTERM,
     ]
-    listed = re.findall(r"^   ([\w.]+)$", text_of(DOCS / "reference" / "api.md"), re.MULTILINE)
+    pages = text_of(DOCS / "reference" / "api.md") + write_steps_page()
+    listed = re.findall(r"^   ([\w.]+)$", pages, re.MULTILINE)
     in_rooms = [f"{room}.{name}" for room, names in ho.ROOM_NAMES.items() for name in names]
     assert sorted(listed) == sorted([*ho.__all__, *in_rooms])
 

@@ -64,7 +64,12 @@ def test_type_checkers_read_the_names_that_are_imported() -> None:
     """The stub has every public name of the table, from its module, and no other."""
     stub = ast.parse(Path(hitchopt.__file__).with_suffix(".pyi").read_text("utf-8"))
     lines = [line for line in stub.body if isinstance(line, ast.ImportFrom)]
-    declared = [(str(line.module), name.name) for line in lines for name in line.names]
+    pairs = [(str(line.module), alias.name) for line in lines for alias in line.names]
+    declared = [
+        (module, each)
+        for module, name in pairs
+        for each in (import_module(module).__all__ if name == "*" else [name])
+    ]
     table = {name: getattr(hitchopt, name) for name in hitchopt.__all__}
     assert sorted(name for _, name in declared) == hitchopt.__all__
     for module, name in declared:

@@ -7,6 +7,7 @@ from generators.gallery_page import write_gallery
 from generators.problem_collection import ROOT
 from generators.schema_page import write_schema_page, write_study_page
 from generators.script_page import write_script_page
+from generators.steps_page import write_steps_page
 from generators.support_page import write_support_page
 
 DOCS = ROOT / "docs"
@@ -18,6 +19,7 @@ def write_pages() -> None:
     texts[DOCS / "reference/generated/study_file.md"] = write_study_page()
     texts[DOCS / "reference/generated/formulas.md"] = write_check_page()
     texts[DOCS / "reference/generated/checks.inc"] = write_check_table()
+    texts[DOCS / "reference/generated/steps.md"] = write_steps_page()
     texts[DOCS / "reference/generated/what_works_with_what.md"] = write_support_page()
     texts[DOCS / "how_to/generated/scripts.md"] = write_script_page()
     for path, text in texts.items():

@@ -1,35 +1,16 @@
-"""Steps of a mission: classes with their keys, planning and knobs, in one list."""
+"""Steps of a mission: records with their keys, planning and knobs.
 
-from hitchopt.steps.carrying import Carry as Carry
-from hitchopt.steps.carrying import Enclose as Enclose
-from hitchopt.steps.carrying import Grasp as Grasp
-from hitchopt.steps.carrying import Leave as Leave
-from hitchopt.steps.carrying import Lift as Lift
-from hitchopt.steps.carrying import Loosen as Loosen
-from hitchopt.steps.carrying import SetDown as SetDown
-from hitchopt.steps.carrying import TransportObject as TransportObject
-from hitchopt.steps.moving import Adjust as Adjust
-from hitchopt.steps.moving import FollowVertex as FollowVertex
-from hitchopt.steps.moving import Hold as Hold
-from hitchopt.steps.moving import Morph as Morph
-from hitchopt.steps.moving import MoveEdge as MoveEdge
-from hitchopt.steps.moving import MoveVertex as MoveVertex
-from hitchopt.steps.moving import Settle as Settle
-from hitchopt.steps.moving import Transport as Transport
+A module's ``__all__`` names its steps. From these lists follow the attributes of ``hitchopt``, the
+keys of problem files and the pages of the reference.
+"""
+
+from hitchopt.steps import carrying, moving, straddling, tying
 from hitchopt.steps.step import Step as Step
-from hitchopt.steps.straddling import Tie as Tie
-from hitchopt.steps.straddling import Untie as Untie
-from hitchopt.steps.tying import CloseVertex as CloseVertex
-from hitchopt.steps.tying import Form as Form
-from hitchopt.steps.tying import Land as Land
-from hitchopt.steps.tying import OpenVertex as OpenVertex
-from hitchopt.steps.tying import Release as Release
 
-STEPS: tuple[type[Step], ...] = (
-    *(Morph, Hold, MoveVertex, MoveEdge, Adjust, FollowVertex, Transport, Settle),
-    *(Form, OpenVertex, CloseVertex, Release, Land),
-    *(Enclose, Grasp, Lift, Carry, SetDown, Loosen, Leave, TransportObject),
-    *(Tie, Untie),
+STEPS: tuple[type[Step], ...] = tuple(
+    getattr(module, name)
+    for module in (moving, tying, carrying, straddling)
+    for name in module.__all__
 )
 """All kinds of steps, in the order in which a problem file's keys are listed."""
 

@@ -70,6 +70,17 @@ from hitchopt.values import Array, Points
 from hitchopt.values.fields import Key, documented, keys_of, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
+__all__ = [  # noqa: RUF022, in the order of the keys of problem files
+    "Enclose",
+    "Grasp",
+    "Lift",
+    "Carry",
+    "SetDown",
+    "Loosen",
+    "Leave",
+    "TransportObject",
+]
+
 AROUND_SPEED = 0.15
 """[m/s] Speed around an object."""
 

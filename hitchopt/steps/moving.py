@@ -79,6 +79,17 @@ from hitchopt.values.fields import (
 )
 from hitchopt.values.units import DURATION, SPEED, TENSION
 
+__all__ = [  # noqa: RUF022, in the order of the keys of problem files
+    "Morph",
+    "Hold",
+    "MoveVertex",
+    "MoveEdge",
+    "Adjust",
+    "FollowVertex",
+    "Transport",
+    "Settle",
+]
+
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action, FlownAction
     from hitchopt.planners.morph.path import Path

@@ -38,6 +38,11 @@ from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented
 from hitchopt.values.units import LENGTH, TENSION
 
+__all__ = [
+    "Tie",
+    "Untie",
+]
+
 PREFERRED_HINGE = 0.15
 """[m] Preferred height of clasps above a centre of mass, as far below the top as drones may be off.
 In simulation drums tilted by up to 29° at 10 cm, and by 14° at 15 cm."""

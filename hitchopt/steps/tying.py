@@ -50,6 +50,14 @@ from hitchopt.values import Array, Indices
 from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, with_fields, words
 from hitchopt.values.units import ALTITUDE
 
+__all__ = [  # noqa: RUF022, in the order of the keys of problem files
+    "Form",
+    "OpenVertex",
+    "CloseVertex",
+    "Release",
+    "Land",
+]
+
 if TYPE_CHECKING:
     from hitchopt.planners.forming.approach import Approach
     from hitchopt.planners.forming.circles import CircleSize

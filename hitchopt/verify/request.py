@@ -409,39 +409,48 @@ STEP_KEYS: dict[str, Shows] = {
     "legs": legs,
     "blend": stopped,
     "tension": tension,
-    "assign": assigned,
-    "order": order,
-    "swap": swap,
     "settle": settled,
+    "object": names_object,
+    "form.assign": assigned,
+    "form.order": order,
+    "form.swap": swap,
     "form.by": tied_by,
     "move_vertex.to": partial(moved_to, by=0.0),
     "move_vertex.by": partial(moved_to, by=1.0),
     "move_edge.to": partial(moved_to, by=0.0),
     "move_edge.by": partial(moved_to, by=1.0),
-    "path": path,
-    "speed": speed,
+    "follow_vertex.path": path,
+    "follow_vertex.speed": speed,
     "transport.to": lambda s, x, _: centroid(s) - np.array(x, dtype=float),
     "transport.yaw_deg": turned,
     "open_vertex.vertex": pair,
     "close_vertex.vertex": pair,
-    "object": names_object,
-    "around": names_object,
-    "at": clasped_at,
-    "by": held_by,
+    "grasp.by": held_by,
     "lift.by": risen,
-    "to": placed,
+    "carry.to": placed,
     "carry.yaw_deg": object_turned,
+    "transport_object.by": held_by,
+    "transport_object.to": placed,
     "transport_object.yaw_deg": object_turned,
-    "lift": highest,
-    "via": via,
-    "goal": flown,
+    "transport_object.lift": highest,
+    "transport_object.via": via,
+    "tie.around": names_object,
+    "tie.at": clasped_at,
+    "fly.goal": flown,
+}
+"""Functions by key, or by step and key, for the difference of a plan from a key's request.
+
+Keys without a step mean the same in every step.
+"""
+
+IMPLICIT: dict[str, Shows] = {
     "on_the_ground": grounded,
     "nothing_moves": nothing_moves,
     "others_stay": others_stay,
     "holds": holds,
     "untied": untied,
 }
-"""Functions by key, or by step and key, for the difference of a plan from a key's request."""
+"""Functions as those of ``STEP_KEYS``, for what steps do without a key."""
 
 IMPLIED: dict[str, dict[str, Any]] = {
     "hold": {"nothing_moves": True},
@@ -465,7 +474,7 @@ IMPLIED: dict[str, dict[str, Any]] = {
     "untie": {"holds": False},
     "transport_object": {"holds": False},
 }
-"""What steps do by their names, in the form of keys; every step ends at rest unless it blends."""
+"""Keys of ``IMPLICIT`` by step; every step ends at rest unless it blends."""
 
 OF_END = {"polygon", "altitude", "legs", "to", "by", "others_stay"}
 """Keys of the end of a step, which steps that go on without a stop do not show."""
@@ -591,8 +600,8 @@ def wider_tensions(s: Step, keys: Mapping[str, Any]) -> bool:
 
 def differences(s: Step, name: str, keys: Mapping[str, Any]) -> Iterator[tuple[str, float]]:
     """Yield keys of a step with the plan's difference from each; inf without such a value."""
-    for key, value in {"blend": False, **IMPLIED.get(name, {}), **keys}.items():
-        shows = STEP_KEYS.get(f"{name}.{key}", STEP_KEYS.get(key))
+    for key, value in {"blend": False, **keys, **IMPLIED.get(name, {})}.items():
+        shows = IMPLICIT.get(key, STEP_KEYS.get(f"{name}.{key}", STEP_KEYS.get(key)))
         not_shown = key in OF_END and keys.get("blend")
         if shows is None or value is None or value == "auto" or not_shown:
             continue
