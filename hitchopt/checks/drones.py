@@ -28,6 +28,10 @@ from hitchopt.trajectory.jets import ORDER, Jet
 from hitchopt.trajectory.search import Extremum, TimeSpans, worst
 from hitchopt.values import Array, lazy
 
+EXPORTED_ACCELERATION = 1.01
+"""The limit of accelerations in files, over that in plans: quintics between samples exceed it where
+jerk is discontinuous."""
+
 
 class Drones(MotionSpans, DroneForces[Enclosed]):
     """Spans of drones: their motion, the force of their cable and their thrust."""
@@ -167,7 +171,7 @@ def _rate_rule(
     evaluator = Evaluator(
         WorstOverSpans(over, partial(_norm, order=order), "max", 0.0),
         states=HITCHED_STATE if over is Points else frozenset(CableState),
-        exported=order == 1 and over is Drones,
+        exported=order <= 2 and over is Drones,
     )
     return CheckRule(
         name,
@@ -178,6 +182,7 @@ def _rate_rule(
         f"raise limits.{name}",
         ease="time",
         derivative=order,
+        exported_share=EXPORTED_ACCELERATION if order == 2 else 1.0,
         group="motion",
         key=f"limits.{name}",
         bodies=(("vertices",),) if over is Points else (("drones",),),

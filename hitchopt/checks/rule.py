@@ -221,6 +221,9 @@ class CheckRule(Quantity):
     exported_limit: float | None = None
     """The limit for exported curves, if different."""
 
+    exported_share: float = 1.0
+    """The limit for exported curves, over that for planned ones."""
+
     start_remedy: str = ""
     """The suggested change at the start without a hitch, where users place drones, if different."""
 
@@ -253,8 +256,9 @@ class CheckRule(Quantity):
         limit = self.limit_of(motion)
         if limit is None:
             return ()
-        if exported and self.exported_limit is not None:
-            limit = self.exported_limit
+        if exported:
+            limit *= self.exported_share
+            limit = limit if self.exported_limit is None else self.exported_limit
         states = motion.cable_states
         results = list[SpanResult]()
         with np.errstate(all="ignore"):  # coefficients may have any value: nan fails a check

@@ -47,7 +47,7 @@ from hitchopt.exports.held_tension import held_tension, loop_gains, trailing_tim
 from hitchopt.exports.options import ENDINGS, HOMES, ExportOptions
 from hitchopt.exports.placing import ReferenceFrame, placeholder_fleet, places_text, read_fleet
 from hitchopt.exports.tension import TensionPolicy
-from hitchopt.exports.verification import EXPORT_RULES, SETPOINT_RULES, Verdict, verify
+from hitchopt.exports.verification import Flown, Verdict, verify
 from hitchopt.hitch import Quadrotor, Team
 from hitchopt.hitch.forces import SLACK
 from hitchopt.motion.flight import Flight
@@ -408,13 +408,10 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
     def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
         is_rounded = len(kind.bounds) > 1 and not _exceeds_memory(refusals[0])
-        is_rounded = is_rounded and not task.holds_tension
         for factor in RETRY_STRETCHES if is_rounded else ():
-            slower = task.flight.stretched(factor)
             slowdown = f"exported {factor - 1.0:.0%} slower than planned"
             note = f"{slowdown}: at full speed, rounding would break a limit"
-            notes, stretch = (*task.notes, note), factor * task.stretch
-            yield (replace(task, flight=slower, stretch=stretch, notes=notes),)
+            yield (replace(task.stretched(factor), notes=(*task.notes, note)),)
         yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
     for number, tasks in enumerate(candidates()):
@@ -422,7 +419,7 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
             folder = scratch / str(number)
             exports = [_export_part(kind, each, folder, say, refusals) for each in tasks]
             is_slower = number > 0 and len(tasks) == 1
-            if not is_slower or certificate_of(tasks[0].flight).certified:
+            if not is_slower or certificate_of(tasks[0].plan).certified:
                 return exports
     # Parts that fit in memory say more than the whole that does not
     raise next((each for each in refusals if not _exceeds_memory(each)), refusals[0])
@@ -454,7 +451,8 @@ def _export_part(
     """
     folder = place / f"part{task.number}"
     folder.mkdir(parents=True)
-    rules = SETPOINT_RULES if task.holds_tension else EXPORT_RULES
+    flown = Flown(task.flight, task.without_offsets, task.options.positions_only)
+    rules = flown.rules
     for attempt, bound in enumerate(kind.bounds, 1):
         say(f"writing {kind.name}" + (f", attempt {attempt}" if attempt > 1 else ""))
         try:
@@ -464,8 +462,8 @@ def _export_part(
             violated = {each.constraint for refusal in refusals for each in refusal.violations}
             for subset in filter(None, ([r for r in rules if r.name in violated], rules)):
                 where = task.frame, task.names
-                verdict = verify(task.flight, contents, *where, subset, task.trims)
-                if violations := verdict.violations(task.flight, kind.accuracy):
+                verdict = verify(flown, contents, *where, subset, task.trims)
+                if violations := verdict.violations(flown, kind.accuracy):
                     reason = OFFSET_REASON if task.holds_tension else ROUNDING_REASON
                     raise InfeasibleError(violations, f"{kind.name} is not written: {reason}")
         except InfeasibleError as refusal:

@@ -105,6 +105,14 @@ class ExportTask:
         is_alone = self.flight.alone is not None
         return self.options.longer_rests and self.holds_tension and is_alone
 
+    def stretched(self, factor: float) -> ExportTask:
+        """Return the task of the plan flown slower by a factor."""
+        slower = replace(self, flight=self.plan.stretched(factor), stretch=factor * self.stretch)
+        if self.without_offsets is None:
+            return slower
+        held = held_tension(slower.flight, self.options.stiffness, self.options.damping)
+        return replace(slower, flight=held.flight, without_offsets=slower.flight)
+
     def between(self, start: float, end: float) -> ExportTask:
         """Return the task of the part between two times [s] of the flight at which drones rest.
 

@@ -2,6 +2,10 @@
 
 Checks use the drones' curves of the files, and the plan's vertices, legs and tensions. So every
 ``worst`` bounds the exported motion for all t, as in the plan's certificate.
+
+Setpoints s = x + δ hold the tension of a plan x (``held_tension``). Their equation of motion treats
+s and x alike but for the cable force, so that drones that follow the files' setpoints s + e fly
+x + e: limits of motion are checked for the files' curves minus δ.
 """
 
 from __future__ import annotations
@@ -12,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hitchopt.checks.certificate import Check, worst_of
-from hitchopt.checks.drones import largest_rate
+from hitchopt.checks.drones import ACCELERATION, largest_rate
 from hitchopt.checks.registry import RULE_OF, RULES, check_of
 from hitchopt.checks.rule import CheckRule
 from hitchopt.checks.spans import ROUNDING, value_cache
@@ -32,19 +36,28 @@ EXPORT_RULES = tuple(rule for rule in RULES if any(each.exported for each in rul
 SETPOINT_RULES = tuple(
     rule for rule in EXPORT_RULES if any("drones" in pair for pair in rule.pairs)
 )
-"""Rules for setpoints with offsets that hold the tension. Drones fly to their setpoints if their
-cables break or go slack; otherwise the plan's certificate applies."""
+"""Rules for setpoints with offsets that hold the tension. Drones fly to them if their cables break
+or go slack."""
 
 SLOWER_REMEDY = "fly it more slowly with stretch=, plan below the limit, or choose another format"
 MARGIN_REMEDY = "plan with a wider margin there, sample at a higher rate=, or choose another format"
 """Remedies for checks of derivatives, and for other checks."""
 
 NOT_CARRIED = (
-    "Velocity is discontinuous at samples; acceleration, jerk, thrust and tilt are not certified.",
-    "Acceleration is discontinuous between pieces; thrust and tilt are those within pieces.",
-    "Jerk is discontinuous between pieces.",
+    "Velocity is discontinuous at samples; acceleration, thrust, tilt, jerk and body rates are not "
+    "certified.",
+    "Acceleration is discontinuous between pieces, and not certified; thrust and tilt are those "
+    "within pieces; jerk and body rates are not certified.",
+    "Jerk is discontinuous between pieces; jerk and body rates are not certified.",
 )
-"""Sentences on what is discontinuous in files, by the highest continuous derivative."""
+"""Sentences on what is discontinuous in files, or not certified, by the highest continuous
+derivative."""
+
+TRAILING = (
+    "Drones trail positions: only distances of setpoints are certified, and speed, acceleration, "
+    "thrust, tilt, jerk and body rates are not."
+)
+"""The sentence for receivers that follow positions alone with offsets that hold the tension."""
 
 
 @dataclass(frozen=True)
@@ -64,19 +77,19 @@ class Verdict:
     position: Deviation  # [m]
     velocity: Deviation  # [m/s]
     checks: tuple[Check, ...]  # checks of quantities that the format carries
-    not_carried: str  # what is discontinuous, and not certified
+    not_carried: str  # what is discontinuous, or not certified
 
     @property
     def violated(self) -> tuple[Check, ...]:
         """Checks that do not hold."""
         return tuple(check for check in self.checks if not check.holds)
 
-    def violations(self, flight: Flight, accuracy: float) -> list[Violation]:
+    def violations(self, flown: Flown, accuracy: float) -> list[Violation]:
         """Return the violated limits of an export; ``accuracy`` is the format's [m]."""
         violations = []
         for check in self.violated:
             rule = RULE_OF[check.name]
-            planned = check_of(rule, flight, exported=True) or check
+            planned = check_of(rule, flown.limited_by(rule), exported=True) or check
             values = f"{planned.worst:.6g}, the export loses {abs(check.worst - planned.worst):.3g}"
             when = f"at t = {check.time:.4g} s (the plan keeps {values})"
             remedy = SLOWER_REMEDY if rule.derivative > 0 else MARGIN_REMEDY
@@ -90,20 +103,44 @@ class Verdict:
         return violations
 
 
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """What an export contains, and what drones fly by it."""
+
+    setpoints: Flight
+    """The flight with setpoints as drones."""
+
+    plan: Flight | None = None
+    """The flight without the offsets that hold the tension; None if there are none."""
+
+    trails: bool = False
+    """True if drones follow positions alone, so that only distances of setpoints are certified."""
+
+    @property
+    def rules(self) -> tuple[CheckRule, ...]:
+        """The rules that limit it."""
+        return SETPOINT_RULES if self.plan is not None and self.trails else EXPORT_RULES
+
+    def limited_by(self, rule: CheckRule) -> Flight:
+        """Return the planned flight that a rule limits, that of setpoints if both are."""
+        return self.setpoints if self.plan is None or rule in SETPOINT_RULES else self.plan
+
+
 def verify(
-    flight: Flight,
+    flown: Flown,
     contents: FileContents,
     frame: ReferenceFrame,
     names: Sequence[str],
     rules: Sequence[CheckRule] = EXPORT_RULES,
     trims: Array | float = 0.0,
 ) -> Verdict:
-    """Return errors and checks of files of the plan ``flight``, from t = 0.
+    """Return errors and checks of files, from t = 0.
 
     ``frame`` is that of the files, ``names`` (D,) are the drones' names in them, in the order of
     the problem. Setpoints differ from the positions by ``trims`` (D, 3) [m] in the plan. Raises
     FileError for other drones than the plan's, and if the files are too short.
     """
+    flight = flown.setpoints
     missing = [name for name in names if name not in contents.names]
     if missing or len(contents.names) != len(names):
         reason = f"{missing[0]} is missing" if missing else "there are more drones"
@@ -113,7 +150,9 @@ def verify(
     offsets = np.broadcast_to(trims, (len(names), 3))[numbers]
     firsts = np.cumsum([len(each.motion.team.drone_names) for each in flight.teams])[:-1]
     carried = [rule for rule in rules if rule.derivative <= contents.smooth + 1]
-    checks, deviations, end = list[list[Check | None]](), list[list[Deviation]](), 0.0
+    if contents.smooth < ACCELERATION.derivative:
+        carried = [rule for rule in carried if rule is not ACCELERATION]
+    checks, deviations, end = list[Check | None](), list[list[Deviation]](), 0.0
     for window in contents.windows():
         start = float(window.breaks[0])
         if abs(start - end) > JOINT:
@@ -121,23 +160,74 @@ def verify(
         end = float(window.breaks[-1])
         curves = frame.in_plan(window.replaced(window.coefficients[:, index]))
         places = curves.coefficients - offsets[..., None]
-        coefficients = np.split(places, firsts, axis=1)
-        teams = list[TeamMotion]()
-        for flown, part in zip(flight.teams, coefficients, strict=True):
-            planned = _plan_between(flown.motion, window.breaks)
-            exported = on_breaks(curves.replaced(part), planned.drones.breaks)
-            deviations.append(_deviations(exported, planned, flown))
-            teams.append(replace(flown, motion=replace(planned, drones=exported)))
-        others = [replace(x, motion=slice_time(x.motion, start, end)) for x in flight.others]
-        whole = Flight(tuple(teams), tuple(others))
-        with value_cache():
-            checks.append([check_of(rule, whole, exported=True) for rule in carried])
+        written = [curves.replaced(part) for part in np.split(places, firsts, axis=1)]
+        exported, planned = _exported(flight, written, window.breaks)
+        for each, before in zip(exported.teams, planned.teams, strict=True):
+            deviations.append(_deviations(each, before.motion))
+        limited = [(exported, carried)]
+        if flown.plan is not None:
+            limited = [(exported, [rule for rule in carried if rule in SETPOINT_RULES])]
+            if not flown.trails:
+                limited.append((_followed(exported, planned, flown.plan), carried))
+        for whole, applied in limited:
+            with value_cache():
+                checks += (check_of(rule, whole, exported=True) for rule in applied)
     if end < flight.duration - JOINT:
         raise FileError(f"ends at t = {end:g} s, before the plan does, at {flight.duration:g} s")
     each = zip(*deviations, strict=True)
     position, velocity = (max(errors, key=lambda error: error.worst) for errors in each)
-    worst = tuple(filter(None, map(worst_of, zip(*checks, strict=True))))
-    return Verdict(end, position, velocity, worst, NOT_CARRIED[contents.smooth])
+    found = [check for check in checks if check is not None]
+    by_rule = (worst_of(check for check in found if check.name == rule.name) for rule in carried)
+    not_carried = NOT_CARRIED[contents.smooth]
+    if flown.plan is not None:
+        not_carried = TRAILING if flown.trails else f"{not_carried} {_rates(flight, contents)}"
+    return Verdict(end, position, velocity, tuple(filter(None, by_rule)), not_carried)
+
+
+def _exported(
+    flight: Flight, written: Sequence[PiecewisePolynomial], breaks: Array
+) -> tuple[Flight, Flight]:
+    """Return a flight over the span of ``breaks``, with the drones of the files, and as planned.
+
+    ``written`` are curves of each team's drones.
+    """
+    start, end = float(breaks[0]), float(breaks[-1])
+    others = tuple(replace(x, motion=slice_time(x.motion, start, end)) for x in flight.others)
+    planned, exported = list[TeamMotion](), list[TeamMotion]()
+    for flown, curves in zip(flight.teams, written, strict=True):
+        motion = _plan_between(flown.motion, breaks)
+        drones = on_breaks(curves, motion.drones.breaks)
+        planned.append(replace(flown, motion=motion))
+        exported.append(replace(flown, motion=replace(motion, drones=drones)))
+    return Flight(tuple(exported), others), Flight(tuple(planned), others)
+
+
+def _followed(exported: Flight, planned: Flight, plan: Flight) -> Flight:
+    """Return the flight of drones that follow exported setpoints, whose plan lies beside them."""
+    teams = list[TeamMotion]()
+    for each, setpoints, flown in zip(exported.teams, planned.teams, plan.teams, strict=True):
+        motion = _plan_between(flown.motion, each.motion.drones.breaks)
+        error = _difference(each.motion.drones, setpoints.motion.drones)
+        positions = bernstein.elevate(motion.drones.coefficients, error.degree)
+        drones = error.replaced(positions + error.coefficients)
+        teams.append(replace(flown, motion=replace(motion, drones=drones)))
+    return Flight(tuple(teams), exported.others)
+
+
+def _difference(curves: PiecewisePolynomial, planned: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return curves on the breaks of planned ones minus these."""
+    degree = max(curves.degree, planned.degree)
+    before = bernstein.elevate(planned.coefficients, degree)
+    return curves.replaced(bernstein.elevate(curves.coefficients, degree) - before)
+
+
+def _rates(flight: Flight, contents: FileContents) -> str:
+    """Return the sentence on the rates of setpoints that hold the tension."""
+    speed, acceleration = (largest_rate(flight.drones, order).worst for order in (1, 2))
+    rates = f"{speed:.3g} m/s"
+    if contents.smooth >= ACCELERATION.derivative:
+        rates += f" and {acceleration:.3g} m/s²"
+    return f"Limits of motion hold for drones that follow the setpoints, which reach {rates}."
 
 
 def _plan_between(motion: Motion, breaks: Array) -> Motion:
@@ -155,15 +245,13 @@ def _plan_between(motion: Motion, breaks: Array) -> Motion:
     return motion.map_curves(span, overlapping)
 
 
-def _deviations(
-    exported: PiecewisePolynomial, motion: Motion, flown: TeamMotion
-) -> list[Deviation]:
-    """Return the largest deviations of curves on a plan's breaks, in position and velocity."""
-    degree, deviations = max(exported.degree, motion.drones.degree), []
-    planned = bernstein.elevate(motion.drones.coefficients, degree)
-    difference = exported.replaced(bernstein.elevate(exported.coefficients, degree) - planned)
-    for order, margin in enumerate((ROUNDING * float(np.max(np.abs(planned))), 0.0)):
+def _deviations(exported: TeamMotion, planned: Motion) -> list[Deviation]:
+    """Return the largest deviations of exported drones from a plan, in position and velocity."""
+    difference = _difference(exported.motion.drones, planned.drones)
+    rounding = ROUNDING * float(np.max(np.abs(planned.drones.coefficients)))
+    deviations = []
+    for order, margin in enumerate((rounding, 0.0)):
         worst = largest_rate(difference, order)
-        drone = flown.label(motion.team.drone_names[worst.item])
+        drone = exported.label(planned.team.drone_names[worst.item])
         deviations.append(Deviation(worst.worst + margin, worst.time, drone))
     return deviations

@@ -22,7 +22,7 @@ from hitchopt.errors import FileError, InputError
 from hitchopt.exports.contents import WINDOW, FileContents, Trajectory
 from hitchopt.exports.lint import load
 from hitchopt.exports.placing import AXES, ReferenceFrame
-from hitchopt.exports.verification import Verdict, verify
+from hitchopt.exports.verification import Flown, Verdict, verify
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import sample_times, states_at
@@ -31,6 +31,8 @@ from hitchopt.trajectory.piecewise import on_breaks
 from hitchopt.values import Array
 
 PLAIN = ReferenceFrame()
+EXPORTED_LIMITS = {"cable_length": 1e-3, "arena": -1e-4, "acceleration": 2.02}
+"""Limits of exported curves that differ from those of plans."""
 
 
 def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> FileContents:
@@ -41,7 +43,7 @@ def recorded(curves: PiecewisePolynomial, names: tuple[str, ...]) -> FileContent
 
 def verified(motion: Motion, curves: PiecewisePolynomial) -> Verdict:
     names = motion.team.drone_names
-    return verify(ho.Flight.of(motion), recorded(curves, names), PLAIN, names)
+    return verify(Flown(ho.Flight.of(motion)), recorded(curves, names), PLAIN, names)
 
 
 @pytest.mark.parametrize("make", [hitch_plan, swarm_plan])
@@ -56,7 +58,7 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], 
         if check.name == "arena":  # exports move drones alone: cables are the plan's
             planned = flown_checks(motion)["arena"]
         assert check.worst == pytest.approx(planned.worst, rel=3e-4, abs=1e-6)
-        assert check.limit == {"cable_length": 1e-3, "arena": -1e-4}.get(check.name, planned.limit)
+        assert check.limit == EXPORTED_LIMITS.get(check.name, planned.limit)
 
 
 def test_a_motion_is_certified_once_and_another_one_again(
@@ -117,7 +119,10 @@ def test_it_rests_after_its_end_but_must_not_end_early() -> None:
 def test_other_drones_are_refused(names: tuple[str, ...], words: str) -> None:
     with pytest.raises(FileError, match=words):
         verify(
-            ho.Flight.of(swarm_plan()), recorded(swarm_plan().drones, ("a", "b", "c")), PLAIN, names
+            Flown(ho.Flight.of(swarm_plan())),
+            recorded(swarm_plan().drones, ("a", "b", "c")),
+            PLAIN,
+            names,
         )
 
 
