@@ -288,6 +288,10 @@ class InfeasibleError(HitchoptError):
         lines = [str(v) for v in self.violations] + ([note] if note else [])
         super().__init__("\n".join(lines))
 
+    def at(self, when: str) -> InfeasibleError:
+        """Return the error with the same description of the time for all violations."""
+        return InfeasibleError((replace(each, when=when) for each in self.violations), self.note)
+
     def of_team(self, name: str) -> InfeasibleError:
         """Return the error with a team's name before its drones; itself if the name is empty."""
         if not name:
@@ -303,10 +307,20 @@ class InfeasibleError(HitchoptError):
         return InfeasibleError(violations, self.note and f"{name}: {self.note}")
 
 
+@contextmanager
+def violations_at(when: str) -> Iterator[None]:
+    """State when the violations occur that the context raises."""
+    try:
+        yield
+    except InfeasibleError as error:
+        raise error.at(when) from error
+
+
 class PlannerError(HitchoptError):
     """A planner failed, with an error of its own; feasibility is undecided."""
 
     def __init__(self, error: HitchoptError) -> None:
+        self.error = error
         super().__init__(f"a planner failed: {error}; please report it with the problem")
 
 

@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +29,9 @@ from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import CLOSED, Layout, Team, layout_of
 from hitchopt.values import Array
+
+T = TypeVar("T")
+U = TypeVar("U")
 
 
 def chord_pull(tension: Any, half_weight: Any, level: Any = 1.0, rise: Any = None) -> Any:
@@ -266,7 +269,7 @@ def leg_directions(
 
     Raises
     ------
-    InfeasibleError: a load that the tensions cannot carry.
+    BalanceError: a load that the tensions cannot carry.
     """
     edges = np.asarray(edge_directions, dtype=np.float64)
     edge_tensions = np.broadcast_to(np.asarray(tensions, dtype=np.float64), edges.shape[:-1])
@@ -330,10 +333,22 @@ def _constant(scalars: Array) -> Series:
     return Series(scalars[None, None])
 
 
+class BalanceError(InfeasibleError):
+    """Forces that no directions of legs, or edges around an object, balance."""
+
+
+def if_balanced(query: Callable[[], T], otherwise: U) -> T | U:
+    """Return what a query of forces answers, or ``otherwise`` if they have no balance."""
+    try:
+        return query()
+    except BalanceError:
+        return otherwise
+
+
 def _check_balance(
     layout: Layout, loads: ClaspLoads | None, V: Array, pull_behind: Array, pull_ahead: Array
 ) -> None:
-    """Raise InfeasibleError if a clasp has no balance.
+    """Raise BalanceError if a clasp has no balance.
 
     Arguments are those of the ``check`` of ``closed_triangle``: the side V (3, …, clasps) [N], and
     the pulls of both legs (1, …, clasps) [N].
@@ -360,7 +375,7 @@ BALANCE_RESERVE = 1e-6
 
 def _unbalanced(
     point: str, edge_pull: Array, load: Array, pull_behind: float, pull_ahead: float
-) -> InfeasibleError:
+) -> BalanceError:
     """Return the error of a clasp that these edge pulls, load and leg pulls [N] cannot balance."""
     leg_pull = pull_behind + pull_ahead
     held = float(length(edge_pull - load))
@@ -375,14 +390,14 @@ def _unbalanced(
             "",
             "use more similar tensions for the clasp's cables, or a larger exterior angle",
         )
-        return InfeasibleError([violation])
+        return BalanceError([violation])
     size = float(length(load))
     limit = _bearable_load(edge_pull, load, leg_pull)
     remedy = "lower team.load or team.cable_density"
     if limit > 0.0:
         factor = rounded_up(size / limit * (1.0 + BALANCE_RESERVE), 3)
         remedy = f"multiply team.tension by {factor:.3g} or more, or {remedy}"
-    return InfeasibleError([Violation("load", size, limit, "max", "N", (point,), "", remedy)])
+    return BalanceError([Violation("load", size, limit, "max", "N", (point,), "", remedy)])
 
 
 def _bearable_load(edge_pull: Array, load: Array, leg_pull: float) -> float:

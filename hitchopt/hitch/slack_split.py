@@ -10,18 +10,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.errors import InfeasibleError, check_time
+from hitchopt.errors import check_time
 from hitchopt.geometry import Outline, differences, shortest_offset
 from hitchopt.geometry.vectors import EAST, dot, first_smallest, length, unit
 from hitchopt.hitch.forces import (
     cable_slack_of,
     clasp_loads,
+    if_balanced,
     leg_directions,
     leg_vectors,
     sag_factors,
@@ -330,10 +331,7 @@ class LegTask:
 
         def suffices(angle: float) -> bool:
             rolled = replace(self, roll=sign * angle)
-            try:
-                margin = margin_of(rolled)
-            except InfeasibleError:  # clasps have no balance
-                return False
+            margin = if_balanced(partial(margin_of, rolled), -math.inf)
             return margin >= self.largest_margin * (1.0 - ROLL_MARGIN_ERROR)
 
         upper = next((angle for angle in candidates if suffices(angle)), None)

@@ -1,21 +1,29 @@
 """Candidates: ways to meet one goal, tried in order until one is certified.
 
 A planner yields its candidates. ``first_certified`` tries them, and is the only place that catches
-InfeasibleError while planning. It is not a search within one candidate, such as that of the
-optimiser, which has an effort of its own.
+InfeasibleError to try something else. What a planner asks on the way is a query that returns None,
+or a violation, such as ``shape_violation``. The error itself is the answer of three queries: of
+forces without a balance (``if_balanced``; how much a move must be slowed), of the largest mass on a
+rim (``rest_capacity``), and of what other numbers of robots hold (``fit``). ``violations_at`` only
+adds the time to an error.
+
+The search within one candidate, such as that of the optimiser, has an effort of its own.
 """
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from hitchopt.errors import (
+    FaultWarning,
     HitchoptError,
     InfeasibleError,
+    InputError,
     PlannerError,
     Progress,
     RequestError,
@@ -105,7 +113,7 @@ def first_certified(
                 count = tried[candidate.name]
                 progress(f"trying {candidate.name}{f' {count}' if count > 1 else ''}")
             try:
-                return candidate.plan()
+                plan = candidate.plan()
             except (TimeLimitError, RequestError):
                 raise
             except InfeasibleError as error:
@@ -114,17 +122,31 @@ def first_certified(
             except HitchoptError as error:
                 failures.append(Failure(candidate, error))
                 candidate = None
+            else:
+                _report_faults(failures)
+                return plan
     raise _refusal(failures) from _best(failures).error
 
 
-def first_feasible(candidate: Candidate[T], otherwise: U) -> T | U:
-    """Return the plan of a candidate, or what holds without it: one that is only better, or None.
+def first_feasible(candidates: Iterable[Candidate[T]], otherwise: U) -> T | U:
+    """Return the first certified plan, or what holds without one: a plan that is worse, or None.
 
-    Nothing is said of its failure.
+    Nothing is said of failures but planners' faults.
     """
     fallback: Candidate[T | U] = Candidate("as it is", lambda: otherwise)
-    ways: list[Candidate[T | U]] = [candidate, fallback]
+    ways: list[Candidate[T | U]] = [*candidates, fallback]
     return first_certified(ways, Effort())
+
+
+def _report_faults(failures: Sequence[Failure]) -> None:
+    """Warn of planners that failed with an InputError of their own: another plan hides no fault."""
+    for failure in failures:
+        error = failure.error
+        while isinstance(error, PlannerError):
+            error = error.error
+        if isinstance(error, InputError):
+            words = f"{failure.candidate.name}: {PlannerError(error)}"
+            warnings.warn(FaultWarning(words), stacklevel=3)
 
 
 def excess(error: HitchoptError) -> float:
@@ -150,6 +172,8 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     """
     best = _best(failures)
     error = best.error
+    if isinstance(error, PlannerError):
+        return error
     if not isinstance(error, InfeasibleError):
         return PlannerError(error)
     if best.candidate.explained is not None:

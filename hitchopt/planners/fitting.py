@@ -19,7 +19,7 @@ from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import dot, left_of, length, turn, unit
-from hitchopt.hitch.forces import cable_slack_of
+from hitchopt.hitch.forces import cable_slack_of, if_balanced
 from hitchopt.hitch.holding import Grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LIMIT_MARGIN, SPREAD_MARGIN, LegTask
@@ -325,7 +325,7 @@ def _margin(
         margin=SPREAD_MARGIN,
     )
     margin_of = task.reference_margin if balanced else partial(_smallest_split_margin, task)
-    return min(first_feasible(Candidate("balance", margin_of), -1.0), SPREAD_MARGIN)
+    return min(if_balanced(margin_of, -1.0), SPREAD_MARGIN)
 
 
 def _smallest_split_margin(task: LegTask) -> float:
@@ -361,4 +361,4 @@ def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:
         return grip, task.cable_length
 
     # The shorter cable grips, but may not enclose
-    return first_feasible(Candidate("longer cable", enclosing), (grip, task.cable_length))
+    return first_feasible([Candidate("longer cable", enclosing)], (grip, task.cable_length))

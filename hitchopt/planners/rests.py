@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, Violation
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
@@ -57,17 +58,18 @@ def hover_motion(task: StepTask, duration: float) -> Motion:
 
 def check_start(task: StepTask) -> None:
     """Raise InfeasibleError if drones on free cables break a limit at the start."""
-    try:
-        require_certified(StepPlan(hover_motion(task, 1.0), task.before), "at the start (t = 0)")
-    except InfeasibleError as error:
-        spans = list[Violation]()
-        consequences = list[Violation]()
-        for violation in error.violations:
-            if violation.constraint == "span":
-                spans.append(_overstretched(violation, task.before))
-            else:
-                consequences.append(violation)
-        raise InfeasibleError([*spans, *consequences], error.note) from error
+    plan = StepPlan(hover_motion(task, 1.0), task.before)
+    if plan.certificate.certified:
+        return
+    spans = list[Violation]()
+    consequences = list[Violation]()
+    error = infeasible_error(plan.certificate, plan.motion, "at the start (t = 0)")
+    for violation in error.violations:
+        if violation.constraint == "span":
+            spans.append(_overstretched(violation, task.before))
+        else:
+            consequences.append(violation)
+    raise InfeasibleError([*spans, *consequences])
 
 
 def _overstretched(violation: Violation, state: RestState) -> Violation:

@@ -130,7 +130,7 @@ def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
         if not task.optimiser or own.path is None or not is_slow(own, task.hitch, end):
             return own
         faster = partial(optimised_plan, task, end, phase, straight=own.path)
-        return first_feasible(Candidate(FASTER_ROUTE, faster), own)
+        return first_feasible([Candidate(FASTER_ROUTE, faster)], own)
 
     routes = [Candidate(OWN_ROUTE, straight_or_faster)]
     if task.optimiser:
@@ -173,24 +173,25 @@ def optimised_plan(
         """Return a path of the search, which is horizontal, with the climb to the end."""
         return path if path is straight or climb == 0.0 else path.climbing(climb)
 
+    def certified_along(path: Path) -> Motion:
+        """Return the certified motion along a path."""
+        plan = require_certified(plan_along(task, path, end, phase))
+        certified[plan.motion] = plan
+        return plan.motion
+
     def certified_motion(path: Path) -> Motion | None:
         """Return a certified motion along a path, if possible with legs that lead and lag."""
         climbed = climbing(path)
-        variants: list[Path] = []
+        routes = list[Candidate[Motion]]()
         if allow_slides:
             sliding = with_slides(climbed, requirements.limits)
-            variants += [variant for variant in sliding if legs_clear(variant, requirements)]
-        for variant in (*variants, climbed):
-            try:
-                plan = plan_along(task, variant, end, phase)
-            except HitchoptError:
-                if variant is climbed:
-                    raise
-                continue
-            if plan.certificate.certified:
-                certified[plan.motion] = plan
-                return plan.motion
-        return None
+            routes += [
+                Candidate("route with slides", partial(certified_along, variant))
+                for variant in sliding
+                if legs_clear(variant, requirements)
+            ]
+        routes.append(Candidate("route", partial(certified_along, climbed)))
+        return first_feasible(routes, None)
 
     shape_cost = None if cost is None else ShapeCost(task.hitch.team, cost)
     morph = OptimisedMorph(
@@ -233,18 +234,13 @@ def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: P
 
     Raises InfeasibleError with the limits that it breaks, and where along the route.
     """
-    from hitchopt.planners.morph.morph import check_loads, check_shapes
+    from hitchopt.planners.morph.morph import load_violation, shape_violation
 
     route = f"along {BEST_ROUTE} ({name})"
-    try:
-        check_shapes(path)
-        check_loads(path, task.requirements.limits)
-    except InfeasibleError as error:
-        violations = [
-            replace(violation, when=violation.when.replace("of the path", route))
-            for violation in error.violations
-        ]
-        raise InfeasibleError(violations, error.note) from error
+    violation = shape_violation(path) or load_violation(path, task.requirements.limits)
+    if violation is not None:
+        when = violation.when.replace("of the path", route)
+        raise InfeasibleError([replace(violation, when=when)])
     plan = plan_along(task, path, end, phase)
     if plan.certificate.certified:
         return plan

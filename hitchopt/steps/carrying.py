@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -13,10 +12,11 @@ from typing import Annotated, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from hitchopt.checks.grips import GRIP_LIMIT
-from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
+from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up, violations_at
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch.forces import if_balanced
 from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.hitch.slack_split import LegTask
@@ -155,29 +155,21 @@ def require_hold(task: StepTask, planner: MovePlanner) -> None:
     hold = planner.hold
     name = f"objects.{planner.state.object}"
     when = f"with {name} off its support"
-    try:
+    with violations_at(when):
         if isinstance(hold, RestHold):
             hold.check_unbent(planner.state.tension)
-            hold.check_rim(planner.state.tension)
+            violation = hold.rim_violation(planner.state.tension)
+            if violation is not None:
+                raise InfeasibleError([violation])
         lifted = planner.from_state(carried=True)
         at_rest = lifted.motion([lifted.rest(1.0)], "hold")
         require_certified(StepPlan(at_rest, task.before), when)
-        if isinstance(hold, RestHold):
-            when = f"as the clasps take {name}"
+    if isinstance(hold, RestHold):
+        when = f"as the clasps take {name}"
+        with violations_at(when):
             moves = [planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)]
             taking = planner.motion(moves, "lift")
             require_certified(StepPlan(taking, task.before), when)
-    except InfeasibleError as error:
-        violations = [replace(violation, when=when) for violation in error.violations]
-        raise InfeasibleError(violations, error.note) from error
-
-
-def check_hold(task: StepTask, planner: MovePlanner) -> None:
-    """Raise the error of ``require_hold``, with the capacity of the hold."""
-    try:
-        require_hold(task, planner)
-    except InfeasibleError as error:
-        raise hold_error(task, planner, error) from error
 
 
 def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
@@ -259,26 +251,31 @@ def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapac
     tension = float(np.min(planner.state.tension))
     cable_length = float(np.min(team.cable_length))
     max_mass = np.inf
-    rim_mass = 0.0
     texts = list[str]()
-    with contextlib.suppress(InfeasibleError):  # some bodies have no polygons
+    if isinstance(hold, GripHold):
+        grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
+        max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
+        texts.append(f"a grip holds {max_mass:.2g} kg")
+
+    def on_rim() -> float:
+        """Return the largest mass on the rim, or for a grip on its section as a rim [kg]."""
+        rimmed = body
         polygons = planner.state.polygons
         if isinstance(hold, GripHold):
-            grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
-            max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
-            texts.append(f"a grip holds {max_mass:.2g} kg")
-            body = with_fields(body, rim=Rim(body.section, body.lower))
+            rimmed = with_fields(body, rim=Rim(body.section, body.lower))
             robots = max(team.robots, 3)
-            polygons = rest_polygons(planner.state.object, body, robots, planner.gap)[0]
-        best = best_rim_hold(body, polygons, cable_length, tension, kind, requirements)
-        rim_mass = best.capacity.mass
-        # Rolled legs may hold an object that unrolled ones do not
-        if rim_mass > 0.0 and isinstance(hold, RestHold):
-            max_mass = rim_mass
-        if rim_mass > 0.0 or isinstance(hold, GripHold):
-            texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
+            polygons = rest_polygons(planner.state.object, rimmed, robots, planner.gap)[0]
+        best = best_rim_hold(rimmed, polygons, cable_length, tension, kind, requirements)
+        return best.capacity.mass
+
+    rim_mass = first_feasible([Candidate("rim", on_rim)], None)  # some bodies have no polygons
+    # Rolled legs may hold an object that unrolled ones do not
+    if rim_mass and isinstance(hold, RestHold):
+        max_mass = rim_mass
+    if rim_mass or (rim_mass is not None and isinstance(hold, GripHold)):
+        texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
     text = f" ({', '.join(texts)})" if texts else ""
-    return HoldCapacity(text, max_mass, rim_mass)
+    return HoldCapacity(text, max_mass, rim_mass or 0.0)
 
 
 def altitude_over(task: StepTask) -> float:
@@ -584,7 +581,12 @@ class Grasp(TensionStep):
             open_fractions=task.hitch.fractions,
         )
         planner = planner_of(task).from_state(tension=tension, hold=hold)
-        check_hold(task, planner)
+        held = Candidate(
+            "hold",
+            partial(require_hold, task, planner),
+            explained=partial(hold_error, task, planner),
+        )
+        first_certified([held], task.effort, task.progress)
         motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
         return plan_to(task, planner.state, motion, body.place)
 
@@ -620,7 +622,7 @@ def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
                 margin=1.0,
                 roll=rolls,
             )
-            if first_feasible(Candidate("balance", task.reference_margin), 0.0) >= 1.0:
+            if if_balanced(task.reference_margin, 0.0) >= 1.0:
                 yield Hitch(team, polygon, goal.altitude, q_legs, rolls)
 
 

@@ -175,7 +175,7 @@ class ShapeStep(HitchStep):
             """Return the path along straight lines."""
             return straight_path(task.hitch, end.hitch, task.requirements)
 
-        known = first_feasible(Candidate("straight lines", straight), None)
+        known = first_feasible([Candidate("straight lines", straight)], None)
         return self._optimised_plan(task, end, straight=known)
 
     def _own_plan(self, task: StepTask, end: End) -> StepPlan:
@@ -191,7 +191,7 @@ class ShapeStep(HitchStep):
         if not is_slow(own, task.hitch, end.hitch):
             return own
         faster = partial(self._optimised_plan, task, end, straight=own.path)
-        return first_feasible(Candidate(FASTER_ROUTE, faster), own)
+        return first_feasible([Candidate(FASTER_ROUTE, faster)], own)
 
     @property
     def _search_options(self) -> SearchOptions:

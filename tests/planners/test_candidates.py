@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
@@ -12,6 +13,7 @@ import pytest
 import hitchopt as ho
 from benchmarks.families import scattered_form
 from hitchopt.errors import (
+    FaultWarning,
     HitchoptError,
     InfeasibleError,
     InputError,
@@ -21,7 +23,13 @@ from hitchopt.errors import (
     Violation,
 )
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.planners.candidates import CANDIDATE_COST, Candidate, Effort, first_certified
+from hitchopt.planners.candidates import (
+    CANDIDATE_COST,
+    Candidate,
+    Effort,
+    first_certified,
+    first_feasible,
+)
 from hitchopt.planners.forming import SwapSettings, prehitch
 
 
@@ -108,9 +116,12 @@ def test_a_candidate_is_followed_by_what_it_is_amended_to() -> None:
 
 
 def test_errors_of_planners_are_no_errors_of_input() -> None:
-    """Requests and time limits are; other candidates still lead to a plan."""
+    """Requests and time limits are; other candidates still lead to a plan, with a warning."""
     fault = InputError("altitude", float("inf"), "finite", "write a number")
-    assert first_certified(candidates(fault, "planned"), Effort()) == "planned"
+    with pytest.warns(FaultWarning, match="circle: a planner failed: altitude = inf"):
+        assert first_certified(candidates(fault, "planned"), Effort()) == "planned"
+    with pytest.warns(FaultWarning, match="altitude = inf"):
+        assert first_feasible(candidates(fault), 0.0) == 0.0
     with pytest.raises(PlannerError, match="altitude = inf"):
         first_certified(candidates(fault, fault), Effort())
     assert not issubclass(PlannerError, InputError)
@@ -151,18 +162,41 @@ MORPH = {
 def test_records_that_planners_build_from_bad_values_leave_the_file_valid(
     problem: dict[str, object], place: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Wherever in a planner they are built: another candidate is planned, or a planner failed."""
+    """Wherever in a planner they are built: another candidate is planned, or a planner failed.
+
+    In both cases the fault is told.
+    """
 
     def fault(*_: object, **__: object) -> None:
         raise InputError("altitude", np.inf, "finite", "write a number")
 
     monkeypatch.setattr(place, fault)
-    try:
-        plan = ho.solve(ho.problem_from_dict(problem))
-    except HitchoptError as error:
-        assert isinstance(error, PlannerError)  # noqa: PT017
-    else:
-        assert plan.certificate.certified
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            plan = ho.solve(ho.problem_from_dict(problem))
+        except HitchoptError as error:
+            assert isinstance(error, PlannerError)  # noqa: PT017
+        else:
+            assert plan.certificate.certified
+            assert any("altitude = inf" in str(each.message) for each in warned)
+
+
+def test_a_fault_within_a_candidate_is_told_once() -> None:
+    """A planner that tries candidates of its own is no other fault, and hides none."""
+    fault = InputError("altitude", float("inf"), "finite", "write a number")
+    within = Candidate("morph", lambda: first_certified(candidates(fault), Effort()))
+    with pytest.warns(FaultWarning, match=r"^morph: a planner failed: altitude = inf") as warned:
+        assert first_certified([within, *candidates("planned")], Effort()) == "planned"
+    assert len(warned) == 1
+    with pytest.raises(PlannerError, match=r"^a planner failed: altitude = inf"):
+        first_certified([within], Effort())
+
+
+def test_what_a_search_does_not_find_is_no_fault() -> None:
+    lost = PlannerError(HitchoptError("no route was found"))
+    for error in (lost, HitchoptError("no route was found"), refused(0.5)):
+        assert first_certified(candidates(error, "planned"), Effort()) == "planned"
 
 
 def test_laying_is_a_candidate_of_forms(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import Quadrotor, Team
+from hitchopt.hitch.forces import if_balanced
 from hitchopt.hitch.holding import Capacity, rest_capacity
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.objects import SolidObject
@@ -119,13 +120,8 @@ def cuts_rim(team: Team, body: SolidObject, clasps: Array, mass: float) -> bool:
     loaded = with_fields(body, mass=max(mass, CUT_RESOLUTION))
     equal_legs = np.full(team.robots, 0.5)
     level = np.zeros(team.robots)
-
-    def cuts() -> bool:
-        """Return False, or raise InfeasibleError where legs cut the rim."""
-        RestHold(team, loaded, clasps, height, equal_legs, level).check_rim(team.tension)
-        return False
-
-    return first_feasible(Candidate("uncut rim", cuts), True)
+    hold = RestHold(team, loaded, clasps, height, equal_legs, level)
+    return if_balanced(lambda: hold.rim_violation(team.tension) is not None, True)
 
 
 def _uncut_mass(team: Team, body: SolidObject, clasps: Array, cutting: float) -> float:
@@ -191,5 +187,5 @@ def team_for_rim(
     others = [number for number in COMPARED_ROBOTS if number != robots]
     nearest_first = sorted(others, key=lambda number: (abs(number - robots), number))
     sizes = (Candidate("team", partial(holding, number)) for number in nearest_first)
-    teams = (first_feasible(size, None) for size in sizes)
+    teams = (first_feasible([size], None) for size in sizes)
     return next(filter(None, teams), None)

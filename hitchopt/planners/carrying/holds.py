@@ -17,11 +17,12 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from hitchopt.checks.clasps import BALANCE_LIMIT
-from hitchopt.errors import InfeasibleError, Violation
+from hitchopt.errors import Violation
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
 from hitchopt.hitch.forces import (
+    BalanceError,
     ClaspLoads,
     cable_slack_of,
     clasp_loads,
@@ -265,20 +266,21 @@ class RestHold(HoldingHitch):
         forces[:, 2] = -GRAVITY * self.body.mass * self.supports.shares
         self.drones(tension, forces)
 
-    def check_rim(self, tension: Array) -> None:
-        """Raise InfeasibleError if straight legs leave the rim more than RIM_CUT above its edge.
+    def rim_violation(self, tension: Array) -> Violation | None:
+        """Return the violation of straight legs that leave the rim too far above its edge, or None.
 
-        That is at rest without and with the whole weight, for tensions (n,) [N].
+        That is by more than RIM_CUT at rest, without and with the whole weight, for tensions (n,)
+        [N].
         """
         for load_share in (0.0, 1.0):
             heights = self._leg_heights_at_rim(tension, load_share)
             worst = int(np.argmax(heights))
             if heights[worst] > RIM_CUT:
                 where = (f"cable {self.team.labels[worst // 2]}", RIM_EDGE)
-                violation = Violation(
+                return Violation(
                     "object_clearance", 0.0, RIM_CUT, "min", "m", where, "", RIM_REMEDY
                 )
-                raise InfeasibleError([violation])
+        return None
 
     def _leg_heights_at_rim(self, tension: Array, load_share: float) -> Array:
         """Return the heights (2n,) [m] of straight legs above the rim's edge where they leave it.
@@ -582,7 +584,7 @@ class GripHold(HoldingHitch):
 
 
 def _check_balance(edges: BearingEdges, tension: Array, load: Array, load_share: Array) -> None:
-    """Raise InfeasibleError if edges do not bear a load (…, 3) [N].
+    """Raise BalanceError if edges do not bear a load (…, 3) [N].
 
     Parameters
     ----------
@@ -601,7 +603,7 @@ def _check_balance(edges: BearingEdges, tension: Array, load: Array, load_share:
         when = "where edges touch the object"
         remedy = "lower the object's mass, raise the tension, or use more robots"
         violation = Violation("equilibrium", worst, BALANCE_LIMIT, "max", "", (), when, remedy)
-        raise InfeasibleError([violation])
+        raise BalanceError([violation])
 
 
 def _spans(leaving: Array, arriving: Array) -> Array:

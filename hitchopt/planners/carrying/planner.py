@@ -17,6 +17,7 @@ from hitchopt.checks.spans import value_cache
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_down
 from hitchopt.geometry.vectors import unit
 from hitchopt.hitch import GRAVITY, Hitch, Team
+from hitchopt.hitch.forces import BalanceError
 from hitchopt.hitch.holding import residual_grip
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion, Phase, PhaseHold, concatenated
@@ -306,7 +307,7 @@ class MovePlanner:
             motion = self.motion([move])
             factor = needed_stretch(motion)
             violated = first_violated(motion, checks) if factor <= 1.0 else None
-        except InfeasibleError as error:
+        except BalanceError as error:  # of a motion that is too fast, not of the hold
             if not checks:
                 raise
             return SLOWING_FACTOR, error.violations[0].constraint

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hitchopt.drones.quadrotor import Quadrotor
-from hitchopt.errors import InfeasibleError, RequestError, Violation, check_time
+from hitchopt.errors import InfeasibleError, RequestError, Violation, check_time, violations_at
 from hitchopt.geometry import ConvexPolygon, differences, shortest_offset
 from hitchopt.geometry.vectors import cross, left_of, length, turn, unit
 from hitchopt.hitch import Team
@@ -467,10 +467,12 @@ def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
     margin, worst = task.shortest(nearest)
     name, ratio = (worst, 1.0 + margin) if margin < 0.0 else ("grip", 0.0)
     limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
-    note = f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found"
-    remedy = f"{note}: this is the largest violation of the nearest one"
+    remedy = (
+        f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found: this is the "
+        "largest violation of the nearest one"
+    )
     value = round(ratio * limit, DECIMALS)
-    return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)], note)
+    return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)])
 
 
 SEARCH_TENSION_RATIO = 0.9
@@ -511,11 +513,8 @@ def grip_clasps(name: str, body: SolidObject, team: Team, requirements: Requirem
     tension = SEARCH_TENSION_RATIO * drone.level_pull(requirements.limits.tilt)[0]
     friction, section = team.cable_friction, body.section
     task = GripTask(section, team.robots, cable, tension, friction, requirements, drone)
-    try:
+    with violations_at(f"around objects.{name}"):
         return best_grip(task).vertices
-    except InfeasibleError as error:
-        words = f"around objects.{name}"
-        raise InfeasibleError([replace(v, when=words) for v in error.violations]) from error
 
 
 # Rests.

@@ -207,7 +207,7 @@ class StraddlePlanner(MovePlanner):
         horizontal cables.
         """
         rolls = Candidate("rolling pairs", lambda: self.closest_rolling)
-        rolling = first_feasible(rolls, None)
+        rolling = first_feasible([rolls], None)
         if rolling is None:
             yield -math.inf, self
             return

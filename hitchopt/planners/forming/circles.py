@@ -169,4 +169,4 @@ def _spread(
         split = LegTask.at_rest(team, polygon, legs, requirements, SPREAD_MARGIN).split()
         return Hitch(team, polygon, altitude, split.q_legs[0]) if split.margin >= 1.0 else None
 
-    return first_feasible(Candidate("spread legs", spread), None)
+    return first_feasible([Candidate("spread legs", spread)], None)

@@ -20,7 +20,13 @@ from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import PATH_SAMPLES, with_legs_clear, worst_point
-from hitchopt.planners.morph.morph import MIN_LEG, POSITION_TOLERANCE, check_loads, check_shapes
+from hitchopt.planners.morph.morph import (
+    MIN_LEG,
+    POSITION_TOLERANCE,
+    check_loads,
+    check_shapes,
+    shape_violation,
+)
 from hitchopt.planners.morph.path import (
     LegLaw,
     Path,
@@ -274,13 +280,12 @@ class ActionMorph:
     def problem(self) -> Path:
         """The path to be timed; raises InfeasibleError as ``straight_path``."""
         by_law = self.path_by_law
-        try:
-            check_shapes(by_law)
-        except InfeasibleError as error:  # other legs may be feasible if there is slack
+        violation = shape_violation(by_law)
+        if violation is not None:  # other legs may be feasible if there is slack
             shapes = shapes_along(by_law, np.linspace(0.0, 1.0, PATH_SAMPLES))
             slack = np.sum(shapes.legs, axis=-1)
-            if error.violations[0].constraint != "legs" or np.min(slack) < 2.0 * MIN_LEG:
-                raise
+            if violation.constraint != "legs" or np.min(slack) < 2.0 * MIN_LEG:
+                raise InfeasibleError([violation])
         timed = self.action.seconds is not None
         path = with_legs_clear(by_law, self.requirements, few=True, at_rest=timed)
         check_shapes(path)

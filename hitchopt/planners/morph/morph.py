@@ -17,7 +17,7 @@ from hitchopt.hitch.team import Layout
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.legs import with_legs_clear
 from hitchopt.planners.morph.path import FlatPath, LegLaw, Path, drones_along, shapes_along
-from hitchopt.planners.timing.profile import check_hover, demands_along, path_grid
+from hitchopt.planners.timing.profile import demands_along, hover_violation, path_grid
 from hitchopt.planners.timing.timed_motion import GRID, motion_along
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import interpolated
@@ -68,6 +68,13 @@ def exterior_angles(layout: Layout, edges: Array) -> Array:
 
 def check_shapes(path: FlatPath) -> None:
     """Raise InfeasibleError if a polygon on the path is not convex, or an edge or leg vanishes."""
+    violation = shape_violation(path)
+    if violation is not None:
+        raise InfeasibleError([violation])
+
+
+def shape_violation(path: FlatPath) -> Violation | None:
+    """Return the violation of a polygon that is not convex, or of an edge or leg that vanishes."""
     s = np.linspace(0.0, 1.0, SHAPE_SAMPLES)
     layout = path.team.layout
     shapes = shapes_along(path, s)
@@ -76,10 +83,11 @@ def check_shapes(path: FlatPath) -> None:
     shorter = np.minimum(lengths[:, layout.ahead], lengths[:, layout.behind])
     angles = np.where(shorter < MIN_EDGE, 0.0, exterior_angles(layout, edges))
     if np.min(angles) < MIN_ANGLE:
-        raise InfeasibleError([_flat_corner(layout, s, angles)])
+        return _flat_corner(layout, s, angles)
     legs = np.where(layout.has_leg, shapes.legs, np.inf)
     if np.min(legs) < MIN_LEG:
-        raise InfeasibleError([_short_leg(path.team, s, legs)])
+        return _short_leg(path.team, s, legs)
+    return None
 
 
 def _flat_corner(layout: Layout, s: Array, angles: Array) -> Violation:
@@ -119,12 +127,20 @@ def _short_leg(team: Team, s: Array, legs: Array) -> Violation:
 
 def check_loads(path: FlatPath, limits: Limits) -> None:
     """Raise InfeasibleError if hovering violates a limit at a point at which the path is timed."""
+    violation = load_violation(path, limits)
+    if violation is not None:
+        raise InfeasibleError([violation])
+
+
+def load_violation(path: FlatPath, limits: Limits) -> Violation | None:
+    """Return the violation of a limit by hovering at a point at which the path is timed."""
     when = [f"at rest at {s:.0%} of the path" for s in path_grid(GRID)]
     remedies = (
         "use a drone with more thrust, or lower team.tension",
         "allow more tilt, or use heavier drones, or lower team.tension",
     )
-    check_hover(path.team, limits, demands_along(path, limits, GRID).loads, when, remedies)
+    loads = demands_along(path, limits, GRID).loads
+    return hover_violation(path.team, limits, loads, when, remedies)
 
 
 DISTANCE_SAMPLES = 2001

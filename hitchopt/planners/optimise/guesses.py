@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import centroids
 from hitchopt.geometry.vectors import EAST, left_of, length, unit
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.forces import if_balanced
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.slack_split import LegTask
@@ -292,19 +292,16 @@ def distance_margins(paths: Sequence[KnotPath], requirements: Requirements) -> A
     knots = len(paths[0].polygons)
     no_roll = np.zeros((knots, len(team.layout.clasps)))
     rolls = [no_roll if path.roll is None else path.roll for path in paths]
-    try:
-        task = LegTask(
-            team,
-            replace(requirements, arena=None),
-            polygons=np.concatenate([path.polygons for path in paths]),
-            reference=np.concatenate([path.q_legs for path in paths]),
-            shortest_leg=0.0,
-            margin=MAX_MARGIN,
-            roll=np.concatenate(rolls),
-        )
-        margins = task.reference_margins()
-    except InfeasibleError:  # clasps have no balance
-        margins = np.zeros(len(paths) * knots)
+    task = LegTask(
+        team,
+        replace(requirements, arena=None),
+        polygons=np.concatenate([path.polygons for path in paths]),
+        reference=np.concatenate([path.q_legs for path in paths]),
+        shortest_leg=0.0,
+        margin=MAX_MARGIN,
+        roll=np.concatenate(rolls),
+    )
+    margins = if_balanced(task.reference_margins, np.zeros(len(paths) * knots))
     return margins.reshape(len(paths), knots)
 
 

@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.errors import HitchoptError
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
+from hitchopt.hitch.forces import if_balanced
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
-from hitchopt.planners.morph.morph import check_loads, check_shapes
+from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.morph.path import Path
 from hitchopt.planners.optimise.cost import ShapeCost
 from hitchopt.planners.optimise.guesses import (
@@ -36,7 +38,6 @@ from hitchopt.planners.optimise.knots import Judge, KnotPath, SearchLimits, Solv
 from hitchopt.planners.optimise.program import iterates
 from hitchopt.planners.timing.profile import (
     LIMIT_SHARE,
-    TimingError,
     demands_along,
     flight_estimate,
     flight_estimates,
@@ -242,7 +243,7 @@ class OptimisedMorph:
         search ends if no path can be faster by MIN_GAIN. Raises NoRouteError if there is none.
         """
         candidates = list[Candidate]()
-        straight_motion = None if self.straight is None else _judged(self.straight, self.judge)
+        straight_motion = None if self.straight is None else self.judge(self.straight)
         if self.straight is not None and straight_motion is not None:
             candidates.append(Candidate("", straight_motion, self._cost_of(self.straight)))
         rejected: list[KnotPath] = []
@@ -421,13 +422,17 @@ class OptimisedMorph:
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
         """Return the motion along a guess with leg lengths that keep distances, or None."""
         self.effort.spend(LEGS_EFFORT_PER_ROBOT * guess.team.robots)
-        try:
-            check_shapes(guess.path)
-            path = with_legs_clear(guess.path, self.requirements)
-            check_loads(path, self.requirements.limits)
-        except InfeasibleError:
+        path = if_balanced(partial(self._clear_path, guess.path), None)
+        return None if path is None else self.judge(path)
+
+    def _clear_path(self, path: Path) -> Path | None:
+        """Return a path with leg lengths that keep distances; None if it breaks a limit."""
+        if shape_violation(path) is not None:
             return None
-        return _judged(path, self.judge) if legs_clear(path, self.requirements) else None
+        clear = with_legs_clear(path, self.requirements)
+        if load_violation(clear, self.requirements.limits) is not None:
+            return None
+        return clear if legs_clear(clear, self.requirements) else None
 
 
 def _is_promising(margins: Array) -> bool:
@@ -568,7 +573,7 @@ def _last_accepted(
 ) -> tuple[KnotPath, Candidate] | None:
     """Return the last of several paths that the judge accepts, and its motion; None without one."""
     for path in reversed(paths):
-        motion = _judged(path.path, search.judge)
+        motion = search.judge(path.path)
         if motion is not None:
             return path, Candidate(path.name, motion, search.cost_of(path.path))
     return None
@@ -586,23 +591,11 @@ def _worst_margin(path: KnotPath, requirements: Requirements) -> float:
     return float(np.min(distance_margins([refined], requirements)))
 
 
-def _judged(path: Path, judge: Judge) -> Motion | None:
-    """Return the motion along a path, or None if the judge or its timing rejects it."""
-    try:
-        return judge(path)
-    except (InfeasibleError, TimingError):
-        return None
-
-
 def _is_feasible(knots: KnotPath, search: SearchLimits) -> bool:
     """Return whether a path satisfies its limits at samples, before the judge's decision."""
     path = knots.path
     requirements = search.requirements
-    try:
-        check_shapes(path)
-    except InfeasibleError:
-        return False
-    if not legs_clear(path, requirements):
+    if shape_violation(path) is not None or not legs_clear(path, requirements):
         return False
     demands = demands_along(path, requirements.limits)
     if np.max(rest_ratios(path.team, requirements.limits, demands.loads)) >= LIMIT_SHARE:

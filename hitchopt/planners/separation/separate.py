@@ -132,7 +132,7 @@ class SeparatedCurves:
             return
         report("searching for a feasible duration")
         untimed = SeparatedCurves(replace(task, duration=None))
-        fastest = first_feasible(Candidate("fastest route", partial(untimed.solve, report)), None)
+        fastest = first_feasible([Candidate("fastest route", partial(untimed.solve, report))], None)
         if fastest is None:
             return
         duration = fastest.drones.duration

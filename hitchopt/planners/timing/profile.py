@@ -187,10 +187,10 @@ def rest_ratios(team: Team, limits: Limits, loads: Array) -> Array:
     return np.stack([length(loads) / team.max_thrust, tilt / limits.tilt])
 
 
-def check_hover(
+def hover_violation(
     team: Team, limits: Limits, loads: Array, when: Sequence[str], remedies: tuple[str, str]
-) -> None:
-    """Raise InfeasibleError if hovering uses up a limit of thrust or tilt.
+) -> Violation | None:
+    """Return the violation of a limit of thrust or tilt that hovering uses up; None without one.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def check_hover(
         if ratio >= LIMIT_SHARE:
             limit = float(kind.limits[drone])
             reserved = f"{when[sample]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
-            violation = Violation(
+            return Violation(
                 kind.check,
                 ratio * limit,
                 LIMIT_SHARE * limit,
@@ -220,7 +220,7 @@ def check_hover(
                 reserved,
                 kind.remedy,
             )
-            raise InfeasibleError([violation])
+    return None
 
 
 class HoverLimit(NamedTuple):
@@ -274,7 +274,9 @@ def usable_accelerations(team: Team, limits: Limits, drones: Array) -> Array:
     loads = loads_at_rest(team, hanging_forces(team, drones))
     remedy = "use lighter cables, or stronger drones that may tilt more"
     hovering = ["hovering with a hanging cable"] * len(drones)
-    check_hover(team, limits, loads, hovering, (remedy, remedy))
+    violation = hover_violation(team, limits, loads, hovering, (remedy, remedy))
+    if violation is not None:
+        raise InfeasibleError([violation])
     spare = spare_accelerations(team, limits, loads)
     usable: Array = np.minimum(np.min(spare, axis=0), LIMIT_SHARE * limits.acceleration)
     return usable
