@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
-from hitchopt.cli.output import known_text, table
+from hitchopt.cli.output import known_text
 from hitchopt.drones.controllers import FIRMWARE, HELD, ONE_MARKER, EstimatorParameters
 from hitchopt.errors import FileError, OneLine
 from hitchopt.geometry.vectors import dot, left_of, length
@@ -35,6 +35,7 @@ from hitchopt.hitch import GRAVITY
 from hitchopt.lab.flights.readers import read_flight
 from hitchopt.lab.flights.recordings import RecordedFlight, interpolated
 from hitchopt.lab.simulation.estimator import Filter, rotation
+from hitchopt.tables import table
 from hitchopt.values import Array
 from hitchopt.values import path as checked_path
 

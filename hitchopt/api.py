@@ -283,6 +283,7 @@ def step_errors(step: Step) -> Iterator[None]:
         raise error.renamed(lambda key: re.sub(nested, "", key) or step.name) from None
 
 
+@suggest_keywords
 def separate(
     problem: Problem | str | Path,
     progress: Progress | None = None,
@@ -296,6 +297,7 @@ def separate(
     return solve(_loaded(problem, "swarm"), progress=progress, limit=limit)
 
 
+@suggest_keywords
 def suggestions(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> tuple[Suggestion, ...]:
@@ -319,6 +321,7 @@ def suggestions(
     return ()
 
 
+@suggest_keywords
 def repair(
     problem: Problem | str | Path, budget: float = BUDGET, progress: Progress | None = None
 ) -> Plan:

@@ -40,7 +40,7 @@ from hitchopt.planners.carrying.straddle_planner import find_straddle
 from hitchopt.planners.fitting import enclosing_polygon, grip_and_cable, shortest_cable
 from hitchopt.steps.straddling import Tie, needed_height
 from hitchopt.values import integer, points, positive, sequence
-from hitchopt.values.fields import Key, Record, with_fields
+from hitchopt.values.fields import Key, Record, suggest_keywords, with_fields
 from hitchopt.values.units import CABLE_LENGTH, DISTANCE, FRICTION, LENGTH, TENSION
 
 GRIP = "grip"  # Method of holding an object by cables that are wrapped around it
@@ -178,6 +178,7 @@ class Fit(OneLine):
             raise InfeasibleError([Violation(by, mass, capacity.mass, "max", "kg", (), "", remedy)])
 
 
+@suggest_keywords
 def fit(
     outline: Any,
     robots: int,

@@ -33,6 +33,7 @@ from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
 from hitchopt.support import Feature
 from hitchopt.values import check_instance, flag, integer, nonnegative, path, text
+from hitchopt.values.fields import suggest_keywords, with_suggestions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -45,6 +46,7 @@ FLOWN_ERROR = 0.02
 """[m] Mean error of positions in swarms of Crazyflies (Preiss et al., Crazyswarm, ICRA 2017)."""
 
 
+@with_suggestions
 @dataclass(frozen=True, eq=False)
 class Plan(OneLine):
     """A certified flight of a hitch, of a swarm without cables, or of several teams.
@@ -384,6 +386,7 @@ class Plan(OneLine):
             )
 
 
+@suggest_keywords
 def closest(
     plan: Plan,
     spans: int = CLOSENESS_SPANS,
@@ -413,6 +416,7 @@ def closest(
     return pairs
 
 
+@suggest_keywords
 def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = ("a", "b")) -> Plan:
     """Return two plans as one, certified for the limits of both and the distances between them.
 
@@ -444,6 +448,7 @@ def combine(plan: Plan, other: Plan, at: float = 0.0, names: tuple[str, str] = (
     return Plan(flight, certify(flight).stating(rules), title)
 
 
+@suggest_keywords
 def load(directory: Path | str) -> Plan:
     """Return the plan in a directory; its certificate is recomputed from the polynomials.
 

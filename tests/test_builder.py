@@ -285,6 +285,41 @@ def test_values_just_beyond_a_limit_differ_from_it_in_words(limit: Any, words: s
     assert broken_limit(*limit) == f"{limit[0]}: {words}"
 
 
+def test_every_public_function_suggests_arguments() -> None:
+    """So do records that users write; records of results do not."""
+    public: list[Any] = [getattr(ho, name) for name in ho.__all__]
+    functions: list[Any] = [each for each in public if inspect.isfunction(each)]
+    for each in [*functions, ho.Plan, ho.Rule, ho.Swarm, ho.Rim]:
+        *_, last = inspect.signature(each).parameters.values()
+        if last.kind is not inspect.Parameter.VAR_KEYWORD:  # those check their options
+            with pytest.raises(TypeError, match=rf"^{each.__name__}\(\) has no argument 'x9'; "):
+                each(x9=1)
+
+
+def test_signatures_have_plain_types() -> None:
+    kinds: list[Any] = [*STEPS, ho.Fly, ho.Team, ho.Limits, ho.Problem, ho.Quadrotor]
+    assert not any("Annotated" in str(inspect.signature(kind)) for kind in kinds)
+    signature = str(inspect.signature(ho.Morph))
+    for words in ("polygon: 'ArrayLike | Outline'", "duration: 'float | None' = None"):
+        assert words in signature
+
+
+@pytest.mark.parametrize(("mission", "example"), [("hold", "Hold(…)"), ("held", "Hold(1.0)")])
+def test_a_word_is_no_mission(mission: Any, example: str) -> None:
+    for call in (lambda: ho.solve(START, mission), lambda: ho.Problem(TEAM, START, mission)):
+        with pytest.raises(ho.InputError) as refused:
+            call()
+        words = f"must be a step; write it as a record, such as hitchopt.{example}"
+        assert str(refused.value) == f"mission = {mission!r}: {words}"
+
+
+def test_a_printed_certificate_is_its_table(plan: ho.Plan) -> None:
+    title, heads, _, *rows = str(plan.certificate).splitlines()
+    assert (title, heads.split()[:3]) == ("Certificate", ["check", "worst", "limit"])
+    assert rows[0] == "distances:"
+    assert len(repr(plan.certificate)) <= MAX_REPR
+
+
 @pytest.mark.parametrize(
     ("call", "given", "words"),
     [

@@ -12,6 +12,7 @@ from typing import Any
 
 from hitchopt.errors import HitchoptError, OneLine, Violation, broken_limit, distinct
 from hitchopt.motion.stated_rules import StatedRule
+from hitchopt.tables import table
 from hitchopt.values import closest_word
 
 FORMAT = "hitchopt-certificate/1"
@@ -250,6 +251,25 @@ class Certificate(OneLine):
         reports = partial(tuple, self.checks[len(self.limited) :])
         content = self.duration, self.limited, reports, self.not_recomputed, self.flight_digest
         return Certificate, content
+
+    def __str__(self) -> str:
+        """Return the table of the checks, by groups, with their worst values over all time.
+
+        If a check fails, a column shows the verdicts; otherwise the last line names the limits that
+        bind.
+        """
+        rows: list[dict[str, object]] = []
+        for heading, checks in self.groups.items():
+            rows.append({"check": f"{heading}:"})
+            for check in checks:
+                rows.append({**check.row, "check": f" {check.title}"})
+                rows[-1] |= {} if self.certified else {"holds": check.holds}
+        text = "\n\n".join([table("Certificate", rows), *self.notes])
+        if not (self.certified and self.binding):
+            return text
+        *names, last = self.binding
+        limits = f"{', '.join(names)} and {last} allow" if names else f"{last} allows"
+        return f"{text}\n\nas fast as {limits}"
 
     def _repr_html_(self) -> str:
         """Return HTML for notebooks: the verdict, and the checks with their worst values."""

@@ -21,6 +21,7 @@ from hitchopt.motion.motion import HITCHED_STATE, CableState, Motion
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.trajectory.enclosed import Angle, Bound, Enclosed
 from hitchopt.values import ByValue, Indices, check_instance, line, sequence
+from hitchopt.values.fields import with_suggestions
 
 OPERATIONS = (
     *("+", "-", "*", "dot", "cross", "norm", "direction", "inverse", "root", "xy"),
@@ -116,6 +117,7 @@ class ClaspSpans(RuleSpans):
 S = TypeVar("S", bound=RuleSpans)
 
 
+@with_suggestions
 @dataclass(frozen=True, eq=False)
 class Rule(ByValue, Generic[S]):
     """A custom limit, certified for all t like those of hitchopt.

@@ -11,6 +11,7 @@ How curves are read is not here: ``Drones`` reads values, and ``DroneJets`` thei
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
@@ -97,7 +98,7 @@ def partners(motion: Motion) -> Array:
     return places[:, np.arange(motion.team.drones) ^ 1] - places
 
 
-class DroneForces(Generic[Q]):
+class DroneForces(ABC, Generic[Q]):
     """Forces on one drone each, on spans of time, by curves that subclasses read from tables."""
 
     source: Motion
@@ -106,22 +107,22 @@ class DroneForces(Generic[Q]):
     item: Indices
     """The drones (spans,)."""
 
+    @abstractmethod
     def motion_rate(self, order: int) -> Q:
         """Return a time derivative of the position."""
-        raise NotImplementedError
 
+    @abstractmethod
     def vector_of(self, table: Callable[[Motion], Array]) -> Q:
         """Return differences of positions from a table (pieces, 2n, 3, degree + 1) [m]."""
-        raise NotImplementedError
 
+    @abstractmethod
     def scalar_of(self, table: Callable[[Motion], Array]) -> Q:
         """Return a computed scalar from a table (pieces, 2n, degree + 1)."""
-        raise NotImplementedError
 
-    @lazy
+    @property
+    @abstractmethod
     def pull_terms(self) -> tuple[Q, Q]:
         """1/σ and coth σ of the cable as if hanging."""
-        raise NotImplementedError
 
     @lazy
     def mass(self) -> Array:

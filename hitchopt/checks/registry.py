@@ -40,6 +40,7 @@ from hitchopt.motion.retiming import padded
 from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.objects.placing import CONTACT_GAP
 from hitchopt.values import check_instance, nonnegative, sequence
+from hitchopt.values.fields import suggest_keywords
 
 RULES = (
     separation.SEPARATION,
@@ -134,6 +135,7 @@ class Planned(Protocol):
         ...
 
 
+@suggest_keywords
 def certify(
     flight: Flight | Motion | Planned,
     progress: Callable[[str], None] | None = None,

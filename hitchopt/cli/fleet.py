@@ -23,8 +23,9 @@ from hitchopt.cli.options import (
     option,
     plan_path,
 )
-from hitchopt.cli.output import ProgressBar, certificate_table, record, say, show_places, table
+from hitchopt.cli.output import ProgressBar, record, say, show_places
 from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
+from hitchopt.tables import table
 
 if TYPE_CHECKING:
     import click
@@ -138,7 +139,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
         entry |= {f"{name}_error": content.pop(name) for name in ("position", "velocity")}
         entries.append({**entry, **content, "notes": part.notes, "goes_slack": part.goes_slack})
-        say(certificate_table(ho.Certificate(verdict.duration, verdict.checks)))
+        say(str(ho.Certificate(verdict.duration, verdict.checks)))
         position, velocity = verdict.position, verdict.velocity
         say(
             f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "

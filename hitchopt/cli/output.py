@@ -5,18 +5,17 @@ from __future__ import annotations
 import math
 import os
 import re
-import shutil
 import sys
 import time
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import zip_longest
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 import click
 
 import hitchopt as ho
+from hitchopt.tables import table, terminal_width
 
 if TYPE_CHECKING:
     from hitchopt.motion.motion import Phase
@@ -25,9 +24,6 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 KEY = "hitchopt.output"  # Key of the Output in click's contexts
-DEFAULT_WIDTH = 100  # Default width of tables, if there is no terminal and no COLUMNS [characters]
-GAP = "  "  # Column separator
-NO_BREAK = "\xa0"  # Space at which lines are not wrapped, within names
 BAR_WIDTH = 20  # Width of a progress bar [characters]
 CLOCK_WIDTH = 12  # Width of its clock with gaps [characters]
 LINE_INTERVAL = 1.0  # Minimum time between lines of percentages [s]
@@ -36,7 +32,6 @@ COUNT = re.compile(r"(\d[\d.]*) of (\d[\d.]*)|(\d[\d.]*)%")  # Count or percenta
 # Control characters except line breaks and tabs, and those that change the direction of text
 CONTROL = re.compile(r"\r(?!\n)|[^\r\n\t\x20-\x7e\xa0-\U0010ffff]|[\u202a-\u202e\u2066-\u2069]")
 RED = re.compile(r"^error:|(?<= )NO$", re.MULTILINE)  # Text that is red on a terminal
-NUMBER = re.compile(r"[-+±≤≥–]?\s?\d|–|-?inf|γ|$")  # Prefix of a right-aligned cell
 
 
 @dataclass
@@ -82,11 +77,6 @@ def _wrapped(text: str) -> str:
     """Wrap lines to the width of the terminal, with continuation lines indented."""
     style: Any = {"subsequent_indent": "  ", "break_long_words": False, "break_on_hyphens": False}
     return "\n".join("\n".join(wrap(line, terminal_width(), **style)) for line in text.split("\n"))
-
-
-def terminal_width() -> int:
-    """Return the width of the terminal [characters]."""
-    return shutil.get_terminal_size((DEFAULT_WIDTH, 0)).columns
 
 
 def options() -> dict[str, str]:
@@ -150,55 +140,6 @@ def echo(text: str, *, err: bool = False) -> None:
         os.close(null)
 
 
-def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
-    """Return a table as lines of text that fit the terminal.
-
-    Rows are plain data by column heads: a bool is a verdict; None, nan and inf are dashes; numbers
-    have four significant digits. If the table is too wide, its widest text column is wrapped, and
-    gaps are reduced; numbers and names, such as cable 0, are not wrapped.
-    """
-    formatted = [{head: _cell(value) for head, value in row.items()} for row in rows]
-    heads = list(dict.fromkeys(head for row in formatted for head in row))
-    cells = {head: [row[head] for row in formatted if head in row] for head in heads}
-    widths = {head: max(map(len, (head, *cells[head]))) for head in heads}
-    right = {h for h in heads[1:] if all(map(NUMBER.match, cells[h]))}
-    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - terminal_width()
-    if excess > 0 and (texts := [head for head in heads if head not in right]):
-        longest = max(texts, key=lambda head: widths[head])
-        words = " ".join((longest, *cells[longest])).split(" ")
-        widths[longest] = max(widths[longest] - excess, *map(len, words))
-    width = sum(widths.values()) + len(GAP) * (len(heads) - 1)
-    gap = GAP if width <= terminal_width() else GAP[:1]
-    rule = "─" * (sum(widths.values()) + len(gap) * (len(heads) - 1))
-    header = {head: head for head in heads}
-    lines = [line for row in (header, *formatted) for line in _lines(row, widths, right, gap)]
-    return "\n".join([title, lines[0], rule, *lines[1:]]).replace(NO_BREAK, " ")
-
-
-def _lines(
-    row: Mapping[str, str], widths: Mapping[str, int], right: Collection[str], gap: str
-) -> Iterator[str]:
-    """Yield the lines of a row, with cells wrapped to the widths of their columns."""
-    parts = [
-        wrap(row.get(head, ""), width, break_on_hyphens=False) or [""]
-        for head, width in widths.items()
-    ]
-    for line in zip_longest(*parts, fillvalue=""):
-        cells = zip(line, widths.items(), strict=True)
-        padded = (x.rjust(width) if head in right else x.ljust(width) for x, (head, width) in cells)
-        yield gap.join(padded).rstrip()
-
-
-def _cell(value: object) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "NO"
-    if isinstance(value, list | tuple):
-        return ", ".join(map(_cell, value)) or "none"
-    if isinstance(value, float) and math.isfinite(value):
-        return f"{value:.4g}"
-    return re.sub(r" (?=\d)", NO_BREAK, str(value)) if isinstance(value, str | int) else "–"
-
-
 def quantities(title: str, values: Mapping[str, object]) -> str:
     """Return a table with one quantity per row."""
     return table(title, [{"quantity": name, "value": value} for name, value in values.items()])
@@ -208,7 +149,7 @@ def show_plan(title: str, flight: ho.Flight, certificate: ho.Certificate) -> Non
     """Report the phases and the certificate of a plan."""
     columns = ("name", "step", "start", "end", "remark")
     phases = [{name: getattr(phase, name) for name in columns} for phase in flight.phases]
-    message = f"{phase_table(flight.phases)}\n\n{certificate_table(certificate)}\n"
+    message = f"{phase_table(flight.phases)}\n\n{certificate}\n"
     message = f"{title}\n{message}" if title else message
     say(message, title=title, phases=phases, certificate=certificate.to_dict())
     from hitchopt.checks.registry import below_ground
@@ -259,26 +200,6 @@ def phase_table(phases: Sequence[Phase]) -> str:
         rows.append({"phase": p.name, "step": p.step, **cells})
         rows[-1] |= {"remark": p.remark} if p.remark else {}
     return table("Phases", rows)
-
-
-def certificate_table(certificate: ho.Certificate) -> str:
-    """Return the table of a certificate's checks, with their worst values over all time.
-
-    Checks are listed by groups. If a check fails, a column shows the verdicts; otherwise the last
-    line names the limits that bind.
-    """
-    rows: list[dict[str, object]] = []
-    for heading, checks in certificate.groups.items():
-        rows.append({"check": f"{heading}:"})
-        for check in checks:
-            rows.append({**check.row, "check": f" {check.title}"})
-            rows[-1] |= {} if certificate.certified else {"holds": check.holds}
-    text = "\n\n".join([table("Certificate", rows), *certificate.notes])
-    if not (certificate.certified and certificate.binding):
-        return text
-    *names, last = certificate.binding
-    limits = f"{', '.join(names)} and {last} allow" if names else f"{last} allows"
-    return f"{text}\n\nas fast as {limits}"
 
 
 def span_text(values: Iterable[Any], digits: str = ".3f") -> str:

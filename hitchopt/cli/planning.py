@@ -36,7 +36,6 @@ from hitchopt.cli.output import (
     show_places,
     show_plan,
     span_text,
-    table,
 )
 from hitchopt.errors import (
     FileError,
@@ -46,6 +45,7 @@ from hitchopt.errors import (
     TimeLimitError,
     contained,
 )
+from hitchopt.tables import table
 
 if TYPE_CHECKING:
     from hitchopt.mission.repair import Suggestion

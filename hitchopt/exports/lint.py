@@ -56,7 +56,7 @@ from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
 from hitchopt.values import Array, known
 from hitchopt.values import path as checked_path
-from hitchopt.values.fields import Key, Record
+from hitchopt.values.fields import Key, Record, suggest_keywords
 from hitchopt.values.units import ACCELERATION, SPEED
 
 BAG_METADATA = "metadata.yaml"  # File name of a bag's metadata
@@ -153,6 +153,7 @@ class Rules(Record):
         return limits
 
 
+@suggest_keywords
 def lint(path: Path | str, rules: Rules | None = None) -> tuple[Report, ...]:
     """Return the report on a file or folder, or one per part of an export.
 

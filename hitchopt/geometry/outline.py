@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from hitchopt.errors import EXCHANGED, InputError
 from hitchopt.geometry.vectors import cross, rotated, turn
 from hitchopt.values import Array, ByValue, Points, finite, integer, points, positive
+from hitchopt.values.fields import suggest_keywords
 
 MIN_EXTERIOR_ANGLE = 1e-6
 """[rad] Smallest exterior angle: a clasp at a flatter vertex would hold nothing."""
@@ -203,6 +204,7 @@ class ConvexPolygon(Outline):
             raise self._error(f"a simple polygon (it goes {turns} times around)", remedy)
 
 
+@suggest_keywords
 def regular_polygon(n: int, edge: float, angle: float = 0.0) -> ConvexPolygon:
     """Return the regular n-gon about the origin with edges of length ``edge`` [m].
 

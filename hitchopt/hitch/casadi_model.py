@@ -22,6 +22,7 @@ from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.series import Series
 from hitchopt.hitch.team import Team
 from hitchopt.values import check_instance, flag
+from hitchopt.values.fields import suggest_keywords
 
 if TYPE_CHECKING:
     import casadi as ca
@@ -153,6 +154,7 @@ SINGULAR = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions":
 """Prefixes of the names of derivatives, by the name of the value."""
 
 
+@suggest_keywords
 def model(
     team: Team,
     separation: Separation | None = None,

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import InputError
 from hitchopt.values import MAX_COORDINATE, Array, as_array, integer, positive
+from hitchopt.values.fields import suggest_keywords
 
 NEWTON_ITERATIONS = 8
 """Number of Newton iterations; 6 reach the last digit for all ratios up to 1e9."""
@@ -240,6 +241,7 @@ def level_length(rise: Array, length: Array) -> Array:
     return np.sqrt(squared)
 
 
+@suggest_keywords
 def hanging_cable(first: ArrayLike, second: ArrayLike, length: float, points: int = 50) -> Array:
     """Return points (…, points, 3) [m] along a cable that hangs between two ends, in order.
 

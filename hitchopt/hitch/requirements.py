@@ -117,6 +117,10 @@ class Limits(OneLine):
         )
 
 
+class UnstatedAxis(float):
+    """A default semi-axis [m], also in copies: drones' models with larger ones replace it."""
+
+
 @documented
 @dataclass(frozen=True, eq=False)
 class Separation(ByValue):
@@ -145,7 +149,6 @@ class Separation(ByValue):
     object: Annotated[
         float, Key(units.DISTANCE, "Centre lines of cables, and a held object, to objects")
     ] = 0.035
-    unstated: tuple[str, ...] = field(init=False, repr=False)  # semi-axes that are not stated
 
     def __init__(
         self,
@@ -156,10 +159,14 @@ class Separation(ByValue):
         object: float = 0.035,
     ) -> None:
         axes = {"radius": radius, "height": height}
-        unstated = tuple(name for name, value in axes.items() if value is None)
-        defaults = {name: getattr(Separation, name) for name in unstated}
-        store(self, **axes | defaults, cable=cable, crossing=crossing, object=object)
-        store(self, unstated=unstated)
+        stated = {
+            name: axis
+            for name, axis in axes.items()
+            if axis is not None and not isinstance(axis, UnstatedAxis)
+        }
+        store(self, **stated, cable=cable, crossing=crossing, object=object)
+        for name in axes.keys() - stated.keys():
+            vars(self)[name] = UnstatedAxis(getattr(Separation, name))
 
     def for_drones(self, team: Team) -> Separation:
         """Return the distances with the semi-axes of a team's models, unless others are stated."""
@@ -167,7 +174,7 @@ class Separation(ByValue):
         wider = {
             name: max([getattr(self, name), *(size[axis] for size in sizes)])
             for axis, name in enumerate(("radius", "height"))
-            if name in self.unstated
+            if isinstance(getattr(self, name), UnstatedAxis)
         }
         if all(getattr(self, name) == size for name, size in wider.items()):
             return self

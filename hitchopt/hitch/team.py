@@ -36,6 +36,7 @@ from hitchopt.values.fields import (
     mapping_of,
     one_or_each,
     store,
+    with_suggestions,
     words,
 )
 
@@ -565,6 +566,7 @@ MAX_DRONES = 2 * MAX_ROBOTS
 """Largest number of drones, checked before any memory is allocated."""
 
 
+@with_suggestions
 @dataclass(frozen=True, eq=False)
 class Swarm(Team):
     """N single quadrotors of one kind or one per drone: a team without cables.

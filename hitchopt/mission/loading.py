@@ -36,6 +36,7 @@ from hitchopt.values.fields import (
     keys_schema,
     list_of,
     mapping_of,
+    suggest_keywords,
 )
 from hitchopt.values.units import START_TIME
 
@@ -133,6 +134,7 @@ def problem_schema() -> Schema:
     return {"$schema": dialect, "title": title, "anyOf": forms, "$defs": definitions}
 
 
+@suggest_keywords
 def load_problem(path: str | Path) -> Problem:
     """Return the problem in the YAML file at ``path``; ``-`` is standard input.
 
@@ -185,6 +187,7 @@ def _start_time(key: str, value: Any) -> dict[str, float]:
 START_TIMES = dict_of(Kind((MAPPING,), _start_time, {}), NAME)
 
 
+@suggest_keywords
 def problem_from_dict(data: Mapping[str, object], folder: Path = Path()) -> Problem:
     """Return the problem that ``data`` describes with the keys of a problem file in ``folder``."""
     values: Any = plain(data)

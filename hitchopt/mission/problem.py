@@ -403,6 +403,13 @@ ITEMS = list_of(dict_of(one_or_each(ANY_STEP, 1, MAX_STEPS), NAME, MAX_TEAMS), 1
 """Teams, their starts, and the items of their mission, by the names of teams."""
 
 
+def _no_step(key: str, value: object) -> InputError:
+    """Return the error of a value in place of a step, whose word may be the name of a step."""
+    kind = STEP_KINDS.get(value) if isinstance(value, str) else None
+    example = "hitchopt.Hold(1.0)" if kind is None else f"hitchopt.{kind.__name__}(…)"
+    return InputError(key, value, "a step", f"write it as a record, such as {example}")
+
+
 @documented
 @dataclass(frozen=True, eq=False)
 class Problem(ByValue):
@@ -473,11 +480,12 @@ class Problem(ByValue):
             store(self, teams=self._resolved_teams())
         else:
             check_instance("team", self.team, Team)
+            if isinstance(self.mission, str):
+                raise _no_step("mission", self.mission)
             steps = sequence("mission", self.mission)
             for i, step in enumerate(steps):
                 if not isinstance(step, Step):
-                    remedy = "write it as a record, such as hitchopt.Hold(1.0)"
-                    raise InputError(f"mission[{i}]", step, "a step", remedy)
+                    raise _no_step(f"mission[{i}]", step)
             requirements = self._requirements(self.team, self.objects)
             own = TeamMission("", self.team, self.start, steps, requirements)
             for name, value in (("start", own.start), ("mission", own.steps), ("teams", {"": own})):

@@ -26,7 +26,7 @@ from hitchopt.values import (
     positive,
 )
 from hitchopt.values.fields import points as points_kind
-from hitchopt.values.fields import suggest_keywords, with_fields
+from hitchopt.values.fields import suggest_keywords, with_fields, with_suggestions
 from hitchopt.values.units import (
     FRICTION,
     OBJECT_HEIGHT,
@@ -248,6 +248,7 @@ class Slab:
         return Clearance(np.where(inside, deepest, length(offset)), unit(offset))
 
 
+@with_suggestions
 @dataclass(frozen=True, eq=False)
 class Rim(ByValue):
     """A thin rim or tray that may rest on cables: its section and its height above the base [m]."""

@@ -19,10 +19,12 @@ import re
 import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, replace
-from typing import Any, ParamSpec, TypeVar, get_type_hints
+from dataclasses import MISSING, InitVar, dataclass, fields, replace
+from types import UnionType
+from typing import Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from hitchopt.errors import (
     MAX_LISTED,
@@ -40,6 +42,7 @@ from hitchopt.values import (
     SCALAR,
     WORD,
     ByValue,
+    Points,
     bounded_points,
     closest_word,
     finite,
@@ -206,13 +209,46 @@ def suggest_keywords(function: Callable[P, T], name: str = "") -> Callable[P, T]
     return with_suggestion
 
 
-def documented(record: type[T]) -> type[T]:
-    """Add the parameters to a record's docstring; let errors suggest valid keywords."""
+def with_suggestions(record: type[T]) -> type[T]:
+    """Let errors of a record's constructor suggest valid keywords."""
     record.__init__ = suggest_keywords(record.__init__, record.__name__)  # type: ignore[method-assign]
+    return record
+
+
+def documented(record: type[T]) -> type[T]:
+    """Add the parameters to a record's docstring, and plain types to its signature.
+
+    Errors suggest valid keywords.
+    """
+    plain = _plain_signature(record.__init__)
+    with_suggestions(record)
+    record.__init__.__signature__ = plain  # type: ignore[attr-defined]
     summary, raises, errors = inspect.cleandoc(record.__doc__ or "").partition("Raises\n------")
     docs = f"{summary.rstrip()}\n\nParameters\n----------\n{parameter_docs(record)}"
     record.__doc__ = f"{docs}\n\n{raises}{errors}" if raises else docs
     return record
+
+
+def _plain_signature(function: Callable[..., Any]) -> inspect.Signature:
+    """Return the signature of a function with types in words, without keys and names of aliases."""
+    hints = get_type_hints(function)
+    signature = inspect.signature(function)
+    parameters = [
+        each.replace(annotation=_type_in_words(hints[name])) if name in hints else each
+        for name, each in signature.parameters.items()
+    ]
+    return signature.replace(parameters=parameters, return_annotation=EMPTY)
+
+
+def _type_in_words(hint: Any) -> str:
+    """Return a type without the names of modules; all that numpy makes an array of is ArrayLike."""
+    if isinstance(hint, InitVar):
+        hint = hint.type
+    parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    if {*get_args(ArrayLike)} <= {*parts}:
+        parts = (ArrayLike, *(part for part in parts if part not in get_args(Points)))
+    words = ["ArrayLike" if each is ArrayLike else inspect.formatannotation(each) for each in parts]
+    return re.sub(r"\b(?:\w+\.)+(?=\w)", "", " | ".join(words)).replace("NoneType", "None")
 
 
 def parameter_docs(record: type[Any], exclude: str = "") -> str:

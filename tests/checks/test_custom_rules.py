@@ -26,7 +26,6 @@ from plans import planned
 
 import hitchopt as ho
 from hitchopt.checks import CertificateError
-from hitchopt.cli.output import certificate_table
 from hitchopt.trajectory.enclosed import Enclosed
 from hitchopt.values import Array
 
@@ -181,7 +180,7 @@ def test_rules_appear_in_the_certificate_as_ones_own() -> None:
     )
     assert (high.holds, [x.name for x in certificate.violated]) == (False, ["high"])
     assert not certificate.certified
-    table = certificate_table(certificate)
+    table = str(certificate)
     assert "custom rules:" in table
     assert "custom rules, which hitchopt verify does not prove: leg_angle, high" in table
     assert "hitchopt verify does not prove" in certificate._repr_html_()

@@ -26,7 +26,7 @@ from hitchopt.checks import CertificateError
 from hitchopt.checks.certificate import GROUPS
 from hitchopt.checks.registry import QUANTITIES
 from hitchopt.cli.failures import SafeGroup
-from hitchopt.cli.output import ProgressBar, certificate_table, phase_table, progress_in, say, table
+from hitchopt.cli.output import ProgressBar, phase_table, progress_in, say
 from hitchopt.cli.planning import MODELINE, PACKAGE, example_files, problem_text
 from hitchopt.drones.quadrotor import MODELS
 from hitchopt.errors import FileError, UnsupportedError, Violation
@@ -37,6 +37,7 @@ from hitchopt.mission.template import for_team
 from hitchopt.motion.motion import Phase
 from hitchopt.storage import interrupts
 from hitchopt.storage.yaml_file import parse_yaml, with_value
+from hitchopt.tables import table
 
 pytestmark = pytest.mark.usefixtures("place")
 
@@ -504,7 +505,7 @@ def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPa
         "morph|0|0.000 s|1.250 s|1.250 s",
         "hold [b]|1|1.250 s|12.500 s|11.250 s",
     ]
-    shown = certificate_table(CERTIFICATE)
+    shown = str(CERTIFICATE)
     rows = cells(shown)
     for row in (
         "check|worst|limit|unit|where|when|holds",
@@ -524,7 +525,7 @@ def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPa
     )
     # A pipe gets no colours. Nothing binds where something does not hold.
     monkeypatch.setenv("COLUMNS", "80")
-    shown = certificate_table(CERTIFICATE)
+    shown = str(CERTIFICATE)
     assert not {"\x1b", "…"} & set(shown)
     assert all(len(line) <= 80 and line == line.rstrip() for line in shown.splitlines())
     assert "as fast as" not in shown
@@ -532,7 +533,7 @@ def test_tables_have_four_digits_and_fit_80_columns(monkeypatch: pytest.MonkeyPa
 
 def test_certified_plans_have_no_column_of_verdicts_and_binding_limits_are_named() -> None:
     held = ho.Certificate(1.0, tuple(check for check in CERTIFICATE.checks if check.holds))
-    shown = certificate_table(held)
+    shown = str(held)
     assert held.binding == ("jerk", "speed")
     assert shown.endswith("\n\nas fast as jerk and speed allow")
     assert "holds" not in shown

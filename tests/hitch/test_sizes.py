@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pickle
 from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +94,14 @@ def test_of_several_models_the_largest_counts_and_others_keep_the_default() -> N
 
 def test_copies_remember_what_is_stated() -> None:
     for stated, expected in STATED:
-        for copy in (pickle.loads(pickle.dumps(x := ho.Separation(**stated))), deepcopy(x)):
+        x = ho.Separation(**stated)
+        for copy in (pickle.loads(pickle.dumps(x)), deepcopy(x), replace(x)):
             found = copy.for_drones(team_of(*["x260_bolt"] * 3))
             assert (found.radius, found.height) == expected
             assert copy == x
             assert hash(copy) == hash(x)
+    wide = replace(ho.Separation(), radius=0.2).for_drones(team_of(*["x260_bolt"] * 3))
+    assert wide == ho.Separation(0.2, LARGE[1])
 
 
 def test_the_figure_for_a_mass_has_the_proportions_of_the_largest_model() -> None:

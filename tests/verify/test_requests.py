@@ -21,7 +21,7 @@ from hitchopt.errors import FileError
 from hitchopt.mission.loading import problem_from_dict
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.request import check_request
-from hitchopt.steps import STEP_KINDS, STEPS
+from hitchopt.steps import STEP_KINDS, STEPS, Step
 from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values.fields import keys_of
 from hitchopt.verify import request
@@ -355,7 +355,8 @@ NOT_COMPARED = {
 
 def test_every_key_of_a_step_has_a_row() -> None:
     """No key of a step is left out of comparison unless it is named here, with the reason."""
-    keys = [(kind.name, key.name) for kind in [*STEPS, ho.Fly] for key in keys_of(kind).values()]
+    kinds: tuple[type[Step], ...] = (*STEPS, ho.Fly)
+    keys = [(kind.name, key.name) for kind in kinds for key in keys_of(kind).values()]
     assert {".".join(key) for key in keys if row_of(*key) not in request.STEP_KEYS} == NOT_COMPARED
     assert request.STEP_KEYS.keys() <= {row_of(*key) for key in keys}
 

@@ -19,8 +19,9 @@ from hitchopt.cli.options import (
     picture_format,
     plan_path,
 )
-from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text, table
+from hitchopt.cli.output import ProgressBar, known_text, record, say, span_text
 from hitchopt.errors import InputError
+from hitchopt.tables import table
 
 if TYPE_CHECKING:
     from hitchopt.lab.statics.calibrate import Calibration

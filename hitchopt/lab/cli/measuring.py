@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import hitchopt as ho
 from hitchopt.cli.options import PATH, command, option, paper_option, picture_format, plan_path
-from hitchopt.cli.output import ProgressBar, known_text, say, table
+from hitchopt.cli.output import ProgressBar, known_text, say
 from hitchopt.errors import InputError
+from hitchopt.tables import table
 
 if TYPE_CHECKING:
     from hitchopt.lab.flights.evaluation import Evaluation

@@ -21,8 +21,9 @@ from hitchopt.cli.options import (
     plan_path,
     width_option,
 )
-from hitchopt.cli.output import ProgressBar, known_text, quantities, say, span_text, table
+from hitchopt.cli.output import ProgressBar, known_text, quantities, say, span_text
 from hitchopt.errors import InputError
+from hitchopt.tables import table
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -38,6 +38,7 @@ from hitchopt.storage.archive import PLAN, RECORDING
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.support import Feature
 from hitchopt.values import Array, check_choice, finite, nonnegative, path, positive, text
+from hitchopt.values.fields import suggest_keywords
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, POINTS
 from hitchopt.view.scene import scene_at
@@ -221,6 +222,7 @@ class Evaluation(OneLine):
         return replace_files(directory, writers, OWNED, seal=SUMMARY)
 
 
+@suggest_keywords
 def evaluate(
     recording: RecordedFlight | Path | str,
     plan: TeamTask | Plan | Path | str,

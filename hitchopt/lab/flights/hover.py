@@ -32,6 +32,7 @@ from hitchopt.storage.files import with_nulls
 from hitchopt.storage.yaml_file import flow
 from hitchopt.values import Array, positive, true_runs
 from hitchopt.values import path as checked_path
+from hitchopt.values.fields import suggest_keywords
 
 RATE = 50.0  # Rate of the samples that are compared [Hz]
 SPEED_TIME = 1.0  # Time over which speeds are means [s]
@@ -201,6 +202,7 @@ def direction_of(x: float, y: float) -> str:
     return DIRECTIONS[round(4.0 * math.atan2(y, x) / math.pi) % 8]
 
 
+@suggest_keywords
 def calibrate_hover(
     recordings: RecordedFlight | Path | str | Sequence[RecordedFlight | Path | str],
     *,

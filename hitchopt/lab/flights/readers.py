@@ -40,6 +40,7 @@ from hitchopt.storage.files import file_text, opened, parsed_json
 from hitchopt.storage.tables import Table, labelled_table, text_lines
 from hitchopt.values import Array, check_choice
 from hitchopt.values import path as checked_path
+from hitchopt.values.fields import suggest_keywords
 
 MAX_DISTANCE = 50.0  # Largest median distance from the origin of lengths in metres [m]
 MAX_STEP = 1.0  # Largest median step of times in seconds [s]
@@ -73,6 +74,7 @@ RIGID = 5e-3  # Largest standard deviation of a distance between two markers of 
 BLANK = ' ",;\t'  # Characters of a line without content
 
 
+@suggest_keywords
 def read_flight(
     path: Path | str, unit: str | None = None, topic: str | None = None
 ) -> RecordedFlight:

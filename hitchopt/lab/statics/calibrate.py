@@ -60,6 +60,7 @@ from hitchopt.storage.archive import PLAN, reading
 from hitchopt.support import Feature
 from hitchopt.values import Array, Indices, nonnegative
 from hitchopt.values import path as checked_path
+from hitchopt.values.fields import suggest_keywords
 
 # Window in which a stiffness is estimated [s]. In windows of 0.5 s tensions correlate with the
 # drones' noise, and the stiffness is biased by up to 24 %
@@ -243,6 +244,7 @@ def _yaml(value: object) -> str:
     return json.dumps(value, default=plain)
 
 
+@suggest_keywords
 def calibrate(
     recording: Recording | RecordedFlight | Path | str,
     plan: TeamTask | Plan | Path | str | None = None,

@@ -34,6 +34,7 @@ from hitchopt.storage.files import file_bytes, file_text, replace_files, write_s
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
 from hitchopt.values import integer, text
 from hitchopt.values import path as as_path
+from hitchopt.values.fields import suggest_keywords
 from hitchopt.view import style
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ SETTINGS = {
 }
 
 
+@suggest_keywords
 def run_sweep(
     study: Study | Mapping[str, object] | str | Path,
     directory: Path | str,
@@ -150,6 +152,7 @@ def run_sweep(
     return load_sweep(folder)
 
 
+@suggest_keywords
 def load_sweep(directory: Path | str) -> pandas.DataFrame:
     """Return the rows of a sweep as a data frame, in the study's order, without missing rows.
 
