@@ -95,12 +95,13 @@ def time(
     until they follow the path within 0.1 mm (vertices by an upper bound for all t, drones at eight
     times on each), and slowed down until the limits hold between breakpoints.
 
-    Distances, arena and cable lengths follow from the path: ``certify`` checks them.
+    A path with a duration of its own (``Path.of``) keeps its timing, and the limits of motion are
+    not enforced. Distances, arena and cable lengths follow from the path. ``certify`` checks both.
 
     Parameters
     ----------
     path: by ``route`` or ``Path.of``.
-    duration: exact duration [s]; default: as fast as the limits allow.
+    duration: exact duration [s]; default: as fast as the limits allow, or that of the path.
     limits: limits of motion; default as in a problem file.
     separation, arena: requirements that ``certify`` checks; defaults as in a problem file. As
         there, drones' models and controllers provide what they do not state.
@@ -114,6 +115,9 @@ def time(
     """
     check_instance("path", path, Path)
     seconds = None if duration is None else positive("duration", duration)
+    if seconds is not None and path.duration is not None:
+        bound = f"omitted: the path takes {path.duration:g} s"
+        raise InputError("duration", duration, bound, "state it in Path.of")
     requirements = Requirements(
         Limits() if limits is None else limits,
         Separation() if separation is None else separation,

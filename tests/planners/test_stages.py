@@ -85,6 +85,38 @@ def test_a_path_by_hand_is_timed_and_certified() -> None:
     np.testing.assert_allclose(distances, 0.1, atol=1e-5)
 
 
+def quintic(s: float) -> float:
+    """Return a clock from 0 to 1 at rest at both ends."""
+    return s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+
+
+@pytest.mark.parametrize("clock", [quintic, lambda s: quintic(s * s)])
+def test_a_path_with_a_duration_keeps_its_timing(clock: Callable[[float], float]) -> None:
+    """Functions and knots, with limits that hold and limits that the timing breaks."""
+    seconds = 6.0
+    s = np.linspace(0.0, 1.0, 41)
+    exact = np.stack([on_circle(clock(each)) for each in s])
+    for vertices in (lambda s: on_circle(clock(s)), exact):
+        path = ho.Path.of(TEAM, vertices, altitude=1.5, duration=seconds)
+        motion = ho.time(path)
+        assert motion.duration == seconds
+        found = motion.vertices.at(seconds * s)
+        np.testing.assert_allclose(found[..., :2], exact, atol=2e-4)
+        for order in (1, 2):
+            ends = motion.drones.at(np.array([0.0, seconds]), order)
+            np.testing.assert_allclose(ends, 0.0, atol=1e-9)
+        hurried = replace(path, duration=0.2)
+        certificate = ho.certify(ho.time(hurried))
+        assert {"speed", "acceleration"} <= {c.name for c in certificate.limited if not c.holds}
+        ratio = certificate["speed"].worst / ho.certify(motion)["speed"].worst
+        assert ratio == pytest.approx(30.0, rel=1e-3)
+    assert ho.certify(motion).certified
+    with pytest.raises(ho.InputError, match=r"duration = 4.* omitted: the path takes 6 s"):
+        ho.time(path, 4.0)
+    with pytest.raises(ho.InputError, match="no velocity and acceleration at both ends"):
+        ho.Path.of(TEAM, on_circle, duration=seconds)
+
+
 def test_a_path_by_knots_passes_them_with_legs_and_roll() -> None:
     knots = np.stack([START.vertices, 0.98 * START.vertices + [0, 0, 0.1], START.vertices])
     path = ho.Path.of(TEAM, knots, legs=lambda s: START.q_legs - 0.05 * s, roll=[[0.0] * 4] * 3)

@@ -17,7 +17,15 @@ from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
 from hitchopt.hitch.series import JET, Series, product
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.splines import evenly_interpolated, interpolated
-from hitchopt.values import Array, Points, as_array, bounded_points, check_instance, coordinate
+from hitchopt.values import (
+    Array,
+    Points,
+    as_array,
+    bounded_points,
+    check_instance,
+    coordinate,
+    positive,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,6 +129,8 @@ PLOTTED_SHAPES = 7
 PLOTTED_SAMPLES = 201
 """Number of samples of the drones in a picture of a path."""
 
+SMOOTH_AT_REST = "smooth, with no velocity and acceleration at both ends"
+
 FunctionOrKnots = Points | Callable[[float], Points]
 """Values over s: a function of s from 0 to 1, or knots (J, …) at evenly spaced s."""
 
@@ -138,6 +148,7 @@ class Path(OneLine):
     legs: law of the q-legs d_k, except at the ends of a chain.
     tensions: shape (n,) over s [N]; None for the team's.
     roll: shape (clasps,) over s [rad]; None if there is none.
+    duration: if s is time, that of the path [s]; None if the path has no timing.
     """
 
     team: Team
@@ -145,6 +156,7 @@ class Path(OneLine):
     legs: LegLaw
     tensions: PiecewisePolynomial | None = None
     roll: PiecewisePolynomial | None = None
+    duration: float | None = None
 
     @classmethod
     def of(
@@ -154,6 +166,7 @@ class Path(OneLine):
         legs: FunctionOrKnots | None = None,
         roll: FunctionOrKnots | None = None,
         altitude: float = 1.0,
+        duration: float | None = None,
     ) -> Path:
         """Return a custom path.
 
@@ -162,6 +175,9 @@ class Path(OneLine):
         at most 0.001 apart; what the function does between them is not seen. Knots are joined by a
         natural quintic spline, which passes through them and minimises the third derivative. The
         spline is the path. Shapes are checked by ``ho.time``, limits by ``ho.certify``.
+
+        With a ``duration``, s is time: ``ho.time`` keeps this timing, and splines rest at both
+        ends, where their first two derivatives vanish.
 
         Parameters
         ----------
@@ -172,16 +188,20 @@ class Path(OneLine):
             cable's slack is split evenly.
         roll: roll of the legs at each clasp [rad], a function that returns (clasps,), or knots.
         altitude: height of vertices [x, y] [m].
+        duration: time from s = 0 to 1 [s]; by default the path has no timing.
 
         Raises
         ------
         InputError: values of another shape, or that are masked, complex or not finite; or a
-            function that jumps or turns too often for 513 samples.
+            function that jumps or turns too often for 513 samples, or with a duration is not at
+            rest at its ends.
         """
         check_instance("team", team, Team)
         points = team.layout.points
         height = coordinate("altitude", altitude)
-        samples = _sampled("vertices", vertices, ((points, 2), (points, 3)))
+        seconds = None if duration is None else positive("duration", duration)
+        is_timed = seconds is not None
+        samples = _sampled("vertices", vertices, ((points, 2), (points, 3)), at_rest=is_timed)
         positions = bounded_points("vertices", samples.values)
         if positions.shape[-1] == 2:
             heights = np.full((*positions.shape[:2], 1), height)
@@ -191,11 +211,13 @@ class Path(OneLine):
             halves = PiecewisePolynomial.constant([0.0, 1.0], np.full(team.robots, 0.5))
             law = LegLaw.of_fractions(halves)
         else:
-            law = LegLaw.of_lengths(_sampled("legs", legs, ((team.robots,),)).spline)
+            lengths = _sampled("legs", legs, ((team.robots,),), at_rest=is_timed)
+            law = LegLaw.of_lengths(lengths.spline)
         roll_spline = None
         if roll is not None:
-            roll_spline = _sampled("roll", roll, ((len(team.layout.clasps),),)).spline
-        return cls(team, spline, law, roll=roll_spline)
+            angles = _sampled("roll", roll, ((len(team.layout.clasps),),), at_rest=is_timed)
+            roll_spline = angles.spline
+        return cls(team, spline, law, roll=roll_spline, duration=seconds)
 
     def _parts(self) -> Iterator[str]:
         yield f"{self.team.drones} drones"
@@ -310,47 +332,57 @@ class EvenSamples:
     smooth: bool
     """True if the values are samples of a function, not knots."""
 
+    at_rest: bool
+    """True if the first two derivatives vanish at both ends."""
+
     @property
     def spline(self) -> PiecewisePolynomial:
         """The quintic spline through the values."""
-        if self.smooth:
+        if self.smooth and not self.at_rest:
             return evenly_interpolated(self.values)
         s = np.linspace(0.0, 1.0, len(self.values))
-        return interpolated(s, self.values, zero_orders=(3, 4))
+        return interpolated(s, self.values, zero_orders=(1, 2) if self.at_rest else (3, 4))
 
 
 ValueShape = tuple[int, ...]
 """Shape of the value of a function of s, or of a knot."""
 
 
-def _sampled(key: str, given: FunctionOrKnots, shapes: tuple[ValueShape, ...]) -> EvenSamples:
+def _sampled(
+    key: str, given: FunctionOrKnots, shapes: tuple[ValueShape, ...], *, at_rest: bool
+) -> EvenSamples:
     """Return samples of a function of s, or knots, whose values have one of the shapes."""
     if callable(given):
-        return _fitted(key, given, shapes)
+        return _fitted(key, given, shapes, at_rest=at_rest)
     values = as_array(key, given)
     if values.shape[1:] not in shapes or len(values) < MIN_KNOTS:
         bound = f"a function of s, or {MIN_KNOTS} or more knots of shape {_words(shapes)}"
         remedy = "specify a knot for each of evenly spaced s from 0 to 1"
         raise InputError(key, given, bound, remedy)
-    return EvenSamples(_finite(key, values), smooth=False)
+    return EvenSamples(_finite(key, values), smooth=False, at_rest=at_rest)
 
 
 def _fitted(
-    key: str, function: Callable[[float], Points], shapes: tuple[ValueShape, ...]
+    key: str,
+    function: Callable[[float], Points],
+    shapes: tuple[ValueShape, ...],
+    *,
+    at_rest: bool,
 ) -> EvenSamples:
     """Return as many samples of a function of s as its spline needs to fit between them."""
     tested = np.sort(np.arange(1, FIT_TESTS + 1) * GOLDEN_RATIO % 1.0)
     expected = _values(key, function, shapes, tested)
     for count in FUNCTION_SAMPLES:
         s = np.linspace(0.0, 1.0, count)
-        samples = EvenSamples(_values(key, function, shapes, s), smooth=True)
+        values = _values(key, function, shapes, s)
+        samples = EvenSamples(values, smooth=True, at_rest=at_rest)
         differences = np.abs(samples.spline.at(tested) - expected)
         misfits = np.max(differences.reshape(len(tested), -1), axis=1)
         if np.max(misfits) <= FIT_TOLERANCE:
             return samples
     worst = int(np.argmax(misfits))
     misfit = f"off by {misfits[worst]:.2g} between {count} samples near s = {tested[worst]:.3g}"
-    bound = f"smooth, within {FIT_TOLERANCE:g} of its spline"
+    bound = f"{SMOOTH_AT_REST if at_rest else 'smooth'}, within {FIT_TOLERANCE:g} of its spline"
     raise InputError(key, misfit, bound, "make it smoother or split the path")
 
 

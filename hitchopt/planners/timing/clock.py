@@ -120,6 +120,13 @@ def first_clock(profile: SpeedProfile, ramp: float, knots: Array) -> Clock:
     return Clock(knots, progress, PiecewisePolynomial.constant(knots, 1.0))
 
 
+def even_clock(duration: float, breaks: Array) -> Clock:
+    """Return the clock of a path whose s is time: s = t / duration, with ``breaks`` of s."""
+    whole = np.array([0.0, duration])
+    progress = PiecewisePolynomial(whole, np.array([[0.0, 1.0]]))
+    return Clock(duration * breaks, progress, PiecewisePolynomial.constant(whole, 1.0))
+
+
 def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     """Return the fastest clock within all limits at the samples.
 

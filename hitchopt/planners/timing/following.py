@@ -12,7 +12,12 @@ from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.path import Path
-from hitchopt.planners.timing.timed_motion import fastest_motion, motion_by, within_limits
+from hitchopt.planners.timing.timed_motion import (
+    fastest_motion,
+    motion_by,
+    stated_motion,
+    within_limits,
+)
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
 from hitchopt.trajectory.piecewise import divided, locate
 from hitchopt.values import Array
@@ -35,18 +40,21 @@ def following_motion(
 ) -> Motion:
     """Return the motion of ``motion_along``, its pieces halved until it is near the path.
 
+    A path with a duration keeps its timing, whatever its limits.
+
     Raises
     ------
     InputError: the path turns too often for MAX_PIECES.
     InfeasibleError, TimingError: as ``motion_along``.
     """
-    motion, clock = fastest_motion(path, requirements)
+    is_timed = path.duration is not None
+    motion, clock = (stated_motion if is_timed else fastest_motion)(path, requirements)
     while True:
         progress = PiecewisePolynomial.through_jets(clock.breaks, clock.jets())
         distances = distances_from(path, motion, progress)
         is_far = distances > MAX_DISTANCE
         if not np.any(is_far):
-            return within_limits(motion, duration)
+            return motion if is_timed else within_limits(motion, duration)
         if motion.drones.pieces + np.count_nonzero(is_far) > MAX_PIECES:
             worst = int(np.argmax(distances))
             found = f"left by {distances[worst]:.2g} m near s = {clock.jets()[worst, 0]:.3g}"

@@ -21,8 +21,8 @@ from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.series import chained
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.path import FlatPath, path_jets
-from hitchopt.planners.timing.clock import Clock, first_clock, jerk_limited
+from hitchopt.planners.morph.path import FlatPath, Path, path_jets
+from hitchopt.planners.timing.clock import Clock, even_clock, first_clock, jerk_limited
 from hitchopt.planners.timing.profile import (
     FINAL_SHARE,
     LIMIT_SHARE,
@@ -36,6 +36,7 @@ from hitchopt.planners.timing.profile import (
     spare_accelerations,
 )
 from hitchopt.trajectory import PiecewisePolynomial, bernstein
+from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array, Indices
 from hitchopt.values.fields import with_fields
 
@@ -121,6 +122,16 @@ def fastest_motion(path: FlatPath, requirements: Requirements) -> ClockedMotion:
         if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
             return ClockedMotion(motion, clock)
         refinement *= 2
+
+
+def stated_motion(path: Path, requirements: Requirements) -> ClockedMotion:
+    """Return the motion along a path by its own timing, whatever its limits."""
+    clock = even_clock(path.duration or 0.0, path.vertices.breaks)
+    while True:
+        motion = motion_by(path, requirements, clock)
+        if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
+            return ClockedMotion(motion, clock)
+        clock = replace(clock, knots=divided(clock.knots, np.full(len(clock.knots) - 1, 2)))
 
 
 def within_limits(motion: Motion, duration: float | None = None) -> Motion:
