@@ -42,8 +42,9 @@ from hitchopt.motion.retiming import (
 from hitchopt.motion.states import final_hitch
 from hitchopt.objects.placing import REST_DRIFT, in_world
 from hitchopt.planners.forming.stages import stage, straight_lines
+from hitchopt.planners.forming.tying import vertical_motion
 from hitchopt.planners.task import RestState, StepTask
-from hitchopt.steps.tying import Release, vertical_motion
+from hitchopt.steps.tying import Release
 from hitchopt.storage.files import replace_files, write_strict_json
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.trajectory.piecewise import on_breaks

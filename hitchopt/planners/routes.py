@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
 
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.errors import HitchoptError, InfeasibleError
@@ -16,10 +18,11 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
 from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
 from hitchopt.planners.compensation import with_friction_feedforward
-from hitchopt.planners.rests import IDLE, rest_motion
+from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
 if TYPE_CHECKING:
+    from hitchopt.planners.morph.actions import Action
     from hitchopt.planners.morph.path import Path
 
 
@@ -136,6 +139,148 @@ def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
     if task.optimiser:
         routes.append(Candidate(OPTIMISED_ROUTE, partial(optimised_plan, task, end, phase)))
     return first_certified(routes, task.effort, task.progress)
+
+
+@dataclass(frozen=True, eq=False)
+class RouteSearch:
+    """The search of a route to the end of a step: its own one, or an optimised one."""
+
+    task: StepTask
+    """The task of the step."""
+
+    end: Hitch
+    """The hitch after it."""
+
+    phase: Phase
+    """With the step's name and index, and the range of tensions that it states, if any."""
+
+    own: Callable[[], StepPlan]
+    """Returns the plan along the step's own route."""
+
+    duration: float | None = None
+    """Prescribed duration [s]; None for the fastest one."""
+
+    replaces_slow: bool = False
+    """True to replace an own route that takes much longer than its bound."""
+
+    allow_slides: bool = False
+    """True if legs lead and lag, so that cables slide through their clasps."""
+
+    cost: CostFunction | None = None
+    """Custom cost of shapes; None for the time alone."""
+
+    def plan(self) -> StepPlan:
+        """Return the plan along the first certified route."""
+        return first_certified(self.candidates(), self.task.effort, self.task.progress)
+
+    def candidates(self) -> Iterator[Candidate[StepPlan]]:
+        """Yield the routes to the end: the optimised one first if the step asks for it.
+
+        Raises InfeasibleError if the step's own route is infeasible, and the hitch at an end of it
+        breaks a limit at rest.
+        """
+        task = self.task
+        is_requested = self._requests_optimiser()
+        if is_requested:
+            yield Candidate(OPTIMISED_ROUTE, self._requested_plan)
+        yield Candidate(OWN_ROUTE, self._own_plan if is_requested else self._own_or_faster_plan)
+        when = f"at the end of step {self.phase.step} ({self.phase.name})"
+        for hitch in (task.hitch, self.end):
+            check_at_rest(hitch, task.requirements, when)
+        if task.optimiser and not is_requested:
+            yield Candidate(OPTIMISED_ROUTE, self._optimised_plan)
+
+    def _requests_optimiser(self) -> bool:
+        """Return whether the step asks for an optimised route."""
+        from hitchopt.planners.morph.morph import moves
+
+        for_time = self.allow_slides or self.phase.tension is not None
+        is_requested = self.cost is not None or (for_time and self.duration is None)
+        return self.task.optimiser and is_requested and moves(self.task.hitch, self.end)
+
+    def _requested_plan(self) -> StepPlan:
+        """Return the optimised plan that the step asks for, which may be along straight lines."""
+        from hitchopt.planners.morph.morph import straight_path
+
+        ends = self.task.hitch, self.end
+        straight = Candidate(
+            "straight lines", partial(straight_path, *ends, self.task.requirements)
+        )
+        return self._optimised_plan(first_feasible([straight], None))
+
+    def _own_plan(self) -> StepPlan:
+        """Return the certified plan along the step's own route."""
+        return require_certified(self.own())
+
+    def _own_or_faster_plan(self) -> StepPlan:
+        """Return the plan along the step's own route, or a faster one if it looks for one."""
+        own = self._own_plan()
+        searches = self.replaces_slow and self.task.optimiser
+        if not searches or self.duration is not None or own.path is None:
+            return own
+        if not is_slow(own, self.task.hitch, self.end):
+            return own
+        faster = Candidate(FASTER_ROUTE, partial(self._optimised_plan, own.path))
+        return first_feasible([faster], own)
+
+    def _optimised_plan(self, straight: Path | None = None) -> StepPlan:
+        """Return the optimised plan; ``straight`` is the path along straight lines, if known."""
+        return optimised_plan(
+            self.task,
+            self.end,
+            self.phase,
+            self.duration,
+            straight=straight,
+            allow_slides=self.allow_slides,
+            cost=self.cost,
+        )
+
+
+def action_plan(
+    task: StepTask,
+    action: Action,
+    end: Hitch,
+    phase: Phase,
+    duration: float | None,
+    reason: str,
+) -> StepPlan:
+    """Return the plan of an action of the paper, whose remark names the further drones that move.
+
+    Parameters
+    ----------
+    end: hitch after the action; its legs may differ from those of the action's law.
+    phase: with the step's name and index.
+    duration: prescribed duration [s]; None for the fastest one.
+    reason: why its legs differ; empty if they do not.
+    """
+    from hitchopt.planners.morph.actions import ActionMorph
+
+    flown = ActionMorph(action, end, task.requirements, duration).solve()
+    team = action.start.team
+    remarks = list[str]()
+    if flown.turning:
+        cause = "tensions differ, so legs turn with both edges at their vertex"
+        if team.loaded and np.ptp(team.tension) == 0.0:
+            cause = "clasps carry weight, so legs rise as it changes"
+        remarks.append(_further_drones(flown.turning, "turn", cause))
+    if flown.sliding:
+        causes = [reason]
+        if flown.worst is not None:
+            causes.append(f"limits bind at {flown.worst:.0%} of the path")
+        cause = ", and ".join(filter(None, causes))
+        remarks.append(_further_drones(flown.sliding, "slide", cause))
+    phase = replace(phase, remark="; ".join(remarks))
+    if flown.motion is None:
+        motion = rest_motion(end, task.requirements, duration or IDLE, phase)
+    else:
+        motion = flown.motion.replaced(phases=(phase.retimed(0.0, flown.motion.duration),))
+    return replace(task.plan_ending(motion, end), path=flown.path)
+
+
+def _further_drones(names: Sequence[str], verb: str, reason: str) -> str:
+    """Describe drones that move in addition to those of an action."""
+    ending = "s" if len(names) == 1 else ""
+    return f"{', '.join(names)} {verb}{ending} as well: {reason}"
 
 
 def optimised_plan(

@@ -7,7 +7,7 @@ from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -19,25 +19,16 @@ from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.hitch.hitch import checked_polygon
 from hitchopt.motion.motion import CableState, Motion, Phase
-from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
+from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import settling_plan, with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action, end_of_morph
 from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
-from hitchopt.planners.routes import (
-    FASTER_ROUTE,
-    OPTIMISED_ROUTE,
-    OWN_ROUTE,
-    blended_plan,
-    is_slow,
-    optimised_plan,
-    straight_plan,
-)
+from hitchopt.planners.routes import RouteSearch, action_plan, blended_plan, straight_plan
 from hitchopt.planners.task import (
     RestState,
     StepPlan,
     StepTask,
     plan_in_sequence,
-    require_certified,
 )
 from hitchopt.steps.step import (
     AUTO,
@@ -91,8 +82,7 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
 ]
 
 if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action, FlownAction
-    from hitchopt.planners.morph.path import Path
+    from hitchopt.planners.morph.actions import Action
 
 
 class HitchStep(Step):
@@ -140,94 +130,19 @@ class ShapeStep(HitchStep):
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
-        return first_certified(self.routes(task, self.end(task)), task.effort, task.progress)
-
-    def routes(self, task: StepTask, end: End) -> Iterator[Candidate[StepPlan]]:
-        """Yield the routes to the end: the optimised one first if the step asks for it.
-
-        Raises InfeasibleError if its own route is infeasible, and the hitch at an end of it breaks
-        a limit at rest.
-        """
-        is_requested = self._requests_optimiser(task, end)
-        if is_requested:
-            yield Candidate(OPTIMISED_ROUTE, partial(self._requested_plan, task, end))
-        own_plan = self._own_plan if is_requested else self._own_or_faster_plan
-        yield Candidate(OWN_ROUTE, partial(own_plan, task, end))
-        for hitch in (task.hitch, end.hitch):
-            self.check_end(hitch, task)
-        if task.optimiser and not is_requested:
-            yield Candidate(OPTIMISED_ROUTE, partial(self._optimised_plan, task, end))
-
-    def _requests_optimiser(self, task: StepTask, end: End) -> bool:
-        """Return whether the step asks for an optimised route."""
-        from hitchopt.planners.morph.morph import moves
-
-        options = self._search_options
-        for_time = options.allow_slides or options.tension is not None
-        is_requested = options.cost is not None or (for_time and self.prescribed_duration is None)
-        return task.optimiser and is_requested and moves(task.hitch, end.hitch)
-
-    def _requested_plan(self, task: StepTask, end: End) -> StepPlan:
-        """Return the optimised plan that the step asks for, which may be along straight lines."""
-        from hitchopt.planners.morph.morph import straight_path
-
-        def straight() -> Path | None:
-            """Return the path along straight lines."""
-            return straight_path(task.hitch, end.hitch, task.requirements)
-
-        known = first_feasible([Candidate("straight lines", straight)], None)
-        return self._optimised_plan(task, end, straight=known)
-
-    def _own_plan(self, task: StepTask, end: End) -> StepPlan:
-        """Return the certified plan along the step's own route."""
-        return require_certified(self.direct_plan(task, end))
-
-    def _own_or_faster_plan(self, task: StepTask, end: End) -> StepPlan:
-        """Return the plan along the step's own route, or a faster one if it looks for one."""
-        own = self._own_plan(task, end)
-        searches = self.searches_faster_routes and task.optimiser
-        if not searches or self.prescribed_duration is not None or own.path is None:
-            return own
-        if not is_slow(own, task.hitch, end.hitch):
-            return own
-        faster = partial(self._optimised_plan, task, end, straight=own.path)
-        return first_feasible([Candidate(FASTER_ROUTE, faster)], own)
-
-    @property
-    def _search_options(self) -> SearchOptions:
-        """Options of the optimiser that the step's keys state."""
-        return SearchOptions(
-            allow_slides=bool(getattr(self, "optimize", False)),
-            tension=getattr(self, "tension", None),
-            cost=getattr(self, "cost", None),
-        )
-
-    def _optimised_plan(self, task: StepTask, end: End, straight: Path | None = None) -> StepPlan:
-        """Return the optimised plan; ``straight`` is the path along straight lines, if known."""
-        options = self._search_options
-        phase = Phase(self.name, task.index, 0.0, 0.0, tension=options.tension)
-        return optimised_plan(
+        end = self.end(task)
+        tension: tuple[float, float] | None = getattr(self, "tension", None)
+        search = RouteSearch(
             task,
             end.hitch,
-            phase,
-            self.prescribed_duration,
-            straight=straight,
-            allow_slides=options.allow_slides,
-            cost=options.cost,
+            Phase(self.name, task.index, 0.0, 0.0, tension=tension),
+            own=partial(self.direct_plan, task, end),
+            duration=self.prescribed_duration,
+            replaces_slow=self.searches_faster_routes,
+            allow_slides=bool(getattr(self, "optimize", False)),
+            cost=getattr(self, "cost", None),
         )
-
-
-class SearchOptions(NamedTuple):
-    """Options of the optimiser that a step states."""
-
-    allow_slides: bool
-    """True if legs lead and lag, so that cables slide through their clasps."""
-
-    tension: tuple[float, float] | None
-    """[N] Range of tensions; None if they are constant."""
-
-    cost: CostFunction | None
-    """Custom cost of shapes; None for the time alone."""
+        return search.plan()
 
 
 def plan_blended(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
@@ -274,36 +189,10 @@ class ActionStep(ShapeStep):
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan of the action to its end hitch."""
-        from hitchopt.planners.morph.actions import ActionMorph
-
-        action = self.action(task)
-        morph = ActionMorph(action, end.hitch, task.requirements, self.prescribed_duration)
-        flown = morph.solve()
-        remark = self._remark(action.start.team, end, flown)
-        motion = self.in_phase(task, flown.motion, end.hitch, remark)
-        return replace(task.plan_ending(motion, end.hitch), path=flown.path)
-
-    def _remark(self, team: Team, end: End, flown: FlownAction) -> str:
-        """Describe the further drones that move, with reasons."""
-        remarks = list[str]()
-        if flown.turning:
-            reason = "tensions differ, so legs turn with both edges at their vertex"
-            if team.loaded and np.ptp(team.tension) == 0.0:
-                reason = "clasps carry weight, so legs rise as it changes"
-            remarks.append(_further_drones(flown.turning, "turn", reason))
-        if flown.sliding:
-            reasons = ["legs are to change" if self.legs is not None else end.reason]
-            if flown.worst is not None:
-                reasons.append(f"limits bind at {flown.worst:.0%} of the path")
-            reason = ", and ".join(filter(None, reasons))
-            remarks.append(_further_drones(flown.sliding, "slide", reason))
-        return "; ".join(remarks)
-
-
-def _further_drones(names: Sequence[str], verb: str, reason: str) -> str:
-    """Describe drones that move in addition to those of an action."""
-    ending = "s" if len(names) == 1 else ""
-    return f"{', '.join(names)} {verb}{ending} as well: {reason}"
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        reason = "legs are to change" if self.legs is not None else end.reason
+        duration = self.prescribed_duration
+        return action_plan(task, self.action(task), end.hitch, phase, duration, reason)
 
 
 @documented

@@ -21,6 +21,7 @@ from hitchopt.objects.placing import in_world
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import MovePlanner, check_pull, tying_tension
 from hitchopt.planners.carrying.polygons import grip_clasps
+from hitchopt.planners.forming.tying import approach_motion
 from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.step import (
     ALTITUDE_CHECKS,
@@ -32,7 +33,7 @@ from hitchopt.steps.step import (
     plan_to,
     planner_of,
 )
-from hitchopt.steps.tying import approach_motion, check_rollable
+from hitchopt.steps.tying import check_rollable
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array
 from hitchopt.values.fields import Key, documented

@@ -2,31 +2,25 @@
 
 from __future__ import annotations
 
-import itertools
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hitchopt.checks.tracking import TRACKING_RADIUS
-from hitchopt.errors import InfeasibleError, InputError, RequestError
+from hitchopt.errors import InputError, RequestError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.hitch import ALTITUDE_TOLERANCE
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import MAX_ROBOTS, Assignment
-from hitchopt.motion.motion import CableState, Motion, Phase, concatenated
-from hitchopt.planners.candidates import Candidate, Effort, first_certified
-from hitchopt.planners.compensation import with_friction_feedforward
-from hitchopt.planners.ends import RolledLegs, split_hitch
+from hitchopt.motion.motion import CableState, Phase
+from hitchopt.planners.candidates import first_certified
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.rests import check_at_rest, rest_plan
-from hitchopt.planners.routes import plan_to_hitch
-from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
+from hitchopt.planners.forming.tying import end_of_form, holding_assignment, tyings, untyings
+from hitchopt.planners.rests import check_at_rest
+from hitchopt.planners.task import StepPlan, StepTask
 from hitchopt.steps.step import (
     AUTO,
     INDEX,
@@ -47,7 +41,7 @@ from hitchopt.steps.step import (
 )
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.values import Array, Indices
-from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, with_fields, words
+from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, words
 from hitchopt.values.units import ALTITUDE
 
 __all__ = [  # noqa: RUF022, in the order of the keys of problem files
@@ -58,20 +52,8 @@ __all__ = [  # noqa: RUF022, in the order of the keys of problem files
     "Land",
 ]
 
-if TYPE_CHECKING:
-    from hitchopt.planners.forming.approach import Approach
-    from hitchopt.planners.forming.circles import CircleSize
-    from hitchopt.planners.forming.laying import Laying
-    from hitchopt.planners.forming.prehitch import PreHitch
-
 Assign = Literal["auto", "fixed"]
 """``auto`` chooses the assignment of robots to edges; with ``fixed`` robot k takes edge k."""
-
-SLACK_EVENNESS = (0.0, 1.0, 10.0, 100.0)
-"""Costs of uneven slack in the assignment of unequal cables, in the order of the search."""
-
-CABLE_MARGINS = (1.5, 1.25)
-"""Preferred clearances of drones from cables during tightening, in ``separation.cable``."""
 
 ASSIGN_TEXT = "auto: choose which robot takes which edge, and which end is its q; fixed: in order"
 BY_TEXT = (
@@ -145,7 +127,7 @@ class Form(Step):
         levels = self._levels(team)
         goal = self._goal(team, levels, requirements)
         check_at_rest(goal, requirements, f"at the end of step {task.index} (form)")
-        plan = first_certified(self._ways(task, goal, levels), task.effort, task.progress)
+        plan = first_certified(tyings(task, goal, self.swap, levels), task.effort, task.progress)
         after = replace(plan.after, swap=self.swap, levels=levels)
         return plan.replaced(self.with_duration(task, plan.motion), after)
 
@@ -158,69 +140,6 @@ class Form(Step):
         order = self.stated_order
         return levels_of(team.layout, None if order is None else team.edges[order])
 
-    def _ways(
-        self, task: StepTask, goal: Hitch, levels: Indices | None
-    ) -> Iterator[Candidate[StepPlan]]:
-        """Yield the ways to tie the goal.
-
-        Cables are laid on levels (n,), if they are given; otherwise drones swap to tie the goal
-        directly, or another hitch on a circle that becomes the goal.
-        """
-        from hitchopt.planners.forming.laying import find_laying
-        from hitchopt.planners.forming.prehitch import find_prehitch
-
-        requirements = task.requirements
-
-        def by_laying(levels: Indices) -> StepPlan:
-            """Return the plan that lays the goal's cables on one another."""
-            laying = find_laying(goal, levels, requirements).clear_of_ground(requirements)
-            return require_certified(tied_plan(task, laying, goal))
-
-        def directly(swap: SwapSettings) -> StepPlan:
-            """Return the plan that ties the goal."""
-            tying = find_prehitch(goal, requirements, swap).clear_of_ground(requirements)
-            return require_certified(tied_plan(task, tying, goal))
-
-        def on_circle(tying: PreHitch) -> StepPlan:
-            """Return the plan that ties a hitch on a circle, and morphs it to the goal."""
-            tying = tying.clear_of_ground(requirements)
-            return morphed_plan(task, tied_plan(task, tying, tying.hitch), goal)
-
-        if levels is not None:
-            yield Candidate("laying", partial(by_laying, levels))
-            return
-        for way in swap_ways(self.swap):
-            yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
-            for tying in tyings_on_circles(goal, requirements, way):
-                yield Candidate(f"{way.name}circle", partial(on_circle, tying))
-
-    def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
-        """Return the hitch.
-
-        Without ``legs``, legs keep drones apart as pairs roll if cables are laid; otherwise they
-        are spread, with the largest feasible cable margin.
-        """
-        from hitchopt.planners.forming.laying import senses_of, split_for_rolling
-
-        if self.split is not None:
-            return split_hitch(team, self.outline, self.altitude, self.split, requirements)
-        if levels is not None:
-            halves = Hitch.balanced(team, self.outline, self.altitude)
-            return split_for_rolling(halves, senses_of(team.layout, levels), requirements)
-        spread = split_hitch(team, self.outline, self.altitude, "spread", requirements)
-        same_roll = RolledLegs("spread", spread.roll)
-        clearance = rest_plan(spread, requirements).certificate["cable_clearance"].worst
-        for margin in CABLE_MARGINS:
-            preferred = margin * requirements.separation.cable
-            if clearance >= preferred:
-                break
-            separation = with_fields(requirements.separation, cable=preferred)
-            wider = replace(requirements, separation=separation)
-            hitch = split_hitch(team, self.outline, self.altitude, same_roll, wider)
-            if rest_plan(hitch, wider).certificate.certified:
-                return hitch
-        return spread
-
     def assignment(self, team: Team, drones: Array, requirements: Requirements) -> Assignment:
         """Return the assignment of robots to edges with the shortest flights of drones (2n, 3) [m].
 
@@ -229,20 +148,14 @@ class Form(Step):
         """
         from hitchopt.planners.forming.approach import assign_robots
 
-        leg = requirements.limits.leg
-        shortest = assign_robots(team, drones, self.outline, leg)
         if self.by == "laying" or np.ptp(team.cable_length) == 0.0:
-            return shortest
+            return assign_robots(team, drones, self.outline, requirements.limits.leg)
+        goal = partial(self._goal, levels=None, requirements=requirements)
+        return holding_assignment(team, drones, self.outline, requirements, goal)
 
-        def holding(evenness: float) -> Assignment:
-            """Return the assignment with a cost of uneven slack, if the hitch holds at rest."""
-            assignment = assign_robots(team, drones, self.outline, leg, evenness)
-            goal = self._goal(assignment.team(team), None, requirements)
-            check_at_rest(goal, requirements, "")
-            return assignment
-
-        even = (Candidate("assignment", partial(holding, evenness)) for evenness in SLACK_EVENNESS)
-        return first_certified([*even, Candidate("any slack", lambda: shortest)], Effort())
+    def _goal(self, team: Team, levels: Indices | None, requirements: Requirements) -> Hitch:
+        """Return the hitch that a team ties, by laying cables on levels (n,) if there are any."""
+        return end_of_form(team, self.outline, self.altitude, self.split, levels, requirements)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:
         """Return the edit that scales its polygon about the centroid, the centre of later steps."""
@@ -258,201 +171,6 @@ class Form(Step):
             yield Knob("swap.radius", self.swap.radius, "m", sign=-1, covers=covers)
 
 
-MAX_TIED = 12
-"""Maximum number of hitches on circles that are tried."""
-
-MAX_SHAPES = 3
-"""Maximum number of their shapes, each of which is turned."""
-
-
-class SwapWay(NamedTuple):
-    """Swaps with some settings: of the hitch itself, and of hitches on circles."""
-
-    name: str
-    """Start of the names of its candidates."""
-
-    settings: SwapSettings
-    """The settings."""
-
-    sizes: tuple[CircleSize, ...]
-    """Sizes of hitches on circles."""
-
-
-STEEP_TILT = math.radians(60.0)
-"""[rad] Tilt of swaps that keep drones farther from short cables, and take longer."""
-
-STEEP_RADIUS = 0.25
-"""[m] Smallest semi-axis of these swaps."""
-
-
-def swap_ways(swap: SwapSettings) -> Iterator[SwapWay]:
-    """Yield swaps in the order of the search: as they are set, then steeper if that is free."""
-    from hitchopt.planners.forming.circles import FURTHER_SIZES, SIZES
-
-    yield SwapWay("", swap, SIZES)
-    default = SwapSettings()
-    if (swap.tilt, swap.radius) == (default.tilt, default.radius):
-        steeper = replace(swap, tilt=STEEP_TILT, radius=STEEP_RADIUS)
-        yield SwapWay("steeper ", steeper, SIZES + FURTHER_SIZES)
-
-
-def tyings_on_circles(goal: Hitch, requirements: Requirements, way: SwapWay) -> Iterator[PreHitch]:
-    """Yield pre-hitches of hitches on circles near a closed goal, to be morphed to it.
-
-    Their shapes are feasible; their altitude is that of the goal.
-    """
-    from hitchopt.planners.forming.circles import CircularHitches
-    from hitchopt.planners.forming.prehitch import find_prehitch
-
-    if not goal.team.layout.closed:
-        return
-    circles = CircularHitches(goal, requirements)
-    feasible = (
-        shape
-        for shape in circles.shapes(way.sizes)
-        if not find_prehitch(shape, requirements, way.settings).doubtful
-    )
-    shapes = list(itertools.islice(feasible, MAX_SHAPES))
-    by_phase = zip(*map(circles.placed, shapes), strict=True)  # all shapes at one turn, then next
-    placed = itertools.chain.from_iterable(by_phase)
-    for hitch in itertools.islice(placed, MAX_TIED):
-        yield find_prehitch(hitch, requirements, way.settings)
-
-
-def tied_plan(task: StepTask, tying: Laying | PreHitch, goal: Hitch) -> StepPlan:
-    """Return the plan that ties a hitch of the goal's shape elsewhere and lowers it to the goal.
-
-    Drones fly to where cables hang clear of each other and of the ground, and tie the hitch there.
-    """
-    requirements = task.requirements
-    tied = concatenated(tying.stages(requirements, task.index))
-    if tying.doubtful:  # no approach helps if tying is infeasible
-        require_certified(StepPlan(tied, task.before))
-        require_tracking(tied, task.stated)
-    motions = [approach_motion(task, tying.drones_hanging), tied]
-    if abs(tying.hitch.altitude - goal.altitude) > ALTITUDE_TOLERANCE:
-        lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
-        motions.append(vertical_motion(tying.hitch, goal.altitude, requirements, lower))
-    after = replace(task.before, hitch=goal, drones=goal.drones, senses=tying.senses)
-    return StepPlan(concatenated(motions), after)
-
-
-def morphed_plan(task: StepTask, tied: StepPlan, goal: Hitch) -> StepPlan:
-    """Return a plan that continues to the goal, directly or first to its altitude."""
-    phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
-    start = task.within(task.requirements, tied.after)
-
-    def in_one() -> StepPlan:
-        """Return the plan that changes shape and altitude simultaneously."""
-        return reshaped(start, goal, phase)
-
-    def lowered_last() -> StepPlan:
-        """Return the plan that changes the shape, then the altitude."""
-        morph = reshaped(start, goal.at_altitude(start.hitch.altitude), phase)
-        lower = Phase("lower", task.index, 0.0, 0.0, HEIGHT_REMARK)
-        hitch, requirements = morph.after.tied, task.requirements
-        motion = vertical_motion(hitch, goal.altitude, requirements, lower)
-        return StepPlan(concatenated([morph.motion, motion]), replace(morph.after, hitch=goal))
-
-    def whole(planner: Callable[[], StepPlan]) -> StepPlan:
-        """Return the certified plan from the task's start."""
-        plan = planner()
-        return require_certified(replace(plan, motion=concatenated([tied.motion, plan.motion])))
-
-    candidates = [Candidate("morph", partial(whole, in_one))]
-    if abs(goal.altitude - start.hitch.altitude) > ALTITUDE_TOLERANCE:
-        candidates.append(Candidate("morph before lowering", partial(whole, lowered_last)))
-    return first_certified(candidates, task.effort, task.progress)
-
-
-def untied_plan(task: StepTask, tying: Laying | PreHitch, hitch: Hitch) -> StepPlan:
-    """Return the plan that unties the task's hitch, with the legs of ``hitch``."""
-    from hitchopt.planners.forming.stages import reversed_stages
-
-    requirements = task.requirements
-    motions = adjusting_motions(task, hitch.q_legs)
-    if abs(tying.hitch.altitude - hitch.altitude) > ALTITUDE_TOLERANCE:
-        higher = Phase("raise", task.index, 0.0, 0.0, HEIGHT_REMARK)
-        motions.append(vertical_motion(hitch, tying.hitch.altitude, requirements, higher))
-    motions += reversed_stages(tying.stages(requirements, task.index))
-    drones = tying.drones_hanging
-    after = replace(task.before, drones=drones, hitch=None, senses=None, levels=None)
-    return StepPlan(concatenated(motions), after)
-
-
-def unmorphed_plan(task: StepTask, tying: PreHitch) -> StepPlan:
-    """Return the plan that morphs the task's hitch to one on a circle, and unties that."""
-    phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
-    morph = reshaped(task, tying.hitch, phase)
-    untied = untied_plan(task.within(task.requirements, morph.after), tying, tying.hitch)
-    return require_certified(replace(untied, motion=concatenated([morph.motion, untied.motion])))
-
-
-def reshaped(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
-    """Return the plan of a morph with friction feed-forward, for a share of the task's effort."""
-    effort = Effort(MORPH_EFFORT_PER_ROBOT * task.before.team.robots, whole=task.effort)
-    plan = plan_to_hitch(replace(task, effort=effort), end, phase)
-    return with_friction_feedforward(plan, timed=False)
-
-
-MORPH_EFFORT_PER_ROBOT = 4e3
-"""Effort per robot of the morph between a hitch on a circle and the goal: twice the largest one of
-eight irregular hitches that are tied so; where it does not suffice, another circle is faster."""
-
-
-def approach_motion(task: StepTask, goal: Array) -> Motion:
-    """Return the motion of free cables along the first feasible route, or raise one error."""
-    from hitchopt.planners.forming.approach import DirectApproach, GatheredApproach, OverApproach
-
-    before = task.before
-    requirements = task.requirements
-
-    def certified(kind: type[Approach], larger_errors: float) -> Motion:
-        """Return the certified motion of a kind of approach, planned for larger errors [m]."""
-        needed = requirements.with_larger_errors(larger_errors)
-        approach = kind(before.team, before.drones, goal, needed, task.index)
-        motion = concatenated(approach.solve()).replaced(requirements=requirements)
-        require_certified(StepPlan(motion, before))
-        require_tracking(motion, task.stated)
-        return motion
-
-    def candidate(kind: type[Approach], larger_errors: float = 0.0) -> Candidate[Motion]:
-        """Return the candidate of a kind of approach."""
-
-        def with_larger_errors(error: InfeasibleError) -> Candidate[Motion] | None:
-            """Return the approach that is planned for the errors that this one lacks, if few."""
-            missing = missing_radius(error)
-            larger = larger_errors + max(ERROR_FACTOR * missing, MIN_LARGER_ERRORS)
-            return candidate(kind, larger) if missing and larger <= MAX_LARGER_ERRORS else None
-
-        name = f"{kind.name}{' with larger errors' if larger_errors else ''}"
-        return Candidate(name, partial(certified, kind, larger_errors), with_larger_errors)
-
-    kinds: list[type[Approach]] = [DirectApproach, GatheredApproach]
-    if requirements.objects:
-        kinds.append(OverApproach)
-    return first_certified(map(candidate, kinds), task.effort, task.progress)
-
-
-MIN_LARGER_ERRORS = 1e-3
-"""[m] Smallest increase of errors for which an approach is planned again."""
-
-ERROR_FACTOR = 2.0
-"""Factor on the missing radius of tracking errors by which an approach is planned for larger ones:
-heights of hanging cables grow faster than errors."""
-
-MAX_LARGER_ERRORS = 0.05
-"""[m] Largest increase of errors for which an approach is planned."""
-
-
-def missing_radius(error: InfeasibleError) -> float:
-    """Return what lacks to the radius of tracking errors [m]; 0 if another limit is broken."""
-    radii = [each for each in error.violations if each.constraint == TRACKING_RADIUS.name]
-    if len(radii) < len(error.violations):
-        return 0.0
-    return max((each.limit - each.value for each in radii), default=0.0)
-
-
 def check_rollable(step: str, team: Team) -> None:
     """Raise UnsupportedError for teams whose pairs cannot roll, or whose cables cannot be laid.
 
@@ -466,35 +184,6 @@ def check_rollable(step: str, team: Team) -> None:
     for neighbour, is_present in present.items():
         if is_present:
             raise unsupported(Feature.LAYING, neighbour, step)
-
-
-CIRCLE_REMARK = "tied as a polygon on a circle, since the goal cannot be tied directly"
-"""Remark on morphs between a hitch and one on a circle that is tied or untied in its place."""
-
-HEIGHT_REMARK = "hanging cables need more height above the ground than the hitch"
-"""Remark on motions of a hitch to and from the altitude at which it is tied."""
-
-
-def vertical_motion(
-    hitch: Hitch, altitude: float, requirements: Requirements, phase: Phase
-) -> Motion:
-    """Return the motion of a hitch straight up or down; it sets the end of ``phase``."""
-    from hitchopt.planners.morph.path import RigidPath
-    from hitchopt.planners.timing.timed_motion import motion_along
-
-    path = RigidPath(hitch, np.append(hitch.polygon.centroid, altitude), 0.0)
-    motion = motion_along(path, requirements)
-    return motion.replaced(phases=(replace(phase, end=motion.duration),))
-
-
-def adjusting_motions(task: StepTask, q_legs: Array) -> list[Motion]:
-    """Return the motion in which cables slide to q-legs; no motion if they have them."""
-    from hitchopt.steps.moving import Adjust
-
-    if np.array_equal(q_legs, task.hitch.q_legs):
-        return []
-    direct = replace(task, optimiser=False)  # other splits are faster to try than other routes
-    return [Adjust(legs=RolledLegs(q_legs, task.hitch.roll)).plan(direct).motion]
 
 
 class RollStep(Step):
@@ -586,48 +275,8 @@ class Release(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to untie a hitch, in the reverse order of tying it."""
-        plan = first_certified(self._ways(task), task.effort, task.progress)
+        plan = first_certified(untyings(task), task.effort, task.progress)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
-
-    def _ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
-        """Yield the ways to untie the hitch.
-
-        Cables that were laid leave each other; otherwise drones swap to untie the hitch as it is,
-        or one on a circle in its place.
-        """
-        from hitchopt.planners.forming.laying import find_laying, split_for_rolling
-        from hitchopt.planners.forming.prehitch import find_prehitch
-
-        requirements = task.requirements
-        hitch = task.hitch
-        senses = task.before.assumed_senses
-
-        def by_laying(levels: Indices) -> StepPlan:
-            """Return the plan that takes cables off one another, which the whole plan certifies.
-
-            Only the motion that laid them shows that they interlace.
-            """
-            split = split_for_rolling(hitch, senses, requirements)
-            laid = find_laying(split, levels, requirements).clear_of_ground(requirements)
-            return untied_plan(task, laid, split)
-
-        def directly(swap: SwapSettings) -> StepPlan:
-            """Return the plan that unties the hitch as it is."""
-            tying = find_prehitch(hitch, requirements, swap).with_senses(senses)
-            return require_certified(untied_plan(task, tying.clear_of_ground(requirements), hitch))
-
-        def on_circle(tying: PreHitch) -> StepPlan:
-            """Return the plan that unties a hitch on a circle in its place."""
-            tying = tying.with_senses(senses).clear_of_ground(requirements)
-            return unmorphed_plan(task, tying)
-
-        if task.before.levels is not None:
-            yield Candidate("laying", partial(by_laying, task.before.levels))
-            return
-        for way in swap_ways(task.before.swap):
-            yield Candidate(f"{way.name}swaps", partial(directly, way.settings))
-            for tying in tyings_on_circles(hitch, requirements, way):
-                yield Candidate(f"{way.name}circle", partial(on_circle, tying))
 
 
 @documented
