@@ -162,8 +162,8 @@ def verify(
         places = curves.coefficients - offsets[..., None]
         written = [curves.replaced(part) for part in np.split(places, firsts, axis=1)]
         exported, planned = _exported(flight, written, window.breaks)
-        for each, before in zip(exported.teams, planned.teams, strict=True):
-            deviations.append(_deviations(each, before.motion))
+        for after, before in zip(exported.teams, planned.teams, strict=True):
+            deviations.append(_deviations(after, before.motion))
         limited = [(exported, carried)]
         if flown.plan is not None:
             limited = [(exported, [rule for rule in carried if rule in SETPOINT_RULES])]

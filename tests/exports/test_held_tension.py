@@ -130,6 +130,7 @@ def test_limits_hold_for_drones_that_follow_the_files(plan: ho.Plan, tmp_path: P
     assert largest_rate(setpoints, 1).worst > 1.0005 * fastest
     (done,) = tight.export("crazyswarm2", tmp_path)
     (speed,) = (check for check in done.verdict.checks if check.name == "speed")
+    assert speed.limit is not None
     assert fastest * 0.999 < speed.worst < speed.limit
     contents = format_of("csv").load(
         [*limited(2.0).export("csv", tmp_path / "c", hold_tension=True)[0].folder.glob("*.csv")]
