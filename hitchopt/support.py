@@ -83,8 +83,6 @@ _ONE_TEAM = (
 _ALONE = (Feature.REPLANNER, Feature.REACTION, Feature.FEEDBACK, Feature.SIMULATED_LOSS)
 """Those that support no external plans next to it."""
 
-_BENT = "cables that bend around an object on their own keep no distances to other teams"
-
 _EDITING = Refusal("one team of catenary robots", "edit the file", key="team")
 _NO_END = Refusal(
     "a hitch", "form one, or continue with the drones at plan.at(plan.duration)", key="end"
@@ -124,12 +122,6 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "closed where cables are tied around an object",
         "leave team.topology out",
         key="topology",
-    ),
-    (Feature.TWO_CABLES, Neighbour.SEVERAL_TEAMS): Refusal(
-        _BENT, "plan the team that ties them in a separate file"
-    ),
-    (Feature.TWO_CABLES, Neighbour.OTHERS): Refusal(
-        _BENT, "plan the team that ties them in a file without others"
     ),
     (Feature.HOLDING, Neighbour.CHAINS): Refusal(
         "closed if objects are held", "close it", key="team.topology"

@@ -3,11 +3,13 @@
 Each team is certified alone (``certify``). Between teams, the same distances apply as within one:
 checks ``separation``, ``cable_clearance``, ``crossing``, ``keep_out`` and ``object_clearance``; and
 ``downwash``, which concerns drones above another team only. Two teams are compared on their common
-breaks, in runs of pieces on which neither ties nor unties its hitch; they are at rest before and
+breaks, in runs of pieces on which the cables of each are taut or not; they are at rest before and
 after their motions.
 
-Cables without a hitch stay within vertical regions (``checks.bodies``). The distance of such a
-region is the larger of its horizontal distance and its difference in height.
+Cables without tension stay within vertical regions (``checks.bodies``). The distance of such a
+region is the larger of its horizontal distance and its difference in height. Taut cables are
+straight, but for their arcs around an object that they grip: these are on its section, at one
+height, as the check ``grip`` verifies.
 
 Where tracking errors are larger vertically than horizontally, all heights are divided by their
 ratio (``Requirements.height_ratio``): errors are then within a ball, and no distance is longer.
@@ -16,7 +18,7 @@ ratio (``Requirements.height_ratio``): errors are then within a ball, and no dis
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -26,6 +28,7 @@ import numpy as np
 from hitchopt.checks.bodies import (
     Bodies,
     CableSheets,
+    Flags,
     cable_sheets,
     drones_of,
     taut_cables,
@@ -33,7 +36,14 @@ from hitchopt.checks.bodies import (
 )
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.distances import Moving, Shape, nearest_of
-from hitchopt.checks.downwash import below, half_axes, moves, pairs_with_object
+from hitchopt.checks.downwash import (
+    below,
+    half_axes,
+    moves,
+    pairs_with_object,
+    pairs_with_slab,
+)
+from hitchopt.checks.grips import WRAP_GAP, gripped_objects
 from hitchopt.checks.objects import placed_corners
 from hitchopt.checks.rule import CheckRule, WorstCase, largest_error
 from hitchopt.checks.solids import PlacedObject, Solid, from_above, pairs_with_shape, placed_objects
@@ -46,16 +56,17 @@ from hitchopt.motion.motion import CLASPED_STATES, CableState, Motion
 from hitchopt.motion.retiming import on_breaks_of, padded
 from hitchopt.objects import Slab
 from hitchopt.objects.placing import REST_DRIFT
+from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed
 from hitchopt.trajectory.piecewise import merged_breaks
-from hitchopt.values import Array
+from hitchopt.values import Array, true_runs
 
 LAID = frozenset({CableState.LAYING})
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """A team on a run of pieces, and the regions of its cables while it has no hitch."""
+    """A team on a run of pieces, and the regions of its cables while these are not taut."""
 
     flown: TeamMotion
     """The team's motion on these pieces."""
@@ -76,10 +87,15 @@ class Side:
         """The team's drones."""
         return drones_of(self.motion).labelled(self.flown.label)
 
+    @property
+    def is_taut(self) -> bool:
+        """Whether its cables consist of taut parts."""
+        return bool(self.motion.taut[0])
+
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """Two teams on common pieces on which each has a hitch or none, and their distances."""
+    """Two teams on common pieces on which the cables of each are taut or not, and distances."""
 
     first: Side
     """One of the teams."""
@@ -112,11 +128,16 @@ class Run:
         label: str,
         shape: Solid,
         pose: Enclosed,
+        pieces: Flags,
     ) -> Moving:
-        """Return the pairs of bodies of one team and a shape that moves with a pose."""
+        """Return the pairs of bodies of one team and a shape that moves with a pose, on pieces."""
         points = points if isinstance(points, Enclosed) else Enclosed(points)
         margin = self.margin + ROUNDING * shape.slab.size
-        return pairs_with_shape(self.first.motion, points, names, label, shape, pose, margin=margin)
+        active = np.repeat(pieces[:, None], len(names), axis=1)
+        motion = self.first.motion
+        return pairs_with_shape(
+            motion, points, names, label, shape, pose, margin=margin, active=active
+        )
 
 
 @cached
@@ -138,9 +159,9 @@ def _runs(first: TeamMotion, second: TeamMotion, separation: Separation) -> Iter
     at_rest_besides = [padded(flown.motion, begin, end) for flown in teams]
     breaks = merged_breaks([motion.drones.breaks for motion in at_rest_besides])
     motions = [on_breaks_of(motion, breaks) for motion in at_rest_besides]
-    tied = [motion.formed for motion in motions]
+    taut = [motion.taut for motion in motions]
     clasped = [motion.in_states(CLASPED_STATES) for motion in motions]
-    states = np.array([*tied, *clasped])
+    states = np.array([*taut, *clasped])
     changes = np.flatnonzero(np.any(states[:, 1:] != states[:, :-1], axis=0)) + 1
     sheets = [cable_sheets(motion) if motion.team.has_cables else None for motion in motions]
 
@@ -163,7 +184,7 @@ def cables_of(side: Side, *, parts: bool = False) -> Bodies | None:
     sheets = side.sheets
     if sheets is None:
         return None
-    if not motion.formed[0]:
+    if not side.is_taut:
         cables = Bodies(sheets.corners, cable_names(motion), sheets.outline)
     elif parts:
         cables = taut_parts(motion)
@@ -186,6 +207,7 @@ def drones_and_cables(run: Run) -> Iterator[Moving]:
         cables = cables_of(other)
         if cables is not None:
             yield run.moving(one.drones, cables)
+        yield from _drones_and_slabs(run, one, arcs_of(other))
 
 
 def cable_pairs(run: Run) -> Iterator[Moving]:
@@ -194,6 +216,9 @@ def cable_pairs(run: Run) -> Iterator[Moving]:
     second = cables_of(run.second, parts=True)
     if first is not None and second is not None:
         yield run.moving(first, second)
+    for one, other in run.both:
+        yield from _cables_and_slabs(run, one, arcs_of(other))
+    yield from _slab_pairs(run, [*arcs_of(run.first)], arcs_of(run.second))
 
 
 def _objects(one: Side, other: Side) -> Iterator[PlacedObject]:
@@ -207,7 +232,7 @@ def _objects(one: Side, other: Side) -> Iterator[PlacedObject]:
 
 
 class PlacedSlab(NamedTuple):
-    """A slab of an object."""
+    """A slab of an object, or that on which cables bend around it."""
 
     name: str
     """Name of the object."""
@@ -218,20 +243,43 @@ class PlacedSlab(NamedTuple):
     pose: Enclosed
     """(pieces,) x, y, z [m], cosine and sine of yaw of the object."""
 
+    pieces: Flags
+    """(pieces,), on which it is compared."""
+
 
 def _slabs(one: Side, other: Side) -> Iterator[PlacedSlab]:
     """Yield the slabs of the objects of one team that are not obstacles of the other."""
+    always = np.ones(one.motion.drones.pieces, np.bool_)
     for name, body, pose in _objects(one, other):
         for slab in body.slabs:
-            yield PlacedSlab(name, slab, pose)
+            yield PlacedSlab(name, slab, pose, always)
 
 
 def drones_and_objects(run: Run) -> Iterator[Moving]:
     """Yield the pairs of drones of one team and objects of the other."""
     for one, other in run.both:
-        drones = one.drones
-        for name, slab, pose in _slabs(other, one):
-            yield run.around(drones.corners, drones.names, name, Solid(slab), pose)
+        yield from _drones_and_slabs(run, one, _slabs(other, one))
+
+
+def arcs_of(side: Side) -> Iterator[PlacedSlab]:
+    """Yield the sections that contain the arcs of a team's cables around objects that they grip.
+
+    They are between the lowest and the highest contact with the object, which are as high if the
+    check ``grip`` holds.
+    """
+    motion = side.motion
+    for index, name, pieces in gripped_objects(motion):
+        heights, base = same_degree(
+            motion.contacts.coefficients[:, :, :, 2],
+            motion.poses.coefficients[:, index, None, None, 2],
+        )
+        section = motion.requirements.objects[name].section.widened(WRAP_GAP)
+        pose = Enclosed(motion.poses.coefficients[:, index])
+        for first, last in true_runs(pieces):
+            of_contacts = (heights - base)[first:last]
+            slab = Slab(section, float(np.min(of_contacts)), float(np.max(of_contacts)))
+            in_run = np.isin(np.arange(len(pieces)), np.arange(first, last))
+            yield PlacedSlab(name, slab, pose, in_run)
 
 
 def taut_or_laid(side: Side) -> Bodies | None:
@@ -267,6 +315,20 @@ def drones_above_cables(
                 formula=formula,
                 **options,
             )
+        drones = one.drones
+        for name, slab, pose, pieces in arcs_of(other):
+            yield pairs_with_slab(
+                drones.corners,
+                pose,
+                slab,
+                scale,
+                breaks=one.motion.drones.breaks,
+                names=(drones.names, (name,)),
+                margin=run.margin,
+                active=np.repeat(pieces[:, None], len(drones.names), axis=1),
+                formula=formula,
+                shape=shape or Solid,
+            )
 
 
 def drones_above_objects(run: Run, scale: Array | None = None, **options: Any) -> Iterator[Moving]:
@@ -286,37 +348,58 @@ def drones_above_objects(run: Run, scale: Array | None = None, **options: Any) -
 def cables_and_objects(run: Run) -> Iterator[Moving]:
     """Yield the pairs of cables of one team and objects of the other."""
     for one, other in run.both:
-        cables = cables_of(one)
-        if cables is not None:
-            for placed in _slabs(other, one):
-                yield _cables_and_slab(run, one, cables, placed)
+        yield from _cables_and_slabs(run, one, _slabs(other, one))
+        yield from _slab_pairs(run, [*arcs_of(one)], _slabs(other, one))
 
 
 def object_pairs(run: Run) -> Iterator[Moving]:
     """Yield the pairs of objects."""
-    for name, slab, pose in _slabs(run.second, run.first):
-        for other_name, other_slab, other_pose in _slabs(run.first, run.second):
-            corners = placed_corners(other_pose, other_slab)
-            solid = Solid(slab, rounding=other_slab.section.rounding)
-            yield run.around(corners, (other_name,), name, solid, pose)
+    yield from _slab_pairs(run, [*_slabs(run.first, run.second)], _slabs(run.second, run.first))
 
 
-def _cables_and_slab(run: Run, side: Side, cables: Bodies, placed: PlacedSlab) -> Moving:
-    """Return the pairs of cables of a team and a slab of the other one.
+def _drones_and_slabs(run: Run, side: Side, slabs: Iterable[PlacedSlab]) -> Iterator[Moving]:
+    """Yield the pairs of drones of a team and slabs of the other one."""
+    drones = side.drones
+    for name, slab, pose, pieces in slabs:
+        yield run.around(drones.corners, drones.names, name, Solid(slab), pose, pieces)
+
+
+def _cables_and_slabs(run: Run, side: Side, slabs: Iterable[PlacedSlab]) -> Iterator[Moving]:
+    """Yield the pairs of cables of a team, if it has any, and slabs of the other one.
 
     The distance of cables that hang, lie or are laid is horizontal.
     """
+    cables = cables_of(side)
+    if cables is None:
+        return
     sheets = side.sheets
-    if sheets is None or not cables.outline:
-        corners = cables.corners
-        shape = Solid(placed.slab)
-    elif cables.outline == 2:
-        corners = cables.corners[:, :, :2]  # chords
-        shape = from_above(placed.slab)
-    else:
-        corners = sheets.prisms
-        shape = Solid(placed.slab, rounding=0.0)
-    return run.around(corners, cables.names, placed.name, shape, placed.pose)
+    for name, slab, pose, pieces in slabs:
+        if sheets is None or not cables.outline:
+            corners = cables.corners
+            shape = Solid(slab)
+        elif cables.outline == 2:
+            corners = cables.corners[:, :, :2]  # chords
+            shape = from_above(slab)
+        else:
+            corners = sheets.prisms
+            shape = Solid(slab, rounding=0.0)
+        yield run.around(corners, cables.names, name, shape, pose, pieces)
+
+
+def _slab_pairs(
+    run: Run, slabs: Sequence[PlacedSlab], others: Iterable[PlacedSlab]
+) -> Iterator[Moving]:
+    """Yield the pairs of slabs of a team and slabs of the other one."""
+    for other in others:
+        for name, slab, pose, pieces in slabs:
+            yield run.around(
+                placed_corners(pose, slab),
+                (name,),
+                other.name,
+                Solid(other.slab, rounding=slab.section.rounding),
+                other.pose,
+                pieces & other.pieces,
+            )
 
 
 PAIRS: dict[tuple[str, str], Callable[[Run], Iterator[Moving]]] = {

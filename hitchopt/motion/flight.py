@@ -114,7 +114,6 @@ class Flight(OneLine):
     Raises
     ------
     InputError: no team, or an invalid or duplicate name.
-    UnsupportedError: several teams, one with cables that are tied around an object.
     """
 
     teams: tuple[TeamMotion, ...]
@@ -129,9 +128,6 @@ class Flight(OneLine):
         if not self.teams:
             raise InputError("teams", [], "at least one", "name the teams that fly")
         self._check_names()
-        if len(self.all_teams) > 1 and self._has_bent_cables:
-            neighbour = Neighbour.SEVERAL_TEAMS if len(self.teams) > 1 else Neighbour.OTHERS
-            raise unsupported(Feature.TWO_CABLES, neighbour)
         if len(self.teams) == 1:
             object.__setattr__(self, "teams", (replace(self.teams[0], name=""),))
             return
@@ -193,11 +189,6 @@ class Flight(OneLine):
     def has_cables(self) -> bool:
         """Return whether any of its teams has cables."""
         return any(flown.motion.team.has_cables for flown in self.teams)
-
-    @property
-    def _has_bent_cables(self) -> bool:
-        """Return whether unclasped cables of any team or external plan bend around an object."""
-        return any(flown.motion.has_bent_cables for flown in self.all_teams)
 
     @property
     def breaks(self) -> Array:

@@ -132,12 +132,12 @@ class SampledPath:
         parts = np.repeat(ends, [outlines.shape[2] - 1, 1], axis=2)
         lowest = np.min(regions[..., 2], axis=-1)
         highest = np.max(regions[..., 2], axis=-1)
-        formed = motion.formed[self._pieces]
-        is_taut = formed[:, None, None]
+        taut = motion.taut[self._pieces]
+        is_taut = taut[:, None, None]
         heights_of_parts = np.sort(ends[..., 2], axis=-1)
         heights = np.where(is_taut, heights_of_parts, np.stack([lowest, highest], axis=-1))
         corners = np.where(is_taut[..., None], parts, outlines)
-        return SampledBodies(corners, heights, np.zeros(len(cable)), ~formed)
+        return SampledBodies(corners, heights, np.zeros(len(cable)), ~taut)
 
     @cached_property
     def taut(self) -> SampledBodies:

@@ -31,7 +31,7 @@ from .request import requested
 from .shapes import to_frame
 from .spans import MIN_TENSION, RESOLUTION, Fault, Row, Spans, Worst, fault_row, prove, worst_row
 from .statics import vertex_errors
-from .teams import Pair, between_plans, object_distances
+from .teams import Pair, arc_distances, between_plans, object_distances
 from .tying import bent_cables, free_cables
 
 GROSS = 10.0  # ratio to a limit from which on curves are no plan at all
@@ -273,7 +273,9 @@ def between_teams(
     for p, q in combinations([*own, *others], 2):
         if p in own:
             one, two = Pair(p, q, wide, tube), Pair(q, p, wide, tube)
-            yield from (*between_plans(one), *object_distances(one), *object_distances(two))
+            yield from between_plans(one)
+            for pair in (one, two):
+                yield from (*object_distances(pair), *arc_distances(pair))
 
 
 def worst_rows(rows: Sequence[Row]) -> Iterator[Row]:

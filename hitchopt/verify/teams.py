@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .arithmetic import BIG, Array, Index, Items, Line, Mask, maximum, minimum
+from .arithmetic import BIG, Array, Index, Items, Line, Mask, elevate, maximum, minimum, runs_of
 from .drones import moves
 from .objects import body_gap
-from .reading import LAID, Plan
+from .reading import LAID, WRAP_TOL, Plan
 from .shapes import Slab, distance, prism_gap
 from .spans import Row, Spans, prove
 
@@ -23,6 +23,9 @@ TAUT = "taut"
 HANGING = "hanging"
 BEING_LAID = "being laid"
 CLASPING = "clasping"
+CONTACT_ERROR = 3.0 * WRAP_TOL
+"""[m] Largest distance of contacts from a section that ``wrap`` allows."""
+
 REGIONS = {HANGING, BEING_LAID, CLASPING}
 """Cables without a hitch, which vertical regions contain."""
 
@@ -37,10 +40,14 @@ class Bodies(NamedTuple):
 
 
 class PlanObject(NamedTuple):
-    """A convex section of an object of a plan."""
+    """A convex section of an object of a plan, or the one on which its cables bend around it.
+
+    Cables being clasped may be above its ``top`` [m], which is that of its object.
+    """
 
     number: int
     slab: Slab
+    top: float
     pieces: Mask
     names: Sequence[str]
 
@@ -127,6 +134,43 @@ def between_plans(pair: Pair) -> Iterator[Row]:
             yield prove("downwash ratio min", 1.0, spans, downwash)
 
 
+def arc_distances(pair: Pair) -> Iterator[Row]:
+    """Prove distances of drones, cables and objects of a plan to another plan's arcs of cables."""
+    p, q = pair.plans
+    drones = bodies_of(p)[0]
+    for arc in arcs_of(q):
+        for bodies in bodies_of(p):
+            limit = pair.cable_limit if bodies.kind == DRONES else pair.crossing_limit
+            yield prove(*limit, pair.spans(bodies, arc), from_object(pair, bodies, arc))
+        yield prove("downwash ratio min", 1.0, pair.spans(drones, arc), object_downwash(pair, arc))
+        for other in arcs_of(p):
+            spans = pair.spans(other, arc)
+            yield prove(*pair.crossing_limit, spans, between_objects(pair, other, arc))
+        limit = pair.object_limit[0], pair.object_limit[1] + pair.tracking  # objects err too
+        for carried in own_objects(p, q):
+            spans = pair.spans(carried, arc)
+            yield prove(*limit, spans, between_objects(pair, carried, arc))
+
+
+def arcs_of(p: Plan) -> Iterator[PlanObject]:
+    """Yield the sections around which cables of a plan bend, from lowest to highest contact.
+
+    Cables touch the stem of an object that they grip, at one height while they do.
+    """
+    contacts = p.edges[1:3].ravel()
+    for number, body in enumerate(p.bodies):
+        for pieces in runs_of(p.grip[number]):
+            heights = p.points.c[0][pieces][:, contacts, 2]
+            bases = p.poses.c[0][pieces, number, None, 2]
+            count = max(heights.shape[-1], bases.shape[-1])
+            above_base = elevate(heights, count) - elevate(bases, count)
+            low, high = float(np.min(above_base)), float(np.max(above_base))
+            on = np.isin(np.arange(len(p.h)), pieces)
+            yield PlanObject(
+                number, body.stem.enlarged(CONTACT_ERROR, low, high), high, on, [body.name]
+            )
+
+
 def between(
     pair: Pair, first: Bodies, second: Bodies, measure: Callable[[Corners, Corners], Line]
 ) -> Callable[[Spans, Index, Index], Line]:
@@ -183,7 +227,8 @@ def own_objects(p: Plan, q: Plan) -> Iterator[PlanObject]:
     for number, slab in p.slabs:
         name = p.bodies[number].name
         if np.any(p.moving[number]) or objects[name] != other_objects.get(name):
-            yield PlanObject(number, slab, p.all_pieces, [name])
+            top = max(part.upper for part in p.bodies[number].slabs)
+            yield PlanObject(number, slab, top, p.all_pieces, [name])
 
 
 def from_object(
@@ -191,12 +236,11 @@ def from_object(
 ) -> Callable[[Spans, Index, Index], Line]:
     """Return the formula of the distance of bodies to an object of the other plan.
 
-    It is horizontal for cables without a hitch. Cables being clasped may also be above the object,
-    whose height is that of its highest section.
+    It is horizontal for cables that are not taut. Cables being clasped may also be above the
+    object's top.
     """
     slab = obstacle.slab
     column = slab.enlarged(0.0, -BIG, BIG)
-    top = max(part.upper for part in pair.plans[1].bodies[obstacle.number].slabs)
 
     def formula(s: Spans, i: Index, _: Index) -> Line:
         spans, other_spans = pair.both(s)
@@ -207,7 +251,7 @@ def from_object(
             start, end = corners[:2]
             return column.gap(start, end, ratio=pair.ratio)
         *outline, lowest = corners
-        height = (lowest[2] - top) * (1.0 / pair.ratio)
+        height = (lowest[2] - obstacle.top) * (1.0 / pair.ratio)
         return maximum(column.gap(*outline, outline[0], ratio=pair.ratio), height)
 
     return formula

@@ -9,8 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from groups import flown_by
+from plans import planned
 
 import hitchopt as ho
+from hitchopt.checks import certify
 from hitchopt.cli import main
 from hitchopt.drones.controllers import HELD
 from hitchopt.errors import FileError, InputError, UnsupportedError
@@ -112,6 +115,22 @@ def test_gains_and_filter_are_those_of_the_files(plan: ho.Plan, tmp_path: Path) 
     for stated in (Settings(controller="lee"), Settings(stiffness=1.0), Settings(upload=False)):
         with pytest.raises(InputError, match="its files state it"):
             resolved(edited.task, stated)
+
+
+def test_files_that_hold_gains_of_one_team_only_are_flown_with_those_of_the_plan(
+    tmp_path: Path,
+) -> None:
+    unknown = ho.Quadrotor(mass=0.132, max_thrust=2.6)
+    flight = flown_by(planned("two_teams").flight, a=TEAM.quadrotor[0], b=unknown)
+    plan = ho.Plan(flight, certify(flight))
+    folder = exported(plan, tmp_path / "two", "crazyswarm2", allow_slack=True)
+    task = read_exported(folder).task
+    assert task.received is not None
+    assert task.received.loops == ()
+    settings = resolved(task, Settings(controller="mellinger"))
+    loops = [kind.loop for part in task.teams for kind in flown_team(part.team, settings).kinds]
+    assert len(loops) == task.team.drones
+    assert loops[0] == TEAM.kinds[0].loop
 
 
 def px4_plan(**kind: Any) -> ho.Plan:

@@ -336,11 +336,12 @@ def _controller(part: ExportedPart) -> str:
 
 
 def _loops(part: ExportedPart, task: Task) -> tuple[FlightController, ...]:
-    """Return the position loops (2n,) of a part's parameters; empty if it has no gains."""
+    """Return the position loops (2n,) of a part's parameters; empty unless all drones have gains."""
     masses = task.team.mass.tolist()
     each = zip(part.parameters, masses, strict=True)
     loops = [_loop(_controller(part), parameters, mass) for parameters, mass in each]
-    return tuple(loop for loop in loops if loop is not None)
+    known = tuple(loop for loop in loops if loop is not None)
+    return known if len(known) == len(loops) else ()
 
 
 def _loop(name: str, parameters: Mapping[str, Any], mass: float) -> FlightController | None:
