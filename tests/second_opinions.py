@@ -20,7 +20,7 @@ OF_WHOLE: set[Rows] = {driver.jumps, links.interlacing}
 OF_TAUT: set[Rows] = {cables.taut_cables}
 OF_BENT: set[Rows] = {tying.bent_cables}
 OF_BODIES: set[Rows] = {objects.resting, objects.gripped, objects.hinged, objects.clear_objects}
-OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances}
+OF_PAIRS: set[Rows] = {teams.between_plans, teams.object_distances, teams.arc_distances}
 
 TAUT = tying.bent_cables, cables.taut_cables, tying.laid_cables
 ROWS: dict[str, tuple[Rows, ...]] = {
@@ -73,7 +73,7 @@ def _pairs(p: Any, q: Any, own: list[Any], rows: Rows) -> Iterator[teams.Pair]:
     wide = {key: max(each.settings["separation"][key] for each in own) for key in keys}
     off = max(each.tube[0] for each in own), max(each.tube[1] for each in own)
     yield teams.Pair(p, q, wide, off)
-    if rows is teams.object_distances:
+    if rows is not teams.between_plans:
         yield teams.Pair(q, p, wide, off)
 
 

@@ -147,10 +147,6 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.TWO_CABLES, Neighbour.CHAINS): lambda: ho.Tie("drum").resolved_for(
         ho.Team(2, 2.3, topology="open")
     ),
-    (Feature.TWO_CABLES, Neighbour.SEVERAL_TEAMS): lambda: in_company(
-        drum(), Neighbour.SEVERAL_TEAMS
-    ),
-    (Feature.TWO_CABLES, Neighbour.OTHERS): lambda: in_company(drum(), Neighbour.OTHERS),
     (Feature.HOLDING, Neighbour.CHAINS): lambda: object_of(held_by(CHAIN), "drum"),
     (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: grip_clasps(
         "drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements()

@@ -15,7 +15,7 @@ from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError, Progress, Violation
 from hitchopt.hitch.requirements import Separation
 from hitchopt.mission.problem import Problem
-from hitchopt.motion.flight import Flight, TeamMotion, moved_objects
+from hitchopt.motion.flight import Flight, TeamMotion, own_objects
 from hitchopt.motion.motion import WAIT, Motion, Phase, concatenated
 from hitchopt.motion.retiming import cut, padded, resting, shifted
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
@@ -66,11 +66,13 @@ def schedule_teams(
         for k, step in enumerate(mission.steps)
         if step.prescribed_duration is not None
     }
+    others = [each for name, other in problem.others.items() for each in other.teams(name)]
+    every = [*alone.values(), *(other.motion for other in others)]
+    owned = {name: own_objects(motion, every) for name, motion in alone.items()}
     items = [
-        _Item(index, row, before, requirements.separation, alone, timed)
+        _Item(index, row, before, requirements.separation, owned, timed)
         for index, (row, before) in enumerate(_items(alone, problem.items))
     ]
-    others = [each for name, other in problem.others.items() for each in other.teams(name)]
 
     def schedule(margin: float) -> Flight:
         """Return the flight in which sampled times keep distances with a margin [m]."""
@@ -83,7 +85,8 @@ def schedule_teams(
                 first, last = other.motion.drones.breaks[[0, -1]].tolist()
                 start = math.floor((first - clock) / STEP + 1e-9)
                 path = padded(other.motion, min(clock + STEP * start, first), last)
-                sampled = SampledPath(replace(other, motion=path), moved_objects(path))
+                own = own_objects(path, alone.values())
+                sampled = SampledPath(replace(other, motion=path), own)
                 placed.append(Placed(sampled, start))
             clock += item.fly(flown, placed, tracking_margin)
         wholes = [(name, _merge_waits(concatenated(parts))) for name, parts in flown.items()]
@@ -142,13 +145,13 @@ class _Item:
         row: Mapping[str, Motion],
         before: Mapping[str, Motion],
         separation: Separation,
-        alone: Mapping[str, Motion],
+        owned: Mapping[str, frozenset[str]],
         timed: Collection[tuple[str, int]],
     ) -> None:
         self.index, self.row, self.timed = index, row, timed
         self.tracks = [
-            SampledPath(TeamMotion(name, row.get(name, before[name])), moved_objects(motion))
-            for name, motion in alone.items()
+            SampledPath(TeamMotion(name, row.get(name, before[name])), objects)
+            for name, objects in owned.items()
         ]
         self.schedule = Schedule(self.tracks, separation, self._layer, LAYERS)
 

@@ -8,7 +8,7 @@ breaks of several motions would suffer from rounding.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 from typing import NamedTuple
@@ -389,6 +389,17 @@ def moved_objects(motion: Motion) -> frozenset[str]:
     extents = np.ptp(motion.poses.coefficients, axis=(0, -1)).max(axis=-1, initial=0.0)
     moves = dict(zip(motion.requirements.objects, extents, strict=True))
     return frozenset(name for name, extent in moves.items() if extent > REST_DRIFT)
+
+
+def own_objects(motion: Motion, others: Iterable[Motion]) -> frozenset[str]:
+    """Return the names of objects that a motion moves, or that one of the others does not know."""
+    known = [each.requirements.objects for each in others]
+    unknown = [
+        name
+        for name, body in motion.requirements.objects.items()
+        if any(name not in each or not same_object(body, each[name]) for each in known)
+    ]
+    return moved_objects(motion).union(unknown)
 
 
 def same_object(one: SolidObject, other: SolidObject) -> bool:

@@ -22,10 +22,11 @@ from hitchopt.checks.bodies import cable_sheets, drones_of, taut_parts
 from hitchopt.errors import check_time
 from hitchopt.geometry import differences, hull_distance, shortest_offset
 from hitchopt.geometry.vectors import length
-from hitchopt.hitch.pairs import DISTANCES
+from hitchopt.hitch.pairs import DISTANCES, Kind
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.flight import TeamMotion
+from hitchopt.motion.flight import TeamMotion, same_object
 from hitchopt.motion.motion import CableState
+from hitchopt.objects.placing import REST_DRIFT
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array, Indices
 
@@ -77,13 +78,13 @@ class Boxes(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SampledPath:
-    """A team's path, sampled every STEP [s] from start to end, and the objects that it moves."""
+    """A team's path, sampled every STEP [s] from start to end, and its own objects."""
 
     flown: TeamMotion
     """The team's motion."""
 
     owned: frozenset[str] = frozenset()
-    """Names of the objects that the team moves."""
+    """Names of the objects that the team moves, or that some other team does not know."""
 
     @cached_property
     def times(self) -> Array:
@@ -151,7 +152,7 @@ class SampledPath:
 
     @cached_property
     def objects(self) -> SampledBodies:
-        """Cylinders around the objects that the team moves."""
+        """Cylinders around its own objects."""
         motion = self.flown.motion
         objects = motion.requirements.objects
         indices = [k for k, name in enumerate(objects) if name in self.owned]
@@ -163,10 +164,23 @@ class SampledPath:
         heights = bases[..., 2] + np.column_stack([lowest, highest])
         return SampledBodies(bases, heights, np.array(radii), np.ones(len(self), np.bool_))
 
-    @property
-    def movable(self) -> SampledBodies:
-        """Objects that downwash would move: all that the team moves."""
-        return self.objects
+    def bodies(self, kind: Kind, other: SampledPath) -> SampledBodies:
+        """Return the bodies of a kind that keep distances to another team."""
+        if kind not in ("objects", "movable"):
+            of_team: SampledBodies = getattr(self, kind)
+            return of_team
+        motion = self.flown.motion
+        obstacles = other.flown.motion.requirements.objects
+        compared = list[bool]()
+        for index, (name, body) in enumerate(motion.requirements.objects.items()):
+            if name in self.owned:
+                offsets = motion.poses.coefficients[:, index] - body.pose[:, None]
+                is_moved = np.max(np.abs(offsets)) > REST_DRIFT
+                is_obstacle = name in obstacles and same_object(body, obstacles[name])
+                is_kind = kind == "objects" or not body.fixed
+                compared.append(is_kind and (is_moved or not is_obstacle))
+        corners, heights, radii, upright = self.objects
+        return SampledBodies(corners[:, compared], heights[:, compared], radii[compared], upright)
 
     @cached_property
     def boxes(self) -> Boxes:
@@ -211,13 +225,10 @@ def _pairs(a: SampledPath, b: SampledPath, separation: Separation) -> Iterator[B
     for rule in DISTANCES.values():
         limit = rule.limit(separation)
         for kind, other_kind in rule.kinds:
-            yield BodyPairs(
-                rule.check, limit, getattr(a, kind), getattr(b, other_kind), swapped=False
-            )
-            if kind != other_kind:
-                yield BodyPairs(
-                    rule.check, limit, getattr(b, kind), getattr(a, other_kind), swapped=True
-                )
+            for first, second in ((a, b), (b, a))[: 1 + (kind != other_kind)]:
+                of_first = first.bodies(kind, second)
+                of_second = second.bodies(other_kind, first)
+                yield BodyPairs(rule.check, limit, of_first, of_second, swapped=first is b)
 
 
 def slacks(a: SampledPath, b: SampledPath, separation: Separation) -> Array:

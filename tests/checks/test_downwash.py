@@ -19,7 +19,7 @@ from hitchopt.checks.across import check_across, radius_across
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.hitch.pairs import DISTANCES
 from hitchopt.hitch.requirements import Separation
-from hitchopt.motion.flight import Flight, TeamMotion, moved_objects
+from hitchopt.motion.flight import Flight, TeamMotion, moved_objects, own_objects
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.planners.schedule import SampledPath, slacks
@@ -258,6 +258,24 @@ def test_schedules_keep_drones_off_what_is_below_them() -> None:
                 assert slack[0, 0] == pytest.approx((height / 0.29 - 1.0) * 0.11)
             else:
                 assert slack[0, 0] > 0.05
+
+
+def test_schedules_keep_drones_off_objects_of_another_team_that_they_do_not_know() -> None:
+    """A team may tie its cables around an object, and leave it where it stands."""
+    post = ho.SolidObject(ho.Section(radius=0.1), 0.0, 2.0, at=[3.0, 1.0, 0.0], fixed=True)
+    places = np.array([[3.2, 1.0, 1.0]]), np.array([[8.0, 1.0, 1.0]])
+    near, far = (lines(place, place, separation=SEPARATION) for place in places)
+    owner = far.replaced(requirements=replace(far.requirements, objects={"post": post}))
+    knows = near.replaced(requirements=owner.requirements)
+    for motion, apart in ((near, 0.1 - 0.11), (knows, np.inf)):
+        own = own_objects(owner, [owner, motion])
+        assert own == ({"post"} if motion is near else set())
+        for names in (own, frozenset({"post"})):  # a third team may not know it
+            tracks = (
+                SampledPath(TeamMotion("a", owner), names),
+                SampledPath(TeamMotion("s", motion)),
+            )
+            np.testing.assert_allclose(slacks(*tracks, SEPARATION), [[apart] * 11] * 11)
 
 
 @pytest.mark.parametrize("name", ["draw taut", "lay"])

@@ -336,7 +336,7 @@ def _controller(part: ExportedPart) -> str:
 
 
 def _loops(part: ExportedPart, task: Task) -> tuple[FlightController, ...]:
-    """Return the position loops (2n,) of a part's parameters; empty unless all drones have gains."""
+    """Return the position loops (2n,) of a part's parameters; empty if a drone has no gains."""
     masses = task.team.mass.tolist()
     each = zip(part.parameters, masses, strict=True)
     loops = [_loop(_controller(part), parameters, mass) for parameters, mass in each]
