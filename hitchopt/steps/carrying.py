@@ -7,21 +7,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
-from typing import Annotated, ClassVar, Literal, NamedTuple
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from hitchopt.checks.grips import GRIP_LIMIT
-from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up, violations_at
+from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
 from hitchopt.hitch import Hitch, Team
-from hitchopt.hitch.forces import if_balanced
-from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
-from hitchopt.hitch.slack_split import LegTask
-from hitchopt.motion.motion import HoldBy, Motion, PhaseHold
-from hitchopt.objects import Rim, SolidObject
+from hitchopt.motion.motion import Motion, PhaseHold
+from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import (
     CONTACT_GAP,
     footing,
@@ -30,9 +26,14 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
-from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
-from hitchopt.planners.carrying.capacity import best_rim_hold, team_for_rim
-from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold, polygon_at
+from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.carrying.grasps import (
+    hitches_below,
+    hold_error,
+    require_hold,
+    wider_for_closing,
+)
+from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
     LIFT_SPEED,
@@ -67,7 +68,7 @@ from hitchopt.steps.step import (
 from hitchopt.steps.straddling import Tie, Untie, check_hinge
 from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, Points
-from hitchopt.values.fields import Key, documented, keys_of, points, with_fields, words
+from hitchopt.values.fields import Key, documented, points, with_fields, words
 from hitchopt.values.units import LENGTH, TENSION
 
 __all__ = [  # noqa: RUF022, in the order of the keys of problem files
@@ -87,18 +88,6 @@ AROUND_SPEED = 0.15
 OBJECT_MARGIN = 0.10
 """[m] Clearance of the lowest drone over objects, in addition to ``separation.radius``."""
 
-CLOSING_MARGIN = 1.03
-"""Factor of the separation limits as legs close below a rim, since motion reduces distances."""
-
-ROLL_RESERVE = 1.3
-"""Factor of the smallest roll of unloaded legs: a load brings legs closer together."""
-
-HELD_ROLLS = tuple(math.radians(angle) for angle in (0.0, 9.0, 18.0, 27.0, 36.0, 45.0))
-"""[rad] Other rolls of legs that hold an object by its rim, in the order of the search."""
-
-HELD_SPLITS = (0.5, 0.4, 0.6, 0.3, 0.7)
-"""Slack splits for each roll, all cables alike, after the one nearest to the hitch's own."""
-
 MIN_FOOTING = 0.02
 """Minimum distance of a centre of mass from the edges of its support after setting down [m]: the
 position error of objects."""
@@ -111,9 +100,6 @@ MAX_VIA = 100
 
 OBSTACLE_CHECKS = frozenset({"keep_out", "object_clearance"})
 """Checks of obstacles, over or around which an object is carried."""
-
-LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
-"""Constraints that only less weight or more capacity satisfies."""
 
 
 def object_of(task: StepTask, name: str) -> SolidObject:
@@ -148,134 +134,6 @@ def step_motion(
     """Return consecutive motions as one phase of a step, in its prescribed duration."""
     motion = one_phase(parts, task.requirements, task.index, step.name, hold)
     return step.with_duration(task, motion)
-
-
-def require_hold(task: StepTask, planner: MovePlanner) -> None:
-    """Raise InfeasibleError if the hold breaks limits at rest, or as the hitch rises to a rim."""
-    hold = planner.hold
-    name = f"objects.{planner.state.object}"
-    when = f"with {name} off its support"
-    with violations_at(when):
-        if isinstance(hold, RestHold):
-            hold.check_unbent(planner.state.tension)
-            violation = hold.rim_violation(planner.state.tension)
-            if violation is not None:
-                raise InfeasibleError([violation])
-        lifted = planner.from_state(carried=True)
-        at_rest = lifted.motion([lifted.rest(1.0)], "hold")
-        require_certified(StepPlan(at_rest, task.before), when)
-    if isinstance(hold, RestHold):
-        when = f"as the clasps take {name}"
-        with violations_at(when):
-            moves = [planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)]
-            taking = planner.motion(moves, "lift")
-            require_certified(StepPlan(taking, task.before), when)
-
-
-def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
-    """Return the error of a hold, with its capacity and a suggested change."""
-    hold = planner.hold
-    mass = planner.body.mass
-    capacity = hold_capacity(planner, task.requirements)
-    hardware = "use the number of robots that hitchopt fit recommends"
-    if any(RIM_EDGE in violation.where for violation in error.violations):
-        hardware = _other_robots(planner, task.requirements)
-    if hold.by is not HoldBy.REST:
-        hardware = "use rougher cables"
-        if capacity.rim_mass >= mass:
-            two_cables = hold.team.robots == 2
-            rim = "rest it on a rim with three robots" if two_cables else "add a rim"
-            hardware = f"{hardware}, or {rim}"
-    remedy = (
-        f"lower objects.{planner.state.object}.mass, or request a different tension, "
-        f"or {hardware}{capacity.text}"
-    )
-    violations = list[Violation]()
-    if mass > capacity.max_mass:
-        where = (planner.state.object,)
-        when = error.violations[0].when
-        load = Violation("load", mass, capacity.max_mass, "max", "kg", where, when, remedy)
-        violations.append(load)
-    for violation in error.violations:
-        alternatives = ""
-        if violation.constraint == "tilt":
-            alternatives += ", or raise limits.tilt_deg"
-        if violation.constraint == "keep_out" and planner.state.object in violation.where:
-            alternatives += ", or use longer cables"  # drones are beside the held object itself
-        elif violation.constraint not in LOAD_LIMITED:
-            alternatives += f", or {violation.remedy}"
-        violations.append(replace(violation, remedy=remedy + alternatives))
-    return InfeasibleError(violations)
-
-
-def _other_robots(planner: MovePlanner, requirements: Requirements) -> str:
-    """Return what to use where legs cut a rim: another number of robots, if one holds it."""
-    team = planner.hold.team
-    cable_length = float(np.min(team.cable_length))
-    other = team_for_rim(
-        team.robots,
-        planner.body,
-        cable_length,
-        float(np.min(planner.state.tension)),
-        team.quadrotor[0],
-        requirements,
-        planner.gap,
-    )
-    if other is None:
-        return "use a rounder rim"
-    cables = ""
-    if other.cable_length > cable_length:
-        cables = f" with cables of {rounded_up(other.cable_length, 3):.3g} m or more"
-    return f"use {other.robots} robots{cables}, whose legs stay below the rim"
-
-
-class HoldCapacity(NamedTuple):
-    """Masses that a hold, and a rim, can carry."""
-
-    text: str
-    """Both in words, in parentheses after a space; empty if neither can be computed."""
-
-    max_mass: float
-    """Maximum mass [kg] of the hold; inf if it cannot be computed."""
-
-    rim_mass: float
-    """Maximum mass [kg] on a rim; 0 if it cannot be computed."""
-
-
-def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapacity:
-    """Return the capacities of the hold, and of a rim that at least three robots hold."""
-    hold = planner.hold
-    team = hold.team
-    body = planner.body
-    kind = team.quadrotor[0]
-    tension = float(np.min(planner.state.tension))
-    cable_length = float(np.min(team.cable_length))
-    max_mass = np.inf
-    texts = list[str]()
-    if isinstance(hold, GripHold):
-        grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
-        max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
-        texts.append(f"a grip holds {max_mass:.2g} kg")
-
-    def on_rim() -> float:
-        """Return the largest mass on the rim, or for a grip on its section as a rim [kg]."""
-        rimmed = body
-        polygons = planner.state.polygons
-        if isinstance(hold, GripHold):
-            rimmed = with_fields(body, rim=Rim(body.section, body.lower))
-            robots = max(team.robots, 3)
-            polygons = rest_polygons(planner.state.object, rimmed, robots, planner.gap)[0]
-        best = best_rim_hold(rimmed, polygons, cable_length, tension, kind, requirements)
-        return best.capacity.mass
-
-    rim_mass = first_feasible([Candidate("rim", on_rim)], None)  # some bodies have no polygons
-    # Rolled legs may hold an object that unrolled ones do not
-    if rim_mass and isinstance(hold, RestHold):
-        max_mass = rim_mass
-    if rim_mass or (rim_mass is not None and isinstance(hold, GripHold)):
-        texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
-    text = f" ({', '.join(texts)})" if texts else ""
-    return HoldCapacity(text, max_mass, rim_mass or 0.0)
 
 
 def altitude_over(task: StepTask) -> float:
@@ -528,7 +386,7 @@ class Grasp(TensionStep):
             raise RequestError(key, None, bound, "add a rim, or grasp it by: grip")
         height = body.rim.height
         requirements = requirements_near(task, self.object)
-        with_margin = replace(requirements, separation=_wider(requirements.separation))
+        with_margin = replace(requirements, separation=wider_for_closing(requirements.separation))
         closing_task = task.within(requirements, task.before)
 
         def held(planner: MovePlanner, hitch: Hitch, below: ConvexPolygon) -> StepPlan:
@@ -589,41 +447,6 @@ class Grasp(TensionStep):
         first_certified([held], task.effort, task.progress)
         motion = self.with_duration(task, planner.close_grip(team.tension, self.name))
         return plan_to(task, planner.state, motion, body.place)
-
-
-def _wider(separation: Separation) -> Separation:
-    """Return the distances to keep with the margin for closing."""
-    wider = {key: CLOSING_MARGIN * getattr(separation, key) for key in keys_of(Separation)}
-    return replace(separation, **wider)
-
-
-def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
-    """Yield hitches below a rim that may hold it: the goal first, then others with all distances.
-
-    A load moves drones, which may require another slack split or roll than without it.
-    """
-    team = goal.team
-    polygon = goal.polygon
-    yield Hitch(team, polygon, goal.altitude, goal.q_legs, ROLL_RESERVE * goal.roll)
-    sign = -1.0 if np.sum(goal.roll) < 0.0 else 1.0
-    splits = [goal.q_legs, *(split * goal.slack for split in HELD_SPLITS)]
-    shortest = requirements.limits.leg
-    for roll in HELD_ROLLS:
-        rolls = np.full(team.robots, sign * roll)
-        for q_legs in splits:
-            if np.min([q_legs, goal.slack - q_legs]) < shortest:
-                continue
-            task = LegTask(
-                team,
-                requirements,
-                polygons=polygon.vertices[None],
-                reference=q_legs[None],
-                shortest_leg=shortest,
-                margin=1.0,
-                roll=rolls,
-            )
-            if if_balanced(task.reference_margin, 0.0) >= 1.0:
-                yield Hitch(team, polygon, goal.altitude, q_legs, rolls)
 
 
 @documented
