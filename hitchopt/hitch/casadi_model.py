@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Self
@@ -19,7 +19,7 @@ from hitchopt.errors import InputError
 from hitchopt.hitch.forces import chord_pull
 from hitchopt.hitch.model import Edge, cable_of_span, clasp_legs
 from hitchopt.hitch.requirements import Separation
-from hitchopt.hitch.series import Series
+from hitchopt.hitch.series import JET, Series
 from hitchopt.hitch.team import Team
 from hitchopt.values import check_instance, flag
 from hitchopt.values.fields import suggest_keywords
@@ -147,6 +147,118 @@ def _leg_function(*, weighted: bool) -> ca.Function:
     return ca.Function("leg", [*symbols.values()], [*outputs.values()], [*symbols], [*outputs])
 
 
+FLAT_INPUTS = ("points", "q_legs", "tensions", "roll")
+"""Inputs of ``clasp_motion`` that change over time."""
+
+MOTION_CONSTANTS = {
+    "cable_lengths": 2,  # [m], of cables k-1 and k
+    "load": 1,  # [N], weight that hangs on the clasp
+    "weight": 1,  # [N/m], of cables
+    "masses": 2,  # [kg], of the drones r_{k-1} and q_k
+}
+"""Inputs of ``clasp_motion`` that are constant, and their numbers of rows."""
+
+
+@lru_cache
+def clasp_motion(
+    *, weighted: bool, loaded: bool, rolled: bool, equal: bool, last: bool = False
+) -> ca.Function:
+    """Return the function of a clasp in motion: its two drones up to the jerk, and their thrusts.
+
+    Inputs are FLAT_INPUTS (rows, 4) with a column for each derivative by time, and
+    MOTION_CONSTANTS. Flags are those of ``clasp_function``; ``last`` tells that the cable ahead
+    ends a chain, so that its q-leg takes all of its slack. Outputs are ``positions``,
+    ``velocities``, ``accelerations``, ``jerks`` [m, s] and ``thrusts`` [N], (3, 2) each with
+    columns r_{k-1} and q_k; ``r_leg`` [m], ``turn``, ``straight`` and ``residual`` as of
+    ``clasp_function``.
+    """
+    import casadi as ca
+
+    jets = {name: ca.SX.sym(name, CLASP_INPUTS[name], JET) for name in FLAT_INPUTS}
+    constants = _symbols(MOTION_CONSTANTS)
+    shape = {name: jet[:, 0] for name, jet in jets.items()}
+    length_behind, length_ahead = ca.vertsplit(constants["cable_lengths"])
+    weight = constants["weight"]
+    if last:
+        edge = cable_of_span(
+            Series(shape["points"][6:] - shape["points"][3:6]),
+            Series(shape["tensions"][1]),
+            weight if weighted else None,
+        )
+        shape["q_legs"] = ca.vertcat(shape["q_legs"][0], length_ahead - edge.cable.value)
+    clasp = clasp_function(weighted=weighted, loaded=loaded, rolled=rolled, equal=equal)
+    legs = clasp(**shape, cable_length=length_behind, load=constants["load"], weight=weight)
+    motion = _motion(ca.horzcat(legs["r"], legs["q"]), list(jets.values()))
+    point = shape["points"][3:6]
+    forces = _leg_function(weighted=weighted).map(2)(
+        span=motion["positions"] - ca.repmat(point, 1, 2),
+        tension=shape["tensions"].T,
+        weight=weight,
+    )["force"]
+    outputs = {
+        **motion,
+        "thrusts": _thrusts(constants["masses"], motion["accelerations"], forces),
+        "r_leg": legs["e"],
+        "turn": legs["turn"],
+        "straight": legs["straight"],
+        "residual": legs["residual"],
+    }
+    inputs = jets | constants
+    return ca.Function(
+        "clasp_motion", [*inputs.values()], [*outputs.values()], [*inputs], [*outputs]
+    )
+
+
+@lru_cache
+def chain_end_motion(*, weighted: bool) -> ca.Function:
+    """Return the function of the drone at an end of a chain, which is the end of its edge.
+
+    Inputs are ``points`` (6, 4) [m], its position and the other end of the edge, and ``tension``
+    (1, 4) [N], with a column for each derivative by time; ``weight`` [N/m] of cables, and ``mass``
+    [kg]. Outputs are those of ``clasp_motion`` for one drone, up to its thrust.
+    """
+    import casadi as ca
+
+    points = ca.SX.sym("points", 6, JET)
+    tension = ca.SX.sym("tension", 1, JET)
+    constants = _symbols({"weight": 1, "mass": 1})
+    motion = _motion(points[:3, 0], [points])
+    span = points[:3, 0] - points[3:, 0]
+    leg = _leg_function(weighted=weighted)
+    force = leg(span=span, tension=tension[0], weight=constants["weight"])["force"]
+    thrust = _thrusts(constants["mass"], motion["accelerations"], force)
+    inputs = {"points": points, "tension": tension, **constants}
+    outputs = {**motion, "thrusts": thrust}
+    return ca.Function(
+        "chain_end_motion", [*inputs.values()], [*outputs.values()], [*inputs], [*outputs]
+    )
+
+
+def _motion(positions: ca.SX, jets: Sequence[ca.SX]) -> dict[str, ca.SX]:
+    """Return positions (3, drones) and their first three derivatives by time.
+
+    Jets (rows, 4) are those of all symbols on which positions depend.
+    """
+    import casadi as ca
+
+    state = [ca.vertcat(*(jet[:, order] for jet in jets)) for order in range(JET)]
+    rates = [ca.vec(positions)]
+    for order in range(1, JET):
+        known = ca.vertcat(*state[:order])
+        rates.append(ca.jtimes(rates[-1], known, ca.vertcat(*state[1 : order + 1])))
+    names = ("positions", "velocities", "accelerations", "jerks")
+    columns = [ca.reshape(rate, *positions.shape) for rate in rates]
+    return dict(zip(names, columns, strict=True))
+
+
+def _thrusts(masses: ca.SX | ca.DM, accelerations: ca.SX, cable_forces: ca.SX) -> ca.SX:
+    """Return the thrusts (3, drones) [N], m (a + g ẑ) minus the forces of cables on drones."""
+    import casadi as ca
+
+    gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, accelerations.shape[1])
+    return ca.repmat(masses.T, 3, 1) * (accelerations + gravity) - cable_forces
+
+
 CostFunction = Callable[[Mapping[str, Any], Any], Any]
 """Function of the outputs of ``model`` at rest by name, and of s, to a cost [s], all in casadi."""
 
@@ -234,9 +346,8 @@ def model(
     accelerations = ca.jtimes(
         velocities, ca.vertcat(state, state_rate), ca.vertcat(state_rate, state_curvature)
     )
-    gravity = ca.repmat(ca.DM([0.0, 0.0, GRAVITY]), 1, team.drones)
-    lifted = ca.reshape(accelerations, 3, team.drones) + gravity
-    thrusts = ca.repmat(ca.DM(team.mass).T, 3, 1) * lifted - hitch.cable_forces
+    moved = ca.reshape(accelerations, 3, team.drones)
+    thrusts = _thrusts(ca.DM(team.mass), moved, hitch.cable_forces)
     scale = ca.DM((separation or Separation()).for_drones(team).scale)
     offsets = hitch.positions[:, first] - hitch.positions[:, second]
     outputs = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -27,18 +28,33 @@ MIN_SLIDE = 1e-3
 NOT_COMPENSATED = "clasp friction is not compensated: limits bind"
 
 
+class Compensated(NamedTuple):
+    """A plan in which legs lean against friction."""
+
+    plan: StepPlan
+    """The plan."""
+
+    share: float
+    """Fraction of the friction that is compensated."""
+
+
 def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
     """Return the plan in which legs lean against friction, as far as limits allow.
 
     Unless its duration is prescribed (``timed``) or limited, MAX_SLOWDOWN bounds the slowdown.
     """
+    return compensated(plan, timed=timed).plan
+
+
+def compensated(plan: StepPlan, *, timed: bool) -> Compensated:
+    """Return the plan of ``with_friction_feedforward`` and how much of the friction it covers."""
     motion = plan.motion
     if motion.team.cable_friction == 0.0:
-        return plan
+        return Compensated(plan, 1.0)
     from hitchopt.planners.morph.friction import feedforward_matters, friction_feedforward
 
     if not feedforward_matters(motion):
-        return plan
+        return Compensated(plan, 1.0)
     slower = not timed and motion.requirements.limits.duration is None
     for share in FRICTION_SHARES:
         feedforward = friction_feedforward(motion, share, slower=slower)
@@ -47,10 +63,10 @@ def with_friction_feedforward(plan: StepPlan, *, timed: bool) -> StepPlan:
         remark = f"legs lean against friction, by up to {math.degrees(feedforward.lean):.2g}°"
         if share < 1.0:
             remark += f" ({share:.0%} of the friction: limits bind)"
-        compensated = replace(plan, motion=feedforward.motion).with_remark(remark)
-        if compensated.certificate.certified:
-            return compensated
-    return plan.with_remark(NOT_COMPENSATED)
+        leaning = replace(plan, motion=feedforward.motion).with_remark(remark)
+        if leaning.certificate.certified:
+            return Compensated(leaning, share)
+    return Compensated(plan.with_remark(NOT_COMPENSATED), 0.0)
 
 
 def with_settling(plan: StepPlan, task: StepTask, settle: float | str | bool) -> StepPlan:

@@ -16,14 +16,15 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Motion, Phase
-from hitchopt.planners.candidates import Candidate, first_certified, first_feasible
-from hitchopt.planners.compensation import with_friction_feedforward
+from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
+from hitchopt.planners.compensation import compensated, with_friction_feedforward
 from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
     from hitchopt.planners.morph.path import Path
+    from hitchopt.planners.optimise.search import Candidate as RouteCandidate
 
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
@@ -363,15 +364,57 @@ def optimised_plan(
         slower = in_duration(plan.motion, duration)
         slower = slower.replaced(phases=(phase.retimed(0.0, duration),))
         plan = require_certified(replace(plan, motion=slower))
-    if plan.path is straight:
-        return plan
+    remark = ""
+    if plan.path is not straight:
+        is_feasible = any(not candidate.name for candidate in candidates)
+        remark = _remark(fastest, is_feasible=is_feasible, has_cost=cost is not None)
+    refined = plan
+    if allow_slides and cost is None and duration is None:
+        refined = refined_plan(task, plan, phase)
+    if refined is not plan:
+        gain = f"{plan.motion.duration:.2f} s → {refined.motion.duration:.2f} s"
+        remark = "; ".join(filter(None, [remark, f"refined with its clock: {gain}"]))
+    return refined.with_remark(remark) if remark else refined
+
+
+def _remark(fastest: RouteCandidate, *, is_feasible: bool, has_cost: bool) -> str:
+    """Describe the fastest of all candidates; ``is_feasible`` tells whether straight lines are."""
     route = "legs lead and lag"
     if fastest.name:
         route = f"on an optimised route, first guess {fastest.name}"
-    if cost is not None:
-        return plan.with_remark(f"{route}; its cost is {fastest.cost:.4g} s")
-    is_feasible = any(not candidate.name for candidate in candidates)
-    return plan.with_remark(f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}")
+    if has_cost:
+        return f"{route}; its cost is {fastest.cost:.4g} s"
+    return f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}"
+
+
+def refined_plan(task: StepTask, plan: StepPlan, phase: Phase) -> StepPlan:
+    """Return the plan with its route and clock refined together; itself if none is shorter.
+
+    With friction at the clasps, plans are compared with legs that lean against it.
+    """
+    from hitchopt.planners.optimise.refinement import MAX_EFFORT, refined
+
+    path = plan.path
+    assert path is not None
+    has_friction = task.hitch.team.cable_friction > 0.0
+    leaning = compensated(plan, timed=False) if has_friction else None
+
+    def certified(route: Path, motion: Motion) -> StepPlan | None:
+        """Return the certified plan of a shorter motion along another path."""
+        phases = (phase.retimed(0.0, motion.duration),)
+        shorter = replace(plan, motion=motion.replaced(phases=phases), path=route)
+        if not shorter.certificate.certified:
+            return None
+        if leaning is not None:
+            also_leaning = compensated(shorter, timed=False)
+            is_longer = also_leaning.plan.motion.duration >= leaning.plan.motion.duration
+            if is_longer or also_leaning.share < leaning.share:
+                return None
+        return shorter
+
+    effort = Effort(MAX_EFFORT, whole=task.effort)
+    shorter = refined(path, plan.motion, phase.tension, certified, effort)
+    return plan if shorter is None else shorter
 
 
 def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: Phase) -> StepPlan:

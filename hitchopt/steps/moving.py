@@ -273,8 +273,8 @@ _RANGE_FORMS = either(mapping_of(TensionRange), list_of(TENSION, 2, 2))
 TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 
 OPTIMIZE_TEXT = (
-    "Search for a faster route even if the straight one is feasible; by default only if that takes "
-    "more than 1.3 times its lower bound"
+    "Search for a faster route even if the straight one is feasible, by default only if that takes "
+    "more than 1.3 times its lower bound; then refine the route together with its speed"
 )
 
 

@@ -26,7 +26,7 @@ from hitchopt.hitch.casadi_model import CLASP_INPUTS, clasp_function
 from hitchopt.hitch.pairs import TautBodies, end_combinations, limits_of, scales_of
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.hitch.team import CLOSED, layout_of
+from hitchopt.hitch.team import Layout
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.morph import exterior_angles
 from hitchopt.planners.optimise.knots import (
@@ -566,7 +566,7 @@ class NearPairs(NamedTuple):
     """(m,): index of the frame."""
 
     first: Indices
-    """(m, 2): nodes (of 3n) at the ends of the first body; a drone's are the same."""
+    """(m, 2): nodes at the ends of the first body; a drone's are the same."""
 
     second: Indices
     """(m, 2): those of the second body."""
@@ -587,11 +587,14 @@ MIN_OFFSET = 1e-6
 """[m] Smallest offset of two bodies whose direction is their normal."""
 
 
-def _near_pairs(
-    nodes: Array, requirements: Requirements, margins: Array, reach: Array
+def near_pairs(
+    layout: Layout, nodes: Array, requirements: Requirements, margins: Array, reach: Array
 ) -> NearPairs:
-    """Return the pairs of nodes (K, 3n, 3) [m] with distances up to margins and reach (K,) [m]."""
-    bodies = TautBodies.of(layout_of(nodes.shape[1] // 3, CLOSED))
+    """Return the pairs of nodes (K, nodes, 3) [m] with distances up to margins and reach (K,) [m].
+
+    Nodes are those of ``Layout.routes``.
+    """
+    bodies = TautBodies.of(layout)
     limits = limits_of(requirements.separation)
     scales = scales_of(requirements)
     corners = nodes[:, bodies.nodes, :2]  # distances in plan view are lower bounds
@@ -630,7 +633,7 @@ def _near_rows(
     margins = search.margins(path.steps, frames.indices)
     is_knot = frames.indices % 1.0 == 0.0
     reach = np.where(is_knot, 1.0, BETWEEN_KNOTS_SHARE) * step.reach
-    pairs = _near_pairs(nodes, search.requirements, margins, reach)
+    pairs = near_pairs(path.team.layout, nodes, search.requirements, margins, reach)
 
     pair, first, second = end_combinations(pairs.kind, pairs.first, pairs.second)
     frame = pairs.frame[pair]

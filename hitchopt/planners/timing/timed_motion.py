@@ -18,7 +18,7 @@ from hitchopt.errors import InfeasibleError, Violation, rounded_up
 from hitchopt.geometry.vectors import column_lengths, dot, length
 from hitchopt.hitch import Team
 from hitchopt.hitch.forces import cable_force_rates, cable_forces, cable_of, sag_factors
-from hitchopt.hitch.requirements import Requirements
+from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.hitch.series import chained
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.morph.path import FlatPath, Path, path_jets
@@ -106,12 +106,8 @@ def fastest_motion(path: FlatPath, requirements: Requirements) -> ClockedMotion:
     ------
     TimingError: no timing was found.
     """
-    limits = requirements.limits
-    demands = demands_along(path, limits, GRID)
-    if limits.body_rate is not None:  # the body rate is about jerk over thrust per mass
-        smallest = float(np.min(length(demands.loads) / path.team.mass))
-        limits = with_fields(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
-        demands = replace(demands, limits=limits)
+    limits = clocked_limits(path, requirements)
+    demands = replace(demands_along(path, requirements.limits, GRID), limits=limits)
     profile = fastest_profile(path_grid(GRID), demands)
     ramp = max(acceleration_ramp(profile, demands), MIN_RAMP_SHARE * profile.duration)
     refinement = 1
@@ -132,6 +128,19 @@ def stated_motion(path: Path, requirements: Requirements) -> ClockedMotion:
         if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
             return ClockedMotion(motion, clock)
         clock = replace(clock, knots=divided(clock.knots, np.full(len(clock.knots) - 1, 2)))
+
+
+def clocked_limits(path: FlatPath, requirements: Requirements) -> Limits:
+    """Return the limits of motion of the clock, which bounds body rates by the jerk.
+
+    The body rate is about the jerk over the thrust per mass.
+    """
+    limits = requirements.limits
+    if limits.body_rate is None:
+        return limits
+    demands = demands_along(path, limits, GRID)
+    smallest = float(np.min(length(demands.loads) / path.team.mass))
+    return with_fields(limits, jerk=min(limits.jerk, limits.body_rate * smallest))
 
 
 def within_limits(motion: Motion, duration: float | None = None) -> Motion:
