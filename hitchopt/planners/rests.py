@@ -13,6 +13,7 @@ from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import CableState, Motion, Phase
 from hitchopt.planners.task import RestState, StepPlan, StepTask, require_certified
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.values import Array
 
 IDLE = 0.01
 """[s] Default duration of a step without motion."""
@@ -41,6 +42,13 @@ def rest_plan(hitch: Hitch, requirements: Requirements) -> StepPlan:
 def check_at_rest(hitch: Hitch, requirements: Requirements, when: str) -> None:
     """Raise InfeasibleError if the hitch breaks a limit at rest."""
     require_certified(rest_plan(hitch, requirements), when)
+
+
+def check_hover(task: StepTask, drones: Array, when: str) -> None:
+    """Raise InfeasibleError if drones (2n, 3) [m] at rest on free cables break a limit."""
+    state = replace(task.before, drones=drones)
+    motion = hover_motion(task.within(task.requirements, state), 1.0)
+    require_certified(StepPlan(motion, state), f"{when} after step {task.index}")
 
 
 def hover_motion(task: StepTask, duration: float) -> Motion:

@@ -18,9 +18,15 @@ from hitchopt.hitch.team import MAX_ROBOTS, Assignment
 from hitchopt.motion.motion import CableState, Phase
 from hitchopt.planners.candidates import first_certified
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.forming.tying import end_of_form, holding_assignment, tyings, untyings
+from hitchopt.planners.forming.tying import (
+    end_of_form,
+    flight_over,
+    holding_assignment,
+    tyings,
+    untyings,
+)
 from hitchopt.planners.rests import check_at_rest
-from hitchopt.planners.task import StepPlan, StepTask
+from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence
 from hitchopt.steps.step import (
     AUTO,
     INDEX,
@@ -40,8 +46,8 @@ from hitchopt.steps.step import (
     scaled_outline_edit,
 )
 from hitchopt.support import Feature, Neighbour, unsupported
-from hitchopt.values import Array, Indices
-from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, words
+from hitchopt.values import Array, Indices, Points
+from hitchopt.values.fields import Key, documented, either, list_of, mapping_of, points, words
 from hitchopt.values.units import ALTITUDE
 
 __all__ = [  # noqa: RUF022, in the order of the keys of problem files
@@ -262,12 +268,47 @@ class CloseVertex(RollStep):
         return self.rolled(task, task.hitch.roll)
 
 
+SPOTS = points((None, 2), "x, y", 4, 2 * MAX_ROBOTS)
+SPOTS_TEXT = "Landing spots [x, y] [m] of q0, r0, q1, r1, …"
+LANDING_TEXT = "auto: choose which robot takes which pair of spots; fixed: in order"
+
+Spots = Annotated[Points | None, Key(SPOTS, SPOTS_TEXT, [[0, 0], [1, 0], [0, 1], [1, 1]])]
+AssignSpots = Annotated[Assign, Key(words("auto", "fixed"), LANDING_TEXT)]
+
+
+class SpotsStep(Step):
+    """A step that may end at landing spots."""
+
+    to: Spots
+    assign: AssignSpots
+
+    def resolved_for(self, team: Team) -> Self:
+        """Return the step for a team; raise InputError for another number of spots."""
+        if self.to is None:
+            return super().resolved_for(team)
+        spots = np.asarray(self.to, dtype=float)
+        if len(spots) != team.drones:
+            bound = f"{team.drones} spots, one per drone"
+            raise InputError("to", self.to, bound, "list q0, r0, q1, r1, …")
+        return replace(super().resolved_for(team), to=spots)  # type: ignore[call-arg]
+
+    def over_spots(self, task: StepTask) -> StepPlan:
+        """Return the plan of free cables to hover over the spots, if there are any."""
+        assert self.to is not None
+        return flight_over(task, np.asarray(self.to), in_order=self.assign == "fixed")
+
+
 @documented
-@dataclass(frozen=True)
-class Release(Step):
-    """Untie the hitch in the reverse order of tying, until its cables hang free."""
+@dataclass(frozen=True, eq=False)
+class Release(SpotsStep):
+    """Untie the hitch in the reverse order of tying, until its cables hang free.
+
+    With ``to`` drones then fly to hover over these spots.
+    """
 
     effort_per_robot: ClassVar[float] = 1.2e4
+    to: Spots = None
+    assign: AssignSpots = AUTO
     duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
@@ -275,21 +316,36 @@ class Release(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to untie a hitch, in the reverse order of tying it."""
-        plan = first_certified(untyings(task), task.effort, task.progress)
+
+        def untied(task: StepTask) -> StepPlan:
+            return first_certified(untyings(task), task.effort, task.progress)
+
+        if self.to is None:
+            plan = untied(task)
+        else:
+            plan = plan_in_sequence([untied, self.over_spots], task)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
 
 @documented
-@dataclass(frozen=True)
-class Land(Step):
-    """Descend straight to the ground."""
+@dataclass(frozen=True, eq=False)
+class Land(SpotsStep):
+    """Descend straight to the ground, with ``to`` at these spots."""
 
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False
+    to: Spots = None
+    assign: AssignSpots = AUTO
     duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Plan the descent to the ground."""
+        """Plan the descent to the ground, after a flight to the spots if there are any."""
+        planners = [self._descent] if self.to is None else [self.over_spots, self._descent]
+        plan = plan_in_sequence(planners, task)
+        return plan.replaced(self.with_duration(task, plan.motion), plan.after)
+
+    def _descent(self, task: StepTask) -> StepPlan:
+        """Return the plan of a descent to the ground."""
         from hitchopt.planners.forming.stages import stage, straight_lines
 
         before = task.before
@@ -299,5 +355,4 @@ class Land(Step):
         landed = before.drones * flat + floor
         flight = straight_lines(before.team, requirements.limits, before.drones, landed)
         motion = stage("land", flight, before.team, requirements, task.index, CableState.GROUND)
-        after = replace(before, drones=landed)
-        return StepPlan(self.with_duration(task, motion), after)
+        return StepPlan(motion, replace(before, drones=landed))

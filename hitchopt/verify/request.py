@@ -390,6 +390,18 @@ def flown(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     return s.drones() - np.array(value, dtype=float)
 
 
+def on_spots(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return differences of drones from landing spots in plan view, in order or of the nearest."""
+    if value is None:
+        return ()
+    spots = np.array(value, dtype=float)
+    drones = s.drones()[:, :2]
+    if step.get("assign") == "fixed":
+        return drones - spots
+    distances = norm(drones[:, None] - spots)
+    return np.concatenate([np.min(distances, axis=0), np.min(distances, axis=1)])
+
+
 def grounded(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
     """Return the heights of drones above the floor."""
     return s.drones()[:, 2] - s.p.floor
@@ -437,6 +449,10 @@ STEP_KEYS: dict[str, Shows] = {
     "tie.around": names_object,
     "tie.at": clasped_at,
     "fly.goal": flown,
+    "release.to": on_spots,
+    "release.assign": lambda s, x, step: on_spots(s, step.get("to"), {"assign": x}),
+    "land.to": on_spots,
+    "land.assign": lambda s, x, step: on_spots(s, step.get("to"), {"assign": x}),
 }
 """Functions by key, or by step and key, for the difference of a plan from a key's request.
 

@@ -110,7 +110,12 @@ mission:
   - enclose: {object: drum}
   - grasp: {object: drum, by: grip, tension: 1.1}
 """
+LANDED = f"""{TIED}
+  - release: {{to: [[-1, 2], [-1, 1], [0, 2], [0, 1], [1, 1], [1, 2]]}}
+  - land: {{to: [[1, 2], [1, 1], [0, 1], [0, 2], [-1, 1], [-1, 2]], assign: auto}}
+"""
 TEXTS = {
+    "landed": LANDED,
     "tied": TIED,
     "moved": MOVED,
     "swung": SWUNG,
@@ -215,6 +220,10 @@ LIES = [
     lie("tied", "mission 0 form swap tilt_deg", 40),
     lie("tied", "mission 0 form swap sense", "up"),
     lie("tied", "mission 0 form swap sense", 1),
+    lie("landed", "mission 1 release to 0", [-1, 2.01]),
+    lie("landed", "mission 1 release assign", "fixed"),
+    lie("landed", "mission 2 land to 5", [-1, 2.01]),
+    lie("landed", "mission 2 land assign", "fixed"),
     lie("swung", "start hitch legs roll_deg", [8, 5, -2.99, 8]),
     lie("swung", "start hitch legs roll_deg", 8),
     lie("swung", "mission 0 adjust legs roll_deg 0", 9.01),

@@ -17,6 +17,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hitchopt.geometry import Outline
 from hitchopt.geometry.vectors import GOLDEN, TIE, cross
@@ -332,34 +333,48 @@ def assign_robots(
     leg: shortest leg [m].
     evenness: cost of squared differences of the cables' slack from its mean.
     """
+    layout = team.layout
+    ends = np.stack([outline.vertices[layout.starts], outline.vertices[layout.ends]], axis=1)
+    slack = team.cable_length[:, None] - outline.edge_lengths
+    unevenness = evenness * (slack - np.mean(slack)) ** 2
+    return assign_pairs(drones, ends, excluded=slack < 2.0 * leg, further_costs=unevenness)
+
+
+def assign_pairs(
+    drones: Array, places: Array, excluded: NDArray[np.bool_], further_costs: Array | float = 0.0
+) -> Assignment:
+    """Return the assignment of robots to pairs of places, and of their drones to the places.
+
+    Parameters
+    ----------
+    drones: (2n, 3) [m], positions in the order q0, r0, q1, r1, ….
+    places: (n, 2, 2) [m], pairs of places in plan view.
+    excluded: (n, n), robots and pairs that are assigned only if nothing else is left.
+    further_costs: (n, n) [m²], added to the squared distances.
+    """
     from scipy.optimize import linear_sum_assignment
 
-    layout = team.layout
-    starts = outline.vertices[layout.starts]
-    ends = outline.vertices[layout.ends]
+    robots = len(places)
+    starts, ends = places.swapaxes(0, 1)
     q = drones[0::2, None, :2]
     r = drones[1::2, None, :2]
     direct_cost = np.sum((q - starts) ** 2, axis=-1) + np.sum((r - ends) ** 2, axis=-1)
     flipped_cost = np.sum((q - ends) ** 2, axis=-1) + np.sum((r - starts) ** 2, axis=-1)
-    cost = np.minimum(direct_cost, flipped_cost)
-    slack = team.cable_length[:, None] - outline.edge_lengths
-    if evenness:
-        cost += evenness * (slack - np.mean(slack)) ** 2
+    cost = np.minimum(direct_cost, flipped_cost) + further_costs
     largest_cost = float(np.max(cost))
-    is_short = slack < 2.0 * leg
-    penalty = is_short * (1.0 + largest_cost) * len(cost)
-    preference = TIE * largest_cost * _preference(team.robots)
-    robots, edges = linear_sum_assignment(cost + preference + penalty)
-    robot_of_edge = robots[np.argsort(edges)]
+    penalty = excluded * (1.0 + largest_cost) * len(cost)
+    preference = TIE * largest_cost * _preference(robots)
+    robot, pair = linear_sum_assignment(cost + preference + penalty)
+    robot_of_pair = robot[np.argsort(pair)]
 
-    every_edge = np.arange(team.robots)
-    gain = direct_cost[robot_of_edge, every_edge] - flipped_cost[robot_of_edge, every_edge]
-    chords = drones[1::2, :2][robot_of_edge] - drones[0::2, :2][robot_of_edge]
+    every_pair = np.arange(robots)
+    gain = direct_cost[robot_of_pair, every_pair] - flipped_cost[robot_of_pair, every_pair]
+    chords = drones[1::2, :2][robot_of_pair] - drones[0::2, :2][robot_of_pair]
     tie = TIE * largest_cost
     turns_clockwise = cross(chords, ends - starts) < -tie
     # For equal costs cables turn counter-clockwise
     flipped = np.where(np.abs(gain) > tie, gain > 0.0, turns_clockwise)
-    return Assignment(tuple(robot_of_edge.tolist()), tuple(flipped.tolist()))
+    return Assignment(tuple(robot_of_pair.tolist()), tuple(flipped.tolist()))
 
 
 def _preference(robots: int) -> Array:

@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from hitchopt.checks.linking import INTERLACING
 from hitchopt.checks.tracking import TRACKING_RADIUS
+from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import InfeasibleError
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
@@ -23,7 +25,7 @@ from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.compensation import with_friction_feedforward
 from hitchopt.planners.ends import RolledLegs, SlackSplit, end_of_action, split_hitch
 from hitchopt.planners.forming import SwapSettings
-from hitchopt.planners.rests import check_at_rest, rest_plan
+from hitchopt.planners.rests import check_at_rest, check_hover, rest_plan
 from hitchopt.planners.routes import RouteSearch, action_plan, plan_to_hitch
 from hitchopt.planners.task import StepPlan, StepTask, require_certified, require_tracking
 from hitchopt.values import Array, Indices
@@ -167,7 +169,8 @@ def untyings(task: StepTask) -> Iterator[Candidate[StepPlan]]:
     def directly(swap: SwapSettings) -> StepPlan:
         """Return the plan that unties the hitch as it is."""
         tying = find_prehitch(hitch, requirements, swap).with_senses(senses)
-        return require_certified(untied_plan(task, tying.clear_of_ground(requirements), hitch))
+        plan = untied_plan(task, tying.clear_of_ground(requirements), hitch)
+        return require_untied(plan, senses)
 
     def on_circle(tying: PreHitch) -> StepPlan:
         """Return the plan that unties a hitch on a circle in its place."""
@@ -310,7 +313,23 @@ def unmorphed_plan(task: StepTask, tying: PreHitch) -> StepPlan:
     phase = Phase("morph", task.index, 0.0, 0.0, CIRCLE_REMARK)
     morph = reshaped(task, tying.hitch, phase)
     untied = untied_plan(task.within(task.requirements, morph.after), tying, tying.hitch)
-    return require_certified(replace(untied, motion=concatenated([morph.motion, untied.motion])))
+    whole = replace(untied, motion=concatenated([morph.motion, untied.motion]))
+    return require_untied(whole, tying.senses)
+
+
+def require_untied(plan: StepPlan, senses: Array) -> StepPlan:
+    """Return a certified plan that unties a hitch tied with turning senses (clasps,).
+
+    By itself a hitch counts as tied with every q going up first. How others interlace follows from
+    the motion that tied them, in the certificate of the whole plan.
+    """
+    if np.all(senses > 0.0):
+        return require_certified(plan)
+    certificate = plan.certificate
+    limited = tuple(check for check in certificate.limited if check.name != INTERLACING.name)
+    if all(check.holds for check in limited):
+        return plan
+    raise infeasible_error(replace(certificate, limited=limited), plan.motion)
 
 
 def reshaped(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
@@ -357,6 +376,33 @@ def approach_motion(task: StepTask, goal: Array) -> Motion:
     if requirements.objects:
         kinds.append(OverApproach)
     return first_certified(map(candidate, kinds), task.effort, task.progress)
+
+
+def flight_over(task: StepTask, spots: Array, *, in_order: bool) -> StepPlan:
+    """Return the plan of free cables to hover over landing spots (2n, 2) [m].
+
+    Spots are those of q0, r0, q1, … ``in_order``; otherwise robots are assigned to pairs of spots
+    with the shortest flights. Drones do not descend on the way.
+    """
+    from hitchopt.planners.forming.approach import assign_pairs
+    from hitchopt.planners.forming.stages import hover_altitude
+
+    before = task.before
+    team = before.team
+    places = team.listed
+    if not in_order:
+        pairs = spots.reshape(-1, 2, 2)
+        spans = np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=-1)
+        too_far = spans >= team.cable_length[:, None]
+        places = assign_pairs(before.drones, pairs, excluded=too_far).drones
+    goal = np.zeros(before.drones.shape)
+    goal[places, :2] = spots
+    goal[:, 2] = task.requirements.floor
+    check_hover(task, goal, "landed")
+    altitude = hover_altitude(team, goal, task.requirements)
+    goal[:, 2] = max(altitude, float(np.max(before.drones[:, 2])))
+    check_hover(task, goal, "over the spots")
+    return StepPlan(approach_motion(task, goal), replace(before, drones=goal))
 
 
 MIN_LARGER_ERRORS = 1e-3
