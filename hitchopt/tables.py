@@ -29,20 +29,25 @@ def table(title: str, rows: Iterable[Mapping[str, object]]) -> str:
     """
     formatted = [{head: _cell(value) for head, value in row.items()} for row in rows]
     heads = list(dict.fromkeys(head for row in formatted for head in row))
-    cells = {head: [row[head] for row in formatted if head in row] for head in heads}
-    widths = {head: max(map(len, (head, *cells[head]))) for head in heads}
-    right = {h for h in heads[1:] if all(map(NUMBER.match, cells[h]))}
-    excess = sum(widths.values()) + len(GAP) * (len(heads) - 1) - terminal_width()
-    if excess > 0 and (texts := [head for head in heads if head not in right]):
-        longest = max(texts, key=lambda head: widths[head])
-        words = " ".join((longest, *cells[longest])).split(" ")
-        widths[longest] = max(widths[longest] - excess, *map(len, words))
-    width = sum(widths.values()) + len(GAP) * (len(heads) - 1)
-    gap = GAP if width <= terminal_width() else GAP[:1]
-    rule = "─" * (sum(widths.values()) + len(gap) * (len(heads) - 1))
-    header = {head: head for head in heads}
-    lines = [line for row in (header, *formatted) for line in _lines(row, widths, right, gap)]
-    return "\n".join([title, lines[0], rule, *lines[1:]]).replace(NO_BREAK, " ")
+    columns = {head: [row[head] for row in formatted if head in row] for head in heads}
+    right_aligned = {head for head in heads[1:] if all(map(NUMBER.match, columns[head]))}
+    widths = {head: max(map(len, (head, *cells))) for head, cells in columns.items()}
+    excess = _width(widths, GAP) - terminal_width()
+    wrappable = [head for head in heads if head not in right_aligned]
+    if excess > 0 and wrappable:
+        widest = max(wrappable, key=lambda head: widths[head])
+        words = " ".join((widest, *columns[widest])).split(" ")
+        widths[widest] = max(widths[widest] - excess, *map(len, words))
+    gap = GAP if _width(widths, GAP) <= terminal_width() else GAP[:1]
+    header = _lines({head: head for head in heads}, widths, right_aligned, gap)
+    rule = "─" * _width(widths, gap)
+    lines = [line for row in formatted for line in _lines(row, widths, right_aligned, gap)]
+    return "\n".join([title, *header, rule, *lines]).replace(NO_BREAK, " ")
+
+
+def _width(widths: Mapping[str, int], gap: str) -> int:
+    """Return the width of a table of columns of some widths [characters]."""
+    return sum(widths.values()) + len(gap) * (len(widths) - 1)
 
 
 def _lines(

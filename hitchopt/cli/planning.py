@@ -470,47 +470,72 @@ def init(
     NAME defaults to problem.yaml, to study.yaml for a study, or to the name of the example.
     """
     if schema:
-        from hitchopt.mission.loading import problem_schema
-
-        text = json.dumps(problem_schema(), indent=2, ensure_ascii=False)
-        Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
-        hint = "keep it next to your problem files: their first line points editors to it"
-        say(f"wrote {SCHEMA}; {hint}", file=SCHEMA)
+        _write_schema()
         return
-    from hitchopt.values import closest_word
-
-    files = {path.stem: path for path in example_files()}
+    examples = {path.stem: path for path in example_files()}
     if listing:
-        rows = [{"name": stem, "title": _title(path)} for stem, path in files.items()]
+        rows = [{"name": stem, "title": _title(path)} for stem, path in examples.items()]
         say(table("Examples", rows), examples=rows)
         return
-    if example is not None and example not in files:
-        remedy = closest_word(example, [*files], "hitchopt init --list names them")
-        raise InputError("example", example, "an example's name", remedy)
-    options = {"example": example, "kind": kind, "drone": model, "robots": robots}
-    first, *others = [key for key, value in options.items() if value is not None] or [""]
-    if others and first != "drone":
-        bound = f"omitted with --{first}"
-        raise InputError(f"--{others[0]}", options[others[0]], bound, "use only one of the two")
+    _check_choices(example, kind, model, robots, [*examples])
     template = PACKAGE / (KINDS[kind] if kind else "mission/template.yaml")
-    source = files[example] if example else template
-    text, study, fitted = problem_text(source), kind == STUDY, None
-    if first in ("drone", "robots"):
-        from hitchopt.mission.template import for_team
-
-        fitted = for_team(text, model, robots)
-        text = fitted.text
-    default = example or (STUDY if study else "problem")
-    path = _write_new(default if name is None else name, text)
-    if fitted is not None:
-        _show_models(ho.load_problem(path).team)
-        lengths, tensions = _range_text(fitted.lengths, "m"), _range_text(fitted.tensions, "N")
-        say(f"cables of {lengths} and tensions of {tensions} fit {fitted.polygon}")
-    say(f"wrote {path}; try: hitchopt {'sweep' if study else 'solve'} {path}", file=str(path))
-    flight = source.with_suffix(".csv")
-    if flight.is_file():
-        copy = _write_new(str(path.with_suffix(".csv")), flight.read_text("utf-8"), (".csv",))
+    source = examples[example] if example else template
+    text = problem_text(source)
+    if name is None:
+        name = example or (STUDY if kind == STUDY else "problem")
+    if model is None and robots is None:
+        path = _write_new(name, text)
+    else:
+        path = _write_fitted(name, text, model, robots)
+    command = "sweep" if kind == STUDY else "solve"
+    say(f"wrote {path}; try: hitchopt {command} {path}", file=str(path))
+    recording = source.with_suffix(".csv")
+    if recording.is_file():
+        copy = _write_new(str(path.with_suffix(".csv")), recording.read_text("utf-8"), (".csv",))
         say(f"wrote {copy}: a recording of its simulated flight", recording=str(copy))
+
+
+def _write_schema() -> None:
+    """Write the schema of problem files for editors."""
+    from hitchopt.mission.loading import problem_schema
+
+    text = json.dumps(problem_schema(), indent=2, ensure_ascii=False)
+    Path(SCHEMA).write_text(f"{text}\n", encoding="utf-8")
+    hint = "keep it next to your problem files: their first line points editors to it"
+    say(f"wrote {SCHEMA}; {hint}", file=SCHEMA)
+
+
+def _check_choices(
+    example: str | None,
+    kind: str | None,
+    model: str | None,
+    robots: int | None,
+    examples: Sequence[str],
+) -> None:
+    """Raise InputError for an unknown example, or for choices that exclude one another."""
+    from hitchopt.values import closest_word
+
+    if example is not None and example not in examples:
+        remedy = closest_word(example, examples, "hitchopt init --list names them")
+        raise InputError("example", example, "an example's name", remedy)
+    choices = {"example": example, "kind": kind, "drone": model, "robots": robots}
+    stated = [key for key, value in choices.items() if value is not None]
+    if len(stated) > 1 and stated[0] != "drone":  # a model and a number of robots go together
+        bound = f"omitted with --{stated[0]}"
+        raise InputError(f"--{stated[1]}", choices[stated[1]], bound, "use only one of the two")
+
+
+def _write_fitted(name: str, text: str, model: str | None, robots: int | None) -> Path:
+    """Write a problem that fits a drone model and a number of robots, and say what fits them."""
+    from hitchopt.mission.template import for_team
+
+    fitted = for_team(text, model, robots)
+    path = _write_new(name, fitted.text)
+    _show_models(ho.load_problem(path).team)
+    lengths = _range_text(fitted.lengths, "m")
+    tensions = _range_text(fitted.tensions, "N")
+    say(f"cables of {lengths} and tensions of {tensions} fit {fitted.polygon}")
+    return path
 
 
 def _range_text(ends: tuple[float, float], unit: str) -> str:

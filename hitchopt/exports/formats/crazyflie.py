@@ -295,37 +295,53 @@ def start_files(task: ExportTask, first: Array, last: Array, duration: float) ->
 
     Drones start on the floor below ``first`` (D, 3) [m]; the trajectories end at ``last``.
     """
-    texts = json.loads(_template("crazyswarm2.json"))
-    low = task.heights(0.0) < LANDED, task.heights(task.flight.duration) < LANDED
-    places = {n: [round(x, 6) for x in p] for n, p in zip(task.names, first.tolist(), strict=True)}
     place = f"This is {task.part}.\n" if task.part else ""
-    hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
-    look, slack = pilot_checklist(task.flight), _slack_points(task)
-    pull = "held_pull" if task.holds_tension else "pull"
-    common = {"frame": task.frame.name, "duration": duration, "look": look}
+    common = {
+        "frame": task.frame.name,
+        "duration": duration,
+        "look": pilot_checklist(task.flight),
+    }
     return {
         SETTINGS: settings_text(task),
-        "fly.py": _template("fly_script.txt").format(
-            title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
-            place=place,
-            heading=task.frame.heading,
-            first=json.dumps(places, indent=4),
-            standing=[name for name, stands in zip(task.names, low[0], strict=True) if stands],
-            landed=bool(np.all(low[1])),
-            slack=json.dumps(slack, indent=4),
-            land=min(LANDED, round(float(np.min(last[:, 2])), 6) + 0.0),
-            **common,
-        ),
-        NOTE: _template("start_note.txt").format(
-            title=task.title or "A plan of hitchopt",
-            place=f"\n{place}{texts['parts']}\n" if place else "",
-            drones=places_text(task.flight, task.fleet),
-            placeholders=hint if task.fleet.is_placeholder else "",
-            slack=texts["slack"] if slack else "",
-            pull=f"\n{texts[pull]}\n{texts['mind']}" if task.flight.has_cables else "",
-            **common,
-        ),
+        "fly.py": _fly_script(task, first, last, place, common),
+        NOTE: _start_note(task, place, common),
     }
+
+
+def _fly_script(
+    task: ExportTask, first: Array, last: Array, place: str, common: Mapping[str, object]
+) -> str:
+    """Return the script that flies the trajectories, from ``first`` to ``last`` (D, 3) [m]."""
+    starts = [[round(x, 6) for x in start] for start in first.tolist()]
+    stands = task.heights(0.0) < LANDED
+    has_landed = task.heights(task.flight.duration) < LANDED
+    return _template("fly_script.txt").format(
+        title=task.title.replace("\\", " ").replace('"', "'") or "a plan of hitchopt",
+        place=place,
+        heading=task.frame.heading,
+        first=json.dumps(dict(zip(task.names, starts, strict=True)), indent=4),
+        standing=[name for name, each in zip(task.names, stands, strict=True) if each],
+        landed=bool(np.all(has_landed)),
+        slack=json.dumps(_slack_points(task), indent=4),
+        land=min(LANDED, round(float(np.min(last[:, 2])), 6) + 0.0),
+        **common,
+    )
+
+
+def _start_note(task: ExportTask, place: str, common: Mapping[str, object]) -> str:
+    """Return the note on how to start the trajectories."""
+    texts = json.loads(_template("crazyswarm2.json"))
+    hint = " (its radio addresses are placeholders: name yours in a fleet file when exporting)"
+    pull = texts["held_pull" if task.holds_tension else "pull"]
+    return _template("start_note.txt").format(
+        title=task.title or "A plan of hitchopt",
+        place=f"\n{place}{texts['parts']}\n" if place else "",
+        drones=places_text(task.flight, task.fleet),
+        placeholders=hint if task.fleet.is_placeholder else "",
+        slack=texts["slack"] if _slack_points(task) else "",
+        pull=f"\n{pull}\n{texts['mind']}" if task.flight.has_cables else "",
+        **common,
+    )
 
 
 def _slack_points(task: ExportTask) -> dict[str, list[float]]:

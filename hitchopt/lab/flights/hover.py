@@ -129,27 +129,36 @@ class DroneHover(OneLine):
         if math.isnan(self.trim[0]):
             reasons = "; ".join(self.remarks) or "nothing is determined"
             return f"{self.name}: {reasons}{self._lag_words}"
-        off, error = math.hypot(*self.trim), 100.0 * self.trim_error
-        beside = f"{100.0 * off:.0f} cm toward {direction_of(*(-x for x in self.trim))} of its "
-        beside += f"setpoint (± {error:.1g} cm)"
+        return f"{self.name} {self._trim_words}{self._lag_words}{self._settled_words}"
+
+    @property
+    def _trim_words(self) -> str:
+        """Tilt and trim, and what to do about them."""
+        off = math.hypot(*self.trim)
+        toward = direction_of(-self.trim[0], -self.trim[1])
+        error = 100.0 * self.trim_error
+        beside = f"{100.0 * off:.0f} cm toward {toward} of its setpoint (± {error:.1g} cm)"
         if math.isnan(self.tilt_deg):
-            text = f"hovers {beside}; its tilt is not recorded"
-        elif self.tilt_deg < LEVEL and off < max(NEAR, 2.0 * self.trim_error):
-            text = f"is level at rest and hovers within {100.0 * off:.1f} cm of its setpoint"
-        elif self.agrees is False:
-            by_tilt = 100.0 * math.hypot(*self.expected_trim)
-            direction = direction_of(*(-x for x in self.expected_trim))
-            text = f"is tilted by {self.tilt_deg:.1f}° at rest, which explains {by_tilt:.0f} cm "
-            text += f"toward {direction}, but hovers {beside}: its tilt does "
-            text += "not explain the trim: look for a bent arm, wind or a pull"
-        else:
-            text = f"is tilted by {self.tilt_deg:.1f}° at rest: redefine its rigid body; "
-            text += f"until then it hovers {beside}"
-        text += self._lag_words
-        if self.settled < ENOUGH:
-            only = f"only {self.settled:.1f} s were settled" if self.settled else "never settled"
-            text += f"; {only}: hover for {ENOUGH:g} s"
-        return f"{self.name} {text}"
+            return f"hovers {beside}; its tilt is not recorded"
+        if self.tilt_deg < LEVEL and off < max(NEAR, 2.0 * self.trim_error):
+            return f"is level at rest and hovers within {100.0 * off:.1f} cm of its setpoint"
+        tilted = f"is tilted by {self.tilt_deg:.1f}° at rest"
+        if self.agrees is not False:
+            return f"{tilted}: redefine its rigid body; until then it hovers {beside}"
+        by_tilt = 100.0 * math.hypot(*self.expected_trim)
+        toward = direction_of(-self.expected_trim[0], -self.expected_trim[1])
+        return (
+            f"{tilted}, which explains {by_tilt:.0f} cm toward {toward}, but hovers {beside}: "
+            "its tilt does not explain the trim: look for a bent arm, wind or a pull"
+        )
+
+    @property
+    def _settled_words(self) -> str:
+        """What to do about a hover that is too short."""
+        if self.settled >= ENOUGH:
+            return ""
+        only = f"only {self.settled:.1f} s were settled" if self.settled else "never settled"
+        return f"; {only}: hover for {ENOUGH:g} s"
 
     @property
     def _lag_words(self) -> str:

@@ -48,25 +48,35 @@ def resolved(task: Task, settings: Settings) -> Settings:
         settings = _of_drones(task, settings)
     if task.received is not None:
         settings = _of_files(task.received, settings)
-    estimator, upload = settings.estimator, settings.upload
     if settings.controller is None:
-        names = named_controllers(task)
-        name = (names.pop() if len(names) == 1 else None) or IDEAL
-        if name == IDEAL:
-            _require_controller(settings, names)
-        settings = replace(settings, controller=name)
-        if name != IDEAL:
-            if estimator is None and STOCK[name].filtered:
-                estimator = HELD
-            if upload is None:
-                # Exported files would hold the tension by offsets
-                teams = (flown_team(part.team, settings) for part in task.teams)
-                upload = task.flight is not None and not settings.feedback
-                upload = upload and not any(np.any(team.integral_gain > 0.0) for team in teams)
-    estimator = None if estimator == IDEAL else estimator
+        settings = _of_plan(task, settings)
+    estimator = None if settings.estimator == IDEAL else settings.estimator
     if settings.latency is not None and estimator is None:
         _refuse_latency(task, settings)
-    return replace(settings, estimator=estimator, upload=bool(upload))
+    return replace(settings, estimator=estimator, upload=bool(settings.upload))
+
+
+def _of_plan(task: Task, settings: Settings) -> Settings:
+    """Return settings with the controller that all drones of a plan name, or the ideal one.
+
+    By default its drones have the estimator of its kind, and fly uploaded trajectories where these
+    need no offsets to hold the tension.
+    """
+    names = named_controllers(task)
+    controller = (next(iter(names)) if len(names) == 1 else None) or IDEAL
+    if controller == IDEAL:
+        _require_controller(settings, names)
+        return replace(settings, controller=controller)
+    settings = replace(settings, controller=controller)
+    estimator = settings.estimator
+    if estimator is None and STOCK[controller].filtered:
+        estimator = HELD
+    upload = settings.upload
+    if upload is None:
+        teams = [flown_team(part.team, settings) for part in task.teams]
+        needs_offsets = any(np.any(team.integral_gain > 0.0) for team in teams)
+        upload = task.flight is not None and not settings.feedback and not needs_offsets
+    return replace(settings, estimator=estimator, upload=upload)
 
 
 def _refuse_latency(task: Task, settings: Settings) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -172,19 +173,24 @@ def read_exported(path: Path, plan: Path | None = None) -> ExportedFlight:
     if not kind.flown_by:
         raise UnsupportedError(f"{kind.name}: these files are for viewers; no drone flies them")
     flight, title = _plan_of(path, manifest, plan)
-    names = listed_names(manifest, "parts")
-    folders = [path / name for name in names] if names else [path]
     drones = Task.of(flight).team.drone_names
-    parts, changed, stretch = list[ExportedPart](), list[str](), 1.0
-    for folder in folders:
+    parts = list[ExportedPart]()
+    changed = list[str]()
+    stretch = 1.0
+    for folder in [path / name for name in listed_names(manifest, "parts")] or [path]:
         content = _manifest(folder)
-        stretch = float(content.get("stretch", 1.0))
         files = [path] if path.is_file() else [folder / x for x in listed_names(content, "files")]
-        digests = mapping_at(content, "digests")
-        changed += [f.name for f in files if digests.get(f.name, digest(f)) != digest(f)]
-        changed += [MANIFEST] * (not is_sealed(content))
         parts.append(_part(kind, content, files, drones))
+        changed += _changed_files(content, files)
+        stretch = float(content.get("stretch", 1.0))
     return _flown(kind, title, parts, changed, flight.stretched(stretch))
+
+
+def _changed_files(content: Mapping[str, Any], files: Sequence[Path]) -> list[str]:
+    """Return the names of exported files that have changed, and of a changed manifest."""
+    digests = mapping_at(content, "digests")
+    changed = [file.name for file in files if digests.get(file.name, digest(file)) != digest(file)]
+    return changed if is_sealed(content) else [*changed, MANIFEST]
 
 
 def _plan_of(path: Path, manifest: Mapping[str, Any], plan: Path | None) -> tuple[Flight, str]:
@@ -271,21 +277,31 @@ def _jets(kind: Format, parts: Sequence[ExportedPart], starts: Sequence[float], 
     """Return positions, velocities and accelerations (3, S, 2n, 3) that drones receive at t."""
     drones = parts[0].curves.shape[0]
     jets = np.zeros((3, len(t), drones, 3))
-    at = np.maximum(np.searchsorted(starts, t + BREAK_TOLERANCE, side="right") - 1, 0)
+    part_at = np.maximum(np.searchsorted(starts, t + BREAK_TOLERANCE, side="right") - 1, 0)
     for i, (part, start) in enumerate(zip(parts, starts, strict=True)):
-        rows, curve = np.flatnonzero(at == i), part.curves
-        elapsed = np.clip(t[rows] - start, 0.0, curve.duration)
-        if kind.flown_by == "stream":  # the last sample is held
-            sample = np.searchsorted(curve.breaks, elapsed + BREAK_TOLERANCE, side="right") - 1
-            elapsed = curve.breaks[np.maximum(sample, 0)]
-        jets[:, rows] = np.moveaxis(curve.jet(elapsed, 3), -1, 0)
-        if kind.flown_by == "upload":  # receivers of streams hold the last sample's force, too
-            ended = t[rows] > start + curve.duration + BREAK_TOLERANCE
-            jets[1:, rows[(t[rows] < start) | ended]] = 0.0
-        if i + 1 < len(parts):
-            goal, leave = parts[i + 1].curves.at(0.0), starts[i + 1] - GO_TIME
-            leave -= SETTLE_TIME + UPLOAD_TIME
-            _go_to(jets, t, (leave, starts[i + 1]), curve.at(curve.duration), goal)
+        rows = np.flatnonzero(part_at == i)
+        jets[:, rows] = _received(kind, part.curves, t[rows] - start)
+    for (part, following), start in zip(pairwise(parts), starts[1:], strict=True):
+        leave = start - GO_TIME - SETTLE_TIME - UPLOAD_TIME
+        end = part.curves.at(part.curves.duration)
+        _go_to(jets, t, (leave, start), end, following.curves.at(0.0))
+    return jets
+
+
+def _received(kind: Format, curves: PiecewisePolynomial, elapsed: Array) -> Array:
+    """Return the jets (3, S, 2n, 3) that drones receive at times (S,) after a part's start [s].
+
+    Receivers of streams hold the last sample, with its force; drones with an uploaded trajectory
+    rest before and after it.
+    """
+    within = np.clip(elapsed, 0.0, curves.duration)
+    if kind.flown_by == "stream":
+        sample = np.searchsorted(curves.breaks, within + BREAK_TOLERANCE, side="right") - 1
+        within = curves.breaks[np.maximum(sample, 0)]
+    jets: Array = np.moveaxis(curves.jet(within, 3), -1, 0)
+    if kind.flown_by == "upload":
+        at_rest = (elapsed < 0.0) | (elapsed > curves.duration + BREAK_TOLERANCE)
+        jets[1:, at_rest] = 0.0
     return jets
 
 

@@ -8,7 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from itertools import islice
 from time import process_time
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,23 @@ class FlightSamples:
     # of the objects (samples, objects, 7): positions of their bases [m], and quaternions
     poses: Array
     touched: NDArray[np.bool_]  # whether cables touch an object (samples, objects)
+
+
+class FlightSample(NamedTuple):
+    """One sample: a row of ``FlightSamples``, with fields in the same order."""
+
+    t: float
+    setpoint: int  # `index` there
+    drones: Array
+    commanded: Array
+    vertices: Array
+    bearing: Array
+    tensions: Array
+    peak_tensions: Array
+    thrusts: Array
+    tilts: Array
+    poses: Array
+    touched: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +248,7 @@ class FlightInProgress:
         self._error: InvalidRunError | None = None  # that ended the settling
         self._check_time = self._frame_time = -np.inf
         self._frames: list[tuple[float, NDArray[np.float32], NDArray[np.float32]]] = []
-        self._rows: list[tuple[Any, ...]] = []
+        self._rows: list[FlightSample] = []
         self._touches: dict[tuple[str, str], float] = {}
         self._linking: NDArray[np.int64] | None = None
         self._rested = self._pulled = float("nan")
@@ -329,7 +346,7 @@ class FlightInProgress:
         if self._feedback is not None:
             self._feedback.stop_clock(self._task.duration)
         self._start_record([])
-        self._rows, now = last, float(last[-1][0])
+        self._rows, now = last, last[-1].t
         try:
             self._rest_and_pull(now, max(0.0, REST_TIME - (now - since)))
         except InvalidRunError as error:
@@ -536,17 +553,27 @@ class FlightInProgress:
     def _sample(self, time: float, index: int, following: int) -> None:
         """Record the state at ``time`` [s], from setpoint ``index`` to the ``following`` one."""
         world = self._world
+        vertices, bearing = self._contacts.collect(self._least_bearing[index])
         commanded = self._task.states.positions[index]
-        touched = self._contacts.collect(self._least_bearing[index])
         if self._feedback is not None:
             commanded = commanded + self._feedback.offsets
-            self._feedback.observe(time, touched[0])
-        means = np.add.reduceat(self._tensions, self._starts) / world.ropes.segments
-        cosines = world.bodies.attitudes[:, 2, 2]
-        tilts = np.arccos(np.minimum(np.maximum(cosines, -1.0), 1.0))
-        state = (means, self._peaks.copy(), self._pilots.thrusts.copy(), tilts)
-        places = (time, following, self._drones(index), commanded)
-        self._rows.append((*places, *touched, *state, world.poses, self._objects.cables))
+            self._feedback.observe(time, vertices)
+        upward = np.minimum(np.maximum(world.bodies.attitudes[:, 2, 2], -1.0), 1.0)
+        sample = FlightSample(
+            t=time,
+            setpoint=following,
+            drones=self._drones(index),
+            commanded=commanded,
+            vertices=vertices,
+            bearing=bearing,
+            tensions=np.add.reduceat(self._tensions, self._starts) / world.ropes.segments,
+            peak_tensions=self._peaks.copy(),
+            thrusts=self._pilots.thrusts.copy(),
+            tilts=np.arccos(upward),
+            poses=world.poses,
+            touched=self._objects.cables,
+        )
+        self._rows.append(sample)
         self._peaks[:] = 0.0
 
     def _flight(self, error: InvalidRunError | None) -> SimulatedFlight:

@@ -261,28 +261,40 @@ def _lying(q: Array, r: Array, count: int, size: float, floor: float) -> Array:
     length: the slope at an arc length s is s / a. If the cable is too long for any tension, a is
     one link, and the part on the floor zigzags at a constant angle.
     """
-    offset, whole = r - q, count * size
+    whole = count * size
+    offset = r - q
     span = float(np.hypot(*offset[:2]))
     forward = unit(offset * [1.0, 1.0, 0.0], fallback=EAST)
     heights = np.maximum(np.array([q[2], r[2]]) - floor, 0.0)
 
+    def rising_lengths(a: float) -> Array:
+        """Return the lengths (2,) [m] of cable above the floor at q and r."""
+        return np.asarray(np.sqrt(heights * (heights + 2.0 * a)))
+
     def surplus(a: float) -> float:
         """Return the length [m] on the floor, less the distance there."""
-        arcs = np.sqrt(heights * (heights + 2.0 * a))
+        arcs = rising_lengths(a)
         return float(whole - span - np.sum(arcs - a * np.arcsinh(arcs / a)))
 
-    a, tightest = size, 1e3 * whole
-    if surplus(a) < 0.0 < surplus(tightest):
-        a = brentq(surplus, a, tightest)
-    arcs = np.sqrt(heights * (heights + 2.0 * a))
-    lying = max(whole - float(np.sum(arcs)), size)
-    cosine = min(max(1.0 - surplus(a) / lying, 0.0), 1.0)
+    slackest = size
+    tightest = 1e3 * whole
+    is_straight = surplus(slackest) < 0.0 < surplus(tightest)
+    a = brentq(surplus, slackest, tightest) if is_straight else slackest
+    q_arc, r_arc = rising_lengths(a)
+    # Slopes at the links' middles, which are zero on the floor
     arc = size * (np.arange(count) + 0.5)
-    slope = np.maximum(arc - whole + arcs[1], 0.0) - np.maximum(arcs[0] - arc, 0.0)
+    descent = np.maximum(q_arc - arc, 0.0)
+    ascent = np.maximum(arc - whole + r_arc, 0.0)
+    slope = (ascent - descent) / a
+    # Zigzag on the floor
+    lying = max(whole - float(q_arc + r_arc), size)
+    cosine = min(max(1.0 - surplus(a) / lying, 0.0), 1.0)
     folds = 2 * max(round(lying / (2 * FOLD_LINKS * size)), 1)
-    side = (-1.0) ** np.floor(folds * np.clip((arc - arcs[0]) / lying, 0.0, 1.0))
-    level = cosine * forward + math.sqrt(1.0 - cosine**2) * side[:, None] * np.cross(UP, forward)
-    return unit(np.where(slope[:, None] == 0.0, level, forward + (slope / a)[:, None] * UP))
+    side = (-1.0) ** np.floor(folds * np.clip((arc - q_arc) / lying, 0.0, 1.0))
+    sideways = math.sqrt(1.0 - cosine**2) * side[:, None] * np.cross(UP, forward)
+    on_floor = cosine * forward + sideways
+    rising = forward + slope[:, None] * UP
+    return unit(np.where(slope[:, None] == 0.0, on_floor, rising))
 
 
 def thickness_allowance(task: TeamTask, diameter: float, segment: float) -> Array:

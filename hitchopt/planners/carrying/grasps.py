@@ -137,37 +137,41 @@ class HoldCapacity(NamedTuple):
 def hold_capacity(planner: MovePlanner, requirements: Requirements) -> HoldCapacity:
     """Return the capacities of the hold, and of a rim that at least three robots hold."""
     hold = planner.hold
-    team = hold.team
-    body = planner.body
-    kind = team.quadrotor[0]
-    tension = float(np.min(planner.state.tension))
-    cable_length = float(np.min(team.cable_length))
-    max_mass = np.inf
-    texts = list[str]()
+    # Some bodies have no polygons of clasps
+    candidate = Candidate("rim", lambda: _rim_capacity(planner, requirements))
+    rim_mass = first_feasible([candidate], None)
     if isinstance(hold, GripHold):
-        grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
-        max_mass = grip_capacity(grip, kind, body.friction, GRIP_LIMIT).mass
-        texts.append(f"a grip holds {max_mass:.2g} kg")
-
-    def on_rim() -> float:
-        """Return the largest mass on the rim, or for a grip on its section as a rim [kg]."""
-        rimmed = body
-        polygons = planner.state.polygons
-        if isinstance(hold, GripHold):
-            rimmed = with_fields(body, rim=Rim(body.section, body.lower))
-            robots = max(team.robots, 3)
-            polygons = rest_polygons(planner.state.object, rimmed, robots, planner.gap)[0]
-        best = best_rim_hold(rimmed, polygons, cable_length, tension, kind, requirements)
-        return best.capacity.mass
-
-    rim_mass = first_feasible([Candidate("rim", on_rim)], None)  # some bodies have no polygons
+        grip_mass = _grip_mass(planner, hold)
+        rim = "" if rim_mass is None else f", a rim {rim_mass:.2g} kg"
+        return HoldCapacity(f" (a grip holds {grip_mass:.2g} kg{rim})", grip_mass, rim_mass or 0.0)
     # Rolled legs may hold an object that unrolled ones do not
-    if rim_mass and isinstance(hold, RestHold):
-        max_mass = rim_mass
-    if rim_mass or (rim_mass is not None and isinstance(hold, GripHold)):
-        texts.append(f"a rim {rim_mass:.2g} kg" if texts else f"a rim holds {rim_mass:.2g} kg")
-    text = f" ({', '.join(texts)})" if texts else ""
-    return HoldCapacity(text, max_mass, rim_mass or 0.0)
+    if not rim_mass:
+        return HoldCapacity("", np.inf, 0.0)
+    max_mass = rim_mass if isinstance(hold, RestHold) else np.inf
+    return HoldCapacity(f" (a rim holds {rim_mass:.2g} kg)", max_mass, rim_mass)
+
+
+def _grip_mass(planner: MovePlanner, hold: GripHold) -> float:
+    """Return the largest mass that a grip holds [kg]."""
+    team, body = hold.team, planner.body
+    cable_length = float(np.min(team.cable_length))
+    tension = float(np.min(planner.state.tension))
+    grip = Grip.of(body.section, hold.polygon, cable_length, tension, team.cable_friction)
+    return grip_capacity(grip, team.quadrotor[0], body.friction, GRIP_LIMIT).mass
+
+
+def _rim_capacity(planner: MovePlanner, requirements: Requirements) -> float:
+    """Return the largest mass on the rim, or for a grip on its section as a rim [kg]."""
+    team, body = planner.hold.team, planner.body
+    polygons = planner.state.polygons
+    if isinstance(planner.hold, GripHold):
+        body = with_fields(body, rim=Rim(body.section, body.lower))
+        robots = max(team.robots, 3)
+        polygons = rest_polygons(planner.state.object, body, robots, planner.gap)[0]
+    cable_length = float(np.min(team.cable_length))
+    tension = float(np.min(planner.state.tension))
+    best = best_rim_hold(body, polygons, cable_length, tension, team.quadrotor[0], requirements)
+    return best.capacity.mass
 
 
 def wider_for_closing(separation: Separation) -> Separation:

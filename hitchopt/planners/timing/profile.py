@@ -36,6 +36,37 @@ CHUNK = 64_000
 """Number of rays of drones per chunk, whose temporary arrays fit into a core's cache."""
 
 
+class RaySlowness(NamedTuple):
+    """Coefficients of inverse factors ``1 / ρ`` of rays (u, x) of s̈ and ṡ², at J points.
+
+    A limit binds where ``a ρ² + 2 b ρ + c = 0``, and c < 0 if rest satisfies it. Without
+    cancellation, ``1 / ρ = -b / c + √((b / c)² - a / c)``.
+    """
+
+    acceleration: Array
+    """(J, 2n, 3): coefficients of (u², 2 u x, x²) in the squared inverse factor."""
+
+    radicands: Array
+    """(2, J, 2n, 3): coefficients of (u², 2 u x, x²) in the radicands of thrust and tilt."""
+
+    slopes: Array
+    """(2, J, 2n, 2): coefficients of (u, x) in -b / c of thrust and tilt."""
+
+    infeasible_at_rest: NDArray[np.bool_]
+    """(J, 2n): whether rest violates a limit."""
+
+    def of_rays(self, u: Array, x: Array) -> Array:
+        """Return the largest inverse factors (J, m) of rays (u, x), (J, m) each."""
+        rays = np.stack([u, x], axis=1)
+        products = np.stack([u * u, 2.0 * u * x, x * x], axis=1)
+        slowest: Array = np.sqrt(np.max(self.acceleration @ products, axis=1))
+        with np.errstate(invalid="ignore"):  # nan: the limit does not bound that ray
+            for radicand, slope in zip(self.radicands, self.slopes, strict=True):
+                inverse_factors = np.sqrt(radicand @ products) + slope @ rays
+                slowest = np.fmax(slowest, np.fmax.reduce(inverse_factors, axis=1))
+        return slowest
+
+
 @dataclass(frozen=True, eq=False)
 class Demands:
     """Jets along a path and the loads at rest, at J points."""
@@ -97,59 +128,54 @@ class Demands:
 
         They are 0 if rest violates a limit.
         """
-        linear = np.stack([u, x], axis=1)
-        quadratic = np.stack([u * u, 2.0 * u * x, x * x], axis=1)
         factors = np.empty(u.shape)
         size = max(1, CHUNK // (self.drones.shape[1] * u.shape[1]))
         for first in range(0, len(u), size):
-            at = slice(first, first + size)
-            forms, slopes, infeasible_at_rest = self._slowness(at)
-            slowest = np.sqrt(np.max(forms[0] @ quadratic[at], axis=1))
-            with np.errstate(invalid="ignore"):  # nan: the limit does not bound that ray
-                for form, slope in zip(forms[1:], slopes, strict=True):
-                    root = np.sqrt(form @ quadratic[at]) + slope @ linear[at]
-                    slowest = np.fmax(slowest, np.fmax.reduce(root, axis=1))
-            factors[at] = 1.0 / np.maximum(slowest, MIN_SLOWNESS)
-            factors[at][np.any(infeasible_at_rest, axis=1)] = 0.0
+            chunk = slice(first, first + size)
+            slowness = self.at(chunk).ray_slowness
+            factors[chunk] = 1.0 / np.maximum(slowness.of_rays(u[chunk], x[chunk]), MIN_SLOWNESS)
+            factors[chunk][np.any(slowness.infeasible_at_rest, axis=1)] = 0.0
         return factors
 
-    def _slowness(self, at: slice) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Return coefficients of rays' inverse factors ``1 / ρ`` for each limit, at some points.
-
-        A limit binds where ``a ρ² + 2 b ρ + c = 0``, and c < 0 if rest satisfies it. Without
-        cancellation, ``1 / ρ = -b / c + √((b / c)² - a / c)``.
-
-        Returns
-        -------
-        forms: (3, J, 2n, 3), coefficients of (u², 2 u x, x²), for the squared inverse factor of the
-            acceleration limit, and for the radicands of thrust and tilt.
-        slopes: (2, J, 2n, 2), coefficients of (u, x) for -b / c of thrust and tilt.
-        infeasible_at_rest: (J, 2n), whether rest violates a limit.
-        """
-        first = self.drones[at, ..., 1]
-        second = self.drones[at, ..., 2]
-        loads = self.loads[at]
-        squares = np.stack([dot(first, first), dot(first, second), dot(second, second)], axis=-1)
-        along_load = np.stack([dot(first, loads), dot(second, loads)], axis=-1)
-        upward = np.stack([first[..., 2], second[..., 2]], axis=-1)
-        upward_load = loads[..., 2, None]
+    @property
+    def ray_slowness(self) -> RaySlowness:
+        """The coefficients of rays' inverse factors ``1 / ρ`` for each limit."""
+        velocity = self.drones[..., 1]
+        acceleration = self.drones[..., 2]
+        squares = np.stack(
+            [
+                dot(velocity, velocity),
+                dot(velocity, acceleration),
+                dot(acceleration, acceleration),
+            ],
+            axis=-1,
+        )
+        along_load = np.stack([dot(velocity, self.loads), dot(acceleration, self.loads)], axis=-1)
+        upward = np.stack([velocity[..., 2], acceleration[..., 2]], axis=-1)
+        upward_load = self.loads[..., 2, None]
         upward_squares = _products(upward)
-        square_at_rest = dot(loads, loads)
+        square_at_rest = dot(self.loads, self.loads)
         # Weight of the squared upward force against the square of the whole one: of the cone of
         # tilt, and none for thrust
         cone = 1.0 + math.tan(self.share * self.limits.tilt) ** 2
         thrust_at_rest = square_at_rest - (self.share * self.team.max_thrust) ** 2
-        tilt_at_rest = square_at_rest - cone * loads[..., 2] ** 2
-        forms = [squares / (self.share * self.limits.acceleration) ** 2]
+        tilt_at_rest = square_at_rest - cone * self.loads[..., 2] ** 2
+        radicands = list[Array]()
         slopes = list[Array]()
-        infeasible_at_rest = np.zeros(loads.shape[:-1], dtype=np.bool_)
+        infeasible_at_rest = np.zeros(self.loads.shape[:-1], dtype=np.bool_)
         for at_rest, weight in ((thrust_at_rest, 0.0), (tilt_at_rest, cone)):
             infeasible_at_rest |= at_rest >= 0.0
             inverse = (self.team.mass / np.where(at_rest < 0.0, -at_rest, 1.0))[..., None]
-            slopes.append(inverse * (along_load - weight * upward_load * upward))
+            slope = inverse * (along_load - weight * upward_load * upward)
             form = self.team.mass[:, None] * inverse * (squares - weight * upward_squares)
-            forms.append(form + _products(slopes[-1]))
-        return np.stack(forms), np.stack(slopes), infeasible_at_rest
+            slopes.append(slope)
+            radicands.append(form + _products(slope))
+        return RaySlowness(
+            squares / (self.share * self.limits.acceleration) ** 2,
+            np.stack(radicands),
+            np.stack(slopes),
+            infeasible_at_rest,
+        )
 
     def stretches(self) -> Array:
         """Return the stretch in time (2n,) with which each drone keeps its limits, if s is time.
@@ -157,21 +183,22 @@ class Demands:
         It may be below 1, and is infinite if forces at rest violate a limit. With a stretch κ
         velocities decrease with κ, accelerations with κ² and jerks with κ³.
         """
-        forms, slopes, infeasible_at_rest = self._slowness(slice(None))
-        squares = forms[..., 2]  # along the ray of ṡ²
-        slope = slopes[..., 1]
-        radicands = squares[1:]
-        forces = np.where(radicands >= 0.0, slope + np.sqrt(np.maximum(radicands, 0.0)), 0.0)
+        slowness = self.ray_slowness
+        # Along the ray of ṡ²
+        accelerations = slowness.acceleration[..., 2]
+        slopes = slowness.slopes[..., 1]
+        radicands = slowness.radicands[..., 2]
+        forces = np.where(radicands >= 0.0, slopes + np.sqrt(np.maximum(radicands, 0.0)), 0.0)
         speeds = length(self.drones[..., 1])
         jerks = length(self.drones[..., 3])
         stretches = np.maximum.reduce(
             [
                 speeds / self.limits.speed / self.share,
-                np.sqrt(np.maximum(np.sqrt(squares[0]), np.max(forces, axis=0))),
+                np.sqrt(np.maximum(np.sqrt(accelerations), np.max(forces, axis=0))),
                 np.cbrt(jerks / self.limits.jerk / self.share),
             ]
         )
-        largest: Array = np.max(np.where(infeasible_at_rest, math.inf, stretches), axis=0)
+        largest: Array = np.max(np.where(slowness.infeasible_at_rest, math.inf, stretches), axis=0)
         return largest
 
 
