@@ -29,6 +29,7 @@ from hitchopt.planners.task import (
     StepPlan,
     StepTask,
     plan_in_sequence,
+    require_certified,
 )
 from hitchopt.steps.step import (
     AUTO,
@@ -129,6 +130,21 @@ class ShapeStep(HitchStep):
         """Return the plan along the direct route, with the step's own leg lengths."""
 
     def fly(self, task: StepTask) -> StepPlan:
+        """Return the first certified plan of those that differ in the legs at the end."""
+        return first_certified(self.ways(task), task.effort, task.progress)
+
+    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+        """Yield the plans to the nearest legs, and to spread ones where these are infeasible.
+
+        Raises InfeasibleError if the first one is infeasible and the start breaks a limit at rest.
+        """
+        yield Candidate("nearest legs", partial(self.fly_to_end, task))
+        self.check_end(task.hitch, task)
+        if self.legs is None:
+            spread = replace(self, legs="spread")
+            yield Candidate("spread legs", partial(spread.fly_to_end, task))
+
+    def fly_to_end(self, task: StepTask) -> StepPlan:
         """Return the direct plan, or an optimised one if it is needed or requested."""
         end = self.end(task)
         tension: tuple[float, float] | None = getattr(self, "tension", None)
@@ -322,18 +338,6 @@ class Morph(ShapeStep):
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
         return end_of_morph(task.hitch, self.outline, self.split, task.requirements)
-
-    def fly(self, task: StepTask) -> StepPlan:
-        """Return the plan to the nearest legs, or to spread ones where these are infeasible."""
-
-        def ends() -> Iterator[Candidate[StepPlan]]:
-            """Yield the ends of the step by their legs."""
-            yield Candidate("nearest legs", partial(super(Morph, self).fly, task))
-            self.check_end(task.hitch, task)
-            if self.legs is None:
-                yield Candidate("spread legs", partial(replace(self, legs="spread").fly, task))
-
-        return first_certified(ends(), task.effort, task.progress)
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along straight lines."""
@@ -579,7 +583,24 @@ class FollowVertex(ActionStep):
         turns_back = np.sum(along[1:] * along[:-1], axis=1) < -RIGHT_ANGLE
         return np.split(self.points, np.flatnonzero(turns_back) + 1)
 
-    def fly(self, task: StepTask) -> StepPlan:
+    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+        """Yield the plans of the whole path, and of parts between whose ends legs are spread."""
+        yield from super().ways(task)
+        count = len(self.points)
+        for parts in () if self.is_timed else (2, 4, count):
+            if 1 < parts <= count:
+                yield Candidate(f"path in {parts} parts", partial(self._in_parts, parts, task))
+
+    def _in_parts(self, parts: int, task: StepTask) -> StepPlan:
+        """Return the plan that stops at the ends of a number of parts, with legs spread there."""
+        spread = replace(self, legs="spread")
+        pieces = [replace(spread, path=path) for path in np.array_split(self.points, parts)]
+        pieces[-1] = replace(pieces[-1], legs=self.legs or "spread")
+        plan = plan_in_sequence([piece.fly_to_end for piece in pieces], task)
+        stops = "once" if parts == 2 else f"{parts - 1} times"
+        return plan.with_remark(f"stops {stops} on the way, where legs are spread")
+
+    def fly_to_end(self, task: StepTask) -> StepPlan:
         """Return the plan along the points; the optimiser has no other route."""
         end = self.end(task)
         self.check_end(end.hitch, task)
@@ -603,6 +624,8 @@ class FollowVertex(ActionStep):
             raise InfeasibleError([violation])
         slow = replace(task.requirements, limits=with_fields(limits, vertex_speed=self.speed))
         plan = self.direct_plan(task.within(slow, task.before), end)
+        if not self.is_timed:
+            require_certified(plan)
         motion = plan.motion
         check = VERTEX_SPEED.check(motion)
         if check is not None and not check.holds:  # of points with times

@@ -307,9 +307,9 @@ class Release(SpotsStep):
     """
 
     effort_per_robot: ClassVar[float] = 1.2e4
+    duration: Seconds = None
     to: Spots = None
     assign: AssignSpots = AUTO
-    duration: Seconds = None
 
     def polygon_after(self, team: Team, outline: Any) -> None:
         """Return None, since the cables are free."""
@@ -334,9 +334,9 @@ class Land(SpotsStep):
 
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = False
+    duration: Seconds = None
     to: Spots = None
     assign: AssignSpots = AUTO
-    duration: Seconds = None
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the descent to the ground, after a flight to the spots if there are any."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -294,3 +295,29 @@ def test_infeasible_transports_name_the_point() -> None:
         ho.solve(
             TURNED, ho.Transport([*TURNED.polygon.centroid, 1.3], yaw=2.0 * np.pi), arena=around
         )
+
+
+WILD = Path(__file__).parent / "wild"
+
+
+@pytest.mark.slow
+def test_legs_are_spread_where_the_nearest_ones_cannot_hold() -> None:
+    """The morph and the move of a vertex of a chain are refused with the nearest legs."""
+    plan = ho.solve(WILD / "steps_of_a_chain.yaml")
+    assert plan.certificate.certified
+
+
+@pytest.mark.slow
+def test_a_vertex_stops_on_its_path_where_legs_are_to_be_spread() -> None:
+    """Without stops legs cross, with any legs at the end."""
+    plan = ho.solve(WILD / "writes_an_eight.yaml")
+    phases = plan.motion.phases
+    assert [phase.name for phase in phases] == ["follow_vertex"] * 2
+    assert all("stops once on the way" in phase.remark for phase in phases)
+    middle = plan.motion.drones.at(phases[0].end, 1)
+    np.testing.assert_allclose(middle, 0.0, atol=1e-9)
+    step = ho.load_problem(WILD / "writes_an_eight.yaml").mission[0]
+    t = np.linspace(0.0, plan.duration, 4001)
+    path = plan.motion.vertices.at(t)[:, step.vertex, :2]
+    distances = np.linalg.norm(path[:, None] - np.asarray(step.path), axis=-1)
+    assert np.max(np.min(distances, axis=0)) < 1e-3
