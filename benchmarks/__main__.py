@@ -10,6 +10,7 @@ from pathlib import Path
 NAMES = (
     "corpus",
     "page",
+    "libraries",
     "morphs",
     "families",
     "forming",

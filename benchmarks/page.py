@@ -16,6 +16,7 @@ import os
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -27,6 +28,7 @@ import numpy as np
 
 import hitchopt as ho
 from benchmarks.families import FAMILIES, outcome
+from benchmarks.libraries import counts, lines
 from benchmarks.measuring import ROOT, environment, parser, timed
 from benchmarks.rival import Rival, RivalError
 from hitchopt import verify
@@ -103,10 +105,12 @@ LIMITS = (
 
 FAMILIES_TEXT = (
     "Start and goal of each problem are certified before it is planned, and none is omitted. "
-    "`form` "
-    "ties irregular hitches of scattered robots, "
-    "`carry` holds objects by rims or grips, `box`, `door` and `corridor` move single drones; "
-    "`python -m benchmarks families` draws more."
+    "`box`, `door` and `corridor` move single drones; `python -m benchmarks families` draws more."
+)
+
+LIBRARIES_TEXT = (
+    "Calls while planning, by `python -m benchmarks libraries`. casadi's `program` is PIQP; its other "
+    "functions are the model's, for many clasps at once."
 )
 
 
@@ -328,8 +332,11 @@ def family_rows(store: Store) -> Iterator[Sequence[str]]:
         yield [*cells, " ".join(by_size) if len(sizes) <= MAX_SIZES else "many"]
 
 
-def page(store: Store, limit: float, machine: str) -> str:
-    """Return the page; the machine is described as before the measurements."""
+def page(store: Store, limit: float, machine: str, calls: dict[str, Counter[str]]) -> str:
+    """Return the page; the machine is described as before the measurements.
+
+    ``calls`` are those of libraries by problem.
+    """
     heads = [f"{sizes[0]}–{sizes[-1]}" for sizes in COLUMNS]
     excesses = [each.excess for each in store.results if each.excess is not None]
     return "\n".join(
@@ -359,6 +366,12 @@ def page(store: Store, limit: float, machine: str) -> str:
                 family_rows(store),
             ),
             "![Shares of planned and proven problems by family](families.png)",
+            "",
+            "## What each library does",
+            "",
+            LIBRARIES_TEXT,
+            "",
+            *lines(calls),
             "",
         ]
     )
@@ -424,5 +437,5 @@ def main() -> None:
     store = Store.opened(options.output / "page.jsonl", again=options.again)
     machine = environment(["rockit-meco"])
     measure(store, options.problems, options.limit)
-    (PAGE / "index.md").write_text(page(store, options.limit, machine), encoding="utf-8")
+    (PAGE / "index.md").write_text(page(store, options.limit, machine, counts()), encoding="utf-8")
     draw(store)

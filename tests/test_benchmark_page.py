@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -70,8 +71,10 @@ def test_an_interrupted_run_goes_on(tmp_path: Path, again: bool) -> None:
 
 def test_the_page_has_at_most_four_tables_and_two_figures(tmp_path: Path) -> None:
     results = [plan(index, n, 1.0) for index, n in enumerate([*range(3, 10)])]
-    text = page(store_of(tmp_path, *results), 10.0, "a machine")
+    calls = {"morph": Counter({"toppra `TOPPRA`": 25}), "form": Counter({"ruckig `Ruckig`": 1600})}
+    text = page(store_of(tmp_path, *results), 10.0, "a machine", calls)
     assert "a machine, " in text
     assert text.count("\n|---") <= 4
     assert text.count("![") <= 2
     assert "10 s per pair" in text
+    assert "- form: ruckig `Ruckig` 1,600\n" in text

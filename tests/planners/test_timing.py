@@ -30,13 +30,15 @@ from hitchopt.planners.timing.profile import (
 from hitchopt.planners.timing.ramps import fastest_clock, fastest_ramps
 from hitchopt.planners.timing.timed_motion import (
     GRID,
+    MAX_PEAK,
+    fastest_motion,
     motion_along,
     needed_stretch,
     turning_stretch,
 )
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values.fields import with_fields
-from problems.random_morph import random_convex_polygon
+from problems.random_morph import irregular_pairs, random_convex_polygon
 
 
 @given(st.floats(1e-3, 50.0), st.floats(0.1, 5.0), st.floats(0.2, 9.0), st.floats(0.5, 90.0))
@@ -170,7 +172,8 @@ def clocked(seed: int, samples: int) -> ClockedPath:
     jets = np.stack([np.zeros_like(first), first, second, third], axis=-1)
     limits = Limits(1.1, 1.7, 9.0, math.radians(24.0))
     demands = Demands(jets, np.zeros(samples), loads, team, limits)
-    return ClockedPath(demands, first, second, third, np.full(samples, 1.5))
+    largest_jerks = np.full(samples, limits.jerk)
+    return ClockedPath(demands, first, second, third, np.full(samples, 1.5), largest_jerks)
 
 
 def test_jerks_on_a_clock_are_rates_of_accelerations() -> None:
@@ -265,3 +268,13 @@ def test_a_flight_with_the_needed_stretch_just_keeps_its_limit() -> None:
             check = RULE_OF[name].check(tight.slowed(share * stretch))
             assert check is not None
             assert check.holds is kept
+
+
+@pytest.mark.parametrize("index", [3, 10])
+def test_a_peak_of_jerk_between_samples_slows_its_piece_alone(index: int) -> None:
+    """Flights of both routes would be stretched by 0.8 and 1.1 % for two peaks."""
+    pair = irregular_pairs()[index]
+    team = Team(pair["n"], pair["cable_length"])
+    path = ho.route(Hitch.spread(team, pair["start"], pair["altitude"]), pair["goal"])
+    motion = fastest_motion(path, Requirements()).motion
+    assert needed_stretch(motion) <= MAX_PEAK ** (1.0 / 3.0) + 5e-4

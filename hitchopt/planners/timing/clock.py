@@ -127,8 +127,11 @@ def even_clock(duration: float, breaks: Array) -> Clock:
     return Clock(duration * breaks, progress, PiecewisePolynomial.constant(whole, 1.0))
 
 
-def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
+def jerk_limited(clock: Clock, demands_at: DemandsAt, jerk_shares: Array | None = None) -> Clock:
     """Return the fastest clock within all limits at the samples.
+
+    ``jerk_shares`` (K,) are the shares of the limit of jerk that each piece may use; None for all
+    of it.
 
     Raises
     ------
@@ -141,7 +144,9 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt) -> Clock:
     demands = demands_at(progress[:, 0].clip(0.0, 1.0))
     first, second, third = chained_rates(demands.drones, progress[:, None, None, :])
     bound = demands.speed_bound / np.maximum(progress[:, 1], MIN_PROGRESS_RATE) ** 2
-    path = ClockedPath(demands, first, second, third, bound)
+    shares = np.ones(len(clock.knots) - 1) if jerk_shares is None else jerk_shares
+    largest_jerks = np.repeat(shares * demands.limits.jerk, SAMPLES)
+    path = ClockedPath(demands, first, second, third, bound, largest_jerks)
     guess = np.full(basis.count, _feasible_rate(path))
     initial_ratios = path.ratios(basis.at(np.ones(basis.count)))
     count = min(INITIAL_ROWS, initial_ratios.shape[-1])
@@ -188,6 +193,9 @@ class ClockedPath:
     rate_bound: Array
     """(M,): upper bound of x by the speed limits."""
 
+    largest_jerks: Array
+    """(M,) [m/s³]: limit of jerk."""
+
     def accelerations(self, drones: Indices) -> Array:
         """Return the accelerations (M, R', 3, 3) of drones (M, R'), by p = (x, x', x'')."""
         samples = np.arange(len(drones))[:, None]
@@ -227,7 +235,7 @@ class ClockedPath:
         return np.stack(
             [
                 length(acceleration) / limits.acceleration,
-                length(jerk) / limits.jerk,
+                length(jerk) / self.largest_jerks[:, None],
                 length(thrust) / team.max_thrust,
                 tilt / limits.tilt,
             ]
@@ -357,7 +365,7 @@ def _acceleration_rows(path: ClockedPath, drones: Indices) -> LimitRows:
 
 def _jerk_rows(path: ClockedPath, drones: Indices) -> LimitRows:
     """Return the rows of squared jerks over x of drones (M, R') over their limit."""
-    ratios = path.jerks(drones) / path.demands.limits.jerk
+    ratios = path.jerks(drones) / path.largest_jerks[:, None, None, None]
     return LimitRows.of(drones.shape, Q=_square(ratios), e=SQUARED_SHARE)
 
 

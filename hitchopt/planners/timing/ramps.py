@@ -43,7 +43,8 @@ def fastest_ramps(
     """Return the times of the fastest straight flights from rest to rest.
 
     The durations are lower bounds for all flights between two points at that distance, since the
-    component along their line satisfies the same limits.
+    component along their line satisfies the same limits. They are in closed form for many lines at
+    once, as bounds and assignments need; ``fastest_clock`` has the phases of one, by ruckig.
 
     Parameters
     ----------

@@ -112,12 +112,66 @@ def fastest_motion(path: FlatPath, requirements: Requirements) -> ClockedMotion:
     ramp = max(acceleration_ramp(profile, demands), MIN_RAMP_SHARE * profile.duration)
     refinement = 1
     while True:
-        clock = first_clock(profile, ramp, time_mesh(profile, ramp, refinement))
-        clock = jerk_limited(clock, lambda s: Demands.along(path, limits, s))
-        motion = motion_by(path, requirements, clock)
+        first = first_clock(profile, ramp, time_mesh(profile, ramp, refinement))
+        fastest = _clocked(path, requirements, limits, first)
+        motion = fastest.motion
         if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
-            return ClockedMotion(motion, clock)
+            return _without_peaks(path, requirements, limits, first, fastest)
         refinement *= 2
+
+
+def _clocked(
+    path: FlatPath,
+    requirements: Requirements,
+    limits: Limits,
+    first: Clock,
+    jerk_shares: Array | None = None,
+) -> ClockedMotion:
+    """Return the fastest motion along a path by a first clock, as of ``jerk_limited``."""
+    clock = jerk_limited(first, lambda s: Demands.along(path, limits, s), jerk_shares)
+    return ClockedMotion(motion_by(path, requirements, clock), clock)
+
+
+MAX_PEAK = 1.003
+"""Largest jerk between samples over its limit; beyond, pieces with such peaks are slowed down.
+A whole flight that is stretched for a peak takes longer by a third of its excess."""
+
+MAX_PEAK_ROUNDS = 2
+"""Maximum number of clocks with smaller peaks that are tried."""
+
+
+def _without_peaks(
+    path: FlatPath,
+    requirements: Requirements,
+    limits: Limits,
+    first: Clock,
+    fastest: ClockedMotion,
+) -> ClockedMotion:
+    """Return a motion without peaks of jerk between samples, if it is faster once stretched."""
+    best = fastest
+    peaks = _jerk_peaks(best.motion, limits)
+    best_duration = np.cbrt(np.max(peaks)) * best.motion.duration
+    shares = np.ones(len(peaks))
+    for _ in range(MAX_PEAK_ROUNDS):
+        if np.max(peaks) <= MAX_PEAK:
+            break
+        shares = shares / np.maximum(peaks, 1.0)
+        slower = _clocked(path, requirements, limits, first, shares)
+        peaks = _jerk_peaks(slower.motion, limits)
+        duration = np.cbrt(max(1.0, np.max(peaks))) * slower.motion.duration
+        if duration < best_duration:
+            best = slower
+            best_duration = duration
+    return best
+
+
+def _jerk_peaks(motion: Motion, limits: Limits) -> Array:
+    """Return the largest enclosed jerk on each piece (pieces,) over its limit."""
+    peaks = [
+        length(_on_spans(motion.drones, chunk, 3)).reshape(len(chunk), -1).max(axis=1)
+        for chunk in _chunks(motion.team, np.arange(motion.drones.pieces))
+    ]
+    return np.concatenate(peaks) / (FINAL_SHARE * limits.jerk)
 
 
 def stated_motion(path: Path, requirements: Requirements) -> ClockedMotion:
