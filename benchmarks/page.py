@@ -109,8 +109,8 @@ FAMILIES_TEXT = (
 )
 
 LIBRARIES_TEXT = (
-    "Calls while planning, by `python -m benchmarks libraries`. casadi's `program` is PIQP; its other "
-    "functions are the model's, for many clasps at once."
+    "Calls by planning (`python -m benchmarks libraries`). casadi's `program` is PIQP; others are "
+    "the model's."
 )
 
 

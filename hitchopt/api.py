@@ -161,10 +161,12 @@ def morph(
         its duration [s]; auto: as far as limits allow; or false.
     limits, separation, arena: requirements of the plan; defaults as in a problem file.
     limit: time limit [s]; None: unlimited.
-    cost: a function of shapes in casadi, to be minimised together with the duration: its integral
-        over s counts as seconds. It takes outputs of ``model`` at rest by name (``positions``,
-        ``thrusts``, ``tilt_cosines``, ``legs``, ``exterior_angles``, ``separations``), the inputs
-        ``vertices``, ``q_legs`` and ``tensions``, and s. The optimiser then always runs.
+    cost: a function of the hitch in motion in casadi, to be minimised together with the duration:
+        its integral over the flight's time counts as seconds. It takes outputs of ``model`` by name
+        (``positions``, ``velocities``, ``accelerations``, ``thrusts``, ``tilt_cosines``, ``legs``,
+        ``exterior_angles``, ``separations``), the inputs ``vertices``, ``vertex_velocities``,
+        ``vertex_accelerations``, ``q_legs`` and ``tensions``, and s. The optimiser then always
+        runs.
 
     Raises
     ------

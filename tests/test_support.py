@@ -26,7 +26,7 @@ from hitchopt.motion.flight import TeamMotion
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.states import final_hitch
 from hitchopt.planners.carrying.polygons import grip_clasps
-from hitchopt.planners.optimise.cost import ShapeCost
+from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.steps.carrying import object_of
 from hitchopt.steps.tying import check_rollable
 from hitchopt.support import REFUSALS, Feature, Neighbour
@@ -151,7 +151,7 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.GRIPPING, Neighbour.UNEQUAL_KINDS): lambda: grip_clasps(
         "drum", DRUM, ho.Team(3, [2.3, 2.3, 2.4]), Requirements()
     ),
-    (Feature.COST, Neighbour.CHAINS): lambda: ShapeCost(CHAIN, lambda _, s: s),
+    (Feature.COST, Neighbour.CHAINS): lambda: FlightCost(CHAIN, lambda _, s: s),
     (Feature.END, Neighbour.SINGLE_DRONES): lambda: final_hitch(swarm().teams[0].motion),
     (Feature.END, Neighbour.FREE_CABLES): lambda: final_hitch(drum()),
     (Feature.END, Neighbour.OTHER_TENSIONS): lambda: final_hitch(

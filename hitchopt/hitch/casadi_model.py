@@ -260,7 +260,7 @@ def _thrusts(masses: ca.SX | ca.DM, accelerations: ca.SX, cable_forces: ca.SX) -
 
 
 CostFunction = Callable[[Mapping[str, Any], Any], Any]
-"""Function of the outputs of ``model`` at rest by name, and of s, to a cost [s], all in casadi."""
+"""Function of the outputs of ``model`` by name, and of s, to a cost per time, all in casadi."""
 
 SINGULAR = {"vertices": "vertex", "q_legs": "q_leg", "roll": "roll", "tensions": "tension"}
 """Prefixes of the names of derivatives, by the name of the value."""

@@ -24,7 +24,7 @@ from hitchopt.planners.task import StepPlan, StepTask, require_certified
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
     from hitchopt.planners.morph.path import Path
-    from hitchopt.planners.optimise.search import Candidate as RouteCandidate
+    from hitchopt.planners.optimise.cost import FlightCost
 
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
@@ -168,7 +168,7 @@ class RouteSearch:
     """True if legs lead and lag, so that cables slide through their clasps."""
 
     cost: CostFunction | None = None
-    """Custom cost of shapes; None for the time alone."""
+    """Custom cost; None for the time alone."""
 
     def plan(self) -> StepPlan:
         """Return the plan along the first certified route."""
@@ -307,7 +307,7 @@ def optimised_plan(
     cost: minimised together with the duration.
     """
     from hitchopt.planners.morph.legs import legs_clear, with_slides
-    from hitchopt.planners.optimise.cost import ShapeCost
+    from hitchopt.planners.optimise.cost import FlightCost
     from hitchopt.planners.optimise.search import NoRouteError, OptimisedMorph
     from hitchopt.planners.timing.timed_motion import check_duration, in_duration
 
@@ -339,7 +339,7 @@ def optimised_plan(
         routes.append(Candidate("route", partial(certified_along, climbed)))
         return first_feasible(routes, None)
 
-    shape_cost = None if cost is None else ShapeCost(task.hitch.team, cost)
+    custom_cost = None if cost is None else FlightCost(task.hitch.team, cost)
     morph = OptimisedMorph(
         task.hitch,
         end,
@@ -347,7 +347,7 @@ def optimised_plan(
         certified_motion,
         phase.tension,
         straight,
-        shape_cost,
+        custom_cost,
         task.effort,
     )
     try:
@@ -367,36 +367,34 @@ def optimised_plan(
     remark = ""
     if plan.path is not straight:
         is_feasible = any(not candidate.name for candidate in candidates)
-        remark = _remark(fastest, is_feasible=is_feasible, has_cost=cost is not None)
-    refined = plan
-    if allow_slides and cost is None and duration is None:
-        refined = refined_plan(task, plan, phase)
-    if refined is not plan:
-        gain = f"{plan.motion.duration:.2f} s → {refined.motion.duration:.2f} s"
-        remark = "; ".join(filter(None, [remark, f"refined with its clock: {gain}"]))
-    return refined.with_remark(remark) if remark else refined
+        remark = _remark(fastest.name, is_feasible=is_feasible, has_cost=cost is not None)
+    if (allow_slides or cost is not None) and duration is None:
+        plan, gain = refined_plan(task, plan, phase, custom_cost)
+        remark = "; ".join(filter(None, [remark, gain]))
+    return plan.with_remark(remark) if remark else plan
 
 
-def _remark(fastest: RouteCandidate, *, is_feasible: bool, has_cost: bool) -> str:
-    """Describe the fastest of all candidates; ``is_feasible`` tells whether straight lines are."""
-    route = "legs lead and lag"
-    if fastest.name:
-        route = f"on an optimised route, first guess {fastest.name}"
+def _remark(guess: str, *, is_feasible: bool, has_cost: bool) -> str:
+    """Describe a route from a guess; ``is_feasible`` tells whether straight lines are."""
+    route = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
     if has_cost:
-        return f"{route}; its cost is {fastest.cost:.4g} s"
+        return route
     return f"{route}; {FASTER if is_feasible else DIRECT_INFEASIBLE}"
 
 
-def refined_plan(task: StepTask, plan: StepPlan, phase: Phase) -> StepPlan:
-    """Return the plan with its route and clock refined together; itself if none is shorter.
+def refined_plan(
+    task: StepTask, plan: StepPlan, phase: Phase, cost: FlightCost | None = None
+) -> tuple[StepPlan, str]:
+    """Return the plan with its route and clock refined together, and what it gained.
 
+    It is the plan itself if none is shorter, with a cost none better.
     With friction at the clasps, plans are compared with legs that lean against it.
     """
-    from hitchopt.planners.optimise.refinement import MAX_EFFORT, refined
+    from hitchopt.planners.optimise.refinement import MAX_EFFORT, flight_cost, refined
 
     path = plan.path
     assert path is not None
-    has_friction = task.hitch.team.cable_friction > 0.0
+    has_friction = cost is None and task.hitch.team.cable_friction > 0.0
     leaning = compensated(plan, timed=False) if has_friction else None
 
     def certified(route: Path, motion: Motion) -> StepPlan | None:
@@ -413,8 +411,17 @@ def refined_plan(task: StepTask, plan: StepPlan, phase: Phase) -> StepPlan:
         return shorter
 
     effort = Effort(MAX_EFFORT, whole=task.effort)
-    shorter = refined(path, plan.motion, phase.tension, certified, effort)
-    return plan if shorter is None else shorter
+    better = refined(path, plan.motion, phase.tension, certified, effort, cost=cost)
+    if better is None:
+        if cost is None:
+            return plan, ""
+        return plan, f"its cost is {flight_cost(path, plan.motion, cost):.4g} s"
+    before = plan.motion.duration
+    after = better.certified.motion.duration
+    gain = f"refined with its clock: {before:.2f} s → {after:.2f} s"
+    if cost is not None:
+        gain += f"; its cost is {better.cost:.4g} s"
+    return better.certified, gain
 
 
 def _plan_along_best(task: StepTask, path: Path, name: str, end: Hitch, phase: Phase) -> StepPlan:

@@ -325,9 +325,9 @@ class Morph(ShapeStep):
         step = super().resolved_for(team)
         low, high = self.tension or (0.0, math.inf)
         if self.cost is not None:
-            from hitchopt.planners.optimise.cost import ShapeCost
+            from hitchopt.planners.optimise.cost import FlightCost
 
-            ShapeCost(team, self.cost)
+            FlightCost(team, self.cost)
         smallest, largest = float(np.min(team.tension)), float(np.max(team.tension))
         if not low <= smallest <= largest <= high:
             bound = f"such that team.tension lies within ({smallest:g} to {largest:g} N)"

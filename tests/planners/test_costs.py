@@ -11,7 +11,7 @@ import pytest
 
 import hitchopt as ho
 from hitchopt.hitch.casadi_model import CostFunction
-from hitchopt.planners.optimise.cost import ShapeCost
+from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.planners.optimise.knots import KnotPath
 
 TEAM = ho.Team(robots=4, cable_length=2.4, cable_density=0.002)
@@ -27,7 +27,8 @@ def near_line(weight: float) -> CostFunction:
 
 
 def objective(path: ho.Path, cost: CostFunction) -> float:
-    return ho.time(path).duration + ShapeCost(TEAM, cost).integral(path)
+    duration = ho.time(path).duration
+    return duration + FlightCost(TEAM, cost).at_rest(path, duration)
 
 
 def test_a_cost_bends_the_route_the_more_it_weighs() -> None:
@@ -39,23 +40,45 @@ def test_a_cost_bends_the_route_the_more_it_weighs() -> None:
         motion = ho.time(path)
         assert ho.certify(motion).certified
         assert objective(path, cost) < objective(plain, cost)
-        distances.append(ShapeCost(TEAM, near_line(1.0)).integral(path))
+        distances.append(FlightCost(TEAM, near_line(1.0)).at_rest(path, 1.0))
         durations.append(motion.duration)
     assert np.all(np.diff(distances) < 0.0)
     assert np.all(np.diff(durations) > 0.0)
-    assert ShapeCost(TEAM, near_line(1.0)).integral(plain) == pytest.approx(0.09, abs=1e-9)
+    assert FlightCost(TEAM, near_line(1.0)).at_rest(plain, 1.0) == pytest.approx(0.09, abs=1e-9)
+
+
+def stated_cost(plan: ho.Plan) -> float:
+    """Return the cost [s] that a plan states."""
+    return float(plan.phases[0].remark.split("its cost is ")[1].removesuffix(" s"))
 
 
 def test_morph_flies_the_route_of_its_cost_and_says_what_it_costs() -> None:
     cost = near_line(5.0)
     plan = ho.morph(START, MOVED, cost=cost)
-    motion = ho.time(ho.route(START, MOVED, cost=cost))
-    np.testing.assert_array_equal(motion.drones.coefficients, plan.motion.drones.coefficients)
-    assert "its cost is 0.2" in plan.phases[0].remark
+    t = np.linspace(0.0, plan.duration, 401)
+    from_line = plan.motion.vertices.at(t)[..., 1].mean(axis=1) - 0.3
+    assert stated_cost(plan) == pytest.approx(5.0 * plan.duration * np.mean(from_line**2), rel=0.02)
     assert ho.morph(START, MOVED, cost=cost, duration=4.0).duration == 4.0
     # A new function is not answered from the cache of steps, and none leaves everything as it was.
     assert ho.morph(START, MOVED, cost=near_line(20.0)).duration > plan.duration
     assert ho.morph(START, MOVED).duration < plan.duration
+
+
+@pytest.mark.slow
+def test_a_cost_sees_the_hitch_in_motion() -> None:
+    """A cost of accelerations slows the clock; the sum of duration and cost is lower."""
+    plain = ho.morph(START, MOVED)
+    plan = ho.morph(START, MOVED, cost=lambda out, _: 0.3 * ca.sumsqr(out["accelerations"]))
+
+    def objective_of(flown: ho.Plan) -> float:
+        t = np.linspace(0.0, flown.duration, 2001)
+        squares = np.sum(flown.motion.drones.at(t, 2) ** 2, axis=(1, 2))
+        return flown.duration * (1.0 + 0.3 * float(np.mean(squares)))
+
+    assert plan.certificate.certified
+    assert plan.duration > 1.2 * plain.duration
+    assert objective_of(plan) < 0.8 * objective_of(plain)
+    assert plan.duration + stated_cost(plan) == pytest.approx(objective_of(plan), rel=0.01)
 
 
 def test_legs_of_their_own_and_tensions_follow_a_cost() -> None:
@@ -88,8 +111,8 @@ def test_derivatives_are_those_of_finite_differences(roll: float) -> None:
     end = ho.Hitch.balanced(TEAM, MOVED.rotated(0.1), 1.0, roll)
     polygons = np.linspace(SQUARE.vertices, end.polygon.vertices, 5)
     path = KnotPath.through("", start, end, polygons)
-    cost = ShapeCost(TEAM, everything)
-    terms = cost.terms(path)
+    cost = FlightCost(TEAM, everything)
+    terms = cost.terms(path, 1.0)
     assert np.linalg.eigvalsh(terms.hessian.toarray()).min() > -1e-9
     columns, step = path.columns, 1e-5
     for column in (columns.vertices[1, 0], columns.q_legs[2], columns.tensions[3]):
@@ -121,8 +144,8 @@ class Opaque(ca.Callback):
 
 REFUSED: list[tuple[Any, str]] = [
     (lambda out, _: out["legs"], "one number, not 8 x 1"),
-    (lambda out, _: out["velocities"][0], "'velocities' is not one of positions"),
-    (lambda _, s: s, "depends on no shape"),
+    (lambda out, _: out["speeds"][0], "'speeds' is not one of positions"),
+    (lambda _, s: s, "does not depend on the hitch"),
     (lambda out, _: ca.floor(out["legs"][0]), "floor has no useful derivative"),
     (lambda out, _: out["positions"][0] > 1, "its derivative is zero"),
     (lambda out, _: ca.if_else(out["legs"][0] > 1, 0, 1), "its derivative is zero"),

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from test_irregular import is_proven
@@ -16,6 +17,7 @@ from hitchopt.hitch.model import FlatJets, drone_jets
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
+from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.planners.optimise.parts import (
     DRONE_LIMITS,
     SMOOTHING,
@@ -27,6 +29,7 @@ from hitchopt.planners.optimise.parts import (
 from hitchopt.planners.optimise.refinement import (
     SETTINGS,
     ChosenRows,
+    TrustRegion,
     flight_along,
     refined,
     with_leg_lengths,
@@ -194,21 +197,59 @@ def test_a_clock_is_a_variable_too() -> None:
     flight = flight_along(with_leg_lengths(route_of("rolled")), requirements, None, SETTINGS)
     assert flight is not None
     direction = np.random.default_rng(1).uniform(-1.0, 1.0, flight.rate_count)
-    columns = flight.rate_basis.first[:, None] + np.arange(4)
-    change = np.einsum("rco,rc->ro", flight.rate_basis.jets, direction[columns])
+    change = bspline(flight.rate_knots, direction, 3)
     step = 1e-6
-    ratios = [flight.ratios(flight.path, flight.rate + sign * step * change) for sign in (1, -1)]
-    numeric = (ratios[0].drones - ratios[1].drones) / (2.0 * step)
     chosen = ChosenRows.near(flight.ratios(flight.path, flight.rate), 0.5)
-    slopes = np.asarray(flight.limit_block(chosen).rows[:, flight.width :] @ direction)
-    expected = []
-    for functions in flight.functions:
-        for limit, side, sample, part in chosen.of(functions.group):
-            if limit in DRONE_LIMITS:
-                drones = functions.group.drones[part, side]
-                expected.append(numeric[DRONE_LIMITS.index(limit), sample, drones])
-    count = sum(map(len, expected))
-    np.testing.assert_allclose(slopes[:count], np.concatenate(expected), rtol=1e-4, atol=1e-4)
+    values = []
+    for sign in (1.0, -1.0):
+        rate = flight.clock.squared_rate
+        moved = rate.replaced(rate.coefficients + sign * step * change.coefficients)
+        other = replace(flight, clock=replace(flight.clock, squared_rate=moved))
+        values.append(other.limit_block(chosen).values)
+    numeric = (values[0] - values[1]) / (2.0 * step)
+    exact = np.asarray(flight.limit_block(chosen).rows[:, flight.width :] @ direction)
+    np.testing.assert_allclose(exact, numeric, rtol=1e-4, atol=1e-4)
+
+
+def test_derivatives_of_a_cost_in_motion_are_those_of_finite_differences() -> None:
+    """By coefficients of splines and by those of the clock's squared rate."""
+    path = with_leg_lengths(route_of("rolled"))
+    cost = FlightCost(
+        path.team,
+        lambda out, s: (
+            (1.0 + s)
+            * (
+                ca.sumsqr(out["velocities"])
+                + 0.1 * ca.sumsqr(out["accelerations"])
+                + out["legs"][1]
+            )
+            + ca.sumsqr(out["thrusts"])
+            + ca.sumsqr(out["vertex_velocities"])
+        ),
+    )
+    requirements = Requirements(ho.Limits(), ho.Separation())
+    flight = flight_along(path, requirements, None, SETTINGS, cost)
+    assert flight is not None
+    program = TrustRegion.of(flight, 0.03, flight.shape_block(0.1, 1.0))
+    rng = np.random.default_rng(2)
+    direction = np.zeros(flight.width)
+    direction[program.free] = rng.uniform(-1.0, 1.0, len(program.free))
+    change = bspline(flight.knots, direction.reshape(flight.count, -1), 5)
+    step = 1e-5
+    moved = [
+        replace(flight, path=flight.moved(change.replaced(sign * step * change.coefficients)))
+        for sign in (1.0, -1.0)
+    ]
+    numeric = (moved[0].cost() - moved[1].cost()) / (2.0 * step)
+    exact = program.cost_gradient @ direction[program.free]
+    assert exact == pytest.approx(numeric, rel=1e-5)
+    objectives = []
+    for sign in (1.0, -1.0):
+        rate = flight.clock.squared_rate
+        clock = replace(flight.clock, squared_rate=rate.replaced(rate.coefficients + sign * step))
+        objectives.append(clock.breaks[-1] + replace(flight, clock=clock).cost())
+    by_rate = (objectives[0] - objectives[1]) / (2.0 * step)
+    assert np.sum(program.rate_gradient) == pytest.approx(by_rate, rel=1e-4)
 
 
 @pytest.mark.parametrize("index", [3, 10, 37])
@@ -290,9 +331,9 @@ def test_refinement_never_loses_and_ends_at_the_limit_of_its_effort() -> None:
     whole = Effort()
     shorter = refined(path, motion, None, certify, whole)
     assert shorter is not None
-    assert shorter.duration < motion.duration
+    assert shorter.certified.duration < motion.duration
     part = Effort(0.3 * whole.spent)
     less = refined(path, motion, None, certify, part)
     assert part.spent < 0.7 * whole.spent
-    longest = motion.duration if less is None else less.duration
-    assert shorter.duration <= longest <= motion.duration
+    longest = motion.duration if less is None else less.certified.duration
+    assert shorter.certified.duration <= longest <= motion.duration

@@ -281,11 +281,11 @@ class QuadraticTerms(NamedTuple):
 class PathCost(Protocol):
     """A cost of paths [s]."""
 
-    def integral(self, path: Path) -> float:
-        """Return the cost of a path [s]."""
+    def at_rest(self, path: Path, duration: float) -> float:
+        """Return an estimate of the cost [s] of a flight along a path, without its motion."""
 
-    def terms(self, path: KnotPath) -> QuadraticTerms:
-        """Return a convex second-order expansion of the cost around a path."""
+    def terms(self, path: KnotPath, duration: float) -> QuadraticTerms:
+        """Return a convex second-order expansion of this estimate around a path."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -316,9 +316,9 @@ class SearchLimits:
     cost: PathCost | None = None
     """Custom cost, to be minimised with the duration."""
 
-    def cost_of(self, path: Path) -> float:
-        """Return the cost of a path [s]; 0 without one."""
-        return 0.0 if self.cost is None else self.cost.integral(path)
+    def cost_of(self, path: Path, duration: float) -> float:
+        """Return an estimate of the cost of a flight along a path [s]; 0 without a cost."""
+        return 0.0 if self.cost is None else self.cost.at_rest(path, duration)
 
     def margins(self, steps: int, indices: Array) -> Array:
         """Return the margins (K,) at fractional knot indices (K,), at most those of the ends."""

@@ -198,10 +198,10 @@ def build_program(path: KnotPath, search: SearchLimits, step: SolverStep) -> Mor
     objective = _energy(path, search, fastest=step.fastest)
     times = np.zeros(0)
     if step.fastest:
-        if search.cost is not None:
-            objective = objective.plus(search.cost.terms(path))
         limits = search.requirements.limits
         times = step_times(path, limits)
+        if search.cost is not None:
+            objective = objective.plus(search.cost.terms(path, float(np.sum(times))))
         blocks += [
             _timed_block(speed_rows(path, limits, times), path, linear.tangent),
             _timed_block(acceleration_rows(path, limits, times), path, linear.tangent),

@@ -14,20 +14,19 @@ clock; the shortest flight that the judge certifies is returned, so that nothing
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from hitchopt.drones.quadrotor import GRAVITY
 from hitchopt.errors import check_time
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch.forces import if_balanced
-from hitchopt.hitch.model import drone_jets
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.series import JET, chained
@@ -35,6 +34,12 @@ from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.morph import shape_violation
 from hitchopt.planners.morph.path import LegLaw, Path
+from hitchopt.planners.optimise.cost import (
+    MOTION_JET,
+    Expansion,
+    FlightCost,
+    convex_parts,
+)
 from hitchopt.planners.optimise.parts import (
     DRONE_LIMITS,
     Columns,
@@ -51,12 +56,15 @@ from hitchopt.planners.optimise.shape_rows import (
     ShapeBlock,
     scattered,
 )
-from hitchopt.planners.timing.clock import Clock
-from hitchopt.planners.timing.profile import LIMIT_SHARE, TimingError, loads_at_rest
+from hitchopt.planners.timing.clock import Clock, ClockedPath
+from hitchopt.planners.timing.profile import LIMIT_SHARE, Demands, TimingError
 from hitchopt.planners.timing.timed_motion import (
     ClockedMotion,
     clocked_limits,
     fastest_motion,
+    in_duration,
+    motion_by,
+    needed_stretch,
     within_limits,
 )
 from hitchopt.trajectory import PiecewisePolynomial
@@ -89,7 +97,7 @@ class Settings:
     max_rounds: int = 4
     """Maximum number of programs of one step, with more rows each."""
 
-    min_gain: float = 1e-3
+    min_gain: float = 1.5e-3
     """Gain over the duration, expected or reached, that is too small to go on."""
 
     stride: float = 0.03
@@ -102,7 +110,7 @@ class Settings:
     """[m] Largest trust radius."""
 
     rate_change: float = 0.3
-    """Trust radius of x, which is 1 on the current clock."""
+    """Trust radius of x over its current value."""
 
     margin: float = 1.006
     """Enforced distances over their limits; with 1.003 some flights were not certified."""
@@ -143,14 +151,24 @@ REGULARISATION = 1e-9
 REACH_MARGIN = 5e-3
 """[m] Distance beyond twice the stride up to which pairs have rows."""
 
-FLIGHT_COST = 150.0
-"""Effort of timing a route and of one judgement, in the unit of ``Effort``."""
+FLIGHT_COST = 40.0
+"""Effort per robot of timing a route, and of one judgement, in the unit of ``Effort``."""
 
-MAX_EFFORT = 1.1e4
-"""Limit of the effort: about 3 s."""
+MAX_EFFORT = 8e3
+"""Limit of the effort: about 2 s."""
 
 Certify = Callable[[Path, Motion], T | None]
 """Function that returns what is certified of a motion along a path, or None."""
+
+
+class Refined(NamedTuple, Generic[T]):
+    """A refined flight."""
+
+    certified: T
+    """What the judge made of it."""
+
+    cost: float
+    """[s] Its custom cost."""
 
 
 def refined(
@@ -160,8 +178,11 @@ def refined(
     certify: Certify[T],
     effort: Effort,
     settings: Settings = SETTINGS,
-) -> T | None:
-    """Return what is certified of the shortest flight near a flight, or None if none is shorter.
+    cost: FlightCost | None = None,
+) -> Refined[T] | None:
+    """Return the shortest certified flight near a flight, or None if none is shorter.
+
+    With a cost, flights are compared by their durations and costs together.
 
     Parameters
     ----------
@@ -172,30 +193,56 @@ def refined(
     effort: limit of the work.
     """
     requirements = motion.requirements
-    first = flight_along(with_leg_lengths(path), requirements, tension, settings)
+    first = flight_along(with_leg_lengths(path), requirements, tension, settings, cost)
     if first is None:
         return None
     candidates = [
-        Candidate(flight.path, within_limits(flight.motion))
-        for flight in (first, *_shorter_flights(first, effort))
+        Candidate.of(flight)
+        for flight in (first, *_better_flights(first, effort))
         if flight.shortfall < settings.max_shortfall
     ]
-    largest = (1.0 - MIN_SHORTER) * motion.duration
-    shorter = [each for each in candidates if each.motion.duration < largest]
-    shorter.sort(key=lambda candidate: candidate.motion.duration)
-    for index in _judged(len(shorter)):
-        effort.spend(FLIGHT_COST)
-        certified = certify(shorter[index].path, shorter[index].motion)
+    # The first flight is as long as the motion up to rounding
+    unrefined = motion.duration + first.cost(motion.duration / first.duration)
+    largest = unrefined - MIN_SHORTER * motion.duration
+    better = [each for each in candidates if each.objective < largest]
+    better.sort(key=lambda candidate: candidate.objective)
+    for index in _judged(len(better)):
+        effort.spend(FLIGHT_COST * path.team.robots)
+        certified = certify(better[index].path, better[index].motion)
         if certified is not None:
-            return certified
+            return Refined(certified, better[index].cost)
     return None
+
+
+def flight_cost(path: Path, motion: Motion, cost: FlightCost) -> float:
+    """Return the custom cost [s] of the fastest motion along a path."""
+    flight = flight_along(with_leg_lengths(path), motion.requirements, None, SETTINGS, cost)
+    return 0.0 if flight is None else flight.cost(motion.duration / flight.duration)
 
 
 class Candidate(NamedTuple):
     """A flight that may be returned."""
 
     path: Path
+    """Its path."""
+
     motion: Motion
+    """Its motion, within the limits."""
+
+    cost: float
+    """[s] Its custom cost."""
+
+    @property
+    def objective(self) -> float:
+        """Its duration and cost [s]."""
+        return self.motion.duration + self.cost
+
+    @classmethod
+    def of(cls, flight: Flight) -> Candidate:
+        """Return a flight, stretched until its limits hold."""
+        motion = within_limits(flight.motion)
+        cost = flight.cost(motion.duration / flight.duration)
+        return cls(flight.path, motion, cost)
 
 
 def _judged(count: int) -> list[int]:
@@ -207,8 +254,8 @@ MIN_SHORTER = 1e-4
 """Gain over the duration below which a flight is not replaced."""
 
 
-def _shorter_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
-    """Yield the flights after each step that shortens the clock, or restores distances."""
+def _better_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
+    """Yield the flights after each step that lowers the objective, or restores distances."""
     settings = flight.settings
     stride = settings.stride
     stalled = 0
@@ -218,10 +265,8 @@ def _shorter_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
         if step is None:
             return
         expected = step.gain + settings.penalty * flight.shortfall
-        effort.spend(FLIGHT_COST)
-        moved = flight_along(
-            flight.moved(step.change), flight.requirements, flight.tension, settings
-        )
+        effort.spend(FLIGHT_COST * flight.path.team.robots)
+        moved = flight.after(step)
         gain = 0.0 if moved is None else flight.merit - moved.merit
         ratio = gain / max(expected, REGULARISATION)
         least = settings.min_gain * flight.duration
@@ -270,6 +315,7 @@ def flight_along(
     requirements: Requirements,
     tension: tuple[float, float] | None,
     settings: Settings,
+    cost: FlightCost | None = None,
 ) -> Flight | None:
     """Return the fastest flight along a path, or None if it cannot be flown."""
     if shape_violation(path) is not None:
@@ -278,7 +324,7 @@ def flight_along(
     if clocked is None:
         return None
     motion, clock = clocked
-    return Flight(path, motion, clock, requirements, tension, settings)
+    return Flight(path, motion, clock, requirements, tension, settings, cost)
 
 
 def _fastest_motion(path: Path, requirements: Requirements) -> ClockedMotion | None:
@@ -310,8 +356,11 @@ class Step(NamedTuple):
     change: PiecewisePolynomial
     """(unknowns,) over s."""
 
+    rate_change: PiecewisePolynomial
+    """Change of x over τ."""
+
     gain: float
-    """[s] Expected gain of the duration."""
+    """[s] Expected gain of duration and cost."""
 
 
 class Ratios(NamedTuple):
@@ -346,6 +395,9 @@ class Flight:
     settings: Settings
     """Settings of the refinement."""
 
+    custom_cost: FlightCost | None = None
+    """Custom cost, which is added to the duration."""
+
     @property
     def duration(self) -> float:
         """Duration of the clock [s]."""
@@ -353,8 +405,32 @@ class Flight:
 
     @property
     def merit(self) -> float:
-        """Duration [s] plus the penalty of distances that are too short."""
-        return self.duration + self.settings.penalty * self.shortfall
+        """Duration and cost [s] plus the penalty of distances that are too short."""
+        return self.duration + self.cost() + self.settings.penalty * self.shortfall
+
+    @cached_property
+    def cost_expansion(self) -> Expansion | None:
+        """The custom cost at the samples, and its derivatives; None without one."""
+        return None if self.custom_cost is None else self._expand(self.custom_cost, self.rate)
+
+    def _expand(self, custom_cost: FlightCost, rate: Array) -> Expansion:
+        """Return the custom cost at the samples for another rate x (M, 3)."""
+        return custom_cost.expand_flight(
+            self.jets_by_clock[:, :MOTION_JET],
+            self.heights_by_clock[:, :MOTION_JET],
+            rate[:, :2],
+            self.progress[:, 0],
+            self.columns,
+        )
+
+    def cost(self, stretch: float = 1.0) -> float:
+        """Return the custom cost [s] of the flight, stretched in time; 0 without one."""
+        if self.custom_cost is None:
+            return 0.0
+        expansion = self.cost_expansion
+        if expansion is None or stretch != 1.0:
+            expansion = self._expand(self.custom_cost, self.rate / stretch**2)
+        return float(self.weights @ expansion.values)
 
     @cached_property
     def columns(self) -> Columns:
@@ -409,6 +485,36 @@ class Flight:
             None if path.roll is None else _sum(path.roll, of(columns.roll)),
         )
 
+    def after(self, step: Step) -> Flight | None:
+        """Return the flight after a step, or None if it cannot be flown.
+
+        Without a custom cost its clock is the fastest one for its path. With one it is that of the
+        step, which may be slower than limits need, and is slowed down where they need that.
+        """
+        path = self.moved(step.change)
+        if self.custom_cost is None:
+            return flight_along(path, self.requirements, self.tension, self.settings)
+        if shape_violation(path) is not None:
+            return None
+        rate = _sum(self.clock.squared_rate, step.rate_change)
+        moved = if_balanced(
+            partial(self._slowed, path, replace(self.clock, squared_rate=rate)), None
+        )
+        return moved if moved is None or math.isfinite(moved.duration) else None
+
+    def _slowed(self, path: Path, clock: Clock) -> Flight:
+        """Return the flight along a path by a clock, slowed down until limits hold."""
+        motion = motion_by(path, self.requirements, clock)
+        stretch = max(1.0, needed_stretch(motion))
+        rate = clock.squared_rate
+        slower = rate.replaced(rate.coefficients / stretch**2)
+        return replace(
+            self,
+            path=path,
+            motion=in_duration(motion, stretch * motion.duration),
+            clock=replace(clock, squared_rate=slower),
+        )
+
     # Limits of motion, at samples of the clock.
 
     @cached_property
@@ -445,16 +551,24 @@ class Flight:
     @cached_property
     def rate_basis(self) -> LocalBasis:
         """The spline x at the samples."""
-        return LocalBasis.of(self._rate_knots, RATE_DEGREE, self.tau, JET - 1)
+        return LocalBasis.of(self.rate_knots, RATE_DEGREE, self.tau, JET - 1)
 
     @cached_property
-    def _rate_knots(self) -> Array:
+    def rate_knots(self) -> Array:
+        """Knots of the spline x over τ."""
         return knots_through(self.clock.knots, RATE_DEGREE)
+
+    @property
+    def rate_coefficients(self) -> Array:
+        """(coefficients of x,): x where each coefficient matters most."""
+        knots = self.rate_knots
+        averages = np.convolve(knots[1:-1], np.full(RATE_DEGREE, 1.0 / RATE_DEGREE), "valid")
+        return self.clock.squared_rate.at(averages)
 
     @property
     def rate_count(self) -> int:
         """Number of coefficients of x."""
-        return len(self._rate_knots) - RATE_DEGREE - 1
+        return len(self.rate_knots) - RATE_DEGREE - 1
 
     @cached_property
     def functions(self) -> list[PartFunctions]:
@@ -471,28 +585,14 @@ class Flight:
 
     def ratios(self, path: Path, rate: Array) -> Ratios:
         """Return the limits of motion at the samples of a path and x (M, 3)."""
-        team = path.team
         limits = self.functions[0].limits
         flat = path.flat(self.progress[:, 0])
-        drones = drone_jets(team, flat)
-        progress = self.progress[:, None, None]
-        _, velocity, acceleration, jerk = np.moveaxis(
-            _by_time(chained(drones.positions, progress), rate[:, None, None]), -1, 0
-        )
-        thrust = team.mass[:, None] * acceleration + loads_at_rest(team, drones.cable_forces)
-        tilt = LIMIT_SHARE * limits.tilt
-        level = length(thrust[..., :2])
-        # As of ``limit_function``
-        outside = level * np.cos(tilt) - thrust[..., 2] * np.sin(tilt)
-        of_drones = [
-            length(velocity) / limits.speed,
-            length(acceleration) / limits.acceleration,
-            length(jerk) / limits.jerk,
-            length(thrust) / team.max_thrust,
-            1.0 + outside / (GRAVITY * team.mass),
-        ]
-        speeds = np.sqrt(rate[:, :1]) * self.progress[:, 1:2] * length(flat.vertices[..., 1])
-        return Ratios(np.stack(of_drones), speeds / limits.vertex_speed)
+        clocked = ClockedPath.of(Demands.of(path.team, flat, limits), self.progress)
+        root = np.sqrt(rate[:, :1])
+        speeds = root * length(clocked.first) / limits.speed
+        drones = np.concatenate([speeds[None], clocked.ratios(rate.T)])
+        vertex_speeds = root * self.progress[:, 1:2] * length(flat.vertices[..., 1])
+        return Ratios(drones, vertex_speeds / limits.vertex_speed)
 
     @cached_property
     def jets_by_clock(self) -> Array:
@@ -616,27 +716,12 @@ class Flight:
             if more.any:
                 chosen = chosen.plus(more)
                 limit_blocks.append(self.limit_block(more))
-        return Step(trial, -float(program.rate_gradient @ rate_change))
+        rates = bspline(self.rate_knots, rate_change, RATE_DEGREE)
+        return Step(trial, rates, program.expected_gain(change, rate_change))
 
 
 ADDED_DISTANCE = 0.1
 """Distance to its bound, in strides, below which a distance gets a row with others."""
-
-
-def _by_time(jets: Array, rate: Array) -> Array:
-    """Return jets (…, 4) by t from those by τ and x with derivatives (…, 3)."""
-    x, slope, curvature = np.moveaxis(rate, -1, 0)
-    root = np.sqrt(x)
-    _, first, second, third = np.moveaxis(jets, -1, 0)
-    return np.stack(
-        [
-            jets[..., 0],
-            root * first,
-            x * second + 0.5 * slope * first,
-            root * (x * third + 1.5 * slope * second + 0.5 * curvature * first),
-        ],
-        axis=-1,
-    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -702,6 +787,9 @@ class TrustRegion:
     rate_gradient: Array
     """(coefficients of x,) [s]: derivatives of the duration."""
 
+    cost_gradient: Array
+    """(coefficients of splines,) [s]: derivatives of the custom cost."""
+
     hessian: sp.csc_array[np.float64]
     """(variables, variables)"""
 
@@ -730,17 +818,23 @@ class TrustRegion:
         unit_radii = sp.diags_array(radii[free])
         violated = int(np.count_nonzero(shape.smallest > 0.0))
         hessian = sp.block_diag([unit_radii @ bends @ unit_radii, curvature])
+        cost_gradient = np.zeros(flight.width)
+        if flight.cost_expansion is not None:
+            cost = _cost_terms(flight, flight.cost_expansion, radii)
+            cost_gradient = cost.gradient[: flight.width]
+            gradient = gradient + cost.gradient[flight.width :]
+            kept = np.append(free, flight.width + np.arange(flight.rate_count))
+            hessian = hessian + cost.hessian[kept][:, kept]
         hessian = 0.5 * (hessian + hessian.T) + REGULARISATION * sp.eye_array(hessian.shape[0])
         slacks = sp.csr_array((violated, violated))
         whole = sp.csc_array(sp.block_diag([hessian, slacks]))
-        return cls(flight, shape, free, radii[free], gradient, whole)
+        return cls(flight, shape, free, radii[free], gradient, cost_gradient[free], whole)
 
     def joined(
         self, limit_blocks: Sequence[LimitBlock], enforced: NDArray[np.bool_]
     ) -> QuadraticProgram:
         """Return the program with rows of limits and enforced rows (rows,) of shapes."""
         flight = self.flight
-        rate_count = flight.rate_count
         violated = np.flatnonzero(self.shape.smallest > 0.0)
         slacks = len(violated)
         shape = (len(self.shape.smallest), slacks)
@@ -753,11 +847,12 @@ class TrustRegion:
         of_shapes = [self.shape.rows[enforced][:, self.free] @ radii, None, slack_rows]
         smallest = self.shape.smallest[enforced]
         free = np.ones(len(self.free))
-        rate = np.full(rate_count, flight.settings.rate_change)
+        rate = flight.settings.rate_change * flight.rate_coefficients
+        of_splines = self.radii * self.cost_gradient
         penalty = flight.settings.penalty * SLACK_UNIT * SLACK_PENALTY
         return QuadraticProgram(
             P=self.hessian,
-            q=np.concatenate([0.0 * free, self.rate_gradient, np.full(slacks, penalty)]),
+            q=np.concatenate([of_splines, self.rate_gradient, np.full(slacks, penalty)]),
             A=sp.csc_array(sp.block_array([of_limits, of_shapes])),
             lower=np.append(np.full(len(largest), -np.inf), smallest),
             upper=np.append(largest, np.full(len(smallest), np.inf)),
@@ -765,12 +860,64 @@ class TrustRegion:
             x_max=np.concatenate([free, rate, np.full(slacks, np.inf)]),
         )
 
+    def expected_gain(self, change: Array, rate_change: Array) -> float:
+        """Return the expected gain of duration and cost [s] by changes of all coefficients."""
+        of_cost = self.cost_gradient @ change[self.free]
+        return -float(self.rate_gradient @ rate_change + of_cost)
+
     def changes(self, solution: Array) -> tuple[Array, Array]:
         """Return the changes of all splines' coefficients, and of those of x."""
         change = np.zeros(self.flight.width)
         count = len(self.free)
         change[self.free] = self.radii * solution[:count]
         return change, solution[count : count + self.flight.rate_count]
+
+
+class CostTerms(NamedTuple):
+    """Convex second-order expansion of the custom cost."""
+
+    gradient: Array
+    """(variables,) [s]: by the coefficients of splines, then by those of x."""
+
+    hessian: sp.csr_array[np.float64]
+    """(variables, variables): the same in units of trust radii."""
+
+
+def _cost_terms(flight: Flight, expansion: Expansion, radii: Array) -> CostTerms:
+    """Return the expansion of the custom cost by the coefficients of splines and of x.
+
+    Each sample's Hessian is convex in units of trust radii, by clipped eigenvalues.
+    """
+    size = flight.columns.size
+    count = len(expansion.values)
+    splines = (DEGREE + 1) * size
+    local = splines + RATE_DEGREE + 1
+    # Derivatives of a sample's variables by its coefficients
+    tangent = np.zeros((count, MOTION_JET * size + 2, local))
+    unknown = np.arange(size)
+    for order in range(MOTION_JET):
+        for coefficient in range(DEGREE + 1):
+            rows = order * size + unknown
+            columns = coefficient * size + unknown
+            tangent[:, rows, columns] = flight.basis.jets[:, coefficient, order, None]
+    rate_jets = flight.rate_basis.jets[:, :, :2].swapaxes(1, 2)
+    tangent[:, -2:, splines:] = rate_jets
+    coefficients = flight.basis.first[:, None] + np.arange(DEGREE + 1)
+    places = (coefficients[..., None] * size + unknown).reshape(count, -1)
+    rate_columns = flight.rate_basis.first[:, None] + np.arange(RATE_DEGREE + 1)
+    places = np.concatenate([places, flight.width + rate_columns], axis=1)
+    scale = np.append(radii, np.full(flight.rate_count, 1.0))[places]
+    weights = flight.weights
+    gradients = weights[:, None] * np.einsum("mv,mvl->ml", expansion.gradients, tangent)
+    scaled = tangent * scale[:, None]
+    hessians = convex_parts(scaled.swapaxes(1, 2) @ expansion.hessians @ scaled)
+    hessians = weights[:, None, None] * hessians
+    total = flight.width + flight.rate_count
+    gradient = np.zeros(total)
+    np.add.at(gradient, places, gradients)
+    rows, columns = np.broadcast_arrays(places[:, :, None], places[:, None])
+    entries = (hessians.ravel(), (rows.ravel(), columns.ravel()))
+    return CostTerms(gradient, sp.csr_array(sp.coo_array(entries, (total, total))))
 
 
 SLACK_PENALTY = 10.0

@@ -24,7 +24,7 @@ from hitchopt.planners.candidates import Effort
 from hitchopt.planners.morph.legs import legs_clear, with_legs_clear
 from hitchopt.planners.morph.morph import load_violation, shape_violation
 from hitchopt.planners.morph.path import Path
-from hitchopt.planners.optimise.cost import ShapeCost
+from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.planners.optimise.guesses import (
     STRAIGHT,
     WIDENED,
@@ -182,7 +182,7 @@ class Candidate:
     """The motion along its path."""
 
     cost: float = 0.0
-    """[s] Integral of a custom cost on its path."""
+    """[s] Estimate of the integral of a custom cost over its flight."""
 
     @property
     def objective(self) -> float:
@@ -224,7 +224,7 @@ class OptimisedMorph:
     straight: Path | None = None
     """Path with straight vertices; None if it is infeasible."""
 
-    cost: ShapeCost | None = None
+    cost: FlightCost | None = None
     """Custom cost; with one all guesses are optimised, regardless of their durations."""
 
     effort: Effort = field(default_factory=Effort)
@@ -245,7 +245,9 @@ class OptimisedMorph:
         candidates = list[Candidate]()
         straight_motion = None if self.straight is None else self.judge(self.straight)
         if self.straight is not None and straight_motion is not None:
-            candidates.append(Candidate("", straight_motion, self._cost_of(self.straight)))
+            candidates.append(
+                Candidate("", straight_motion, self._cost_of(self.straight, straight_motion))
+            )
         rejected: list[KnotPath] = []
         if self.start.team.layout.closed:
             candidates += self._optimised(straight_motion, rejected)
@@ -258,9 +260,9 @@ class OptimisedMorph:
                 raise NoRouteError(best)
         return sorted(candidates, key=lambda candidate: candidate.objective)
 
-    def _cost_of(self, path: Path) -> float:
-        """Return the integral of the cost on a path [s]; 0 without a cost."""
-        return 0.0 if self.cost is None else self.cost.integral(path)
+    def _cost_of(self, path: Path, motion: Motion) -> float:
+        """Return an estimate of the cost of a motion [s]; 0 without a cost."""
+        return 0.0 if self.cost is None else self.cost.at_rest(path, motion.duration)
 
     def _optimised(
         self, straight_motion: Motion | None, rejected: list[KnotPath]
@@ -406,7 +408,7 @@ class OptimisedMorph:
                 if motion is None:
                     rejected.append(guess)
                 else:
-                    unoptimised = [Candidate(guess.name, motion, self._cost_of(guess.path))]
+                    unoptimised = [Candidate(guess.name, motion, self._cost_of(guess.path, motion))]
         return unoptimised
 
     def _around_obstacles(self, path: KnotPath) -> list[Candidate]:
@@ -416,7 +418,7 @@ class OptimisedMorph:
         for detour in detours(path):
             motion = self._flown_as_it_is(detour)
             if motion is not None:
-                return [Candidate(detour.name, motion, self._cost_of(detour.path))]
+                return [Candidate(detour.name, motion, self._cost_of(detour.path, motion))]
         return []
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
@@ -453,7 +455,8 @@ def _estimate(path: KnotPath, requirements: Requirements) -> float:
 
 def _objective(path: KnotPath, search: SearchLimits) -> float:
     """Return an estimate of the duration [s] plus the custom cost, if any [s]."""
-    return _estimate(path, search.requirements) + search.cost_of(path.path)
+    duration = _estimate(path, search.requirements)
+    return duration + search.cost_of(path.path, duration)
 
 
 def _equal(path: KnotPath, other: KnotPath) -> bool:
@@ -575,7 +578,7 @@ def _last_accepted(
     for path in reversed(paths):
         motion = search.judge(path.path)
         if motion is not None:
-            return path, Candidate(path.name, motion, search.cost_of(path.path))
+            return path, Candidate(path.name, motion, search.cost_of(path.path, motion.duration))
     return None
 
 

@@ -141,12 +141,8 @@ def jerk_limited(clock: Clock, demands_at: DemandsAt, jerk_shares: Array | None 
     weights = (0.5 * (clock.knots[1:] - clock.knots[:-1])[:, None] * WEIGHTS).ravel()
     progress = clock.progress.jet(tau, 4)
     basis = SplineBasis.of(clock.knots, tau)
-    demands = demands_at(progress[:, 0].clip(0.0, 1.0))
-    first, second, third = chained_rates(demands.drones, progress[:, None, None, :])
-    bound = demands.speed_bound / np.maximum(progress[:, 1], MIN_PROGRESS_RATE) ** 2
-    shares = np.ones(len(clock.knots) - 1) if jerk_shares is None else jerk_shares
-    largest_jerks = np.repeat(shares * demands.limits.jerk, SAMPLES)
-    path = ClockedPath(demands, first, second, third, bound, largest_jerks)
+    shares = None if jerk_shares is None else np.repeat(jerk_shares, SAMPLES)
+    path = ClockedPath.of(demands_at(progress[:, 0].clip(0.0, 1.0)), progress, shares)
     guess = np.full(basis.count, _feasible_rate(path))
     initial_ratios = path.ratios(basis.at(np.ones(basis.count)))
     count = min(INITIAL_ROWS, initial_ratios.shape[-1])
@@ -195,6 +191,17 @@ class ClockedPath:
 
     largest_jerks: Array
     """(M,) [m/s³]: limit of jerk."""
+
+    @classmethod
+    def of(cls, demands: Demands, progress: Array, jerk_shares: Array | None = None) -> ClockedPath:
+        """Return a path at samples with demands, and jets of s by τ (M, 4).
+
+        ``jerk_shares`` (M,) are the shares of the limit of jerk that may be used; None for all.
+        """
+        first, second, third = chained_rates(demands.drones, progress[:, None, None, :])
+        bound = demands.speed_bound / np.maximum(progress[:, 1], MIN_PROGRESS_RATE) ** 2
+        shares = np.ones(len(progress)) if jerk_shares is None else jerk_shares
+        return cls(demands, first, second, third, bound, shares * demands.limits.jerk)
 
     def accelerations(self, drones: Indices) -> Array:
         """Return the accelerations (M, R', 3, 3) of drones (M, R'), by p = (x, x', x'')."""
