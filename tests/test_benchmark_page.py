@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.libraries import counted_calls, lines, problems
 from benchmarks.page import Result, Store, cell, family_rows, morph_rows, page, proof_rows
 
 
@@ -78,3 +79,15 @@ def test_the_page_has_at_most_four_tables_and_two_figures(tmp_path: Path) -> Non
     assert text.count("![") <= 2
     assert "10 s per pair" in text
     assert "- form: ruckig `Ruckig` 1,600\n" in text
+
+
+def test_calls_of_libraries_are_counted_by_name() -> None:
+    """A routed morph differentiates the model in programs; its motion is timed by toppra."""
+    with counted_calls() as calls:
+        problems()["morph"]()
+    assert calls["casadi `derivatives`"] > 0
+    assert calls["casadi `program`"] >= calls["casadi `derivatives`"]
+    assert calls["toppra `TOPPRA`"] > 0
+    assert calls["ruckig `Ruckig`"] == 0
+    (line,) = lines({"morph": calls})
+    assert line.startswith("- morph: casadi `derivatives` ")
