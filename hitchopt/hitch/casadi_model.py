@@ -1,7 +1,8 @@
 """The model in casadi: a hitch in motion as one function to differentiate and to optimise with.
 
-``clasp_function`` states one clasp by the formula that arrays use as well (``clasp_legs``).
-``model`` joins the clasps of a team, differentiates by time, and adds forces and residuals.
+``clasp_function`` states one clasp by the formula that arrays use as well (``clasp_legs``), and
+``clasp_motion`` its drones in motion. ``model`` joins the clasps of a team, differentiates by time,
+and adds forces and residuals.
 """
 
 from __future__ import annotations
@@ -235,18 +236,19 @@ def chain_end_motion(*, weighted: bool) -> ca.Function:
 
 
 def _motion(positions: ca.SX, jets: Sequence[ca.SX]) -> dict[str, ca.SX]:
-    """Return positions (3, drones) and their first three derivatives by time.
+    """Return positions (3, drones) and their derivatives by time, as far as jets have them.
 
-    Jets (rows, 4) are those of all symbols on which positions depend.
+    Jets (rows, count) are those of all symbols on which positions depend.
     """
     import casadi as ca
 
-    state = [ca.vertcat(*(jet[:, order] for jet in jets)) for order in range(JET)]
+    count = jets[0].shape[1]
+    state = [ca.vertcat(*(jet[:, order] for jet in jets)) for order in range(count)]
     rates = [ca.vec(positions)]
-    for order in range(1, JET):
+    for order in range(1, count):
         known = ca.vertcat(*state[:order])
         rates.append(ca.jtimes(rates[-1], known, ca.vertcat(*state[1 : order + 1])))
-    names = ("positions", "velocities", "accelerations", "jerks")
+    names = ("positions", "velocities", "accelerations", "jerks")[:count]
     columns = [ca.reshape(rate, *positions.shape) for rate in rates]
     return dict(zip(names, columns, strict=True))
 
@@ -336,24 +338,15 @@ def model(
     rates = _symbols({f"{SINGULAR[name]}_velocities": size for name, size in sizes.items()})
     curvatures = _symbols({f"{SINGULAR[name]}_accelerations": size for name, size in sizes.items()})
     constants = _symbols({"cable_lengths": team.robots} if cables else {})
-    state = ca.vertcat(*values.values())
-    state_rate = ca.vertcat(*rates.values())
-    state_curvature = ca.vertcat(*curvatures.values())
+    columns = zip(values.values(), rates.values(), curvatures.values(), strict=True)
 
     hitch = _Statics.of(team, values | constants)
-    positions = ca.vec(hitch.positions)
-    velocities = ca.jtimes(positions, state, state_rate)
-    accelerations = ca.jtimes(
-        velocities, ca.vertcat(state, state_rate), ca.vertcat(state_rate, state_curvature)
-    )
-    moved = ca.reshape(accelerations, 3, team.drones)
-    thrusts = _thrusts(ca.DM(team.mass), moved, hitch.cable_forces)
+    motion = _motion(hitch.positions, [ca.horzcat(*jet) for jet in columns])
+    thrusts = _thrusts(ca.DM(team.mass), motion["accelerations"], hitch.cable_forces)
     scale = ca.DM((separation or Separation()).for_drones(team).scale)
     offsets = hitch.positions[:, first] - hitch.positions[:, second]
     outputs = {
-        "positions": positions,
-        "velocities": velocities,
-        "accelerations": accelerations,
+        **{name: ca.vec(rate) for name, rate in motion.items()},
         "thrusts": ca.vec(thrusts),
         "tilt_cosines": (thrusts[2, :] / _lengths(thrusts)).T,
         "legs": hitch.legs,
