@@ -262,7 +262,10 @@ def test_what_flies_far_away_changes_no_check(*, several: bool) -> None:
     """Of one team beside an external plan, and of one of two teams."""
     one, far = taut(1, np.zeros(3)), taut(1, np.array([60.0, 0.0, 0.0]))
     other = TeamMotion("b", far)
-    both = Flight((TeamMotion("a", one), other)) if several else one.replaced(others=(other,))
+    own, others = (
+        ((TeamMotion("a", one), other), ()) if several else ((TeamMotion("", one),), (other,))
+    )
+    both = Flight(own, others)
     alone, found = certify(one), certify(both)
     for check in alone.checks:
         bound = pytest.approx(check.worst, rel=1e-6, abs=1e-5)  # b rounds at its coordinates

@@ -113,8 +113,9 @@ def points_on_cables(motion: Motion, times: Array) -> Array:
 @pytest.mark.parametrize("seed", range(3))
 def test_no_sampled_drone_is_nearer_to_a_bent_cable_than_the_bound(kind: str, seed: int) -> None:
     motion = tied(kind).spans(TAUT_STATES)[0]
-    other = wanderers(seed, float(motion.drones.breaks[-1]))
-    times: Array = np.linspace(*motion.drones.breaks[[0, -1]], SAMPLES)
+    start, end = motion.drones.breaks[[0, -1]].tolist()
+    other = wanderers(seed, end)
+    times: Array = np.linspace(start, end, SAMPLES)
     drones = other.drones.at(times)[:, None, :, None]
     offsets = points_on_cables(motion, times)[:, :, None] - drones
     nearest = float(np.min(np.linalg.norm(offsets, axis=-1)))
