@@ -17,7 +17,7 @@ from hitchopt.errors import InputError, OneLine, UnitWarning
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.values import Array, ByValue, check_instance, sequence, units
+from hitchopt.values import Array, ByValue, check_instance, lazy, sequence, units
 from hitchopt.values.fields import (
     Key,
     documented,
@@ -256,13 +256,13 @@ class Prism(ByValue):
             remedy = "swap the altitudes or move them apart"
             raise InputError("upper", self.upper, bound, remedy)
 
-    @property
+    @lazy
     def corners(self) -> Array:
         """Corners of floor and ceiling (2 m, 3) [m]."""
         levels = np.repeat([self.lower, self.upper], len(self.polygon))
         return np.column_stack([np.tile(self.polygon.vertices, (2, 1)), levels])
 
-    @property
+    @lazy
     def slab(self) -> Slab:
         """Slab of this body, as in objects."""
         return Slab(Section(self.polygon.vertices), self.lower, self.upper)

@@ -91,7 +91,7 @@ class Section(ByValue):
         """(2,) [m]: centroid of its area."""
         return np.zeros(2) if self.outline is None else ConvexPolygon(self.outline).centroid
 
-    @property
+    @cached_property
     def circumradius(self) -> float:
         """Radius [m] of the smallest circle about the origin that contains the section."""
         return float(np.max(length(self.core))) + self.rounding

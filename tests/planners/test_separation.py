@@ -19,8 +19,16 @@ from hitchopt.errors import InfeasibleError
 from hitchopt.hitch.quadratic_program import QuadraticProgram
 from hitchopt.hitch.requirements import Arena, Limits, Prism, Requirements, Separation
 from hitchopt.planners.separation import SeparatedCurves, SeparationResult, SeparationTask
-from hitchopt.planners.separation.guesses import points_along, routes_around
-from hitchopt.planners.separation.program import hull_points, solve_program
+from hitchopt.planners.separation.guesses import (
+    on_layers,
+    points_along,
+    pushed_apart,
+    routes_around,
+    setting_of,
+    stuck_in_prisms,
+)
+from hitchopt.planners.separation.one_by_one import order_of
+from hitchopt.planners.separation.program import hull_points, planes_to_prism, solve_program
 from hitchopt.values import Array
 from problems.swarm import antipodal_circle
 
@@ -271,6 +279,120 @@ def test_segments_past_a_corner_are_straight() -> None:
     np.testing.assert_allclose(route(start, goal, PILLAR), [start, goal])
 
 
+def pillars(count: int, seed: int, corners: int, ends: Array, distance: float) -> list[Prism]:
+    """Pillars with so many corners at random positions, off the ends of flights."""
+    rng = np.random.default_rng(seed)
+    placed = list[Prism]()
+    while len(placed) < count:
+        angles = rng.uniform(0.0, np.pi) - 2.0 * np.pi / corners * np.arange(corners)
+        outline = 0.35 * np.column_stack([np.cos(angles), np.sin(angles)])
+        pillar = Prism(rng.uniform(-4.0, 4.0, 2) + outline, 0.0, 3.0)
+        if np.min(pillar.clearance(ends).distance) > distance:
+            placed.append(pillar)
+    return placed
+
+
+def forest(n: int, seed: int, corners: int = 6) -> SeparationTask:
+    """Drones around a forest that fly to the opposite side."""
+    angles = 2.0 * np.pi * np.arange(n) / n + 0.2
+    start = np.column_stack([4.5 * np.cos(angles), 4.5 * np.sin(angles), np.ones(n)])
+    goal = start * [-1.0, -1.0, 1.0]
+    separation = Separation(0.15, 0.3)
+    trees = pillars(14, seed, corners, start, 0.25)
+    arena = Arena([-5.5, -5.5, 0.0], [5.5, 5.5, 2.8])
+    return task_of(start, goal, separation=separation, arena=arena, keep_out=tuple(trees))
+
+
+@pytest.mark.parametrize(("n", "seed", "corners"), [(8, 0, 6), (8, 1, 4), (16, 2, 3)])
+def test_forests_are_passed_nearly_as_fast_as_the_open(n: int, seed: int, corners: int) -> None:
+    task = forest(n, seed, corners)
+    found = separate(task)
+    assert_kept(task, found)
+    assert found.drones.duration <= 1.3 * found.bound
+
+
+def test_altitudes_by_heading_keep_opposite_flights_apart() -> None:
+    setting = setting_of(forest(24, 3))
+    layered = on_layers(setting)
+    assert layered is not None
+    s = np.array([0.0, 0.5, 1.0])
+    routed, points = (each.grid.sampled(s) @ each.nominal for each in (setting, layered))
+    np.testing.assert_allclose(points[:, [0, -1]], routed[:, [0, -1]], atol=1e-9)
+    halfway = points[:, 1, 2]
+    assert np.all(np.abs(halfway[:12] - halfway[12:]) > 0.6)  # of antipodal drones
+    assert np.all((halfway >= 0.0) & (halfway <= 2.8))
+    flat = Arena([-5.5, -5.5, 0.9], [5.5, 5.5, 1.1])
+    required = replace(setting.task.requirements, arena=flat)
+    assert on_layers(setting_of(replace(setting.task, requirements=required))) is None
+
+
+def test_drones_pushed_into_prisms_return_to_their_routes() -> None:
+    setting = setting_of(forest(16, 5))
+    on_routes = stuck_in_prisms(setting, setting.nominal)
+    assert not np.any(stuck_in_prisms(setting, pushed_apart(setting, 0.5)) & ~on_routes)
+
+
+def test_routes_depend_on_blocking_prisms_alone_and_not_on_their_order() -> None:
+    task = forest(16, 7)
+    prisms = task.requirements.keep_out
+
+    def lengths(keep_out: tuple[Prism, ...]) -> Array:
+        required = replace(task.requirements, keep_out=keep_out)
+        routes = routes_around(replace(task, requirements=required, prisms=()))
+        return np.array([np.sum(np.linalg.norm(np.diff(each, axis=0), axis=1)) for each in routes])
+
+    away = prism(30.0, (-1.0, 1.0), 0.0, 3.0)
+    np.testing.assert_allclose(lengths(prisms), lengths((away, *prisms[::-1])), rtol=1e-9)
+
+
+def test_pieces_through_a_prism_leave_it_on_one_side() -> None:
+    """Nearest faces would pull the first half of the path back and the second one forth."""
+    x = np.linspace(-0.6, 0.6, 7)
+    curves = np.zeros((6, 1, 3, 6))
+    curves[:, 0, 0] = x[:-1, None] + np.linspace(0.0, 0.2, 6)
+    curves[:, 0, 1:] = np.array([0.1, 1.0])[:, None]
+    planes = planes_to_prism(curves, PILLAR, 0.12, 0.5, None)
+    inside = np.isin(planes.sides[:, 0], (1, 2, 3, 4))
+    assert np.sum(inside) == 4
+    leftward = np.tile([0.0, 1.0, 0.0], (4, 1))
+    np.testing.assert_allclose(planes.normals[inside] * 0.12, leftward, atol=1e-9)
+
+
+def test_a_gap_narrower_than_a_drone_is_named() -> None:
+    room = Arena([-2.0, -2.0, 0.0], [2.0, 2.0, 3.0])
+    walls = prism(-0.1, (-2.2, -0.1), 0.0, 3.0), prism(-0.1, (0.1, 2.2), 0.0, 3.0)
+    task = task_of([[-1.0, 0.1, 1.0]], [[1.0, 0.0, 1.0]], arena=room, keep_out=walls)
+    with pytest.raises(InfeasibleError, match=r"keep_out: .* at d0, prism \d, prism \d") as caught:
+        separate(task)
+    (violation,) = caught.value.violations
+    assert violation.value == pytest.approx(0.1, rel=1e-3)
+    assert set(violation.where) == {"d0", "prism 0", "prism 1"}
+
+
+DOOR = (prism(-0.1, (-2.2, -0.2), 0.0, 3.0), prism(-0.1, (0.2, 2.2), 0.0, 3.0))
+
+
+def test_drones_pass_a_door_one_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Those in front go first, and drones at goals leave the door free."""
+    planner = import_module(SeparatedCurves.__module__)
+    guesses = planner._guesses
+
+    def of_single_drones(setting: Any) -> Any:
+        return guesses(setting) if setting.task.drones == 1 else iter(())
+
+    monkeypatch.setattr(planner, "_guesses", of_single_drones)
+    room = Arena([-2.0, -2.0, 0.95], [2.0, 2.0, 1.05])
+    start = [[-1.5, 0.0, 1.0], [-1.0, 0.1, 1.0], [-0.6, 0.0, 1.0]]
+    goal = [[0.6, 0.0, 1.0], [1.0, 0.0, 1.0], [1.5, 0.1, 1.0]]
+    task = task_of(start, goal, arena=room, keep_out=DOOR)
+    assert order_of(task) == [2, 1, 0]
+    found = separate(task)
+    assert_kept(task, found)
+    assert found.remark == "one after the other"
+    given = replace(task, duration=1.5 * found.drones.duration)
+    assert_kept(given, separate(given))
+
+
 def test_drones_without_conflicts_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(import_module(SeparatedCurves.__module__), "LARGE_CROWD", 40)
     monkeypatch.setattr(
@@ -291,8 +413,8 @@ def test_an_interrupted_osqp_ends_the_plan(monkeypatch: pytest.MonkeyPatch) -> N
     """OSQP catches SIGINT and reports it in its status."""
     one, eye = np.ones(2), sp.csc_array(sp.eye(2))
     program = QuadraticProgram(eye, 0.3 * one, eye, -one, one)
-    np.testing.assert_allclose(solve_program(program), -0.3 * one, atol=1e-3)
+    np.testing.assert_allclose(solve_program(program, 500), -0.3 * one, atol=1e-3)
     found = SimpleNamespace(info=SimpleNamespace(status_val=int(osqp.SolverStatus.OSQP_SIGINT)))
     monkeypatch.setattr(osqp.OSQP, "solve", lambda *_, **__: found)
     with pytest.raises(KeyboardInterrupt):
-        solve_program(program)
+        solve_program(program, 500)

@@ -6,6 +6,7 @@ They are deterministic and insensitive to rounding of the input.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from hitchopt.errors import InfeasibleError, Violation, check_time
 from hitchopt.geometry.vectors import EAST, GOLDEN, TIE, left_of, length, unit
-from hitchopt.hitch.requirements import Prism
+from hitchopt.hitch.requirements import Arena, Prism
 from hitchopt.planners.separation.prioritized import Schedule
 from hitchopt.planners.separation.task import END_COUNT, Grid, SeparationTask, Setting, inside
 from hitchopt.planners.timing.ramps import fastest_ramps
@@ -143,6 +144,15 @@ CORNER_DISTANCE = 1.25
 TOWER_HEIGHT = 1e6
 """[m] Altitude above, and depth below, all flights."""
 
+GAP_BISECTIONS = 12
+"""Number of bisections of the radius that locate the widest gap."""
+
+GAP_SAMPLES = 2001
+"""Number of samples of a route that tell which prisms are beside its narrowest part."""
+
+BESIDE_GAP = 1.1
+"""Distance to a prism beside the widest gap, over that gap's."""
+
 RADIUS_TOLERANCE = 1e-6
 """Tolerance of distances to prisms, relative to the radius."""
 
@@ -163,44 +173,71 @@ def routes_around(task: SeparationTask) -> list[Array]:
 
     Raises
     ------
-    InfeasibleError: no route with the required distance was found.
+    InfeasibleError: no route with the required distance was found; the violation gives the widest
+        gap, and names the drone and the prisms beside the gap.
     """
     routes = list(np.stack([task.start, task.goal], axis=1))
-    for drone in np.flatnonzero(_blocked(task, task.start, task.goal)).tolist():
+    prisms = task.requirements.keep_out
+    radius = task.requirements.separation.radius
+    blocked = _blocked(prisms, radius, task.start, task.goal)
+    for drone in np.flatnonzero(blocked).tolist():
         check_time()
-        routes[drone] = _route_around(task, routes[drone], task.names[drone])
+        route = _route(task, routes[drone], radius, CORNER_DISTANCE * radius)
+        if route is None:
+            route = _route(task, routes[drone], radius, (1.0 + RADIUS_TOLERANCE) * radius)
+        if route is None:
+            raise InfeasibleError([_narrowness(task, routes[drone], task.names[drone])])
+        routes[drone] = route
     return routes
 
 
-def _route_around(task: SeparationTask, ends: Array, name: str) -> Array:
-    """Return the route (corners, 3) [m] of a drone between its ends (2, 3) [m], or raise."""
+def _narrowness(task: SeparationTask, ends: Array, name: str) -> Violation:
+    """Return the violation of a drone for whom all gaps between its ends (2, 3) [m] are too narrow.
+
+    The widest gap is found by bisection of the distance to prisms.
+    """
     radius = task.requirements.separation.radius
-    for factor in (CORNER_DISTANCE, 1.0 + RADIUS_TOLERANCE):
-        route = _route(task, ends, factor * radius)
-        if route is not None:
-            return route
-    violation = Violation(
+    too_wide = radius
+    widest = 0.0
+    widest_route: Array | None = None
+    for _ in range(GAP_BISECTIONS):
+        distance = 0.5 * (widest + too_wide)
+        route = _route(task, ends, distance, (1.0 + RADIUS_TOLERANCE) * distance)
+        if route is None:
+            too_wide = distance
+        else:
+            widest, widest_route = distance, route
+    beside = list[str]()
+    if widest_route is not None:
+        points = points_along(widest_route, np.linspace(0.0, 1.0, GAP_SAMPLES))
+        distances = np.array(
+            [np.min(prism.clearance(points).distance) for prism in task.requirements.keep_out]
+        )
+        nearest = np.argsort(distances, kind="stable")[:2].tolist()
+        beside = [task.prisms[k] for k in nearest if distances[k] < BESIDE_GAP * widest]
+    return Violation(
         "keep_out",
-        value=0.0,
+        value=widest,
         limit=radius,
         sense="min",
         unit="m",
-        where=(name,),
+        where=(name, *beside),
         when="on every route found from its start to its goal",
         remedy="widen the gap between the prisms, or between them and the arena",
     )
-    raise InfeasibleError([violation])
 
 
-def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool_]:
-    """Return the mask (m,) of segments between points (m, 3) that come too close to a prism.
+def _blocked(
+    prisms: Sequence[Prism], radius: float, first: Array, last: Array
+) -> NDArray[np.bool_]:
+    """Return the mask (m,) of segments between points (m, 3) closer to a prism than a radius [m].
 
     A segment is cut to its part inside of the prism with all faces moved outward. That part may
     still pass a corner, where these faces meet farther away than the distance.
     """
     blocked = np.zeros(len(first), dtype=np.bool_)
-    distance = task.requirements.separation.radius * (1.0 - RADIUS_TOLERANCE)
-    for prism in task.requirements.keep_out:
+    distance = radius * (1.0 - RADIUS_TOLERANCE)
+    for prism in prisms:
         entry, exit_ = _crossings(prism, distance, first, last)
         near = np.flatnonzero((entry < exit_) & ~blocked)
         start = first[near, :2]
@@ -212,28 +249,41 @@ def _blocked(task: SeparationTask, first: Array, last: Array) -> NDArray[np.bool
     return blocked
 
 
-def _route(task: SeparationTask, ends: Array, distance: float) -> Array | None:
+def _route(task: SeparationTask, ends: Array, radius: float, distance: float) -> Array | None:
     """Return the shortest route (corners, 3) between ends (2, 3) [m], or None.
 
-    Corners keep a distance [m] to all prisms.
+    It keeps the radius [m] to all prisms, and its corners a distance [m]. A route past some prisms
+    that no other one blocks is the shortest past all of them: others are added until then.
     """
-    nodes = np.vstack([ends, _corners(task, ends, distance)])
-    first, second = np.triu_indices(len(nodes), 1)
-    visible = ~_blocked(task, nodes[first], nodes[second])
-    path = _shortest_path(nodes, first[visible], second[visible])
-    return None if path is None else nodes[path]
+    blocking = list[Prism]()
+    others = list(task.requirements.keep_out)
+    route = ends
+    while True:
+        in_the_way = [bool(np.any(_blocked([p], radius, route[:-1], route[1:]))) for p in others]
+        if not any(in_the_way):
+            return route
+        blocking += [prism for prism, blocks in zip(others, in_the_way, strict=True) if blocks]
+        others = [prism for prism, blocks in zip(others, in_the_way, strict=True) if not blocks]
+        corners = _corners(task.requirements.arena, blocking, ends, distance)
+        nodes = np.vstack([ends, corners[~_blocked(blocking, radius, corners, corners)]])
+        first, second = np.triu_indices(len(nodes), 1)
+        visible = ~_blocked(blocking, radius, nodes[first], nodes[second])
+        path = _shortest_path(nodes, first[visible], second[visible])
+        if path is None:
+            return None
+        route = nodes[path]
 
 
-def _corners(task: SeparationTask, ends: Array, distance: float) -> Array:
-    """Return the possible corners (m, 3) [m] of a route between ends (2, 3) [m].
+def _corners(arena: Arena | None, prisms: Sequence[Prism], ends: Array, distance: float) -> Array:
+    """Return the possible corners (m, 3) [m] of a route past prisms between ends (2, 3) [m].
 
     They are inside the arena, beside, above and below the prisms, and keep a distance [m] to them.
     """
-    prisms = task.requirements.keep_out
-    arena = task.requirements.arena
     outlines = np.vstack([_widened(prism.polygon.vertices, distance) for prism in prisms])
     levels = [[prism.lower - distance, prism.upper + distance] for prism in prisms]
-    heights = np.unique([ends[:, 2], *levels])
+    heights = np.unique([*ends[:, 2], *np.ravel(levels)])
+    if arena is not None:
+        heights = heights[(heights >= arena.lower[2]) & (heights <= arena.upper[2])]
     beside = np.column_stack(
         [np.tile(outlines, (len(heights), 1)), np.repeat(heights, len(outlines))]
     )
@@ -241,7 +291,7 @@ def _corners(task: SeparationTask, ends: Array, distance: float) -> Array:
     corners = np.vstack([beside, *over])
     if arena is not None:
         corners = corners[np.all((corners >= arena.lower) & (corners <= arena.upper), axis=1)]
-    return corners[~_blocked(task, corners, corners)]
+    return corners
 
 
 def _shortest_path(nodes: Array, first: Indices, second: Indices) -> list[int] | None:
@@ -338,6 +388,9 @@ SMOOTHING_TIME = 0.08
 SIDE_FADE_SHARE = 0.5
 """Fraction of the iterations over which the common side fades out of the pushes."""
 
+PUSHED_SHARE = 0.8
+"""Share of the distance to a prism below which a drone counts as stuck in it after pushes."""
+
 MIN_OFFSET = 1e-9
 """Offset of two drones, in separations, below which they are pushed to the right."""
 
@@ -375,7 +428,37 @@ def pushed_apart(setting: Setting, side: float) -> Array:
         step = MOMENTUM * step + smoothing @ np.swapaxes(pushes, 0, 1)
         moved = coefficients[:, grid.free] + step
         coefficients[:, grid.free] = inside(setting.task.requirements.arena, moved)
-    return coefficients
+    return on_routes(setting, coefficients, stuck_in_prisms(setting, coefficients))
+
+
+def on_routes(setting: Setting, coefficients: Array, drones: NDArray[np.bool_]) -> Array:
+    """Return the coefficients (N, count, 3) [m] with some drones, a mask (N,), on their routes."""
+    return np.where(drones[:, None, None], setting.nominal, coefficients)
+
+
+def stuck_in_prisms(
+    setting: Setting, coefficients: Array, share: float = PUSHED_SHARE
+) -> NDArray[np.bool_]:
+    """Return the mask (N,) of drones that others have pushed into prisms or gaps too narrow.
+
+    They are closer to a prism than a share of the required distance.
+    """
+    points = setting.grid.sampled(_push_samples(setting.grid)) @ coefficients
+    closest = share * setting.task.requirements.separation.radius
+    stuck = np.zeros(len(coefficients), dtype=np.bool_)
+    for prism in setting.task.requirements.keep_out:
+        drone, sample = np.nonzero(_near(prism, points, closest))
+        too_close = prism.clearance(points[drone, sample]).distance < closest
+        stuck[drone[too_close]] = True
+    return stuck
+
+
+def _near(prism: Prism, points: Array, distance: float) -> NDArray[np.bool_]:
+    """Return the mask (…) of points (…, 3) in the prism's bounding box, widened by a distance."""
+    lower = np.min(prism.corners, axis=0) - distance
+    upper = np.max(prism.corners, axis=0) + distance
+    near: NDArray[np.bool_] = np.all((points > lower) & (points < upper), axis=-1)
+    return near
 
 
 def _push_samples(grid: Grid) -> Array:
@@ -426,9 +509,10 @@ def _other_pushes(setting: Setting, points: Array) -> Array:
     pushes = np.zeros_like(points)
     target = TARGET_SEPARATION * task.requirements.separation.radius
     for prism in task.requirements.keep_out:
-        clearance = prism.clearance(points)
+        near = _near(prism, points, target)
+        clearance = prism.clearance(points[near])
         deficit = np.maximum(target - clearance.distance, 0.0)
-        pushes += deficit[..., None] * clearance.normals
+        pushes[near] += deficit[..., None] * clearance.normals
     first, second, longest = task.tether_arrays
     offset = points[:, first] - points[:, second]
     distance = length(offset)
@@ -514,3 +598,45 @@ def roundabout(setting: Setting) -> Array | None:
     moved = coefficients[:, grid.free] + grid.fitting(s) @ offset
     coefficients[:, grid.free] = inside(task.requirements.arena, moved)
     return coefficients
+
+
+MIN_LAYERED = 16
+"""Smallest number of drones that are spread over altitudes among prisms."""
+
+LAYER_SPACING = 2.0 * TARGET_SEPARATION
+"""Distance of such altitudes, in heights of ellipsoids."""
+
+
+def on_layers(setting: Setting) -> Setting | None:
+    """Return the setting with nominal curves at altitudes by heading, or None without room.
+
+    As in the semicircular rule of aviation, drones at one altitude fly in similar directions, so
+    that few of them meet. The altitudes fill the arena; drones reach theirs with the factor
+    ``(1 - x⁶)²`` of a roundabout, with ``x`` the time from halfway.
+    """
+    task = setting.task
+    grid = setting.grid
+    arena = task.requirements.arena
+    spacing = LAYER_SPACING * task.requirements.separation.height
+    if arena is None or task.drones < MIN_LAYERED:
+        return None
+    count = 1 + int((arena.upper[2] - arena.lower[2]) / spacing)
+    if count == 1:
+        return None
+    middle = float(np.median([task.start[:, 2], task.goal[:, 2]]))
+    reach = 0.5 * (count - 1) * spacing
+    middle = float(np.clip(middle, arena.lower[2] + reach, arena.upper[2] - reach))
+    altitudes = middle + np.linspace(-reach, reach, count)
+    change = task.goal - task.start
+    by_heading = np.argsort(np.arctan2(change[:, 1], change[:, 0]), kind="stable")
+    altitude = np.empty(task.drones)
+    altitude[by_heading] = altitudes[np.arange(task.drones) * count // task.drones]
+    s = _push_samples(grid)
+    points = grid.sampled(s) @ setting.nominal
+    share = (1.0 - np.abs(2.0 * s - 1.0) ** CLIMB_POWER) ** 2
+    offset = np.zeros_like(points)
+    offset[..., 2] = share * (altitude[:, None] - points[..., 2])
+    nominal = setting.nominal.copy()
+    moved = nominal[:, grid.free] + grid.fitting(s) @ offset
+    nominal[:, grid.free] = inside(arena, moved)
+    return replace(setting, nominal=nominal)

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from hitchopt.errors import check_time, time_left
 from hitchopt.geometry.broadphase import Boxes, close_pairs
-from hitchopt.geometry.vectors import EAST, first_smallest, length, unit
+from hitchopt.geometry.vectors import EAST, first_smallest, left_of, length, unit
 from hitchopt.hitch.quadratic_program import QuadraticProgram, Rows
-from hitchopt.hitch.requirements import Prism, Separation
+from hitchopt.hitch.requirements import Arena, Prism, Separation
 from hitchopt.planners.separation.task import END_COUNT, Setting, inside
 from hitchopt.trajectory import bernstein
-from hitchopt.values import Array, Indices
+from hitchopt.values import Array, Indices, true_runs
 
 PLANE_MARGIN = 0.01
 """Margin of every plane, in separations; OSQP's residuals are a few thousandths."""
@@ -54,6 +54,7 @@ def moved_curves(
     planes: Planes,
     moving: NDArray[np.bool_],
     damping: float,
+    max_iterations: int,
 ) -> Array:
     """Return the curves (N, count, 3) [m] after one program around the current ones.
 
@@ -63,6 +64,7 @@ def moved_curves(
     planes: between pieces of curves, and to prisms.
     moving: (N,), mask of drones that may move.
     damping: weight of squared changes.
+    max_iterations: of OSQP.
 
     Raises
     ------
@@ -74,7 +76,7 @@ def moved_curves(
     if not np.all(moving):
         program, mask = _reduced(program, np.repeat(moving, 3 * (free.stop - free.start)))
     solution = np.zeros(len(mask))
-    solution[mask] = solve_program(program)
+    solution[mask] = solve_program(program, max_iterations)
     moved = coefficients.copy()
     inner = moved[:, free]
     changes = solution[: inner.size].reshape(inner.shape)
@@ -271,9 +273,6 @@ CHUNK = 100
 INITIAL_STEP = 0.1
 """First step size ρ of OSQP."""
 
-MAX_ITERATIONS = 1500
-"""Maximum iterations of OSQP. The last iterate is used; later programs correct its residuals."""
-
 MIN_TIME_LIMIT = 1e-3
 """[s] Smallest time limit for OSQP, in which zero means no limit."""
 
@@ -282,11 +281,12 @@ class ProgramError(Exception):
     """No finite point was returned by OSQP."""
 
 
-def solve_program(program: QuadraticProgram) -> Array:
+def solve_program(program: QuadraticProgram, max_iterations: int) -> Array:
     """Return OSQP's solution (variables,) of a program, whose bounds on variables are rows.
 
     Only rows near their bounds are enforced at first; others are added when they are violated, and
-    the iteration continues.
+    the iteration continues. After ``max_iterations`` the last iterate is returned: later programs
+    correct its residuals.
 
     Raises
     ------
@@ -303,7 +303,7 @@ def solve_program(program: QuadraticProgram) -> Array:
     dual = np.zeros(len(lower))
     step = INITIAL_STEP
     solver = None
-    for _ in range(MAX_ITERATIONS // CHUNK):
+    for _ in range(max_iterations // CHUNK):
         if solver is None:
             rows = np.flatnonzero(enforced)
             solver = osqp.OSQP(algebra="builtin")
@@ -515,25 +515,70 @@ def _dot(a: Array, b: Array) -> Array:
     return product
 
 
-def planes_to_prism(curves: Array, prism: Prism, radius: float, cutoff: float) -> Planes:
+def planes_to_prism(
+    curves: Array, prism: Prism, radius: float, cutoff: float, arena: Arena | None
+) -> Planes:
     """Return planes to a prism for all pieces that may be closer to it than ``cutoff`` [m].
+
+    Consecutive pieces of a drone inside of the prism have the same normal, that of the shortest
+    move of all of them out of the prism: nearest faces would pull the path apart.
 
     Parameters
     ----------
     curves: (pieces, N, 3, degree + 1) [m], Bernstein coefficients.
     radius: minimum distance to the prism [m]
+    arena: the box that the drones stay in, or None.
     """
     corners = prism.corners
     low = np.min(corners, axis=0) - cutoff
     high = np.max(corners, axis=0) + cutoff
     near = np.all((np.min(curves, -1) <= high) & (np.max(curves, -1) >= low), axis=-1)
-    piece, drone = np.nonzero(near)
+    drone, piece = np.nonzero(near.T)
     coefficients = curves[piece, drone]
-    clearance = prism.clearance(_points_of(coefficients))
-    worst = first_smallest(clearance.distance, radius)
-    normals = clearance.normals[np.arange(len(worst)), worst] / radius
+    points = _points_of(coefficients)
+    clearance = prism.clearance(points)
+    nearest = first_smallest(clearance.distance, radius)
+    normals = clearance.normals[np.arange(len(nearest)), nearest]
+    is_inside = np.min(clearance.distance, axis=1, initial=np.inf) < 0.0
+    for first, last in _runs(is_inside, drone, piece):
+        normals[first:last] = _way_out(points[first:last].reshape(-1, 3), prism, radius, arena)
+    normals = normals / radius
     supports = np.max(normals @ corners.T, axis=1)
     gaps = np.einsum("md,mdk->mk", normals, coefficients) - supports[:, None]
     close = np.min(gaps, axis=1) * radius < cutoff
     sides = np.column_stack([piece, drone, np.full(len(piece), -1)])
     return Planes(sides[close], normals[close], gaps[close])
+
+
+def _runs(mask: NDArray[np.bool_], drone: Indices, piece: Indices) -> list[tuple[int, int]]:
+    """Return first and last index, exclusive, of runs of consecutive pieces of one drone in a mask.
+
+    Pieces (m,) are sorted by drone.
+    """
+    starts = np.flatnonzero((np.diff(drone) != 0) | (np.diff(piece) != 1)) + 1
+    parts = np.split(np.arange(len(mask)), starts)
+    return [
+        (int(part[0]) + first, int(part[0]) + last)
+        for part in parts
+        if len(part)
+        for first, last in true_runs(mask[part])
+    ]
+
+
+def _way_out(points: Array, prism: Prism, radius: float, arena: Arena | None) -> Array:
+    """Return the unit normal (3,) of the shortest move of a path (m, 3) [m] out of a prism.
+
+    The path moves to its right or left, up or down, within the arena if possible.
+    """
+    chord = points[-1] - points[0]
+    right = unit(left_of(-chord), EAST, MIN_DIRECTION)
+    directions = np.stack([right, -right, [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    supports = np.max(directions @ prism.corners.T, axis=1) + radius
+    distances = supports - np.min(directions @ points.T, axis=1)
+    if arena is not None:
+        moved = points + distances[:, None, None] * directions[:, None]
+        outside = np.any((moved < arena.lower) | (moved > arena.upper), axis=(1, 2))
+        if not np.all(outside):
+            distances = np.where(outside, np.inf, distances)
+    shortest: Array = directions[first_smallest(distances[None], radius)[0]]
+    return shortest

@@ -20,7 +20,16 @@ from hitchopt.hitch import Swarm
 from hitchopt.hitch.pairs import FIXED
 from hitchopt.motion.motion import Motion
 from hitchopt.planners.candidates import Candidate, Effort, first_certified, first_feasible
-from hitchopt.planners.separation.guesses import pushed_apart, roundabout, scheduled, setting_of
+from hitchopt.planners.separation.guesses import (
+    on_layers,
+    on_routes,
+    pushed_apart,
+    roundabout,
+    scheduled,
+    setting_of,
+    stuck_in_prisms,
+)
+from hitchopt.planners.separation.one_by_one import alone, in_a_row, order_of
 from hitchopt.planners.separation.prioritized import prioritized
 from hitchopt.planners.separation.program import (
     PLANE_MARGIN,
@@ -34,6 +43,7 @@ from hitchopt.planners.separation.task import SeparationResult, SeparationTask, 
 from hitchopt.planners.timing.profile import LIMIT_SHARE
 from hitchopt.planners.timing.timed_motion import turning_stretch
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.search import rough_bounds
 from hitchopt.values import Array, Indices
 
 SIDE = 0.5
@@ -41,6 +51,9 @@ SIDE = 0.5
 
 MAX_PROGRAMS = 16
 """Maximum number of programs from one guess."""
+
+MAX_PROGRAMS_AMONG_PRISMS = 24
+"""The same among prisms."""
 
 SPEEDUP = 0.85
 """Target duration of the next program over the current one, while the curves are clear."""
@@ -71,6 +84,35 @@ MAX_IDLE_ROUNDS = 3
 
 MAX_IDLE_ROUNDS_UNCLEAR = 6
 """Maximum number of consecutive rounds without improvement of other curves."""
+
+MAX_ITERATIONS = 1500
+"""Maximum iterations of OSQP in one program."""
+
+MAX_ITERATIONS_AMONG_PRISMS = 400
+"""The same among prisms, whose planes change more from one program to the next."""
+
+MAX_HURRIED_PROGRAMS = 10
+"""Number of programs among prisms that apply the limits at once at the shortest duration, and not
+at that of the current curves, while no curves are clear."""
+
+MAX_HURRIED_IDLE = 4
+"""Maximum number of consecutive rounds of such programs without improvement."""
+
+STUCK_SHARE = 0.95
+"""Share of the distance to a prism below which a drone counts as stuck in it after programs."""
+
+MAX_STUCK_ROUNDS = 2
+"""Maximum number of consecutive rounds without improvement, or too close to prisms alone, before
+drones that are stuck in prisms are put back on their routes."""
+
+MAX_RESETS = 6
+"""Maximum number of rounds after which drones are put back."""
+
+MAX_EFFORT = 150_000.0
+"""Effort after which no further guess is tried; programs take one unit per drone and piece."""
+
+MAX_ONE_BY_ONE = 24
+"""Largest number of drones that fly one after the other."""
 
 UNCLEAR_MERIT = 1e9
 """Merit of curves that violate a limit at any speed, per missing separation."""
@@ -118,16 +160,19 @@ class SeparatedCurves:
         bound = self.problem.bound
         if task.duration is not None and task.duration < bound:
             raise InfeasibleError([_too_short(task, bound, "no drone can be as fast")])
-        return first_certified(self._routes(report), Effort())
+        effort = Effort(MAX_EFFORT)
+        return first_certified(self._routes(report, effort), effort)
 
-    def _routes(self, report: Progress) -> Iterator[Candidate[SeparationResult]]:
+    def _routes(self, report: Progress, effort: Effort) -> Iterator[Candidate[SeparationResult]]:
         """Yield the routes from all guesses, then the fastest one at a prescribed duration.
 
         Raises InfeasibleError if the fastest one takes longer: its duration is a remedy that holds.
         """
         task = self.task
         for guess in _guesses(self.problem):
-            yield Candidate("route", partial(self._route, guess, report))
+            yield Candidate("route", partial(self._route, guess, report, effort))
+        if 1 < task.drones <= MAX_ONE_BY_ONE and not task.tethers:
+            yield Candidate("flight of one drone after the other", partial(self._in_a_row, report))
         if task.duration is None:
             return
         report("searching for a feasible duration")
@@ -141,10 +186,10 @@ class SeparatedCurves:
         slowed = replace(fastest, drones=fastest.drones.stretched(task.duration / duration))
         yield Candidate("slowed route", lambda: slowed)
 
-    def _route(self, guess: Guess, report: Progress) -> SeparationResult:
+    def _route(self, guess: Guess, report: Progress, effort: Effort) -> SeparationResult:
         """Return the curves that programs reach from a guess; raise InfeasibleError otherwise."""
         report(f"guess: {guess.rule or 'straight'}")
-        task, best = self.task, _improved(guess, report)
+        task, best = self.task, _improved(guess, report, effort)
         duration = task.duration or best.duration
         violations = list(best.violations)
         if best.clear and best.duration > duration:
@@ -153,6 +198,35 @@ class SeparatedCurves:
             raise InfeasibleError(violations, LOCAL_SEARCH)
         curves = guess.setting.grid.curves(best.coefficients, duration)
         return SeparationResult(curves, best.closest, self.problem.bound, guess.rule)
+
+    def _in_a_row(self, report: Progress) -> SeparationResult:
+        """Return curves of one drone after the other; raise InfeasibleError without any."""
+        report("guess: one after the other")
+        task = self.task
+        order = order_of(task)
+        if order is None:
+            raise InfeasibleError(
+                [], "no order was found in which one drone can fly after the other"
+            )
+        flights = [
+            (drone, SeparatedCurves(alone(task, drone, order[:k])).solve().drones)
+            for k, drone in enumerate(order)
+        ]
+        curves = in_a_row(task, flights)
+        if task.duration is not None:
+            if curves.duration > task.duration:
+                raise InfeasibleError([_too_short(task, curves.duration, SLOW_ROUTE)])
+            curves = curves.stretched(task.duration / curves.duration)
+        checks = _checks(task, curves)
+        violations = [
+            check.violation(f"at t = {check.time:.4g} s", REMEDY)
+            for check in checks
+            if not check.holds
+        ]
+        if violations:
+            raise InfeasibleError(violations, LOCAL_SEARCH)
+        closest = next(check.worst for check in checks if check.name == "separation")
+        return SeparationResult(curves, closest, self.problem.bound, "one after the other")
 
 
 class Guess(NamedTuple):
@@ -172,7 +246,11 @@ def _guesses(setting: Setting) -> Iterator[Guess]:
     """Yield guesses in the order in which they are tried."""
     if evaluate(setting, setting.nominal).clear:  # no two drones meet
         yield Guess(setting, setting.nominal, "")
-    circular = roundabout(setting)
+    among_prisms = bool(setting.task.requirements.keep_out)
+    layered = on_layers(setting) if among_prisms else None
+    if layered is not None:
+        yield Guess(setting, pushed_apart(layered, SIDE), "altitudes by heading")
+    circular = None if among_prisms else roundabout(setting)
     if circular is not None:
         yield Guess(setting, circular, "all go around where they meet, to the right")
     right = pushed_apart(setting, SIDE)
@@ -185,22 +263,31 @@ def _guesses(setting: Setting) -> Iterator[Guess]:
     yield Guess(setting, left, "all give way to the left where they meet")
 
 
-def _improved(guess: Guess, report: Progress) -> CurveBounds:
-    """Return the best curves that programs reach from a guess."""
+def _improved(guess: Guess, report: Progress, effort: Effort) -> CurveBounds:
+    """Return the best curves that programs reach from a guess, with some effort."""
     setting = guess.setting
     current = best = evaluate(setting, guess.coefficients)
     required_sides = np.zeros((0, 3), dtype=np.intp)
-    idle_rounds = 0
-    for iteration in range(MAX_PROGRAMS):
+    idle_rounds = stuck_rounds = resets = 0
+    is_hurried = among_prisms = bool(setting.task.requirements.keep_out)
+    max_iterations = MAX_ITERATIONS_AMONG_PRISMS if among_prisms else MAX_ITERATIONS
+    for iteration in range(MAX_PROGRAMS_AMONG_PRISMS if among_prisms else MAX_PROGRAMS):
         if best.clear and setting.task.drones >= LARGE_CROWD:
             break
         planes, moving = _planes(setting, current, required_sides)
         between_drones = planes.sides[:, 2] >= 0
         required_sides = planes.sides[between_drones]
-        duration = _target_duration(setting, current)
+        if not best.clear and is_hurried:
+            is_hurried = idle_rounds < MAX_HURRIED_IDLE and iteration < MAX_HURRIED_PROGRAMS
+            idle_rounds = idle_rounds if is_hurried else 0
+        at_shortest = is_hurried or (among_prisms and best.clear and not idle_rounds)
+        duration = _shortest(setting) if at_shortest else _target_duration(setting, current)
         damping = DAMPING * DAMPING_FACTOR**idle_rounds
+        effort.spend(setting.task.drones * setting.grid.pieces)
         try:
-            moved = moved_curves(setting, current.coefficients, duration, planes, moving, damping)
+            moved = moved_curves(
+                setting, current.coefficients, duration, planes, moving, damping, max_iterations
+            )
         except ProgramError:
             break
         current = evaluate(setting, moved)
@@ -209,16 +296,29 @@ def _improved(guess: Guess, report: Progress) -> CurveBounds:
         idle_rounds = 0 if improved else idle_rounds + 1
         if current.merit < best.merit:
             best = current
+        is_apart = current.closest >= 1.0
+        stuck_rounds = 0 if current.clear or not (is_apart or idle_rounds) else stuck_rounds + 1
+        if stuck_rounds >= MAX_STUCK_ROUNDS and resets < MAX_RESETS:
+            stuck = stuck_in_prisms(setting, current.coefficients, STUCK_SHARE)
+            if np.any(stuck) and not np.all(stuck):
+                current = evaluate(setting, on_routes(setting, current.coefficients, stuck))
+                required_sides = np.zeros((0, 3), dtype=np.intp)
+                idle_rounds = stuck_rounds = 0
+                resets += 1
         if _search_ends(setting, best, current, idle_rounds):
             break
     return best
 
 
+def _shortest(setting: Setting) -> float:
+    """Return the shortest duration [s] at which programs apply the limits."""
+    return setting.task.duration or MIN_DURATION_RATIO * setting.single_duration
+
+
 def _target_duration(setting: Setting, current: CurveBounds) -> float:
     """Return the duration [s] at which the next program applies the limits."""
-    shortest = setting.task.duration or MIN_DURATION_RATIO * setting.single_duration
     target = SPEEDUP * current.duration if current.clear else current.duration
-    return max(target, shortest)
+    return max(target, _shortest(setting))
 
 
 def _search_ends(
@@ -257,7 +357,7 @@ def _planes(
         moving[planes.sides[close, 1:]] = True
     distance = separation.radius + 2.0 * setting.trust
     planes_to_prisms = [
-        planes_to_prism(pieces, prism, separation.radius, distance)
+        planes_to_prism(pieces, prism, separation.radius, distance, task.requirements.arena)
         for prism in task.requirements.keep_out
     ]
     return _concatenated([planes, *planes_to_prisms]), moving
@@ -322,9 +422,19 @@ class CurveBounds:
         return not self.violations
 
     @property
+    def nearest(self) -> float:
+        """Smallest distance of drones to each other and to prisms, over its limit; at most 1."""
+        to_prisms = [
+            violation.value / violation.limit
+            for violation in self.violations
+            if violation.constraint == "keep_out"
+        ]
+        return min([1.0, self.closest, *to_prisms])
+
+    @property
     def merit(self) -> float:
         """Value to be minimised; curves with violations come last."""
-        return self.duration if self.clear else UNCLEAR_MERIT * (2.0 - min(self.closest, 1.0))
+        return self.duration if self.clear else UNCLEAR_MERIT * (2.0 - self.nearest)
 
 
 def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
@@ -332,7 +442,8 @@ def evaluate(setting: Setting, coefficients: Array) -> CurveBounds:
     task = setting.task
     curves = setting.grid.curves(coefficients, 1.0)
     duration = _shortest_duration(setting, curves)
-    checks = _checks(task, curves.stretched(duration))
+    with rough_bounds():
+        checks = _checks(task, curves.stretched(duration))
     violations = (
         check.violation(f"at t = {check.time:.4g} s of {duration:.4g} s", REMEDY)
         for check in checks
