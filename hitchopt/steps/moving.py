@@ -290,7 +290,8 @@ TENSION_RANGE = replace(_RANGE_FORMS, check=_checked_range)
 
 OPTIMIZE_TEXT = (
     "Search for a faster route even if the straight one is feasible, by default only if that takes "
-    "more than 1.3 times its lower bound; then refine the route together with its speed"
+    "more than 1.3 times its lower bound; then refine the route together with its speed, within a "
+    "fixed amount of work"
 )
 
 

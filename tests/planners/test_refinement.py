@@ -252,10 +252,10 @@ def test_derivatives_of_a_cost_in_motion_are_those_of_finite_differences() -> No
     assert np.sum(program.rate_gradient) == pytest.approx(by_rate, rel=1e-4)
 
 
-@pytest.mark.parametrize("index", [3, 10, 37])
+@pytest.mark.parametrize("index", [3, 37, 38])
 @pytest.mark.slow
 def test_pairs_that_searches_leave_early_gain_the_most(index: int, tmp_path: Path) -> None:
-    """Their plans are shorter by 4 to 12 %, say so, and are proven."""
+    """Their plans are shorter by 4 to 11 %, say so, and are proven."""
     pair = PAIRS[index]
     team = ho.Team(pair["n"], pair["cable_length"])
     start = ho.Hitch.spread(team, pair["start"], pair["altitude"])
@@ -281,9 +281,14 @@ def refined_morph(kind: str) -> tuple[ho.Plan, ho.Plan]:
         team = ho.Team(3, 2.2, topology="open", **(heavy if "heavy" in kind else {}))
         start = ho.Hitch.spread(team, ARC, 1.5)
         return ho.morph(start, -ARC), ho.morph(start, -ARC, optimize=True)
+    if kind == "friction":
+        square = ho.regular_polygon(4, 1.3)
+        start = ho.Hitch.spread(ho.Team(4, 2.4, cable_density=0.003, cable_friction=0.1), square)
+        goal = square.rotated(0.9).translated([0.4, 0.0])
+        return ho.morph(start, goal), ho.morph(start, goal, optimize=True)
     pair = PAIRS[1]
-    team_options: dict[str, Any] = {"loaded": {"load": 0.005}, "friction": {"cable_friction": 0.05}}
-    team = ho.Team(pair["n"], pair["cable_length"], **team_options.get(kind, {}))
+    loads: dict[str, Any] = {"load": 0.005} if kind == "loaded" else {}
+    team = ho.Team(pair["n"], pair["cable_length"], **loads)
     start = ho.Hitch.spread(team, pair["start"], pair["altitude"])
     options_of: dict[str, dict[str, Any]] = {
         "tension": {"tension": (0.3, 0.6)},

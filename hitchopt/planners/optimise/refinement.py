@@ -97,7 +97,7 @@ class Settings:
     max_rounds: int = 4
     """Maximum number of programs of one step, with more rows each."""
 
-    min_gain: float = 1.5e-3
+    min_gain: float = 1e-3
     """Gain over the duration, expected or reached, that is too small to go on."""
 
     stride: float = 0.03
@@ -137,7 +137,7 @@ RATE_DEGREE = 3
 """Degree of the spline x."""
 
 LEG_SAMPLES = 129
-"""Number of even s through which q-legs of a route become a spline; it is within 1e-6 m."""
+"""Number of even s through which q-legs of a route become a spline, within 1e-8 m."""
 
 BROKEN = 1.02
 """Value over its limit above which a limit of motion gets a row."""
@@ -154,8 +154,8 @@ REACH_MARGIN = 5e-3
 FLIGHT_COST = 40.0
 """Effort per robot of timing a route, and of one judgement, in the unit of ``Effort``."""
 
-MAX_EFFORT = 8e3
-"""Limit of the effort: about 2 s."""
+MAX_EFFORT = 1.2e4
+"""Limit of the effort: about 3 s."""
 
 Certify = Callable[[Path, Motion], T | None]
 """Function that returns what is certified of a motion along a path, or None."""
