@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -120,7 +119,12 @@ def _candidate_edge_directions(section: Section, n: int, clearance: float) -> Ar
 
     They are those of regular polygons, rotated and stretched along all axes by all aspect ratios.
     """
-    axes = _stretch_axes(section)
+    sides = np.roll(section.core, -1, axis=0) - section.core
+    even_angles = math.pi * np.arange(AXES) / AXES
+    axis_angles = np.append(even_angles, np.arctan2(sides[:, 1], sides[:, 0]))
+    cosines = np.cos(axis_angles)
+    sines = np.sin(axis_angles)
+    axes = np.stack([cosines, sines, -sines, cosines], axis=-1).reshape(-1, 2, 2)
     half_widths = 0.5 * (section.support(axes) + section.support(-axes)) + clearance
     roots = np.sqrt(ASPECT_RATIOS)
     stretches = np.column_stack([roots, 1.0 / roots])
@@ -131,17 +135,6 @@ def _candidate_edge_directions(section: Section, n: int, clearance: float) -> Ar
     shapes = np.einsum("aj,kj,tnj,aji->aktni", half_widths, stretches, regular, axes)
     shapes = shapes.reshape(-1, n, 2)
     return unit(np.roll(shapes, -1, axis=-2) - shapes)
-
-
-def _stretch_axes(section: Section) -> Array:
-    """Return pairs of orthogonal unit vectors (axes, 2, 2) along which polygons are stretched."""
-    sides = np.roll(section.core, -1, axis=0) - section.core
-    even_angles = math.pi * np.arange(AXES) / AXES
-    side_angles = np.arctan2(sides[:, 1], sides[:, 0])
-    angles = np.append(even_angles, side_angles)
-    cosines = np.cos(angles)
-    sines = np.sin(angles)
-    return np.stack([cosines, sines, -sines, cosines], axis=-1).reshape(-1, 2, 2)
 
 
 def _corners_of_lines(normals: Array, distances: Array) -> Array:
@@ -209,15 +202,13 @@ def separating_cables(
         candidates = _cable_margins(polygons, requirements, team, balanced=balanced)
         feasible = [candidate for candidate in candidates if candidate.margin >= LIMIT_MARGIN]
         if feasible:
-            best = max(feasible, key=_margin_then_shortness)
+            best = max(
+                feasible,
+                key=lambda each: (round(each.margin, MARGIN_DIGITS), -each.cable_length),
+            )
             chosen = (feasible[0], best, feasible[-1])
             return list(dict.fromkeys(candidate.cable_length for candidate in chosen))
     return []
-
-
-def _margin_then_shortness(candidate: CableMargin) -> tuple[float, float]:
-    """Return the key by which cables are compared: the margin, then the shorter length."""
-    return round(candidate.margin, MARGIN_DIGITS), -candidate.cable_length
 
 
 def fitting_lengths(
@@ -324,21 +315,16 @@ def _margin(
         shortest_leg=requirements.limits.leg,
         margin=SPREAD_MARGIN,
     )
-    margin_of = task.reference_margin if balanced else partial(_smallest_split_margin, task)
-    return min(if_balanced(margin_of, -1.0), SPREAD_MARGIN)
 
+    def smallest_margin() -> float:
+        """Return the smallest margin; splits are those of single polygons, not of a path."""
+        if balanced:
+            return task.reference_margin()
+        pairs = zip(task.polygons, task.reference, strict=True)
+        singles = [replace(task, polygons=p[None], reference=legs[None]) for p, legs in pairs]
+        return min(single.split().margin for single in singles)
 
-def _smallest_split_margin(task: LegTask) -> float:
-    """Return the smallest margin of the best splits of single polygons.
-
-    They are split one by one, as a path of polygons is split from its reference only.
-    """
-    margins = list[float]()
-    for j in range(len(task.polygons)):
-        polygon = task.polygons[j : j + 1]
-        single = replace(task, polygons=polygon, reference=task.reference[j : j + 1])
-        margins.append(single.split().margin)
-    return min(margins)
+    return min(if_balanced(smallest_margin, -1.0), SPREAD_MARGIN)
 
 
 def grip_and_cable(task: GripTask, clearance: float) -> tuple[Grip, float]:

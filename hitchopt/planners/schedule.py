@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from itertools import permutations
+from itertools import permutations, product
 from typing import NamedTuple
 
 import numpy as np
@@ -480,21 +480,16 @@ class Schedule:
         With ``earlier`` it may also start before the teams placed already.
         """
         conflicts = list[Blocked]()
-        for track, starts_before in self._options(team, layers, earlier=earlier):
+        orders = (False, True) if earlier else (False,)
+        for starts_before, layer in product(orders, range(layers)):
+            track = self._path(team, layer)
+            if track is None:
+                continue
             start = self._earliest(track, placed, pad, earlier=starts_before)
             if not isinstance(start, Blocked):
                 return Placed(track, start)
             conflicts.append(start)
         return conflicts[0]
-
-    def _options(self, k: int, layers: int, *, earlier: bool) -> Iterator[tuple[SampledPath, bool]]:
-        """Yield the paths of a team, and whether it starts before the teams placed already."""
-        orders = (False, True) if earlier else (False,)
-        for starts_before in orders:
-            for layer in range(layers):
-                track = self._path(k, layer)
-                if track is not None:
-                    yield track, starts_before
 
     def _path(self, k: int, layer: int) -> SampledPath | None:
         """Return a team's path in a layer, or None."""
@@ -512,7 +507,12 @@ class Schedule:
         With ``earlier`` it is the latest feasible start below 0, for which all others wait.
         """
         last = max([0, *(other.start + len(other.track) for other in placed)])
-        starts = _candidate_starts(len(track), last, earlier=earlier)
+        if len(track) == 1:  # at rest: all starts are alike
+            starts = np.zeros(1, np.intp)
+        elif earlier:
+            starts = -np.arange(1, len(track) + 1)
+        else:
+            starts = np.arange(last + 1)
         first = min([0, int(np.min(starts)), *(other.start for other in placed)])
         clock = np.arange(first, last + len(track) + 1)
         samples = track.samples(clock - starts[:, None])  # (starts, clock)
@@ -575,19 +575,3 @@ class Schedule:
             place=tuple(np.round(0.5 * (centre + centre_of_other), 3).tolist()),
             at=at,
         )
-
-
-def _candidate_starts(samples: int, last: int, *, earlier: bool) -> Indices:
-    """Return the starts of a track in the order of preference, in samples of the common clock.
-
-    Parameters
-    ----------
-    samples: number of samples of the track.
-    last: sample at which all tracks placed before have ended.
-    earlier: whether the track starts before 0, as late as possible.
-    """
-    if samples == 1:  # at rest: all starts are alike
-        return np.zeros(1, np.intp)
-    if earlier:
-        return -np.arange(1, samples + 1)
-    return np.arange(last + 1)

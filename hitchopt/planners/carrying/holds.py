@@ -272,8 +272,15 @@ class RestHold(HoldingHitch):
         That is by more than RIM_CUT at rest, without and with the whole weight, for tensions (n,)
         [N].
         """
+        rim = known(self.body.rim).section
         for load_share in (0.0, 1.0):
-            heights = self._leg_heights_at_rim(tension, load_share)
+            at_rest = self._at_rest(tension, load_share)
+            clasps = at_rest["vertices"][0, self.team.layout.anchors]
+            legs = at_rest["drones"][0] - clasps
+            level_lengths = length(legs[:, :2])
+            level_directions = legs[:, :2] / level_lengths[:, None]
+            within_rim = rim.reach(clasps[:, :2], level_directions)
+            heights = clasps[:, 2] + within_rim * legs[:, 2] / level_lengths - self.height
             worst = int(np.argmax(heights))
             if heights[worst] > RIM_CUT:
                 where = (f"cable {self.team.labels[worst // 2]}", RIM_EDGE)
@@ -281,23 +288,6 @@ class RestHold(HoldingHitch):
                     "object_clearance", 0.0, RIM_CUT, "min", "m", where, "", RIM_REMEDY
                 )
         return None
-
-    def _leg_heights_at_rim(self, tension: Array, load_share: float) -> Array:
-        """Return the heights (2n,) [m] of straight legs above the rim's edge where they leave it.
-
-        Parameters
-        ----------
-        tension: (n,) [N]
-        load_share: fraction of the weight on clasps.
-        """
-        rim = known(self.body.rim).section
-        at_rest = self._at_rest(tension, load_share)
-        clasps = at_rest["vertices"][0, self.team.layout.anchors]
-        legs = at_rest["drones"][0] - clasps
-        level_lengths = length(legs[:, :2])
-        level_directions = legs[:, :2] / level_lengths[:, None]
-        within_rim = rim.reach(clasps[:, :2], level_directions)
-        return np.asarray(clasps[:, 2] + within_rim * legs[:, 2] / level_lengths - self.height)
 
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
@@ -546,7 +536,7 @@ class GripHold(HoldingHitch):
     def _bearing_edges(
         self, move: Move, state: MoveState, planned: Array, bends: Bends
     ) -> BearingEdges:
-        """Return edges that bear the load, for planned clasps (…, n, 2) [m].
+        """Return edges that bear the object, in its frame, for planned clasps (…, n, 2) [m].
 
         While the object stands, edges bear horizontal forces in proportion to their load share.
         """
@@ -558,7 +548,12 @@ class GripHold(HoldingHitch):
         if not np.any(load_share):
             return BearingEdges(polygon, heights, wraps)
         centre = self.body.centre_of_mass[:2]
-        load = self._load(move, state)
+        acceleration = np.zeros((*load_share.shape, 3))
+        acceleration[..., 2] = GRAVITY * load_share
+        if move.lifted:
+            centre_of_mass = self.body.centre_of_mass[None]
+            acceleration += state.accelerations(centre_of_mass)[..., 0, :]
+        load = self.body.mass * acceleration
         for _ in range(MAX_NEWTON_STEPS):
             before = np.concatenate([polygon - centre, heights[..., None]], axis=-1)
             arms = wraps.contacts - centre
@@ -572,15 +567,6 @@ class GripHold(HoldingHitch):
         edges = BearingEdges(polygon, heights, wraps)
         _check_balance(edges, state.tension, load, load_share)
         return edges
-
-    def _load(self, move: Move, state: MoveState) -> Array:
-        """Return the force (…, 3) [N] of edges on the object, in its frame."""
-        acceleration = np.zeros((*state.load_share.shape, 3))
-        acceleration[..., 2] = GRAVITY * state.load_share
-        if move.lifted:
-            centre_of_mass = self.body.centre_of_mass[None]
-            acceleration += state.accelerations(centre_of_mass)[..., 0, :]
-        return self.body.mass * acceleration
 
 
 def _check_balance(edges: BearingEdges, tension: Array, load: Array, load_share: Array) -> None:

@@ -554,7 +554,11 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     opens = outward_motion > OPENING_DISTANCE
 
     edge_angles = np.arccos(np.clip(np.sum(to_next * to_previous, axis=1), -1.0, 1.0))
-    leg_angles = _smallest_leg_angles(hitch, 2.0 * requirements.separation.radius)
+    side_by_side = 2.0 * requirements.separation.radius
+    q_legs = hitch.legs[team.layout.ahead, 0]
+    r_legs = hitch.legs[team.layout.behind, 1]
+    cosines = (q_legs**2 + r_legs**2 - side_by_side**2) / (2.0 * q_legs * r_legs)
+    leg_angles = np.arccos(np.clip(cosines, -1.0, 1.0))
     turns = 0.5 * (edge_angles + leg_angles)
     log_ratio = np.log(np.cos(0.5 * leg_angles) / np.cos(0.5 * edge_angles))
     utilization = np.where(opens, np.exp(friction * turns - log_ratio), 0.0)
@@ -570,12 +574,3 @@ def check_opens(hitch: Hitch, around: Array, requirements: Requirements, remedy:
     ratio = float(utilization[worst])
     violation = Violation("equilibrium", ratio, 1.0, "max", "ratio", where, when, remedy)
     raise InfeasibleError([violation])
-
-
-def _smallest_leg_angles(hitch: Hitch, distance: float) -> Array:
-    """Return the angles (clasps,) [rad] between two legs whose drones are at a distance [m]."""
-    layout = hitch.team.layout
-    d = hitch.legs[layout.ahead, 0]
-    e = hitch.legs[layout.behind, 1]
-    cosine = (d**2 + e**2 - distance**2) / (2.0 * d * e)
-    return np.asarray(np.arccos(np.clip(cosine, -1.0, 1.0)))

@@ -74,14 +74,17 @@ class HoldPolygons:
         """
         offsets = clasps - centre
         _, axes = np.linalg.eigh(offsets.T @ offsets)
-        polygons = []
+        polygons = list[Array]()
+        longest_edges = list[float]()
         for width in np.sqrt(stretches):
             stretched = offsets @ (axes * [width, 1.0 / width]) @ axes.T
             outward, distances = sides_of(stretched)
             required = [section.support(outward) + gap - outward @ centre for section in sections]
             scale = float(np.max(np.max(required, axis=0) / distances))
             polygons.append(scale * stretched)
-        around = min(polygons, key=_longest_edge)
+            edges = np.roll(polygons[-1], -1, axis=0) - polygons[-1]
+            longest_edges.append(float(np.max(length(edges))))
+        around = polygons[int(np.argmin(longest_edges))]
         return cls(ConvexPolygon(centre + around).vertices, ConvexPolygon(clasps).vertices)
 
 
@@ -90,11 +93,6 @@ def sides_of(polygon: Array) -> tuple[Array, Array]:
     onward = np.roll(polygon, -1, axis=-2) - polygon
     outward = unit(left_of(onward))
     return outward, np.sum(outward * polygon, axis=-1)
-
-
-def _longest_edge(polygon: Array) -> float:
-    """Return the length [m] of the longest edge of a polygon (n, 2) [m]."""
-    return float(np.max(length(np.roll(polygon, -1, axis=0) - polygon)))
 
 
 # Grips.

@@ -261,15 +261,13 @@ class StraddlePlanner(MovePlanner):
             bent.append(self._through([first, path.ready], "lower"))
         bent.append(self._through([path.ready, *path.bent], "straddle", hold))
         bent.append(self._through([path.crossed, path.laid], "lay", hold))
-        return [*drawn, self._tensioned(bent[0]), *bent, self._rolled(bent[0])]
 
-    def _tensioned(self, following: Motion) -> Motion:
-        """Return the rise of the tension at rest, at the start of the following motion."""
-        phase = replace(following.phases[0], name="tension", hold=None)
-        at_rest = resting(following, TENSION_SECONDS, phase, first=True)
-        rising = self.path.tension[:, None] * SMOOTH  # (n, coefficients)
+        phase = replace(bent[0].phases[0], name="tension", hold=None)
+        at_rest = resting(bent[0], TENSION_SECONDS, phase, first=True)
+        rising = path.tension[:, None] * SMOOTH  # (n, coefficients)
         tensions = PiecewisePolynomial(at_rest.drones.breaks, rising[None])
-        return at_rest.replaced(tensions=tensions)
+        tightened = at_rest.replaced(tensions=tensions)
+        return [*drawn, tightened, *bent, self._rolled(bent[0])]
 
     def _rolled(self, bent: Motion) -> Motion:
         """Return the roll of pairs, with the stated tension of the motion before."""

@@ -119,43 +119,31 @@ class CircularHitches:
     def shapes(self, sizes: Iterable[CircleSize]) -> Iterator[Hitch]:
         """Yield hitches without roll about the origin, whose legs keep all distances."""
         team = self.goal.team
+        requirements = self.requirements
+        shortest_leg = max(requirements.limits.leg, requirements.separation.radius)
         tried = list[Array]()
         for size in sizes:
-            edges = self._edges(size)
+            slack = np.minimum(2.0 * shortest_leg * size.slack, MAX_SLACK_SHARE * team.cable_length)
+            edges = team.cable_length - slack
+            edges = np.minimum(edges, size.max_edge * np.min(edges))
             if any(np.allclose(edges, other) for other in tried):
                 continue
             tried.append(edges)
-            hitch = _spread(team, circular_polygon(edges), self.goal.altitude, self.requirements)
+            hitch = _spread(team, circular_polygon(edges), self.goal.altitude, requirements)
             if hitch is not None:
                 yield hitch
-
-    def _edges(self, size: CircleSize) -> Array:
-        """Return the lengths (n,) [m] of the edges of a size."""
-        cable_length = self.goal.team.cable_length
-        shortest_leg = max(self.requirements.limits.leg, self.requirements.separation.radius)
-        shortest_slack = 2.0 * shortest_leg
-        slack = np.minimum(size.slack * shortest_slack, MAX_SLACK_SHARE * cable_length)
-        edges = cable_length - slack
-        return np.minimum(edges, size.max_edge * np.min(edges))
 
     def placed(self, shape: Hitch) -> Iterator[Hitch]:
         """Yield a shape at the goal's centroid, turned to the goal and by PHASES from there."""
         goal = self.goal.polygon
         goal_points = goal.vertices - goal.centroid
         points = shape.polygon.vertices - shape.polygon.centroid
-        angle = _nearest_angle(points, goal_points)
+        # As complex numbers, the sum of squared distances is smallest at the angle of Σ g conj(p)
+        products = (goal_points @ [1.0, 1.0j]) * (points @ [1.0, -1.0j])
+        angle = float(np.angle(np.sum(products)))
         for phase in PHASES:
             polygon = ConvexPolygon(goal.centroid + rotated(points, angle + phase))
             yield Hitch(shape.team, polygon, shape.altitude, shape.q_legs)
-
-
-def _nearest_angle(points: Array, goal: Array) -> float:
-    """Return the angle [rad] that turns points (n, 2) about the origin nearest to others (n, 2).
-
-    The sum of squared distances is smallest.
-    """
-    conjugates = points @ [1.0, -1.0j]
-    return float(np.angle(np.sum((goal @ [1.0, 1.0j]) * conjugates)))
 
 
 def _spread(

@@ -274,7 +274,10 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
     spans = longest_spans(hitch.team, requirements)
     unplaced = Laying(hitch, levels, spans=spans, errors=requirements.position_error > 0.0)
     laid = unplaced.drones_laid
-    spacing = _largest_sag(hitch.team, laid) + requirements.height_ratio * distance
+    q, r = laid[0::2], laid[1::2]
+    sags = Catenary.between(q, r, hitch.team.cable_length).depth(0.0)
+    rises = np.abs(r - q)[:, 2]
+    spacing = float(np.max(sags + rises)) + requirements.height_ratio * distance
     along = hitch.polygon.edge_directions
     outward = left_of(along)
 
@@ -291,15 +294,6 @@ def find_laying(hitch: Hitch, levels: Indices, requirements: Requirements) -> La
                 yield smallest_separation(drones, separation), laying
 
     return best(candidates(), MIN_SEPARATION)
-
-
-def _largest_sag(team: Team, drones: Array) -> float:
-    """Return the largest height [m] of hanging cables, sag and rise, between drones (2n, 3) [m]."""
-    q = drones[0::2]
-    r = drones[1::2]
-    sags = Catenary.between(q, r, team.cable_length).depth(0.0)
-    rises = np.abs(r - q)[:, 2]
-    return float(np.max(sags + rises))
 
 
 def _nearest_start(

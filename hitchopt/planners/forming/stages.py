@@ -186,13 +186,11 @@ def rise_seconds(team: Team) -> float:
 
 def reversed_stages(stages: Sequence[Motion]) -> list[Motion]:
     """Return the time-reversed motions of forming, which release the hitch."""
-    return [_reversed_stage(motion) for motion in reversed(stages)]
-
-
-def _reversed_stage(motion: Motion) -> Motion:
-    """Return the time-reversed motion of one stage."""
-    phases = [replace(phase, name=BACKWARD[phase.name]) for phase in motion.phases]
-    return motion.map_curves(lambda curve: curve.reversed(), phases)
+    backward = list[Motion]()
+    for motion in reversed(stages):
+        phases = [replace(phase, name=BACKWARD[phase.name]) for phase in motion.phases]
+        backward.append(motion.map_curves(lambda curve: curve.reversed(), phases))
+    return backward
 
 
 # Flights on straight lines, and hovering.

@@ -164,7 +164,10 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
         ahead = points[1:] if distance <= START_TOLERANCE else points
         if not len(ahead):
             return action
-        path = _smooth_track(np.vstack([origin, ahead]))
+        places = np.vstack([origin, ahead])
+        covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+        s = covered / covered[-1]
+        path = PiecewisePolynomial(s, _through(s, places, (2, 3)))  # straight at the ends
         return replace(action, track=_of_all_vertices(start, vertex, path))
     later = points
     if points[0, 0] == 0.0:
@@ -196,13 +199,6 @@ def _of_all_vertices(start: Hitch, vertex: int, track: PiecewisePolynomial) -> P
     coefficients = np.repeat(constants, track.degree + 1, axis=-1)
     coefficients[:, vertex, :2] = track.coefficients
     return PiecewisePolynomial(track.breaks, coefficients)
-
-
-def _smooth_track(points: Array) -> PiecewisePolynomial:
-    """Return the spline through points (J, d) [m] over s, a piece per stretch; straight at ends."""
-    lengths = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1)))
-    s = lengths / lengths[-1]
-    return PiecewisePolynomial(s, _through(s, points, (2, 3)))
 
 
 def _through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:

@@ -294,8 +294,11 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     refinement: factor of the number of pieces.
     """
     duration = profile.duration + ramp
-    t = _change_times(profile, ramp, duration)
-    # The acceleration jumps at t and is evaluated between
+    changes = [profile.times, profile.times + 0.5 * ramp, profile.times + ramp]
+    grid = np.linspace(0.0, duration, MESH_SAMPLES)
+    t = np.unique(np.clip(np.concatenate([*changes, grid]), 0.0, duration))
+    t = t[np.append(True, np.diff(t) > TIME_TOLERANCE * duration)]
+    # The smoothed acceleration starts or ends to change at t, and is evaluated between
     middle = 0.5 * (t[1:] + t[:-1])
     change = np.abs(profile.acceleration(middle) - profile.acceleration(middle - ramp))
     active = np.append(change > ACTIVE_SHARE * np.max(change), False)
@@ -315,18 +318,6 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     knots[0] = 0.0
     knots[-1] = duration
     return knots
-
-
-def _change_times(profile: SpeedProfile, ramp: float, duration: float) -> Array:
-    """Return times [s] at which changes of the smoothed acceleration may start or end, and a grid.
-
-    They increase from 0 to the duration [s].
-    """
-    changes = [profile.times, profile.times + 0.5 * ramp, profile.times + ramp]
-    grid = np.linspace(0.0, duration, MESH_SAMPLES)
-    t = np.unique(np.clip(np.concatenate([*changes, grid]), 0.0, duration))
-    is_later = np.append(True, np.diff(t) > TIME_TOLERANCE * duration)
-    return np.asarray(t[is_later])
 
 
 SPANS = 8
