@@ -53,9 +53,6 @@ MIN_EDGE = 0.5
 ROUNDING = 1e-9
 """Tolerance within which lengths or margins are equal."""
 
-MARGIN_DIGITS = 9
-"""Number of decimal places to which margins of cables are compared."""
-
 CENTIMETRE = 0.01
 """[m] Step of cable lengths."""
 
@@ -204,7 +201,7 @@ def separating_cables(
         if feasible:
             best = max(
                 feasible,
-                key=lambda each: (round(each.margin, MARGIN_DIGITS), -each.cable_length),
+                key=lambda each: (round(each.margin, 9), -each.cable_length),
             )
             chosen = (feasible[0], best, feasible[-1])
             return list(dict.fromkeys(candidate.cable_length for candidate in chosen))

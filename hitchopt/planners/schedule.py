@@ -33,9 +33,6 @@ from hitchopt.values import Array, Indices
 STEP = 0.1
 """[s] Spacing of samples."""
 
-TIME_ROUNDING = 1e-9
-"""[s] Smallest distance of the end from the last sample before it."""
-
 MAX_ORDERS = 60
 """Maximum number of orders of priority."""
 
@@ -90,7 +87,7 @@ class SampledPath:
     def times(self) -> Array:
         """(samples,) [s], including the end."""
         first, last = self.flown.motion.drones.breaks[[0, -1]]
-        return np.append(np.arange(first, last - TIME_ROUNDING, STEP), last)
+        return np.append(np.arange(first, last - 1e-9, STEP), last)
 
     def __len__(self) -> int:
         return len(self.times)

@@ -179,9 +179,6 @@ move such clasps."""
 USED_SHARE = 0.8
 """Used share of the acceleration that friction and supports permit."""
 
-MIN_MASS_HEIGHT = 1e-9
-"""[m] Smallest height of the centre of mass above the clasps at which an object can tip over."""
-
 
 @dataclass(frozen=True, eq=False)
 class RestHold(HoldingHitch):
@@ -208,7 +205,7 @@ class RestHold(HoldingHitch):
     def largest_acceleration(self) -> float:
         """Largest acceleration [m/s²] with friction and supports, at most MAX_REST_ACCELERATION."""
         _, offsets = sides_of(self.polygon - self.body.centre_of_mass[:2])
-        lever = max(abs(self._mass_height), MIN_MASS_HEIGHT)
+        lever = max(abs(self._mass_height), 1e-9)  # not zero: it divides
         tipping = GRAVITY * float(np.min(offsets)) / lever
         sliding = self.body.friction * GRAVITY
         return min(MAX_REST_ACCELERATION, USED_SHARE * min(sliding, tipping))

@@ -217,9 +217,6 @@ DIFFERENCE_STEP = 2e-3
 STENCIL = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 """Times at which differences take values, in steps."""
 
-MIDDLE = 2
-"""Index of the stencil's middle."""
-
 FIRST = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12.0
 """Weights of these values in the first derivative."""
 
@@ -267,5 +264,5 @@ def _fitted(breaks: Array, values: Array) -> PiecewisePolynomial:
     second = np.tensordot(SECOND / DIFFERENCE_STEP**2, values, (0, 1))
     first[[0, -1]] = 0.0
     second[[0, -1]] = 0.0
-    jets = np.stack([values[:, MIDDLE], first, second])
+    jets = np.stack([values[:, 2], first, second])  # the middle of the stencil
     return PiecewisePolynomial.hermite(breaks, jets[:, :-1], jets[:, 1:])

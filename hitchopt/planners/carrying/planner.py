@@ -46,9 +46,6 @@ CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearan
 LOAD_LAW = SmoothLaw(0.75)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
 
-MIN_PATH = 1e-6
-"""[m] Length of paths up to which clasps do not move."""
-
 MAX_SLOWINGS = 10
 """Maximum number of slowings of a move."""
 
@@ -57,9 +54,6 @@ SLOWING_FACTOR = 1.5
 
 SLOWING_RESERVE = 1.01
 """Factor of a slowing over the required one."""
-
-REST_SECONDS = 0.5
-"""[s] Duration of the rest at which a hold is checked before it moves."""
 
 LOW_OPENING_TENSION = 0.3
 """[N] Preferred tension of cables as grips open, and the lowest one as they close, if edges would
@@ -81,12 +75,6 @@ MAX_RESIDUAL_GRIP = 0.5
 
 MAX_PUSH = 0.9
 """Largest push of edges on a standing object over the friction with its support."""
-
-PUSH_ROUNDING = 1e-9
-"""Relative rounding of a push that equals its limit."""
-
-MIN_PUSH = 1e-9
-"""[N] Smallest push by which a limit is divided."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +263,7 @@ class MovePlanner:
 
     def met_at_rest(self, checks: Sequence[str]) -> list[str]:
         """Return the checks that the hold meets at rest: slower moves violate the others too."""
-        at_rest = self.motion([self.rest(REST_SECONDS)])
+        at_rest = self.motion([self.rest(0.5)])
         return [name for name in checks if first_violated(at_rest, [name]) is None]
 
     def within_limits(self, move: Move, *checks: str) -> Move:
@@ -443,10 +431,10 @@ class MovePlanner:
         if opened is not None:
             candidates = (low, high, opened)
         else:
-            push = max(hold.largest_push(tension), MIN_PUSH)
+            push = max(hold.largest_push(tension), 1e-9)  # not zero: it divides
             reduced = tension * min(1.0, limit / push)
             candidates = (tension, np.maximum(low, reduced))
-        rounded_limit = limit * (1.0 + PUSH_ROUNDING)
+        rounded_limit = limit * (1.0 + 1e-9)
         tensions = [
             candidate for candidate in candidates if hold.largest_push(candidate) <= rounded_limit
         ]
@@ -472,7 +460,7 @@ class MovePlanner:
         for before, after in pairwise(closures.tolist()):
             path = hold.travel * abs(after - before)
             # Clasps that are tied where they grip do not move, but their drones may
-            law = self._slow_law(path) if path > MIN_PATH else LOAD_LAW
+            law = self._slow_law(path) if path > 1e-6 else LOAD_LAW  # clasps move
             constant = (friction_share, friction_share)
             move = self.move(law, closure=(before, after), friction_share=constant)
             yield self.within_limits(move)

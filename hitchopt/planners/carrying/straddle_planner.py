@@ -80,9 +80,6 @@ SAMPLED_LAW = SmoothLaw(0.5)
 SAMPLES = 21
 """Number of samples of a change of the place."""
 
-FINE_SAMPLES = 121
-"""Number of samples of a change of the place whose first samples keep distances."""
-
 MIN_TRAVEL = 1e-6
 """[m] Smallest path of drones by which limits of a change of the place are divided."""
 
@@ -164,7 +161,7 @@ class StraddlePlanner(MovePlanner):
         places = [path.first, path.ready, *path.bent, path.laid]
         changes = [PlaceChange(start, end, SAMPLED_LAW) for start, end in pairwise(places)]
         distances = list[Distance]()
-        for count in (SAMPLES, FINE_SAMPLES):
+        for count in (SAMPLES, 121):
             for change in changes:
                 curves = path.curves(change, np.linspace(0.0, SAMPLED_LAW.duration, count))
                 distances.append(self._closest(curves, curves["anchors"]))

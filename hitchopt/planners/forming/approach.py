@@ -27,7 +27,6 @@ from hitchopt.hitch.team import Assignment
 from hitchopt.motion.motion import TAKE_OFF, CableState, Motion
 from hitchopt.planners.forming.prehitch import MAX_SPAN_RATIO
 from hitchopt.planners.forming.stages import (
-    MIN_FLIGHT,
     PAUSE,
     Keyframe,
     hover_altitude,
@@ -35,6 +34,7 @@ from hitchopt.planners.forming.stages import (
     stage,
     straight_stages,
 )
+from hitchopt.planners.morph.morph import POSITION_TOLERANCE
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.values import Array
@@ -46,14 +46,8 @@ if TYPE_CHECKING:
 PAIR_SEPARATION = 1.6
 """Separation [1] of a gathered robot's two drones."""
 
-HEIGHT_SAMPLES = 101
-"""Number of times at which the cables' heights are sampled."""
-
 DISC_SEPARATION = 1.15
 """Minimum separation [1] of the discs at the goal."""
-
-MIN_DISC_DISTANCE = 1e-9
-"""[m] Smallest distance of discs at the goal by which the needed one is divided."""
 
 RISE_RESERVE = 0.1
 """Reserve of a raised flight over the height that its cables lack, over ``separation.cable``."""
@@ -177,11 +171,11 @@ class DirectApproach(Approach):
         start = self.problem.start
         goal = self.goal
         take_off = self._lines(self.start, Keyframe(TAKE_OFF, start, CableState.GROUND))
-        if np.max(np.abs(goal - start)) < MIN_FLIGHT:
+        if np.max(np.abs(goal - start)) < POSITION_TOLERANCE:
             pause = PiecewisePolynomial.constant([0.0, PAUSE], goal)
             return [*take_off, self._stage("approach", pause)]
         flight = separated(self.problem)
-        times = np.linspace(flight.breaks[0], flight.breaks[-1], HEIGHT_SAMPLES)
+        times = np.linspace(flight.breaks[0], flight.breaks[-1], 101)
         missing = missing_height(self.team, flight.at(times), self.requirements)
         deficit = missing + self.obstacle_height
         if deficit <= 0.0:
@@ -255,7 +249,7 @@ class GatheredApproach(Approach):
         )
         start = 0.5 * (self.start[0::2] + self.start[1::2])
         middles = 0.5 * (self.goal[0::2] + self.goal[1::2])
-        closest = max(float(np.min(pdist(middles[:, :2]))), MIN_DISC_DISTANCE)
+        closest = max(float(np.min(pdist(middles[:, :2]))), 1e-9)  # not zero: it divides
         scale = max(1.0, 2.0 * DISC_SEPARATION * discs.radius / closest)
         centre = np.mean(middles, axis=0)
         goal = centre + scale * (middles - centre)

@@ -89,18 +89,8 @@ TURNING_SHARES = (0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 JERK_SHARE = 0.7
 """Fraction of the jerk for the angle's own rate."""
 
-TURN_ANGLES = 25
-"""Number of angles of half a turn at which usable accelerations are computed."""
-
-MIN_TANGENTIAL = 1e-6
-"""[m/s²] Smallest acceleration along an ellipse, if the centripetal acceleration uses all of the
-limit."""
-
 CLASP_SHARES = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Fractions of the line from pre-hitch to hitch that are candidates for the clasps."""
-
-MIN_VALUE = 1e-9
-"""[m or 1] Smallest value of a bound by which its limit is divided."""
 
 
 def longest_spans(team: Team, requirements: Requirements) -> Array:
@@ -177,7 +167,7 @@ class SwapEllipses:
         seconds: shortest duration [s], or None.
         """
         start = first * math.pi
-        angles = np.linspace(start, start + math.pi, TURN_ANGLES)
+        angles = np.linspace(start, start + math.pi, 25)
         usable = float(np.min(usable_accelerations(self.team, limits, self.drones(angles))))
         semi_axis = float(max(np.max(self.half), np.max(np.abs(self.rise))))
 
@@ -187,7 +177,7 @@ class SwapEllipses:
             top_rate = min(limits.speed / semi_axis, rate_of_centripetal)
             centripetal = top_rate * top_rate * semi_axis
             remaining = usable * usable - centripetal**2
-            tangential = math.sqrt(max(remaining, MIN_TANGENTIAL**2))
+            tangential = math.sqrt(max(remaining, 1e-6**2))
             clock = fastest_clock(
                 math.pi,
                 speed=top_rate,
@@ -269,7 +259,7 @@ class Bound(NamedTuple):
         cls, constraint: str, value: float, limit: float, unit: str, scale: float = 0.0
     ) -> Bound:
         """Return a lower bound; its ratio is relative to ``scale``, to the value without one."""
-        ratio = (limit - value + scale) / scale if scale > 0.0 else limit / max(value, MIN_VALUE)
+        ratio = (limit - value + scale) / scale if scale > 0.0 else limit / max(value, 1e-9)
         return cls(ratio, constraint, value, limit, "min", unit)
 
     @classmethod
@@ -621,7 +611,7 @@ def _tightening_gap(hitch: Hitch, start: Array, clasps: Array) -> float:
         hull_distance(regions[:, layout.ahead], r),
         hull_distance(regions[:, layout.behind], q),
     ]
-    return max(float(np.min(gaps, initial=np.inf)), MIN_VALUE)
+    return max(float(np.min(gaps, initial=np.inf)), 1e-9)
 
 
 def smallest_separation(drones: Array, separation: Separation) -> float:

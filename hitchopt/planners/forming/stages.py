@@ -18,6 +18,7 @@ from hitchopt.hitch.catenary import Catenary, bounded_radius
 from hitchopt.hitch.requirements import Limits, Requirements
 from hitchopt.motion.loads import tautness
 from hitchopt.motion.motion import CableState, Motion, Phase
+from hitchopt.planners.morph.morph import POSITION_TOLERANCE
 from hitchopt.planners.timing.profile import LIMIT_SHARE, usable_accelerations
 from hitchopt.planners.timing.ramps import fastest_clock
 from hitchopt.planners.timing.timed_motion import turning_stretch
@@ -112,7 +113,7 @@ def straight_stages(
     """Return the stages from a start (2n, 3) [m] to each keyframe; none where no drone moves."""
     stages = list[Motion]()
     for name, drones, state in keyframes:
-        if np.max(np.abs(drones - start)) >= MIN_FLIGHT:
+        if np.max(np.abs(drones - start)) >= POSITION_TOLERANCE:
             if state is CableState.DRAWN:
                 progress = drawing_progress(team, requirements, start, drones)
                 lines = on_lines(progress, start, drones)
@@ -204,15 +205,6 @@ JOINT_RESERVE = 2e-3
 DRAWING_SHARE = 0.9
 """Speed of drones that draw cables taut, over its limit."""
 
-DRAWING_SAMPLES = 201
-"""Number of points on a line at which the slack of cables is computed."""
-
-LINE_SAMPLES = 9
-"""Number of points on a line at which usable accelerations are computed."""
-
-MIN_FLIGHT = 1e-9
-"""[m] Shortest distance of a flight."""
-
 PAUSE = 0.01
 """[s] Duration of a flight in which no drone moves."""
 
@@ -230,9 +222,9 @@ def line_progress(
     It is timed for the longest line, or for ``min_distance`` [m] if that is longer.
     """
     distance = float(np.max(np.linalg.norm(end - start, axis=1)))
-    if distance < MIN_FLIGHT:
+    if distance < POSITION_TOLERANCE:
         return PiecewisePolynomial.constant([0.0, PAUSE], 1.0)
-    shares = np.linspace(0.0, 1.0, LINE_SAMPLES)[:, None, None]
+    shares = np.linspace(0.0, 1.0, 9)[:, None, None]
     on_line = start + shares * (end - start)
     usable = float(np.min(usable_accelerations(team, limits, on_line)))
     clock = fastest_clock(
@@ -258,7 +250,7 @@ def drawing_progress(
     error = requirements.position_error * requirements.height_ratio
     if not error:
         return line_progress(team, limits, start, end)
-    shares = np.linspace(0.0, 1.0, DRAWING_SAMPLES)
+    shares = np.linspace(0.0, 1.0, 201)
     drones = start + shares[:, None, None] * (end - start)
     slack = np.min(team.cable_length - length(drones[:, 1::2] - drones[:, 0::2]), axis=1)
     is_tight = np.append(slack <= 2.0 * error + JOINT_RESERVE, True)

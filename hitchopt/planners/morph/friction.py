@@ -42,9 +42,6 @@ MIN_LEAN = math.radians(0.5)
 PIECES_PER_INTERVAL = 2
 """Number of pieces of the drones' polynomials per interval of the splines."""
 
-COUNT_ROUNDING = 1e-9
-"""Rounding of a number of pieces that is a whole one."""
-
 
 @dataclass(frozen=True, eq=False)
 class FrictionFeedforward:
@@ -150,7 +147,8 @@ def _feedforward_of(motion: Motion, slip: PiecewisePolynomial | None) -> Frictio
         return None
     layout = motion.team.layout
     longest = motion.duration / (PIECES_PER_INTERVAL * slip.pieces)
-    parts = np.ceil(np.diff(motion.drones.breaks) / longest - COUNT_ROUNDING).astype(np.intp)
+    # Rounding does not add a piece to a whole number of them
+    parts = np.ceil(np.diff(motion.drones.breaks) / longest - 1e-9).astype(np.intp)
     breaks = divided(motion.drones.breaks, np.maximum(1, parts))
     vertices = on_breaks(motion.vertices, breaks)
     legs = on_breaks(motion.legs, breaks)

@@ -57,9 +57,6 @@ MIN_EDGE = 1e-3
 MIN_LEG = 1e-3
 """[m] Shortest leg on a path, below which its direction is inaccurate."""
 
-SHAPE_SAMPLES = 401
-"""Number of points of the path at which shapes are checked before timing."""
-
 
 def exterior_angles(layout: Layout, edges: Array) -> Array:
     """Return the right turns (…, clasps) [rad] of edges (…, n, 2) at each clasp."""
@@ -75,7 +72,7 @@ def check_shapes(path: FlatPath) -> None:
 
 def shape_violation(path: FlatPath) -> Violation | None:
     """Return the violation of a polygon that is not convex, or of an edge or leg that vanishes."""
-    s = np.linspace(0.0, 1.0, SHAPE_SAMPLES)
+    s = np.linspace(0.0, 1.0, 401)
     layout = path.team.layout
     shapes = shapes_along(path, s)
     edges = layout.edges(shapes.polygons)
@@ -142,9 +139,6 @@ def load_violation(path: FlatPath, limits: Limits) -> Violation | None:
     loads = demands_along(path, limits, GRID).loads
     return hover_violation(path.team, limits, loads, when, remedies)
 
-
-DISTANCE_SAMPLES = 2001
-"""Number of points at which the distances along path and flight are compared."""
 
 MIN_SPEED_RATIO = 1e-6
 """Smallest speed of a path in its parameter over the mean, below which it cannot be timed."""
@@ -214,8 +208,8 @@ class BlendedMorph:
         path = self.problem
         motion = motion_along(path, self.requirements)
         # Path and flight agree at equal distances covered by vertices and fractions.
-        t = np.linspace(0.0, motion.duration, DISTANCE_SAMPLES)
-        s = np.linspace(0.0, 1.0, DISTANCE_SAMPLES)
+        t = np.linspace(0.0, motion.duration, 2001)
+        s = np.linspace(0.0, 1.0, 2001)
         legs = motion.legs.at(t)
         by_s = _distance_share(path.vertices.at(s), path.legs.share.at(s))
         by_t = _distance_share(motion.vertices.at(t), legs[..., 0] / np.sum(legs, axis=-1))

@@ -123,12 +123,6 @@ GOLDEN_RATIO = 0.5 * (1.0 + math.sqrt(5.0))
 MIN_KNOTS = 3
 """Smallest number of knots of a natural quintic spline."""
 
-PLOTTED_SHAPES = 7
-"""Number of outlines in a picture of a path."""
-
-PLOTTED_SAMPLES = 201
-"""Number of samples of the drones in a picture of a path."""
-
 SMOOTH_AT_REST = "smooth, with no velocity and acceleration at both ends"
 
 FunctionOrKnots = Points | Callable[[float], Points]
@@ -245,10 +239,10 @@ class Path(OneLine):
 
         if axes is None:
             axes = pyplot.subplots(figsize=(6.5, 6.5), layout="constrained")[1]
-        drones = self.drones(np.linspace(0.0, 1.0, PLOTTED_SAMPLES))
+        drones = self.drones(np.linspace(0.0, 1.0, 201))
         for k in range(self.team.drones):
             axes.plot(drones[:, k, 0], drones[:, k, 1], color="0.75", linewidth=0.8)
-        for s in np.linspace(0.0, 1.0, PLOTTED_SHAPES):
+        for s in np.linspace(0.0, 1.0, 7):
             outline = self.vertices.at(float(s))
             if self.team.layout.closed:
                 outline = np.vstack([outline, outline[:1]])

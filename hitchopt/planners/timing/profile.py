@@ -133,7 +133,7 @@ class Demands:
         for first in range(0, len(u), size):
             chunk = slice(first, first + size)
             slowness = self.at(chunk).ray_slowness
-            factors[chunk] = 1.0 / np.maximum(slowness.of_rays(u[chunk], x[chunk]), MIN_SLOWNESS)
+            factors[chunk] = 1.0 / np.maximum(slowness.of_rays(u[chunk], x[chunk]), 1e-150)
             factors[chunk][np.any(slowness.infeasible_at_rest, axis=1)] = 0.0
         return factors
 
@@ -316,9 +316,6 @@ def _products(pair: Array) -> Array:
 
 MIN_RATE = 1e-12
 """Smallest rate by which limits of speed and acceleration are divided."""
-
-MIN_SLOWNESS = 1e-150
-"""Smallest inverse factor of a ray, which keeps factors finite."""
 
 MIN_PATH_LENGTH = 1e-2
 """Smallest length of a path in toppra's units."""

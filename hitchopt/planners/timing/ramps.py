@@ -17,9 +17,6 @@ from hitchopt.trajectory.clock_phases import advance
 from hitchopt.trajectory.piecewise import divided
 from hitchopt.values import Array
 
-PHASE_TOLERANCE = 1e-9
-"""[s] Shorter phases of a profile are dropped."""
-
 MIN_PHASE = 5e-4
 """[s] Shortest phase whose derivatives are accurate."""
 
@@ -96,7 +93,7 @@ def fastest_clock(
             raise HitchoptError(f"ruckig: {result} from 0 to {goal:g}; please report it")
         profile = trajectory.profiles[0][0]
         durations = np.array(profile.t, dtype=np.float64)
-        is_phase = durations > PHASE_TOLERANCE
+        is_phase = durations > 1e-9
         if np.min(durations[is_phase]) >= MIN_PHASE:
             break
     durations = durations[is_phase]

@@ -271,9 +271,6 @@ MAX_INITIAL_PIECES = 200
 MIN_INITIAL_PIECES = 4
 """Smallest number of pieces of the first mesh."""
 
-MESH_SAMPLES = 801
-"""Number of evenly spaced times at which the width of pieces is computed."""
-
 GRADING = 0.4
 """Largest slope of the length of pieces over time."""
 
@@ -295,7 +292,7 @@ def time_mesh(profile: SpeedProfile, ramp: float, refinement: int = 1) -> Array:
     """
     duration = profile.duration + ramp
     changes = [profile.times, profile.times + 0.5 * ramp, profile.times + ramp]
-    grid = np.linspace(0.0, duration, MESH_SAMPLES)
+    grid = np.linspace(0.0, duration, 801)
     t = np.unique(np.clip(np.concatenate([*changes, grid]), 0.0, duration))
     t = t[np.append(True, np.diff(t) > TIME_TOLERANCE * duration)]
     # The smoothed acceleration starts or ends to change at t, and is evaluated between
@@ -331,12 +328,6 @@ FORCE_STRETCH_SHARE = 0.9
 
 CHUNK = 60_000
 """Number of coefficients of drones per chunk."""
-
-MIN_STRETCH = 1e-12
-"""Smallest stretch, of motions at rest."""
-
-MIN_SPARE = 1e-9
-"""[m/s²] Smallest spare acceleration by which a stretch is divided."""
 
 MAX_STRETCH = 1e6
 """Largest stretch of the search."""
@@ -394,7 +385,7 @@ def _rate_stretch(motion: Motion) -> float:
         RateBound(motion.drones, 2, limits.acceleration),
         RateBound(motion.drones, 3, limits.jerk),
     )
-    factor = MIN_STRETCH
+    factor = 1e-12  # of motions at rest
     for chunk in _chunks(motion.team, np.arange(motion.drones.pieces)):
         for points, order, limit in bounds:
             rate = float(np.max(length(_on_spans(points, chunk, order)), initial=0.0))
@@ -420,7 +411,7 @@ def _force_stretches(motion: Motion) -> Array:
         )
     limits = motion.requirements.limits
     spare = spare_accelerations(team, limits, loads_at_rest(team, forces))
-    spare = np.maximum(spare, MIN_SPARE)
+    spare = np.maximum(spare, 1e-9)  # not zero: it divides
     second = bernstein.differentiate(bernstein.differentiate(drones.coefficients))
     accelerations = column_lengths(second).max(axis=-1) / drones.durations[:, None] ** 2
     ratios = accelerations / np.minimum(spare[1:], spare[:-1])
