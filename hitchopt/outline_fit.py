@@ -26,6 +26,7 @@ from hitchopt.hitch.holding import SUGGESTIONS, Capacity, Grip, grip_capacity
 from hitchopt.hitch.requirements import Limits, Requirements, Separation
 from hitchopt.hitch.team import Swarm, Team
 from hitchopt.objects import Rim, Section, SolidObject
+from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.carrying.capacity import RimHold, best_rim_hold
 from hitchopt.planners.carrying.holds import GripHold
 from hitchopt.planners.carrying.planner import tying_tension
@@ -345,28 +346,28 @@ def _tied(task: FitTask) -> Holding:
     shortest = 0.5 * girth + 2.0 * requirements.limits.leg
     steps = math.ceil(shortest / TIED_STEP) + np.arange(TIED_STEPS)
     lengths = [task.cable_length] if task.cable_length else np.round(TIED_STEP * steps, 9).tolist()
-    errors, height = list[InfeasibleError](), _tied_at(task)
+    height = _tied_at(task)
     if height < (needed := needed_height(body, requirements)):
         remedy, when = "use three robots, or a higher object", "of two clasps above its base"
         violation = Violation("hinge", height, needed, "min", "m", (), when, remedy)
         raise InfeasibleError([violation])
-    for cable in lengths:
+
+    def tied(cable: float) -> Holding:
+        """Return the grip of cables of a length [m]."""
         kind, T, friction = task.kind, task.tension, task.clasp_friction
         team = Team(2, cable, cable_density=TIED_DENSITY, tension=T, quadrotor=kind)
         team = with_fields(team, cable_friction=friction)
         request = GripTask(task.section, 2, cable, T, friction, requirements, kind)
-        try:
-            grip = best_grip(request)
-            hold = GripHold.tied(team, body, grip.vertices, height)
-            find_straddle("object", hold, np.full(2, tying_tension(team)), requirements)
-        except InfeasibleError as error:
-            errors.append(error)
-            continue
+        grip = best_grip(request)
+        hold = GripHold.tied(team, body, grip.vertices, height)
+        find_straddle("object", hold, np.full(2, tying_tension(team)), requirements)
         capacity = grip_capacity(grip, kind, task.friction, SAFETY)
         violation = Violation("robots", 2, 3, "min", "", (), "", SUGGESTIONS["robots"])
         rest = InfeasibleError([violation], "two cables cannot support a rim at three points")
         return Holding(task, 2, None, cable, grip, rest, capacity, _zero_capacity(rest))
-    raise errors[-1]
+
+    candidates = (Candidate("cable length", partial(tied, cable)) for cable in lengths)
+    return first_certified(candidates, Effort())
 
 
 def _zero_capacity(error: InfeasibleError) -> Capacity:
@@ -375,7 +376,7 @@ def _zero_capacity(error: InfeasibleError) -> Capacity:
 
 
 def _attempt(search: Callable[[], Any]) -> Any:
-    """Return the result of a search, or its error."""
+    """Return the result of a search, or its error, which is what a table of holds shows."""
     try:
         return search()
     except InfeasibleError as error:

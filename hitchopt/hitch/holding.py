@@ -530,7 +530,7 @@ def rest_capacity(
         try:
             hitch = Hitch(team, polygon, 1.0, legs[0])
             thrusts = -hitch.cable_forces + [0.0, 0.0, GRAVITY * kind.mass]
-        except InfeasibleError as error:
+        except InfeasibleError as error:  # the limit that binds is what is asked
             return -1.0, error.violations[0].constraint
         tilt = np.arctan2(length(thrusts[:, :2]), thrusts[:, 2])
         task = replace(spread, team=team, reference=legs, margin=LIMIT_MARGIN)
