@@ -33,6 +33,7 @@ from benchmarks.measuring import ROOT, environment, parser, timed
 from benchmarks.rival import Rival, RivalError
 from hitchopt import verify
 from problems.random_morph import irregular_pairs
+from problems.swarm import square_mission
 
 if TYPE_CHECKING:
     from benchmarks.rockit_rival import RockitRival
@@ -91,10 +92,29 @@ COLUMNS = [range(3, 5), range(5, 7), range(7, 9), range(9, 13)]
 SIZES = [*(range(n, n + 1) for n in range(3, 9)), range(9, 13)]
 """Numbers of robots of the figure's marks."""
 
-MAX_SIZES = 8
-"""Most numbers of robots that a family's row lists."""
-
 SHOWN_FAMILIES = ("form", "carry", "morph", "heavy_morph", "box", "door", "corridor")
+
+MISSIONS = [
+    (drones, radius, seed)
+    for seed in (None, 0, 1)
+    for drones, radii in {
+        8: (0.15, 0.3),
+        16: (0.15, 0.25),
+        32: (0.12, 0.15),
+        64: (0.12, 0.15),
+    }.items()
+    for radius in radii
+]
+"""Missions of single drones: number of drones, their radius [m], and seed of a forest, or None."""
+
+PUBLISHED = {16: "about 1", 64: "less than 60"}
+"""Processor times [s] in forests that the authors of the missions state, by number of drones."""
+
+MISSIONS_TEXT = (
+    "Starts, goals and sizes of missions published with RBP (Park, ICRA 2020): planned/all, median "
+    "makespan: median–longest processor time [s]; {proven} plans are proven. RBP's times are for its "
+    "machine, limits and forests."
+)
 
 LIMITS = (
     "Limits and tolerances are the defaults; plans are certified for all times. Rivals have no "
@@ -104,8 +124,8 @@ LIMITS = (
 )
 
 FAMILIES_TEXT = (
-    "Start and goal of each problem are certified before it is planned, and none is omitted. "
-    "`box`, `door` and `corridor` move single drones; `python -m benchmarks families` draws more."
+    "Problems of `python -m benchmarks families`; starts and goals are certified first, none is "
+    "omitted, {proven} plans are proven."
 )
 
 LIBRARIES_TEXT = (
@@ -128,6 +148,7 @@ class Result:
     certify: float | None = None  # processor time of the certificate [s]
     verify: float | None = None  # processor time of ``hitchopt verify`` [s]
     excess: float | None = None  # of limits between a rival's samples, relative
+    makespan: float | None = None  # of single drones [s]
     remark: str = ""
 
 
@@ -261,6 +282,9 @@ def measure(store: Store, problems: int, limit: float) -> None:
         for index, pair in enumerate(pairs):
             if pair.data["n"] <= MAX_RIVAL_ROBOTS and not store.has(method, index):
                 store.add(rivals.result(method, pair, index))
+    for index in range(len(MISSIONS)):
+        if not store.has("mission", index):
+            store.add(flown(index))
     for family in SHOWN_FAMILIES:
         for seed in range(problems):
             if not store.has(family, seed):
@@ -272,6 +296,23 @@ def drawn(family: str, seed: int) -> Result:
     one = outcome(FAMILIES[family](seed), seed)
     counts = one.size, one.seconds, one.duration is not None, one.proven
     return Result("family", family, seed, *counts, remark=one.refusal)
+
+
+def flown(index: int) -> Result:
+    """Return the result of a mission of single drones."""
+    one = outcome(square_mission(*MISSIONS[index]), index)
+    solved = one.duration is not None
+    return Result(
+        "mission",
+        "mission",
+        index,
+        one.size,
+        one.seconds,
+        solved,
+        one.proven,
+        makespan=one.duration,
+        remark=one.refusal,
+    )
 
 
 def count(results: Sequence[Result]) -> str:
@@ -325,11 +366,40 @@ def family_rows(store: Store) -> Iterator[Sequence[str]]:
         results = store.of(family)
         if not results:
             continue
-        sizes = sorted({each.size for each in results})
-        by_size = [f"{n}:{count(store.of(family, sizes=[n]))}" for n in sizes]
-        proven = sum(each.proven for each in results)
-        cells = [f"`{family}`", count(results), str(proven), times(results)]
-        yield [*cells, " ".join(by_size) if len(sizes) <= MAX_SIZES else "many"]
+        yield [f"`{family}`", count(results), times(results)]
+
+
+def proven_of(results: Sequence[Result]) -> str:
+    """Return how many of the plans are proven by ``hitchopt verify``."""
+    return f"{sum(each.proven for each in results)} of {sum(each.solved for each in results)}"
+
+
+def mission_rows(store: Store) -> Iterator[Sequence[str]]:
+    """Yield the rows of missions: in the open and in forests, by number of drones."""
+    for size in sorted({drones for drones, _, _ in MISSIONS}):
+        results = store.of("mission", sizes=[size])
+        is_open = [MISSIONS[each.index][2] is None for each in results]
+        in_the_open = [each for each, no_forest in zip(results, is_open, strict=True) if no_forest]
+        in_forests = [each for each in results if each not in in_the_open]
+        groups = mission_cell(in_the_open), mission_cell(in_forests)
+        yield [str(size), *groups, PUBLISHED.get(size, "–")]
+
+
+def mission_cell(results: Sequence[Result]) -> str:
+    """Return the cell of missions: how many were planned, makespan and processor time [s]."""
+    solved = [each for each in results if each.makespan is not None]
+    if not solved:
+        return count(results)
+    makespan = np.median([each.makespan for each in solved if each.makespan is not None])
+    seconds = [each.seconds for each in solved]
+    return f"{count(results)}, {makespan:.3g}: {np.median(seconds):.2g}–{max(seconds):.2g}"
+
+
+def mission_section(store: Store) -> list[str]:
+    """Return the lines of the section of missions."""
+    head = ["drones", "open", "forest", "RBP, forest"]
+    text = MISSIONS_TEXT.format(proven=proven_of(store.of("mission")))
+    return ["## Published missions", "", text, *table(head, mission_rows(store))]
 
 
 def page(store: Store, limit: float, machine: str, calls: dict[str, Counter[str]]) -> str:
@@ -349,24 +419,24 @@ def page(store: Store, limit: float, machine: str, calls: dict[str, Counter[str]
             "",
             "## Morphs of irregular pairs",
             "",
-            "Solved/all pairs of `problems/irregular_pairs.json`: median–95th percentile of processor time over the solved "
-            "pairs [s].",
+            "Solved/all pairs of `problems/irregular_pairs.json`: processor time, median–95th "
+            "percentile [s].",
             *table(["method \\ n", *heads, "all"], morph_rows(store)),
-            "![Processor time and share of solved pairs over the number of robots, by "
-            "method](solve_times.png)",
+            "![Solve times](solve_times.png)",
             "",
-            "Processor time to prove these plans, median–95th percentile [s].",
+            "Times to prove these plans [s].",
             *table(["proof \\ n", *heads, "all"], proof_rows(store)),
             "(success-rates)=",
             "## Success rates",
             "",
-            FAMILIES_TEXT,
+            FAMILIES_TEXT.format(proven=proven_of(store.of(*SHOWN_FAMILIES))),
             *table(
-                ["family", "planned", "proven", "time [s]", "planned by n"],
+                ["family", "planned", "time [s]"],
                 family_rows(store),
             ),
-            "![Shares of planned and proven problems by family](families.png)",
+            "![Success rates](families.png)",
             "",
+            *mission_section(store),
             "## What each library does",
             "",
             LIBRARIES_TEXT,

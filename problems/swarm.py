@@ -189,6 +189,56 @@ def _block(left: float, right: float, near: float, far: float) -> dict[str, Any]
     return {"polygon": corners, "lower": 0.0, "upper": 4.0}
 
 
+MISSION_HALF_WIDTH = 4.0
+"""[m] Half the side of the square around which missions of Park and others start."""
+
+MISSION_ARENA = {"lower": [-5.5, -5.5, 0.0], "upper": [5.5, 5.5, 2.8]}
+"""Arena [m] of these missions."""
+
+TREES = 20
+"""Number of pillars of a forest."""
+
+TREE_RADIUS = 0.35
+"""[m] Radius of a pillar's corners."""
+
+
+def square_mission(n: int, radius: float, seed: int | None = None) -> dict[str, Any]:
+    """Return n drones, a multiple of 8, around a square that all go to the opposite point.
+
+    Starts, goals and sizes are those of the missions that come with the planner of Park, Kim, Jang
+    and Kim, "Efficient multi-agent trajectory planning with feasibility guarantee using relative
+    Bernstein polynomial" (ICRA 2020; github.com/qwerty35/swarm_simulator, MIT licence).
+
+    Parameters
+    ----------
+    radius: of a drone [m]; ellipsoids are twice as high.
+    seed: of a forest of TREES pillars, which are not those of the missions; None for none.
+    """
+    place = 8.0 * MISSION_HALF_WIDTH * (np.arange(n) / n - 0.125)  # along the square from a corner
+    side, along = np.divmod(place, 2.0 * MISSION_HALF_WIDTH)
+    turned = np.exp(0.5j * np.pi * side) * (MISSION_HALF_WIDTH + 1j * (along - MISSION_HALF_WIDTH))
+    start = np.column_stack([turned.real, turned.imag, np.ones(n)])
+    goal = start * np.array([-1.0, -1.0, 1.0])
+    where = "in the open" if seed is None else f"in forest {seed}"
+    data = problem(f"{n} drones of {radius:g} m around a square, {where}", start, goal)
+    data["separation"] = {"radius": radius, "height": 2.0 * radius}
+    data["limits"] = {"speed": 1.7, "acceleration": 6.2, "jerk": 60.0}
+    data["arena"] = MISSION_ARENA
+    if seed is None:
+        return data
+    rng = np.random.default_rng(seed)
+    angles = -np.pi / 3.0 * np.arange(6)
+    outline = TREE_RADIUS * np.column_stack([np.cos(angles), np.sin(angles)])
+    trees = list[dict[str, Any]]()
+    while len(trees) < TREES:
+        corners = np.round(rng.uniform(-5.0, 5.0, 2) + outline, 4)
+        tree = {"polygon": corners.tolist(), "lower": 0.0, "upper": 3.0}
+        if np.min(Prism(corners, 0.0, 3.0).clearance(start).distance) > 1.3 * radius:
+            trees.append(tree)
+    data["keep_out"] = trees
+    return data
+
+
 def problem(title: str, start: Array, goal: Array) -> dict[str, Any]:
     """Return the problem of drones that go from (N, 3) to (N, 3) [m]."""
     return {

@@ -30,7 +30,7 @@ from hitchopt.planners.separation.guesses import (
 from hitchopt.planners.separation.one_by_one import order_of
 from hitchopt.planners.separation.program import hull_points, planes_to_prism, solve_program
 from hitchopt.values import Array
-from problems.swarm import antipodal_circle
+from problems.swarm import antipodal_circle, square_mission
 
 LIMITS, SEPARATION = Limits(speed=1.1, acceleration=2.5, jerk=22.0), Separation(0.13, 0.28)
 
@@ -309,6 +309,26 @@ def test_forests_are_passed_nearly_as_fast_as_the_open(n: int, seed: int, corner
     found = separate(task)
     assert_kept(task, found)
     assert found.drones.duration <= 1.3 * found.bound
+
+
+def test_no_further_guess_is_tried_after_much_effort(monkeypatch: pytest.MonkeyPatch) -> None:
+    planner = import_module(SeparatedCurves.__module__)
+    corridor = Arena([-1.1, -0.05, 0.95], [1.1, 0.05, 1.05])
+    task = task_of(PAIR, PAIR[::-1], arena=corridor)
+    monkeypatch.setattr(planner, "MAX_EFFORT", 1.0)
+    with pytest.raises(InfeasibleError, match="best of 2 candidates: route, flight of one drone"):
+        separate(task)
+
+
+def test_missions_around_a_square_are_antipodal_and_their_forests_are_clear() -> None:
+    data = square_mission(16, 0.25, 3)
+    start, goal = np.array(data["start"]), np.array(data["goal"])
+    np.testing.assert_allclose(np.max(np.abs(start[:, :2]), axis=1), 4.0)
+    np.testing.assert_allclose(start[:, :2], -goal[:, :2])
+    gaps = np.linalg.norm(np.diff(start, axis=0, append=start[:1]), axis=1)
+    np.testing.assert_allclose(gaps, 2.0)
+    prisms = [Prism(**tree) for tree in data["keep_out"]]
+    assert min(np.min(each.clearance(goal).distance) for each in prisms) > 0.25
 
 
 def test_altitudes_by_heading_keep_opposite_flights_apart() -> None:

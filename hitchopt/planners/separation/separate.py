@@ -109,7 +109,8 @@ MAX_RESETS = 6
 """Maximum number of rounds after which drones are put back."""
 
 MAX_EFFORT = 150_000.0
-"""Effort after which no further guess is tried; programs take one unit per drone and piece."""
+"""Effort after which no further guess is tried but drones one by one; programs take one unit per
+drone and piece."""
 
 MAX_ONE_BY_ONE = 24
 """Largest number of drones that fly one after the other."""
@@ -160,7 +161,7 @@ class SeparatedCurves:
         bound = self.problem.bound
         if task.duration is not None and task.duration < bound:
             raise InfeasibleError([_too_short(task, bound, "no drone can be as fast")])
-        effort = Effort(MAX_EFFORT)
+        effort = Effort()
         return first_certified(self._routes(report, effort), effort)
 
     def _routes(self, report: Progress, effort: Effort) -> Iterator[Candidate[SeparationResult]]:
@@ -171,6 +172,8 @@ class SeparatedCurves:
         task = self.task
         for guess in _guesses(self.problem):
             yield Candidate("route", partial(self._route, guess, report, effort))
+            if effort.spent > MAX_EFFORT:
+                break
         if 1 < task.drones <= MAX_ONE_BY_ONE and not task.tethers:
             yield Candidate("flight of one drone after the other", partial(self._in_a_row, report))
         if task.duration is None:
