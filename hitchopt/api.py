@@ -154,8 +154,9 @@ def morph(
     legs: slack split of the cables: balanced, spread, or a list of q-legs d_k [m]; or a mapping
         with sharing (one of these) and roll_deg, at the step's end.
     duration: exact duration [s]; default: as fast as the limits allow.
-    optimize: search for a faster route even if the straight one is feasible; by default only if
-        that takes more than 1.3 times its lower bound.
+    optimize: search for a faster route even if the straight one is feasible, by default only if
+        that takes more than 1.3 times its lower bound; then refine the route together with its
+        speed.
     tension: range of tensions during the step [N].
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.

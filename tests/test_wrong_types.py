@@ -62,7 +62,8 @@ def arguments(kind: type[Step]) -> dict[str, Any]:
         name: key.default if key.default is not EMPTY else key.example
         for name, key in keys_of(kind).items()
     }
-    return given | ({"by": [0.0, 0.1]} if "to" in given and given["to"] is None else {})
+    moves = given.keys() >= {"to", "by"} and given["to"] is None
+    return given | ({"by": [0.0, 0.1]} if moves else {})
 
 
 def steps() -> Iterator[tuple[Callable[..., object], dict[str, Any]]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -103,23 +103,77 @@ def straight_plan(
     return plan_along(task, path, end, phase, duration)
 
 
-def blended_plan(task: StepTask, names: Sequence[str], ends: Sequence[Hitch]) -> StepPlan:
+BLEND_SHAPES = (2, 6, 14)
+"""Numbers of shapes of each step's own route through which a flight without stops is led."""
+
+
+def blended_plan(
+    task: StepTask,
+    names: Sequence[str],
+    ends: Sequence[Hitch],
+    stopped: Callable[[], Sequence[StepPlan]],
+) -> StepPlan:
     """Return the plan through the hitches at the ends of steps, without a stop in between.
 
     One path leads through all of them and is timed as a whole; the phase of each step, with its
-    name, ends as the path passes its hitch. The first step is that of the task.
-    """
-    from hitchopt.planners.morph.morph import BlendedMorph
+    name, ends as the path passes its hitch. The first step is that of the task. Where that path is
+    infeasible, others lead through shapes of the routes on which the steps stop.
 
-    motion, joints = BlendedMorph([task.hitch, *ends], task.requirements).solve()
-    times = [0.0, *joints.tolist(), motion.duration]
-    remarks = ["continues without a stop"] * (len(names) - 1) + [""]
-    phases = tuple(
-        Phase(name, task.index + j, times[j], times[j + 1], remarks[j])
-        for j, name in enumerate(names)
-    )
-    plan = task.plan_ending(motion.replaced(phases=phases), ends[-1])
-    return with_friction_feedforward(plan, timed=False)
+    Parameters
+    ----------
+    stopped: returns the certified plans of the steps that stop.
+    """
+    routes = cache(stopped)
+
+    def through_ends() -> StepPlan:
+        """Return the plan through the ends alone."""
+        return through([[end] for end in ends], clears_legs=False)
+
+    def along_routes(count: int) -> StepPlan:
+        """Return the plan through a number of shapes of each route, and its end."""
+        hitches = list[list[Hitch]]()
+        for plan in routes():
+            shapes = [] if plan.path is None else hitches_along(plan.path, count)
+            hitches.append([*shapes, plan.after.tied])
+        return through(hitches, clears_legs=True)
+
+    def through(hitches: Sequence[Sequence[Hitch]], *, clears_legs: bool) -> StepPlan:
+        """Return the certified plan through the hitches of each step, the last one its end."""
+        from hitchopt.planners.morph.morph import BlendedMorph
+
+        inner = [hitch for each in hitches for hitch in each]
+        morph = BlendedMorph([task.hitch, *inner], task.requirements, clears_legs)
+        motion, times_within = morph.solve()
+        last = np.cumsum([len(each) for each in hitches])[:-1] - 1
+        times = [0.0, *times_within[last].tolist(), motion.duration]
+        remarks = ["continues without a stop"] * (len(names) - 1) + [""]
+        phases = tuple(
+            Phase(name, task.index + j, times[j], times[j + 1], remarks[j])
+            for j, name in enumerate(names)
+        )
+        plan = task.plan_ending(motion.replaced(phases=phases), inner[-1])
+        return require_certified(with_friction_feedforward(plan, timed=False))
+
+    candidates = [Candidate("path through the ends", through_ends)]
+    candidates += [
+        Candidate("path along the steps' routes", partial(along_routes, count))
+        for count in BLEND_SHAPES
+    ]
+    return first_certified(candidates, task.effort, task.progress)
+
+
+def hitches_along(path: Path, count: int) -> list[Hitch]:
+    """Return hitches at ``count`` evenly spaced points within a path at one altitude."""
+    s = np.arange(1, count + 1) / (count + 1)
+    shapes = path.shapes(s)
+    altitudes = path.vertices.at(s)[:, 0, 2].tolist()
+    rolls = np.zeros(count) if shapes.roll is None else shapes.roll
+    return [
+        Hitch(path.team, polygon, altitude, legs[:, 0], roll)
+        for polygon, altitude, legs, roll in zip(
+            shapes.polygons, altitudes, shapes.legs, rolls, strict=True
+        )
+    ]
 
 
 def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:

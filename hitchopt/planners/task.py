@@ -100,12 +100,12 @@ class StepPlan:
             self._share_certificate(plan)
         return plan
 
-    def with_remark(self, remark: str) -> StepPlan:
-        """Return the plan with a remark appended to those of its phases."""
-        phases = [
-            replace(phase, remark="; ".join(filter(None, [phase.remark, remark])))
-            for phase in self.motion.phases
-        ]
+    def with_remark(self, remark: str, *, at_end: bool = False) -> StepPlan:
+        """Return the plan with a remark appended to those of its phases, or of its last one."""
+        phases = list(self.motion.phases)
+        for k in range(len(phases) - 1 if at_end else 0, len(phases)):
+            remarks = filter(None, [phases[k].remark, remark])
+            phases[k] = replace(phases[k], remark="; ".join(remarks))
         plan = StepPlan(self.motion.replaced(phases=tuple(phases)), self.after, self.path)
         self._share_certificate(plan)
         return plan

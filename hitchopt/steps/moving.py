@@ -13,7 +13,13 @@ import numpy as np
 
 from hitchopt.checks.drones import VERTEX_SPEED
 from hitchopt.checks.registry import RULE_OF
-from hitchopt.errors import InfeasibleError, InputError, RequestError, Violation
+from hitchopt.errors import (
+    InfeasibleError,
+    InputError,
+    RequestError,
+    Violation,
+    broken_limit,
+)
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Team
 from hitchopt.hitch.casadi_model import CostFunction
@@ -164,10 +170,57 @@ class ShapeStep(HitchStep):
 def plan_blended(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
     """Return the plan of steps without a stop in between; ``task`` is the first step's.
 
+    Where no such plan is found, it stops after as many of them as it can fly without a stop.
     Raises InputError for a step without motion.
     """
+
+    def stopping(count: int, error: InfeasibleError) -> Candidate[StepPlan] | None:
+        """Return the candidate that stops after ``count`` steps; None without any."""
+        if count == 0:
+            return None
+        planner = partial(_plan_stopping, steps, count, _reason(error), task)
+        return Candidate("flight with a stop", planner, lambda _: stopping(count - 1, error))
+
+    nonstop = Candidate(
+        "flight without a stop",
+        partial(_plan_nonstop, steps, task),
+        lambda error: stopping(len(steps) - 1, error),
+    )
+    return first_certified([nonstop], task.effort, task.progress)
+
+
+def _reason(error: InfeasibleError) -> str:
+    """Return the first limit that a plan breaks, without time and remedy."""
+    if not error.violations:
+        return str(error)
+    first = error.violations[0]
+    return broken_limit(
+        first.constraint, first.value, first.limit, first.sense, first.unit, first.where
+    )
+
+
+def _plan_stopping(steps: Sequence[ShapeStep], count: int, reason: str, task: StepTask) -> StepPlan:
+    """Return the plan that stops after ``count`` steps, for a ``reason`` in its remark."""
+
+    def first(task: StepTask) -> StepPlan:
+        """Return the plan of the steps up to the stop."""
+        plan = _plan_nonstop(steps[:count], task)
+        return plan.with_remark(f"stops: without a stop, {reason}", at_end=True)
+
+    def others(task: StepTask) -> StepPlan:
+        """Return the plan of the steps after the stop."""
+        after = replace(task, index=task.index + count)
+        return plan_blended(steps[count:], after)
+
+    return plan_in_sequence([first, others], task)
+
+
+def _plan_nonstop(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
+    """Return the certified plan of steps without a stop; of one step that of its own."""
     from hitchopt.planners.morph.morph import moves
 
+    if len(steps) == 1:
+        return require_certified(steps[0].plan(task))
     ends = list[Hitch]()
     start = task.hitch
     for index, step in enumerate(steps, task.index):
@@ -180,7 +233,18 @@ def plan_blended(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
             raise RequestError(f"mission[{index}].{step.name}", "no motion", bound, remedy)
         ends.append(end)
         start = end
-    return blended_plan(task, [step.name for step in steps], ends)
+
+    def stopped() -> list[StepPlan]:
+        """Return the certified plans of the steps that stop, each from the end of the last one."""
+        plans = list[StepPlan]()
+        state = task.before
+        for index, step in enumerate(steps, task.index):
+            step_task = replace(task.within(task.requirements, state), index=index)
+            plans.append(require_certified(step.fly(step_task)))
+            state = plans[-1].after
+        return plans
+
+    return blended_plan(task, [step.name for step in steps], ends, stopped)
 
 
 class ActionStep(ShapeStep):

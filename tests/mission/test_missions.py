@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import is_dataclass, replace
 from pathlib import Path
@@ -79,13 +80,33 @@ def test_blended_steps_pass_the_hitches_of_the_same_steps_with_stops() -> None:
     assert passing.certificate["continuity"].worst < 1e-9
 
 
-def test_a_blend_that_cannot_be_flown_says_that_a_stop_would_help() -> None:
-    with pytest.raises(ho.InfeasibleError, match=r"arena: .*, or omit blend"):
-        ho.solve(PROBLEMS / "infeasible" / "blended_overshoot.yaml")
+def test_blends_are_led_along_the_routes_of_their_steps() -> None:
+    """The smooth path through the ends alone swings out of the arena, by 2.75 cm."""
+    corners = [[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]]
+    square = ho.Hitch.balanced(ho.Team(4, 2.0), corners, 1.2)
+    arena = ho.Arena([-2, -2, 0], [2, 1.31, 3])
+    steps = [MoveEdge(3, by=[0, 0.3], blend=True), MoveEdge(1, by=[0, -0.3])]
+    free = ho.solve(square, steps)
+    assert np.max(free.motion.drones.at(np.linspace(0.0, free.duration, 500))[..., 1]) > 1.31
+    plan = ho.solve(square, steps, arena=arena)
+    assert plan.certificate.certified
+    first, _ = plan.motion.phases
+    assert first.remark == "continues without a stop"
+    assert fastest(plan, first.end) > 0.05
+    end = plan.motion.vertices.at(plan.duration)
+    np.testing.assert_allclose(end, free.motion.vertices.at(free.duration), atol=1e-9)
+
+
+def test_a_blend_that_cannot_be_flown_stops_where_it_has_to_and_says_so() -> None:
     outward = MoveVertex(0, by=np.array([-0.15, 0.03]), blend=True)
     back = MoveVertex(0, by=np.array([0.15, -0.03]))
-    with pytest.raises(ho.InfeasibleError, match=r"^blend: .*turns back on itself .* omit bl"):
-        ho.solve(mission(outward, back))
+    plan = ho.solve(mission(outward, back))
+    first, second = plan.motion.phases
+    assert re.match(r"stops: without a stop, blend: .*", first.remark)
+    assert second.remark == ""
+    assert fastest(plan, first.end) < 1e-9
+    with pytest.raises(ho.InfeasibleError, match=r"omit blend"):
+        ho.solve(mission(outward, replace(back, by=np.array([0.9, 0.0]))))
 
 
 VERTEX = blended(MOVES)[0]
