@@ -156,7 +156,7 @@ def morph(
     duration: exact duration [s]; default: as fast as the limits allow.
     optimize: search for a faster route even if the straight one is feasible, by default only if
         that takes more than 1.3 times its lower bound; then refine the route together with its
-        speed.
+        speed, within a fixed amount of work.
     tension: range of tensions during the step [N].
     settle: duration of the swings that end the step where cables slid against friction, added to
         its duration [s]; auto: as far as limits allow; or false.
