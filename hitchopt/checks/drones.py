@@ -28,7 +28,7 @@ from hitchopt.trajectory.jets import ORDER, Jet
 from hitchopt.trajectory.search import Extremum, TimeSpans, worst
 from hitchopt.values import Array, lazy
 
-EXPORTED_ACCELERATION = 1.01
+EXPORTED_ACCELERATION = 1.02
 """The limit of accelerations in files, over that in plans: quintics between samples exceed it where
 jerk is discontinuous."""
 

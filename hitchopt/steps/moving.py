@@ -147,7 +147,7 @@ class ShapeStep(HitchStep):
         yield Candidate("nearest legs", partial(self.fly_to_end, task))
         self.check_end(task.hitch, task)
         if self.legs is None:
-            spread = replace(self, legs="spread")
+            spread = with_fields(self, legs="spread")
             yield Candidate("spread legs", partial(spread.fly_to_end, task))
 
     def fly_to_end(self, task: StepTask) -> StepPlan:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from plans import PROBLEMS
 
 import hitchopt as ho
 from hitchopt import verify
