@@ -186,5 +186,8 @@ def test_shows_declare_limits_and_hold_the_tension(plan: Path) -> None:
     assert "note: setpoints lie up to 8.4" in said
     assert "gains 4.75 N/m, 1.3 N s/m" in said
     assert "separation" in said
-    assert "thrust" not in said.partition("from the plan, over all time")[0]
+    table, _, rest = said.partition("from the plan, over all time")
+    assert "thrust" in table  # of the drones that follow the setpoints
+    assert "jerk" not in table
+    assert "Limits of motion hold for drones that follow the setpoints" in rest
     assert "0 errors, 0 warnings" in run("lint", "files").stdout
