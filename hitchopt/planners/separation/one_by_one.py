@@ -1,8 +1,8 @@
 """Flights of one drone after the other, with all others at rest.
 
 They pass doors and corridors in which no two drones have room, and take long. An order is found by
-a depth-first search: a drone may fly once a route to its goal keeps clear of all others, which rest
-at their starts or goals.
+a depth-first search: a drone may fly once points of a lattice lead to its goal that keep clear of
+all others, which rest at their starts or goals.
 """
 
 from __future__ import annotations
@@ -10,14 +10,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
+from scipy.ndimage import label
 
 from hitchopt.errors import check_time
 from hitchopt.hitch.requirements import Prism, Requirements
-from hitchopt.planners.candidates import Candidate, first_feasible
-from hitchopt.planners.separation.guesses import routes_around
+from hitchopt.planners.separation.prioritized import Lattice, Mask, Node, Reservations
 from hitchopt.planners.separation.task import SeparationTask
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.piecewise import joined
@@ -27,7 +26,7 @@ CORNERS = 16
 """Number of corners of the prism around a drone at rest."""
 
 MAX_ROUTES_PER_DRONE = 16
-"""Maximum number of routes in the search of an order, per drone."""
+"""Maximum number of drones that are tried in the search of an order, per drone."""
 
 
 def order_of(task: SeparationTask) -> list[int] | None:
@@ -35,6 +34,11 @@ def order_of(task: SeparationTask) -> list[int] | None:
 
     Those that fly farthest ahead come first, along the mean flight, if there is a choice.
     """
+    lattice = Lattice.of(task)
+    if lattice is None or not np.any(lattice.clear):
+        return None
+    starts = [lattice.nearest(point) for point in task.start]
+    goals = [lattice.nearest(point) for point in task.goal]
     ahead = (task.start + task.goal) @ np.mean(task.goal - task.start, axis=0)
     preferred: list[int] = np.argsort(-ahead, kind="stable").tolist()
     flown = list[int]()
@@ -49,17 +53,22 @@ def order_of(task: SeparationTask) -> list[int] | None:
             flown.pop()
         drone = untried[-1].pop(0)
         check_time()
-        route = Candidate("route", partial(_route_of, task, drone, flown))
-        if first_feasible([route], None) is not None:
+        at_rest = Reservations(lattice, 1.0)
+        for other in preferred:
+            if other != drone:
+                at_rest.add(np.array([goals[other] if other in flown else starts[other]]))
+        if _connected(at_rest.free(0), starts[drone], goals[drone]):
             flown.append(drone)
             untried.append([other for other in preferred if other not in flown])
     return flown if len(flown) == task.drones else None
 
 
-def _route_of(task: SeparationTask, drone: int, flown: Sequence[int]) -> Array:
-    """Return the route of a drone, or raise InfeasibleError."""
-    (route,) = routes_around(alone(task, drone, flown))
-    return route
+def _connected(free: Mask, start: Node, goal: Node) -> bool:
+    """Return whether steps between free points (x, y, z) of a lattice lead from start to goal."""
+    mask = free.copy()
+    mask[start] = mask[goal] = True
+    parts, _ = label(mask, structure=np.ones((3, 3, 3)))
+    return bool(parts[start] == parts[goal])
 
 
 def alone(task: SeparationTask, drone: int, flown: Sequence[int]) -> SeparationTask:
