@@ -25,6 +25,9 @@ from hitchopt.values import Array
 CORNERS = 16
 """Number of corners of the prism around a drone at rest."""
 
+SHARES = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)
+"""Sizes of that prism, over the largest one."""
+
 MAX_ROUTES_PER_DRONE = 16
 """Maximum number of drones that are tried in the search of an order, per drone."""
 
@@ -77,7 +80,8 @@ def alone(task: SeparationTask, drone: int, flown: Sequence[int]) -> SeparationT
     at_rest[flown] = task.goal[flown]
     requirements = task.requirements
     others = [other for other in range(task.drones) if other != drone]
-    around = tuple(_prism_around(at_rest[other], requirements) for other in others)
+    ends = np.stack([task.start[drone], task.goal[drone]])
+    around = tuple(_prism_around(at_rest[other], ends, requirements) for other in others)
     names = tuple(task.names[other] for other in others)
     acceleration = task.acceleration
     if acceleration is not None:
@@ -92,17 +96,28 @@ def alone(task: SeparationTask, drone: int, flown: Sequence[int]) -> SeparationT
     )
 
 
-def _prism_around(point: Array, requirements: Requirements) -> Prism:
+def _prism_around(point: Array, ends: Array, requirements: Requirements) -> Prism:
     """Return the prism around a drone at a point (3,) [m] that another one's centre stays off.
 
-    Prisms keep the distance ``radius``: with it, the prism contains twice the ellipsoid.
+    Prisms keep the distance ``radius``: with it, the largest prism contains twice the ellipsoid.
+    It is smaller if the other one's ends (2, 3) [m] are too near; the flight is certified later.
     """
     separation = requirements.separation
     angles = -2.0 * np.pi / CORNERS * np.arange(CORNERS)
-    radius = separation.radius / math.cos(math.pi / CORNERS)
-    outline = point[:2] + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    circle = np.column_stack([np.cos(angles), np.sin(angles)]) / math.cos(math.pi / CORNERS)
     rise = 2.0 * separation.height - separation.radius
-    return Prism(outline, point[2] - rise, point[2] + rise)
+    prisms = (
+        Prism(
+            point[:2] + share * separation.radius * circle,
+            point[2] - share * rise,
+            point[2] + share * rise,
+        )
+        for share in SHARES
+    )
+    for prism in prisms:
+        if np.min(prism.clearance(ends).distance) >= separation.radius:
+            break
+    return prism
 
 
 def in_a_row(

@@ -211,10 +211,14 @@ class SeparatedCurves:
             raise InfeasibleError(
                 [], "no order was found in which one drone can fly after the other"
             )
-        flights = [
-            (drone, SeparatedCurves(alone(task, drone, order[:k])).solve().drones)
-            for k, drone in enumerate(order)
-        ]
+        flights = list[tuple[int, PiecewisePolynomial]]()
+        for k, drone in enumerate(order):
+            planner = SeparatedCurves(alone(task, drone, order[:k]))
+            flight = first_feasible([Candidate("flight", planner.solve)], None)
+            if flight is None:  # its violations are of prisms around others, not of the task
+                name = task.names[drone]
+                raise InfeasibleError([], f"{name} found no flight past the others at rest")
+            flights.append((drone, flight.drones))
         curves = in_a_row(task, flights)
         if task.duration is not None:
             if curves.duration > task.duration:
