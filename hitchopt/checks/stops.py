@@ -430,23 +430,27 @@ def stop_table(flight: Flight, limits: ClockLimits | None = None) -> StopTable:
     end = float(flight.breaks[-1]) if rests_at_end else math.inf
     candidates = np.geomspace(MIN_STOP, MAX_STOP, STOP_COUNT)
     durations = np.full(len(starts), np.inf)
-    longest_infeasible = np.full(len(starts), -1)  # index of the candidate
+    # Indices of candidates for each stop: those between both are undecided
+    longest_infeasible = np.full(len(starts), -1)
     shortest_feasible = np.full(len(starts), len(candidates))
     while True:
+        # A stop that ends no sooner than a later one, or than the plan, is not needed
         rest_times = np.append(starts + durations, end)
-        soonest_later_rest = np.minimum.accumulate(rest_times[::-1])[-2::-1]
-        too_long = np.searchsorted(candidates, soonest_later_rest - starts)
-        shortest_feasible = np.minimum(shortest_feasible, too_long)
+        soonest_rests = np.minimum.accumulate(rest_times[::-1])[::-1]
+        soonest_later_rests = soonest_rests[1:]
+        first_unneeded = np.searchsorted(candidates, soonest_later_rests - starts)
+        shortest_feasible = np.minimum(shortest_feasible, first_unneeded)
+
         undecided = np.flatnonzero(shortest_feasible - longest_infeasible > 1)
         if not len(undecided):
             return StopTable(end, starts, durations)
-        below = longest_infeasible[undecided]
+        infeasible, feasible = longest_infeasible[undecided], shortest_feasible[undecided]
         # With a carried object, longer stops may be infeasible: no bisection then.
-        candidate = below + 1 if limits.carried else (below + shortest_feasible[undecided]) // 2
-        feasible = _feasible_stops(limits, starts[undecided], candidates[candidate])
-        durations[undecided[feasible]] = candidates[candidate[feasible]]
-        shortest_feasible[undecided[feasible]] = candidate[feasible]
-        longest_infeasible[undecided[~feasible]] = candidate[~feasible]
+        tried = infeasible + 1 if limits.carried else (infeasible + feasible) // 2
+        succeeds = _feasible_stops(limits, starts[undecided], candidates[tried])
+        durations[undecided[succeeds]] = candidates[tried[succeeds]]
+        shortest_feasible[undecided[succeeds]] = tried[succeeds]
+        longest_infeasible[undecided[~succeeds]] = tried[~succeeds]
 
 
 def _stop_starts(flight: Flight) -> Array:

@@ -81,9 +81,8 @@ class Rest:
         self.heights = 0.5 * (ends[:, 1, 2] + ends[:, 2, 2])
         self.held = np.zeros((N, 3))
         unknowns = np.concatenate([self.planned.ravel(), tensions])
-        self.held = -self.balance(unknowns, np.zeros(n + 3 * N + 2 * n), np.zeros(2 * n))[
-            : 3 * N
-        ].reshape(N, 3)
+        forces = self.balance(unknowns, np.zeros(n + 3 * N + 2 * n), np.zeros(2 * n))[: 3 * N]
+        self.held = -forces.reshape(N, 3)
 
     def balance(self, unknowns: Array, errors: Array, bends: Array) -> Array:
         """Return minus forces on nodes, and excess lengths of cables, for angles (2 n,) of bends.
@@ -91,38 +90,53 @@ class Rest:
         Either unknowns or errors may have a leading axis.
         """
         n, N = len(self.length), len(self.setpoints)
-        head = unknowns.shape[:-1]
-        x, T = unknowns[..., :-n].reshape(*head, -1, 3), unknowns[..., -n:]
-        lengths = self.length + errors[..., :n]
-        offsets = errors[..., n : n + 3 * N].reshape(*errors.shape[:-1], N, 3)
-        ratios = np.exp(errors[..., n + 3 * N :] * bends).reshape(*errors.shape[:-1], n, 2)
-        ends, w = x[..., self.nodes, :], self.weight
-        chord = np.where(self.exists[..., None], ends[..., 1:, :] - ends[..., :-1, :], 0.0)
-        size = np.sqrt(np.sum(chord * chord, axis=-1))
-        level = chord[..., 0] ** 2 + chord[..., 1] ** 2
-        middle = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
-        m = T[..., None] + w * (middle - self.heights[:, None])
-        # A span's energy is m s - w² s h² / 24 m: its derivatives by the chord and by m
-        bulge = w**2 / (24.0 * m)
-        along = (m - bulge * level) / np.where(self.exists, size, 1.0)
-        pull = along[..., None] * chord
-        pull = pull - (2.0 * bulge * size)[..., None] * chord * np.array([1.0, 1.0, 0.0])
+        positions = unknowns[..., :-n].reshape(*unknowns.shape[:-1], -1, 3)
+        tensions = unknowns[..., -n:]
+        of_lengths, of_setpoints, of_friction = np.split(errors, [n, n + 3 * N], axis=-1)
+        pull, down, arc = self.spans(positions[..., self.nodes, :], tensions)
+        ratios = np.exp(of_friction * bends).reshape(*errors.shape[:-1], n, 2)
         of_edges = np.ones(ratios.shape[:-1])
         pull = pull * np.stack([ratios[..., 0], of_edges, ratios[..., 1]], -1)[..., None]
-        arc = size * (1.0 + bulge / m * level)
-        down = np.zeros(pull.shape, dtype=pull.dtype)
-        down[..., 2] = 0.5 * w * arc
-        shape = np.broadcast_shapes(head, errors.shape[:-1])
-        force = np.zeros((*shape, *x.shape[-2:]), dtype=np.result_type(unknowns, errors))
-        for part in range(3):
-            for end, sign in ((part, -1.0), (part + 1, 1.0)):
-                for k in range(n):
-                    force[..., self.nodes[k, end], :] += (sign * pull + down)[..., k, part, :]
-        force[..., :N, :] += self.stiffness * (x[..., :N, :] - self.setpoints - offsets) + self.held
+
+        shape = np.broadcast_shapes(unknowns.shape[:-1], errors.shape[:-1])
+        force = np.zeros((*shape, *positions.shape[-2:]), np.result_type(unknowns, errors))
+        for span in range(3):
+            for k in range(n):
+                first, second = self.nodes[k, span : span + 2]
+                force[..., first, :] += (down - pull)[..., k, span, :]
+                force[..., second, :] += (down + pull)[..., k, span, :]
+        offsets = of_setpoints.reshape(*errors.shape[:-1], N, 3)
+        deviations = positions[..., :N, :] - self.setpoints - offsets
+        force[..., :N, :] += self.stiffness * deviations + self.held
         force[..., N:, 2] += self.load
-        stretch = self.length / AXIAL * (T - self.tensions)
-        excess = np.sum(arc, axis=-1) - lengths - stretch
-        return np.concatenate([force.reshape(*shape, -1), excess + np.zeros((*shape, n))], axis=-1)
+
+        stretch = self.length / AXIAL * (tensions - self.tensions)
+        excess = np.sum(arc, axis=-1) - (self.length + of_lengths) - stretch
+        excess = np.broadcast_to(excess, (*shape, n))
+        return np.concatenate([force.reshape(*shape, -1), excess], axis=-1)
+
+    def spans(self, ends: Array, tensions: Array) -> tuple[Array, Array, Array]:
+        """Return pull [N], weight at each end [N] and length [m] of a leg, an edge and a leg each.
+
+        With the chord s, its horizontal part h and the tension m at its middle, a span of weight w
+        per length has the energy ``m s - w² s h² / 24 m``. Its derivative by the chord is the pull,
+        its derivative by m the length; m grows by w per height of the middle. Spans that do not
+        exist have neither.
+        """
+        w = self.weight
+        chord = np.where(self.exists[..., None], ends[..., 1:, :] - ends[..., :-1, :], 0.0)
+        size = np.sqrt(np.sum(chord * chord, axis=-1))
+        level_square = chord[..., 0] ** 2 + chord[..., 1] ** 2
+        middle = 0.5 * (ends[..., 1:, 2] + ends[..., :-1, 2])
+        m = tensions[..., None] + w * (middle - self.heights[:, None])
+        bulge = w**2 / (24.0 * m)
+        along = (m - bulge * level_square) / np.where(self.exists, size, 1.0)
+        level_chord = chord * np.array([1.0, 1.0, 0.0])
+        pull = along[..., None] * chord - (2.0 * bulge * size)[..., None] * level_chord
+        length = size * (1.0 + bulge / m * level_square)
+        down = np.zeros(pull.shape, dtype=pull.dtype)
+        down[..., 2] = 0.5 * w * length
+        return pull, down, length
 
     def slopes(self, unknowns: Array, errors: Array) -> tuple[Array, Array]:
         """Return derivatives (unknowns, unknowns) and (unknowns, errors), at constant bends."""

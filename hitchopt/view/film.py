@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -71,28 +71,18 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
-    points = [scene.drones, scene.cables.reshape(len(scene.t), -1, 3)]
-    projected = camera.project(np.concatenate(points, axis=1))[..., :2]
-    even = np.linspace(0.0, scene.t[-1], max(2, int(10.0 * scene.t[-1])))
-    ends = np.stack([np.min(projected, axis=1), np.max(projected, axis=1)], axis=-1)
-    recorded = np.maximum(even, scene.t[0])  # the first frame of a flight is later than its start
-    corners, sigma = interp1d(scene.t, ends, axis=0)(recorded), SMOOTHING_TIME / even[1]
-    middles = gaussian_filter1d(np.mean(corners, axis=-1), sigma, axis=0, mode="nearest")
-    reach = np.max(np.abs(corners - middles[..., None]), axis=(0, 2)) + MARGIN
-    height = 2.0 * max(reach[1], reach[0] * FRAME_SIZE[1] / FRAME_SIZE[0]) / (1.0 - HEADER_SHARE)
-    width = height * FRAME_SIZE[0] / FRAME_SIZE[1]
+    view = _View.following(scene, camera)
     draw_lines(axes, camera.project(_ground(scene))[..., :2], "0.9", 0.7, 1)
-    size = max(1.0, MIN_DRONE_SIZE * height / scene.flight.requirements.separation.radius)
-    painter = Painter(scene, camera, max(scene.radius, MIN_CABLE_WIDTH * height), size)
+    size = max(1.0, MIN_DRONE_SIZE * view.height / scene.flight.requirements.separation.radius)
+    painter = Painter(scene, camera, max(scene.radius, MIN_CABLE_WIDTH * view.height), size)
     shapes: Any = draw_painting(axes, painter.paint(scene.at(0.0)))
     words: dict[str, Any] = {"fontsize": 13, "parse_math": False, "zorder": 3}
     figure.text(0.02, 0.945, f"{title}\n{facts(scene.flight)}".strip(), va="center", **words)
     clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
     phases = scene.flight.phases
     for time in times:
-        x, y = (np.interp(time, even, values) for values in middles.T)
-        bottom = y - 0.5 * height * (1.0 - HEADER_SHARE)
-        axes.set(xlim=(x - 0.5 * width, x + 0.5 * width), ylim=(bottom, bottom + height))
+        left, bottom = view.corner(time)
+        axes.set(xlim=(left, left + view.width), ylim=(bottom, bottom + view.height))
         painting = painter.paint(scene.at(float(time)))
         shapes.set_verts(painting.polygons)
         shapes.set_facecolor(painting.colours)
@@ -100,6 +90,36 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
         clock.set_text(f"{phase.name}   {min(time, scene.t[-1]):6.2f} s")
         canvas.draw()
         yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+class _View(NamedTuple):
+    """A frame's view of constant size, which follows drones and cables smoothly."""
+
+    width: float  # [m]
+    height: float  # [m], including the header
+    times: Array  # (m,) [s]
+    middles: Array  # (m, 2) [m], centres of the scene below the header
+
+    @classmethod
+    def following(cls, scene: Scene, camera: Camera) -> _View:
+        """Return the view in which all drones and cables are visible at all times."""
+        points = [scene.drones, scene.cables.reshape(len(scene.t), -1, 3)]
+        projected = camera.project(np.concatenate(points, axis=1))[..., :2]
+        corners = np.stack([np.min(projected, axis=1), np.max(projected, axis=1)], axis=-1)
+        times = np.linspace(0.0, scene.t[-1], max(2, int(10.0 * scene.t[-1])))
+        recorded = np.maximum(times, scene.t[0])  # a flight's first sample is later than its start
+        corners = interp1d(scene.t, corners, axis=0)(recorded)
+        deviation = SMOOTHING_TIME / times[1]  # in samples
+        middles = gaussian_filter1d(np.mean(corners, axis=-1), deviation, axis=0, mode="nearest")
+        reach = np.max(np.abs(corners - middles[..., None]), axis=(0, 2)) + MARGIN
+        half_height = max(reach[1], reach[0] * FRAME_SIZE[1] / FRAME_SIZE[0])
+        height = 2.0 * half_height / (1.0 - HEADER_SHARE)
+        return cls(height * FRAME_SIZE[0] / FRAME_SIZE[1], height, times, middles)
+
+    def corner(self, time: float) -> tuple[float, float]:
+        """Return the lower left corner [m] at a time [s]."""
+        x, y = (float(np.interp(time, self.times, values)) for values in self.middles.T)
+        return x - 0.5 * self.width, y - 0.5 * self.height * (1.0 - HEADER_SHARE)
 
 
 def _ground(scene: Scene) -> Array:

@@ -151,18 +151,21 @@ def _objective(setting: Setting, coefficients: Array) -> tuple[sp.csc_array[np.f
 def _add_tethers(rows: Rows, setting: Setting, inner: Array, slack: int) -> None:
     """Bound the distances of coefficients along their current directions, and so the curves'."""
     first, second, longest = setting.task.tether_arrays
-    free = inner.shape[1]
-    offset = (inner[first] - inner[second]) / longest[:, None, None]
-    along = unit(offset, min_length=MIN_DIRECTION)
-    of_first = (along * setting.trust / longest[:, None, None]).ravel()
-    points = np.stack([first, second])[..., None] * free + np.arange(free)
-    columns = 3 * points[..., None] + np.arange(3)
-    upper = (1.0 - 0.5 * PLANE_MARGIN - np.linalg.norm(offset, axis=-1)).ravel()
-    every = np.arange(len(upper))
-    local = np.tile(np.repeat(every, 3), 2)
-    entries = np.concatenate([of_first, -of_first])
-    top = rows.add(local, columns.ravel(), entries, np.full(len(upper), -np.inf), upper)
-    rows.extend(top + every, slack + every // free, -1.0)
+    free = inner.shape[1]  # coefficients of a drone
+    lengths = longest[:, None, None]
+    offsets = (inner[first] - inner[second]) / lengths  # (tethers, free, 3)
+    directions = unit(offsets, min_length=MIN_DIRECTION)
+    unused = (1.0 - 0.5 * PLANE_MARGIN - np.linalg.norm(offsets, axis=-1)).ravel()
+    # A row per tether and coefficient, with three entries for each of both drones
+    by_first = (directions * setting.trust / lengths).ravel()
+    entries = np.concatenate([by_first, -by_first])
+    coefficients = np.stack([first, second])[..., None] * free + np.arange(free)
+    columns = 3 * coefficients[..., None] + np.arange(3)  # (2, tethers, free, 3)
+    row = np.arange(len(unused))
+    row_of_entry = np.tile(np.repeat(row, 3), 2)
+    no_bound = np.full(len(row), -np.inf)
+    top = rows.add(row_of_entry, columns.ravel(), entries, no_bound, unused)
+    rows.extend(top + row, slack + row // free, -1.0)
 
 
 def _add_planes(rows: Rows, setting: Setting, planes: Planes, slack: int) -> None:
