@@ -88,7 +88,7 @@ MUTATIONS = (
     Mutation("cables.py", "high.value - largest * friction", "high.value - 0.9 * largest * friction", "friction", "a factor of the range of tensions"),
     Mutation("/motion/motion.py", "CableState.FREE, CableState.DRAWN})", "CableState.FREE, CableState.DRAWN, CableState.TIGHTENING})", "form_triangle", "clasped cables taken for free ones"),
     Mutation("chords.py", "spans.sign_after - spans.sign_before", "spans.sign_after + spans.sign_before", "form_triangle", "sign of crossings"),
-    Mutation("support.py", "horizontal.dot(inward) * height", "horizontal.dot(inward) * 10.0 * height", "carry_box", "a factor of inertia leaning"),
+    Mutation("support.py", "horizontal_acceleration.dot(inward) * height", "horizontal_acceleration.dot(inward) * 10.0 * height", "carry_box", "a factor of inertia leaning"),
     Mutation("support.py", "np.sum(inward * (centre[:2] - places), axis=-1)", "np.sum(inward * (places - centre[:2]), axis=-1)", "carry_box", "sign of the edge's distance"),
     Mutation("grips.py", "np.asarray(self.body.friction * np.sum(", "np.asarray(2.0 * self.body.friction * np.sum(", "grip_drum", "a factor of slip loads"),
     Mutation("grips.py", "(self.acceleration[2] + GRAVITY) * self.share", "self.acceleration[2] * self.share", "grip_drum", "the weight dropped"),

@@ -62,19 +62,19 @@ def force_line(spans: Resting) -> Bound:
     places = spans.places
     edges = unit(np.roll(places, -1, axis=1) - places)
     inward = -left_of(edges)  # of clockwise edges
-    gaps = np.sum(inward * (centre[:2] - places), axis=-1)
+    distances_at_rest = np.sum(inward * (centre[:2] - places), axis=-1)
     heading = Enclosed(spans.pose.c[:, 3:])
-    horizontal = add_axis(rotate_back(spans.acceleration.xy, heading))
+    horizontal_acceleration = add_axis(rotate_back(spans.acceleration.xy, heading))
     height = centre[2] - known(body.rim).height
-    tilt = horizontal.dot(inward) * height
-    weight = add_axis(spans.acceleration[2] + GRAVITY).range
-    shift = (tilt.range * weight.inverse).high
-    distances = np.where(weight.low > 0.0, gaps - shift, -np.inf)
+    moment = horizontal_acceleration.dot(inward) * height  # of inertia, per mass
+    weight = add_axis(spans.acceleration[2] + GRAVITY).range  # per mass
+    shift = (moment.range * weight.inverse).high
+    distances = np.where(weight.low > 0.0, distances_at_rest - shift, -np.inf)
     nearest_edge = np.argmin(distances, axis=1)
     of_spans = np.arange(len(spans))
     error = (ROUNDING + heading_error(heading)) * (magnitude(spans.source) + body.circumradius)
     smallest = distances[of_spans, nearest_edge] - error - 2.0 * PLACE_TOLERANCE
-    return Bound(smallest, tilt.upper.x[of_spans, nearest_edge])
+    return Bound(smallest, moment.upper.x[of_spans, nearest_edge])
 
 
 def foot(spans: Gripped) -> Bound:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -30,6 +30,7 @@ from hitchopt.tables import table
 if TYPE_CHECKING:
     import click
 
+    from hitchopt.exports.exporting import Export
     from hitchopt.exports.lint import Report
     from hitchopt.live.abort import AbortTable
     from hitchopt.live.fly import Outlet
@@ -123,8 +124,7 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     format_of(parsed.format)  # report an unknown name before reading the plan
     path = plan_path(directory)
     if output is None:
-        parent = path.parent / ".." if path.parent.name in {"", ".."} else path.parent.parent
-        output = parent / f"{path.parent.resolve().name or 'plan'}-{parsed.format}"
+        output = _beside(path.parent, parsed.format)
     with ProgressBar("certifying") as progress:
         saved = read_saved_plan(path)
         exports = export_flight(saved, parsed, output, progress)
@@ -133,27 +133,52 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
         members = read_fleet(parsed.fleet, saved.flight.team.listed_names).members
         addresses = {each.role: f"{each.name}, {each.uri}" for each in members}
     show_places(saved.flight, addresses)
-    entries, said = [], set[str]()
+    reported = set[str]()  # notes of earlier parts
     for part in exports:
-        verdict, content = part.verdict, asdict(part.verdict)
-        entry = {"folder": str(part.folder), "files": part.files, "begins": part.begins}
-        entry |= {f"{name}_error": content.pop(name) for name in ("position", "velocity")}
-        entries.append({**entry, **content, "notes": part.notes, "goes_slack": part.goes_slack})
-        say(str(ho.Certificate(verdict.duration, verdict.checks)))
-        position, velocity = verdict.position, verdict.velocity
-        say(
-            f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
-            f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
-            f"from the plan, over all time\n{verdict.not_carried}"
-        )
-        for note in part.notes:
-            if note not in said:  # by an earlier part
-                say(f"note: {note}")
-        said |= {*part.notes}
-        file, count = str(part.folder / part.files[0]), len(part.files)
-        state = "exported; cables go slack" if part.goes_slack else "certified as exported"
-        say(f"{state}; {file if count == 1 else f'{count} files in {part.folder}'}")
-    record(parts=entries)
+        _report_part(part, reported)
+        reported |= {*part.notes}
+    record(parts=[_part_entry(part) for part in exports])
+
+
+def _beside(directory: Path, kind: str) -> Path:
+    """Return the directory of the exports of a plan's directory, next to it."""
+    is_unnamed = directory.name in {"", ".."}
+    parent = directory / ".." if is_unnamed else directory.parent
+    return parent / f"{directory.resolve().name or 'plan'}-{kind}"
+
+
+def _report_part(part: Export, reported: Collection[str]) -> None:
+    """Print certificate, errors, new notes and files of an exported part."""
+    verdict = part.verdict
+    position, velocity = verdict.position, verdict.velocity
+    say(str(ho.Certificate(verdict.duration, verdict.checks)))
+    say(
+        f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
+        f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
+        f"from the plan, over all time\n{verdict.not_carried}"
+    )
+    for note in part.notes:
+        if note not in reported:
+            say(f"note: {note}")
+    state = "exported; cables go slack" if part.goes_slack else "certified as exported"
+    count = len(part.files)
+    files = str(part.folder / part.files[0]) if count == 1 else f"{count} files in {part.folder}"
+    say(f"{state}; {files}")
+
+
+def _part_entry(part: Export) -> dict[str, Any]:
+    """Return what ``--json`` has of an exported part."""
+    verdict = asdict(part.verdict)
+    return {
+        "folder": str(part.folder),
+        "files": part.files,
+        "begins": part.begins,
+        "position_error": verdict.pop("position"),
+        "velocity_error": verdict.pop("velocity"),
+        **verdict,
+        "notes": part.notes,
+        "goes_slack": part.goes_slack,
+    }
 
 
 def _rule_options() -> Sequence[click.Option]:

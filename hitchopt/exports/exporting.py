@@ -407,6 +407,7 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
 
     def candidates() -> Iterator[Sequence[ExportTask]]:
         yield (task,)
+        # Here the whole was refused
         is_rounded = len(kind.bounds) > 1 and not _exceeds_memory(refusals[0])
         for factor in RETRY_STRETCHES if is_rounded else ():
             slowdown = f"exported {factor - 1.0:.0%} slower than planned"
@@ -415,7 +416,7 @@ def _first_valid(kind: Format, task: ExportTask, scratch: Path, say: Progress) -
         yield from filter(None, (kind.parts(task, share) for share in REFIT_SHARES))
 
     for number, tasks in enumerate(candidates()):
-        with contextlib.suppress(InfeasibleError):
+        with contextlib.suppress(InfeasibleError):  # which _export_part adds to ``refusals``
             folder = scratch / str(number)
             exports = [_export_part(kind, each, folder, say, refusals) for each in tasks]
             is_slower = number > 0 and len(tasks) == 1

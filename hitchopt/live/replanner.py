@@ -162,15 +162,19 @@ class Replanner(OneLine):
         else:
             phase = Phase("hold", 0, 0.0, HOLD)
             motion, goal = rest_motion(start, Requirements(), HOLD, phase), start
-        own = motion.team
-        if own.drone_names != team.drone_names or np.any(own.cable_length != team.cable_length):
+        flown = motion.team
+        has_same_drones = flown.drone_names == team.drone_names
+        if not has_same_drones or np.any(flown.cable_length != team.cable_length):
             raise InputError("start", start, "of the same team", "use the team of the start")
         specified = {key: value for key, value in options.items() if value is not None}
-        self.requirements = replace(motion.requirements, **specified).flown_by(own)
-        self.motion, self._goal = replace(motion, requirements=self.requirements), goal
-        self._limits = limits = self.requirements.with_reserve.limits
-        if limits.body_rate is not None:  # the jerk that turns a hovering drone at this rate
-            self._limits = with_fields(limits, jerk=min(limits.jerk, GRAVITY * limits.body_rate))
+        self.requirements = replace(motion.requirements, **specified).flown_by(flown)
+        self.motion = replace(motion, requirements=self.requirements)
+        self._goal = goal
+        limits = self.requirements.with_reserve.limits
+        if limits.body_rate is not None:
+            jerk_of_hovering = GRAVITY * limits.body_rate  # turns a hovering drone at this rate
+            limits = with_fields(limits, jerk=min(limits.jerk, jerk_of_hovering))
+        self._limits = limits
         self._certificate = certify(self.motion, reports=())
         with suppress(InfeasibleError):  # load the solver before the first goal
             self._end(self._goal.polygon, self._goal.altitude)

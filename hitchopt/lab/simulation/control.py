@@ -313,12 +313,15 @@ class Pilots:
 
     def __init__(self, world: World, team: Team, settings: Settings) -> None:
         self.gains = PositionGains.of(team, settings)
-        self._masses, self._inertia = world.masses[:, None], world.inertia
+        self._masses = world.masses[:, None]
+        self._inertia = world.inertia
         self._lag = settings.lag
-        self._max_thrust, self._integral_limit = np.array(team.max_thrust), team.integral
+        self._max_thrust = np.array(team.max_thrust)
+        self._integral_limit = team.integral
         self._integral: Array = np.zeros((team.drones, 3))  # force of the integral action so far
-        self._state: Array | None = None
-        self.thrusts, self.moments = np.zeros(team.drones), np.zeros((team.drones, 3))
+        self._state: Array | None = None  # thrusts and moments, (2n, 4), after the first command
+        self.thrusts = np.zeros(team.drones)
+        self.moments = np.zeros((team.drones, 3))
 
     def stop(self, drone: int) -> None:
         """Stop the motors of a drone, whose thrust fades with their lag."""
@@ -396,10 +399,14 @@ class VertexFeedback:
     ) -> None:
         if task.flight is None:
             raise InputError("feedback", True, "with a plan", "pass the plan's directory")
-        self._listed, self._numbers = task.team.listed, np.argsort(task.team.listed)
+        # ``Feedback`` has drones in the order of the problem's lists
+        self._listed = task.team.listed
+        self._numbers = np.argsort(self._listed)  # inverse
         self._feedback = Feedback(task.flight, delay=delay, stiffness=stiffness[self._listed])
-        self._start, self._delay, self._disturbances = float(task.states.t[0]), delay, disturbances
-        self._waiting: deque[tuple[float, Array]] = deque()
+        self._start = float(task.states.t[0])  # [s], in plan time
+        self._delay = delay
+        self._disturbances = disturbances
+        self._waiting: deque[tuple[float, Array]] = deque()  # measurements and their times
         self._end = np.inf  # time at which the plan's clock stops [s]
         self.offsets = self._feedback.offsets[self._numbers]
 

@@ -313,13 +313,18 @@ def _means(flight: SimulatedFlight, end: float) -> tuple[Array, Array]:
 
     Means are over the last REST_TIME; leg lengths are nan without vertices.
     """
-    record, layout = flight.record, flight.task.team.layout
+    record = flight.record
+    layout = flight.task.team.layout
     chosen = (record.t > end - REST_TIME) & (record.t <= end + ROUNDING)
-    ends = record.drones[chosen][:, np.stack([2 * layout.ahead, 2 * layout.behind + 1], axis=-1)]
-    legs, bearing = length(ends - record.vertices[chosen][:, :, None]), record.bearing[chosen]
-    sums, counts = np.nansum(legs, axis=0), np.sum(np.isfinite(legs), axis=0)
-    means: Array = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
-    return means, np.sum(bearing, axis=0) / max(len(bearing), 1)
+    drones_of_clasps = np.stack([2 * layout.ahead, 2 * layout.behind + 1], axis=-1)  # q, r
+    drones = record.drones[chosen][:, drones_of_clasps]  # (samples, clasps, 2, 3)
+    legs = length(drones - record.vertices[chosen][:, :, None])
+    sums = np.nansum(legs, axis=0)
+    counts = np.sum(np.isfinite(legs), axis=0)
+    mean_legs: Array = np.divide(sums, counts, out=np.full_like(sums, np.nan), where=counts > 0)
+    bearing = record.bearing[chosen]
+    mean_bearing = np.sum(bearing, axis=0) / max(len(bearing), 1)
+    return mean_legs, mean_bearing
 
 
 def _failed_links(

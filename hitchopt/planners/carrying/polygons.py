@@ -565,11 +565,14 @@ class RestCandidates(NamedTuple):
         """Return the regular polygons about the centre of mass, turned and stretched."""
         centre = body.centre_of_mass[:2]
         frame, size = _axes(rim)
-        angles = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
-        corners = angles[:, None] - 2.0 * math.pi * np.arange(robots) / robots
+        # Regular polygons (ANGLES, n, 2), and these stretched by aspects (ASPECTS, 1, 2)
+        orientations = 2.0 * math.pi / robots * np.arange(ANGLES) / ANGLES
+        corners = orientations[:, None] - 2.0 * math.pi * np.arange(robots) / robots
         regular = math.sqrt(2.0) * np.stack([np.cos(corners), np.sin(corners)], axis=-1)
         aspects = np.geomspace(0.5, 2.0, ASPECTS)[:, None, None] ** [0.5, -0.5]
         shapes = (regular[:, None] * aspects).reshape(-1, robots, 2)
+
+        # All shapes in all sizes (ANGLES ASPECTS, sizes, n, 2), along the axes of the rim
         polygons = (shapes[:, None] * SIZES[:, None, None] * size) @ frame.T + centre
         outward, offsets = sides_of(polygons)
         widths = np.min(offsets - outward @ centre, axis=-1)
@@ -578,6 +581,7 @@ class RestCandidates(NamedTuple):
             of_edges = np.min(offsets - body.stem.support(outward), axis=-1)
             insets = np.minimum(insets, of_edges)
         longest = np.where(insets >= MIN_INSET, _longest_below(rim, polygons), np.inf)
+
         return cls(
             polygons.reshape(ANGLES, -1, robots, 2),
             insets.reshape(ANGLES, -1),
