@@ -212,7 +212,7 @@ def span_text(values: Iterable[Any], digits: str = ".3f") -> str:
 def known_text(*numbers: float, digits: str = ".1f") -> str:
     """Return numbers as text, or a dash if there is none or one is nan."""
     known = numbers and not any(map(math.isnan, numbers))
-    return ", ".join(f"{x + 0.0:{digits}}" for x in numbers) if known else "–"
+    return ", ".join(f"{x:z{digits}}" for x in numbers) if known else "–"  # z: no -0.0
 
 
 def progress_in(message: str) -> tuple[float | None, float | None]:

@@ -21,13 +21,12 @@ from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.tracking import DRAWING_SPEED
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.drones.quadrotor import GRAVITY
-from hitchopt.errors import UnsupportedError, Violation
+from hitchopt.errors import Violation
 from hitchopt.hitch.catenary import Catenary
 from hitchopt.hitch.forces import hanging_forces
 from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.mission.loading import problem_from_dict
-from hitchopt.motion.flight import Flight, TeamMotion
 from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.objects import Section
@@ -482,12 +481,6 @@ def test_cables_fly_as_high_as_bounds_on_their_displacements_require() -> None:
 def test_cables_that_meet_sides_as_they_cross_are_refused() -> None:
     with pytest.raises(ho.InfeasibleError, match=r"continuity.*deg.*longer cables.*circle"):
         ho.solve(problem([TIE], prism(10, 0.3)))
-
-
-def test_other_teams_are_refused_while_cables_are_tied() -> None:
-    alone = TeamMotion("", tied())
-    with pytest.raises(UnsupportedError, match="no distances to other teams"):
-        Flight((alone,), (TeamMotion("other", cycle().motion),))
 
 
 @pytest.mark.parametrize(
