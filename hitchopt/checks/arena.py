@@ -149,7 +149,8 @@ def _object_wall_gap(motion: Motion, _: float) -> WorstCase:
             reach = slab.section.rounding + float(np.max(corners.r))
 
             def gap(spans: MotionSpans, table: Array = corners.c, reach: float = reach) -> Bound:
-                return _wall_gap(spans, spans.read(table), -UNBOUNDED, reach)
+                # Raised without bound, since the floor does not count
+                return _wall_gap(spans, spans.read(table), lowered=-UNBOUNDED, reach=reach)
 
             spans = MotionSpans.all_of(motion, motion.drones.breaks, 1, held)
             smallest = worst(spans, gap, "min")

@@ -351,10 +351,12 @@ class Certificate(OneLine):
 
     def __getitem__(self, name: str) -> Check:
         """Return the check of that name, or raise KeyError."""
-        for checks in (self.limited, self.checks):
-            for check in checks:
-                if check.name == name:
-                    return check
+        for check in self.limited:  # reports are computed only if they are asked for
+            if check.name == name:
+                return check
+        for check in self.checks:
+            if check.name == name:
+                return check
         names = [check.name for check in self.checks]
         raise KeyError(f"no check {name!r}; {closest_word(str(name), names)}")
 

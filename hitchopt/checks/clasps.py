@@ -394,6 +394,8 @@ def _rolling(spans: Clasps) -> Bound:
     """Return a bound that is negative where a clasp has rolled by less than OPEN_ROLL.
 
     It holds for any load: legs of heavily loaded clasps could wind around their edges in contact.
+    The bound is the largest of ``tan(OPEN_ROLL) cos ψ - |sin ψ|``, at the smallest cosine, since
+    the tangent is negative.
     """
     terms = spans.roll_terms
     sine_over_pull = terms.sine_over_pull.range

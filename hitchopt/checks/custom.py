@@ -163,7 +163,7 @@ class Rule(ByValue, Generic[S]):
         if not callable(self.formula):
             remedy = "pass a function of the spans"
             raise InputError("formula", self.formula, "a function", remedy)
-        line("remedy", self.remedy)
+        line("remedy", self.remedy)  # checks it
 
     @property
     def check_rule(self) -> CheckRule:

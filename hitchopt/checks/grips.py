@@ -248,8 +248,9 @@ def _straight(corners: Enclosed) -> Mask:
     area = (first - start).cross(end - last).norm_upper.value
     length = (end - start).norm_upper.value
     is_point = (last - first).norm_upper.value <= WRAP_GAP
-    is_on_edge = area <= WRAP_GAP * (length + WRAP_GAP)
-    return np.asarray(is_point & is_on_edge)
+    # The area over the length is the distance of the point from the line through the ends
+    is_on_line = area <= WRAP_GAP * (length + WRAP_GAP)
+    return np.asarray(is_point & is_on_line)
 
 
 def _misplaced(spans: Gripped) -> Mask:

@@ -370,13 +370,14 @@ def _raised(polygon: Array, z: Array, pulls: Array, contacts: Array, weight: Arr
     total_rate = np.sum(lift_rates, axis=-1)
     # Force and moments per vertical force of a clasp (…, n, 3)
     effects = np.sum(with_force * lift_rates[..., None], axis=-2) / total_rate[..., None]
-    missing = weight[..., None] * ([1.0, 0.0, 0.0] - np.mean(effects, axis=-2))
-    squares = np.swapaxes(effects, -1, -2) @ effects
+    # Minimise the sum of (f - W/n)² subject to effectsᵀ f = (W, 0, 0)
+    imbalance = weight[..., None] * ([1.0, 0.0, 0.0] - np.mean(effects, axis=-2))
+    gram = np.swapaxes(effects, -1, -2) @ effects
     clasps = z.shape[-1]
     if clasps == 2:  # no moment about the line through both clasps
-        multipliers = np.linalg.pinv(squares, hermitian=True) @ missing[..., None]
+        multipliers = np.linalg.pinv(gram, hermitian=True) @ imbalance[..., None]
     else:
-        multipliers = np.linalg.solve(squares, missing[..., None])
+        multipliers = np.linalg.solve(gram, imbalance[..., None])
     forces = weight[..., None] / clasps + (effects @ multipliers)[..., 0]
     stiffness = np.sum(lift_rates * (1.0 - unit(parts)[..., 2] ** 2), axis=-1)
     return np.asarray(z + (forces - total_rate * z) / stiffness)

@@ -128,27 +128,22 @@ class Aborts:
         return refusal
 
     def _landing(self, time: float, how: str) -> Abort | InfeasibleError | None:
-        """Return the landing from the first stop, or the shortest from a later one or a rest."""
-        best = self._in_place(time, how)
-        if isinstance(best, Abort) and best.start <= time + JOINT:
-            return best
+        """Return the landing from the first stop, or from the nearest rest around a later one."""
+        fallback = self._in_place(time, how)
+        if isinstance(fallback, Abort) and fallback.start <= time + JOINT:
+            return fallback
         unsuited = set[float]()  # rests from which landings are refused
         for stop in self._stops(time, holdable=False):
-            ways = list[Abort]()
             for rest in self._landing_rests(stop.rest):
                 if rest in unsuited or moves_standing(self.flight, time, stop.rest, rest):
                     continue
-                if any((each.rest - rest) * (stop.rest - rest) > 0.0 for each in ways):
-                    continue
-                found = self._attempt(stop, how, rest, best)
-                if isinstance(found, Abort):
-                    ways.append(found)
-                else:
-                    best = best or found.error
-                    unsuited |= {rest} if found.at_end else set()
-            if ways:
-                return min(ways, key=lambda way: way.flight.duration)
-        return best
+                attempt = self._attempt(stop, how, rest, fallback)
+                if isinstance(attempt, Abort):
+                    return attempt
+                fallback = fallback or attempt.error
+                if attempt.at_end:
+                    unsuited.add(rest)
+        return fallback
 
     def _attempt(
         self, stop: StoppedPlan, how: str, origin: float, shorter: object = None

@@ -305,7 +305,8 @@ class _Search:
             verdict = self._verdict_of(change, optimiser=True)
             if isinstance(verdict, Suggestion):
                 suggestions[change.key] = verdict
-            if verdict is None or len(suggestions) >= MAX_SUGGESTIONS:
+            out_of_time = verdict is None
+            if out_of_time or len(suggestions) >= MAX_SUGGESTIONS:
                 break
         return [*suggestions.values()]
 

@@ -118,13 +118,15 @@ def on_clock(motion: Motion, clock: ClockPhases) -> Motion:
     cell_of_middle = np.searchsorted(cell_times, middles) - 1
     phase_index = motion.phase_of_piece[pieces[cell_of_middle]]
     states = np.array([phase.state for phase in motion.phases])[phase_index]
-    smooth = np.flatnonzero(states[1:] == states[:-1])  # else legs and tensions may jump
+    # Where the state changes, legs and tensions may jump
+    in_one_state = np.flatnonzero(states[1:] == states[:-1])
 
     def retimed(curve: PiecewisePolynomial) -> PiecewisePolynomial:
         """Return a curve on the clock."""
         left = _derivatives_on_clock(curve, starts)
         right = _derivatives_on_clock(curve, ends)
-        left[:3, smooth + 1] = right[:3, smooth]
+        # Value, velocity and acceleration are equal to the last bit on both sides of a break
+        left[:3, in_one_state + 1] = right[:3, in_one_state]
         fitted = PiecewisePolynomial.hermite(breaks, left, right)
         if curve is motion.load_share:  # its second derivatives may jump; it stays within [0, 1]
             fitted = PiecewisePolynomial(breaks, np.clip(fitted.coefficients, 0.0, 1.0))

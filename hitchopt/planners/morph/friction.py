@@ -369,11 +369,12 @@ class _ForceTriangles:
 
     def angles(self, slip: Array) -> Array:
         """Return angles (J, clasps, 2) [rad] between the legs and V; nan without a triangle."""
-        pulls = self.tensions * np.exp(slip)
-        others = pulls[..., ::-1]
-        pull = self.pull[..., None]
-        squares = pull**2 + pulls**2 - others**2
-        products = 2.0 * pull * pulls
+        tensions = self.tensions * np.exp(slip)  # by the capstan equation
+        other_tensions = tensions[..., ::-1]
+        clasp_pull = self.pull[..., None]
+        # The law of cosines
+        squares = clasp_pull**2 + tensions**2 - other_tensions**2
+        products = 2.0 * clasp_pull * tensions
         infinite = np.full_like(squares, np.inf)
         cosines = np.divide(squares, products, out=infinite, where=products > 0.0)
         return np.arccos(np.where(np.abs(cosines) < 1.0, cosines, np.nan))
