@@ -245,7 +245,8 @@ def _type_in_words(hint: Any) -> str:
     if isinstance(hint, InitVar):
         hint = hint.type
     parts = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
-    if {*get_args(ArrayLike)} <= {*parts}:
+    members = {*get_args(ArrayLike)} or {ArrayLike}  # it is one part where numpy has an alias
+    if members <= {*parts}:
         parts = (ArrayLike, *(part for part in parts if part not in get_args(Points)))
     words = ["ArrayLike" if each is ArrayLike else inspect.formatannotation(each) for each in parts]
     return re.sub(r"\b(?:\w+\.)+(?=\w)", "", " | ".join(words)).replace("NoneType", "None")
