@@ -25,7 +25,7 @@ define film
 		-quality 75 -loop 0 problems/pictures/$(1).webp
 endef
 
-# What a change needs, in some three minutes; pytest tests/ROOM runs all tests of a room.
+# What a change needs, in some ten minutes on two cores; pytest tests/ROOM runs all tests of a room.
 test: $(VENV)/.tested
 	$(BIN)/python -m pytest -m "not slow" --durations=20
 
