@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -121,18 +121,17 @@ def blended_plan(
 
     Parameters
     ----------
-    stopped: returns the certified plans of the steps that stop.
+    stopped: returns the certified plans of the steps that stop, or raises InfeasibleError.
     """
-    routes = cache(stopped)
 
     def through_ends() -> StepPlan:
         """Return the plan through the ends alone."""
         return through([[end] for end in ends], clears_legs=False)
 
-    def along_routes(count: int) -> StepPlan:
+    def along(routes: Sequence[StepPlan], count: int) -> StepPlan:
         """Return the plan through a number of shapes of each route, and its end."""
         hitches = list[list[Hitch]]()
-        for plan in routes():
+        for plan in routes:
             shapes = [] if plan.path is None else hitches_along(plan.path, count)
             hitches.append([*shapes, plan.after.tied])
         return through(hitches, clears_legs=True)
@@ -154,12 +153,14 @@ def blended_plan(
         plan = task.plan_ending(motion.replaced(phases=phases), inner[-1])
         return require_certified(with_friction_feedforward(plan, timed=False))
 
-    candidates = [Candidate("path through the ends", through_ends)]
-    candidates += [
-        Candidate("path along the steps' routes", partial(along_routes, count))
-        for count in BLEND_SHAPES
-    ]
-    return first_certified(candidates, task.effort, task.progress)
+    def candidates() -> Iterator[Candidate[StepPlan]]:
+        """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
+        yield Candidate("path through the ends", through_ends)
+        routes = stopped()
+        for count in BLEND_SHAPES:
+            yield Candidate("path along the steps' routes", partial(along, routes, count))
+
+    return first_certified(candidates(), task.effort, task.progress)
 
 
 def hitches_along(path: Path, count: int) -> list[Hitch]:
@@ -447,7 +448,8 @@ def refined_plan(
     from hitchopt.planners.optimise.refinement import MAX_EFFORT, flight_cost, refined
 
     path = plan.path
-    assert path is not None
+    if path is None:
+        return plan, ""
     has_friction = cost is None and task.hitch.team.cable_friction > 0.0
     leaning = compensated(plan, timed=False) if has_friction else None
 

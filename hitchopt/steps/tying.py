@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, Self
@@ -292,10 +292,13 @@ class SpotsStep(Step):
             raise InputError("to", self.to, bound, "list q0, r0, q1, r1, …")
         return replace(super().resolved_for(team), to=spots)  # type: ignore[call-arg]
 
-    def over_spots(self, task: StepTask) -> StepPlan:
-        """Return the plan of free cables to hover over the spots, if there are any."""
-        assert self.to is not None
-        return flight_over(task, np.asarray(self.to), in_order=self.assign == "fixed")
+    @property
+    def flights(self) -> list[Callable[[StepTask], StepPlan]]:
+        """Planner of the flight over the spots; empty without spots."""
+        if self.to is None:
+            return []
+        in_order = self.assign == "fixed"
+        return [partial(flight_over, spots=np.asarray(self.to), in_order=in_order)]
 
 
 @documented
@@ -316,14 +319,9 @@ class Release(SpotsStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan how to untie a hitch, in the reverse order of tying it."""
-
-        def untied(task: StepTask) -> StepPlan:
-            return first_certified(untyings(task), task.effort, task.progress)
-
-        if self.to is None:
-            plan = untied(task)
-        else:
-            plan = plan_in_sequence([untied, self.over_spots], task)
+        untied = first_certified(untyings(task), task.effort, task.progress)
+        flights = self.flights
+        plan = plan_in_sequence([lambda _: untied, *flights], task) if flights else untied
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
 
@@ -340,8 +338,7 @@ class Land(SpotsStep):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the descent to the ground, after a flight to the spots if there are any."""
-        planners = [self._descent] if self.to is None else [self.over_spots, self._descent]
-        plan = plan_in_sequence(planners, task)
+        plan = plan_in_sequence([*self.flights, self._descent], task)
         return plan.replaced(self.with_duration(task, plan.motion), plan.after)
 
     def _descent(self, task: StepTask) -> StepPlan:

@@ -402,6 +402,11 @@ def on_spots(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
     return np.concatenate([np.min(distances, axis=0), np.min(distances, axis=1)])
 
 
+def assigned_spots(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return differences of drones from the step's landing spots, if they are assigned so."""
+    return on_spots(s, step.get("to"), {"assign": value})
+
+
 def grounded(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
     """Return the heights of drones above the floor."""
     return s.drones()[:, 2] - s.p.floor
@@ -450,9 +455,9 @@ STEP_KEYS: dict[str, Shows] = {
     "tie.at": clasped_at,
     "fly.goal": flown,
     "release.to": on_spots,
-    "release.assign": lambda s, x, step: on_spots(s, step.get("to"), {"assign": x}),
+    "release.assign": assigned_spots,
     "land.to": on_spots,
-    "land.assign": lambda s, x, step: on_spots(s, step.get("to"), {"assign": x}),
+    "land.assign": assigned_spots,
 }
 """Functions by key, or by step and key, for the difference of a plan from a key's request.
 

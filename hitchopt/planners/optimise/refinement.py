@@ -271,8 +271,7 @@ def _better_flights(flight: Flight, effort: Effort) -> Iterator[Flight]:
         ratio = gain / max(expected, REGULARISATION)
         least = settings.min_gain * flight.duration
         stalled = stalled + 1 if gain < least else 0
-        if ratio > ACCEPTED:
-            assert moved is not None
+        if moved is not None and ratio > ACCEPTED:
             flight = moved
             yield flight
         stride = min(stride * _stride_factor(ratio), settings.max_stride)

@@ -47,14 +47,16 @@ def following_motion(
     InputError: the path turns too often for MAX_PIECES.
     InfeasibleError, TimingError: as ``motion_along``.
     """
-    is_timed = path.duration is not None
-    motion, clock = (stated_motion if is_timed else fastest_motion)(path, requirements)
+    if path.duration is None:
+        motion, clock = fastest_motion(path, requirements)
+    else:
+        motion, clock = stated_motion(path, path.duration, requirements)
     while True:
         progress = PiecewisePolynomial.through_jets(clock.breaks, clock.jets())
         distances = distances_from(path, motion, progress)
         is_far = distances > MAX_DISTANCE
         if not np.any(is_far):
-            return motion if is_timed else within_limits(motion, duration)
+            return within_limits(motion, duration) if path.duration is None else motion
         if motion.drones.pieces + np.count_nonzero(is_far) > MAX_PIECES:
             worst = int(np.argmax(distances))
             found = f"left by {distances[worst]:.2g} m near s = {clock.jets()[worst, 0]:.3g}"

@@ -174,9 +174,9 @@ def _jerk_peaks(motion: Motion, limits: Limits) -> Array:
     return np.concatenate(peaks) / (FINAL_SHARE * limits.jerk)
 
 
-def stated_motion(path: Path, requirements: Requirements) -> ClockedMotion:
-    """Return the motion along a path by its own timing, whatever its limits."""
-    clock = even_clock(path.duration or 0.0, path.vertices.breaks)
+def stated_motion(path: Path, duration: float, requirements: Requirements) -> ClockedMotion:
+    """Return the motion along a path whose s is time, in its duration [s], whatever its limits."""
+    clock = even_clock(duration, path.vertices.breaks)
     while True:
         motion = motion_by(path, requirements, clock)
         if motion.drones.pieces >= MAX_PIECES or cable_error(motion) <= MAX_CABLE_ERROR:
