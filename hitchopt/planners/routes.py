@@ -126,7 +126,7 @@ def blended_plan(
 
     def through_ends() -> StepPlan:
         """Return the plan through the ends alone."""
-        return through([[end] for end in ends], clears_legs=False)
+        return through([[end] for end in ends])
 
     def along(routes: Sequence[StepPlan], count: int) -> StepPlan:
         """Return the plan through a number of shapes of each route, and its end."""
@@ -134,14 +134,14 @@ def blended_plan(
         for plan in routes:
             shapes = [] if plan.path is None else hitches_along(plan.path, count)
             hitches.append([*shapes, plan.after.tied])
-        return through(hitches, clears_legs=True)
+        return through(hitches)
 
-    def through(hitches: Sequence[Sequence[Hitch]], *, clears_legs: bool) -> StepPlan:
+    def through(hitches: Sequence[Sequence[Hitch]]) -> StepPlan:
         """Return the certified plan through the hitches of each step, the last one its end."""
         from hitchopt.planners.morph.morph import BlendedMorph
 
         inner = [hitch for each in hitches for hitch in each]
-        morph = BlendedMorph([task.hitch, *inner], task.requirements, clears_legs)
+        morph = BlendedMorph([task.hitch, *inner], task.requirements)
         motion, times_within = morph.solve()
         last = np.cumsum([len(each) for each in hitches])[:-1] - 1
         times = [0.0, *times_within[last].tolist(), motion.duration]

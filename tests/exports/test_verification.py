@@ -61,6 +61,20 @@ def test_the_plan_itself_is_verified_as_its_certificate_says(make: Callable[[], 
         assert check.limit == EXPORTED_LIMITS.get(check.name, planned.limit)
 
 
+def test_accelerations_are_limited_where_files_have_them() -> None:
+    """Of formats whose acceleration jumps, and only of these, they are not."""
+    motion = hitch_plan()
+    limits = replace(motion.requirements.limits, acceleration=0.9 * 1.99)
+    slower = motion.replaced(requirements=replace(motion.requirements, limits=limits))
+    assert [check.name for check in verified(slower, slower.drones).violated] == ["acceleration"]
+    names = motion.team.drone_names
+    contents = replace(recorded(slower.drones, names), smooth=1)
+    verdict = verify(Flown(ho.Flight.of(slower)), contents, PLAIN, names)
+    assert verdict.violated == ()
+    assert {"speed", "thrust", "tilt"} <= {check.name for check in verdict.checks}
+    assert "Acceleration is discontinuous between pieces, and not certified" in verdict.not_carried
+
+
 def test_a_motion_is_certified_once_and_another_one_again(
     tmp_path: Path,
 ) -> None:

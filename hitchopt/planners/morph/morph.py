@@ -158,9 +158,6 @@ class BlendedMorph:
     requirements: Requirements
     """Limits of motion."""
 
-    clears_legs: bool = False
-    """True to change legs between the hitches so that they keep distances."""
-
     @property
     def knots(self) -> Array:
         """(J,): path parameters of the hitches, from 0 to 1."""
@@ -200,8 +197,6 @@ class BlendedMorph:
             remedy = "the path turns back on itself there: use another path"
             violation = Violation("blend", ratio, MIN_SPEED_RATIO, "min", unit, (), when, remedy)
             raise InfeasibleError([violation])
-        if self.clears_legs:
-            path = with_legs_clear(path, self.requirements)
         check_loads(path, self.requirements.limits)
         return path
 
