@@ -613,7 +613,7 @@ def outcome(data: dict[str, Any], seed: int) -> Outcome:
         return Outcome(seed, size, seconds, None, False, refusal)
     seconds = time.process_time() - start_time
     with tempfile.TemporaryDirectory() as folder:
-        plan.save(folder, picture=False)
+        plan.save(folder)
         proven = all(row.verdict in verify.PASSING for row in verify.verify(folder))
     duration = plan.duration if plan.certificate.certified else None
     return Outcome(seed, size, seconds, duration, proven, "")

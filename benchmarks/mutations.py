@@ -157,7 +157,7 @@ def plan(name: str, folder: Path) -> Path:
         )
         problem = ho.load_problem(source)
         exact = replace(problem, limits=with_fields(problem.limits, tracking=0.0))
-        ho.solve(exact).save(path.parent, rate=10.0, picture=False)
+        ho.solve(exact).save(path.parent, rate=10.0)
     return path
 
 

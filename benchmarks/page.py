@@ -231,7 +231,7 @@ def planned(pair: Pair, index: int, *, optimize: bool) -> Result:
 def proof(plan: ho.Plan) -> tuple[bool, float]:
     """Return whether ``hitchopt verify`` proves a plan, and its processor time [s]."""
     with tempfile.TemporaryDirectory() as folder:
-        plan.save(folder, picture=False)
+        plan.save(folder)
         rows, seconds = timed(lambda: list(verify.verify(folder)))
     return all(row.verdict in verify.PASSING for row in rows), seconds
 

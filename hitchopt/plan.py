@@ -214,13 +214,13 @@ class Plan(OneLine):
         progress: Progress | None = None,
         *,
         report: bool = False,
-        picture: bool = True,
+        picture: bool = False,
     ) -> Path:
-        """Write the plan, setpoints at ``rate`` [Hz] and certificate, and draw; return the path.
+        """Write the plan, setpoints at ``rate`` [Hz] and certificate; return the path.
 
         With ``report``, ``report.html`` is written as well. Either all files are written or none,
-        even if the process is killed; only files with these names are replaced. ``summary.png``
-        follows, unless ``picture`` is False; if it fails, a warning is issued.
+        even if the process is killed; only files with these names are replaced. With ``picture``,
+        ``summary.png`` follows; if it fails, a warning is issued.
 
         Raises
         ------

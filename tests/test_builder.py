@@ -157,7 +157,7 @@ def test_the_end_is_the_hitch_that_drones_and_cables_are_in(team: ho.Team, legs:
 def test_a_saved_plan_ends_in_the_same_hitch_and_one_with_free_cables_in_none(
     plan: ho.Plan, tmp_path: Path
 ) -> None:
-    loaded = ho.load(plan.save(tmp_path / "out", rate=5.0, picture=False))
+    loaded = ho.load(plan.save(tmp_path / "out", rate=5.0))
     assert loaded.end.q_legs == pytest.approx(plan.end.q_legs, abs=1e-12)
     q, r = (np.array(places) + [0.0, 0.0, 1.0] for places in (Q, R))
     landed = ho.solve(ho.DronesStart(q, r), ho.Land(), team=TEAM)
@@ -179,7 +179,7 @@ def test_a_data_frame_holds_the_rows_of_setpoints_csv(
     import pandas as pd
 
     frame = plan.to_dataframe(rate=7.0)
-    table = pd.read_csv(plan.save(tmp_path / "out", rate=7.0, picture=False) / "setpoints.csv")
+    table = pd.read_csv(plan.save(tmp_path / "out", rate=7.0) / "setpoints.csv")
     assert list(frame.columns) == [*table.columns, "phase"]
     assert list(frame["drone"]) == list(table["drone"])
     numbers = [name for name in table.columns if name != "drone"]

@@ -163,7 +163,7 @@ GOOD: list[tuple[Callable[..., object], dict[str, Any]]] = [
     (PLAN.report, {"directory": NOWHERE}), (PLAN.view, {"save": NOWHERE}),
     (PLAN.abort, {"t": AFTER, "how": "hold"}),
     (lambda ghost: PLAN.view(ghost=ghost, browser=False), {"ghost": NOWHERE}),
-    (lambda report: PLAN.save("out", report=report, picture=False), {"report": False}),
+    (lambda report: PLAN.save("out", report=report), {"report": False}),
     (lambda reports: ho.certify(PLAN.motion, reports=reports), {"reports": "speed"}),
     (lambda rules: ho.certify(PLAN.motion, rules=rules), {"rules": []}),
     (
@@ -463,7 +463,7 @@ def test_the_numbers_of_a_plan_are_warned_of_once_under_the_problem_s_keys(tmp_p
     with pytest.warns(ho.UnitWarning) as caught:
         plan = ho.solve(parse_problem(unusual))
     assert [str(each.message).split(":")[0] for each in caught] == ["team.errors.cable_length"]
-    plan.save(tmp_path, picture=False)
+    plan.save(tmp_path)
     with warnings.catch_warnings(record=True) as again:
         warnings.simplefilter("always")
         ho.load(tmp_path)

@@ -183,7 +183,7 @@ def _plan(
         for note in tracking_notes(plan.flight):
             say(f"note: {note}")
     with ProgressBar("writing") as progress:
-        plan.save(folder, rate, progress, report=report, picture=False)
+        plan.save(folder, rate, progress, report=report)
     content = certificate_content(plan.flight, plan.certificate, folder / PLAN)
     say(f"certified; the plan is in {folder}", directory=str(folder), certificate=content)
     return plan

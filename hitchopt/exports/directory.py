@@ -19,7 +19,6 @@ from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import write_plan
 from hitchopt.motion.states import States, flight_states_at, iterate_flight_states, sample_times
 from hitchopt.storage.archive import PLAN
-from hitchopt.storage.decimals import formatted, padded
 from hitchopt.storage.files import (
     DIAGNOSIS,
     Writer,
@@ -239,7 +238,7 @@ HEADER = ",".join(("t", "drone", *(name for group in QUANTITIES.values() for nam
 VERTICES_HEADER = "t,vertex,x,y,z,tension"
 
 ROWS = 20_000  # Rows that are sampled at once
-NUMBERS = 8000  # Numbers that are formatted at once, to fit the processor's cache
+DIGITS = 9  # Significant digits of numbers in tables of plans
 Progress = Callable[[float], None]  # Callback with the completed fraction, 0 to 1
 
 
@@ -295,26 +294,29 @@ def write_vertices(path: Path, flight: Flight, rate: float) -> None:
 
 
 def write_rows(
-    path: Path, header: str, *tables: tuple[Sequence[str], Iterable[tuple[Array, Array]]]
+    path: Path,
+    header: str,
+    *tables: tuple[Sequence[str], Iterable[tuple[Array, Array]]],
+    digits: int = DIGITS,
 ) -> None:
     """Write a header and one line per sample and item: the time, the item's name, the numbers.
 
     Each table has the names (D,) of items, and blocks of times (S,) [s] and numbers (S, D, C). A
-    nan is an empty cell.
+    nan in the last column is an empty cell. The numbers of the first sample have decimal points:
+    readers such as polars infer from the first rows whether a column has integers.
     """
-    with path.open("wb") as file:
-        file.write(f"{header}\n".encode())
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(f"{header}\n")
         for names, blocks in tables:
-            items = padded([f",{name}" for name in names])
+            number = f"%#.{digits}g"
             for t, values in blocks:
-                times, count = formatted(t)[:, 1:], len(t) * len(names)  # no comma before a time
-                rows, step = values.reshape(count, -1), max(1, NUMBERS // values.shape[-1])
-                for first in range(0, count, step):
-                    sample, item = np.divmod(np.arange(first, min(first + step, count)), len(names))
-                    numbers = formatted(rows[first : first + step]).reshape(len(sample), -1)
-                    ends = np.full((len(sample), 1), ord("\n"), np.uint8)
-                    line = np.concatenate([times[sample], items[item], numbers, ends], axis=1)
-                    file.write(line.tobytes().translate(None, b"\0"))
+                times = np.broadcast_to(t[:, None, None], (*values.shape[:2], 1))
+                rows = np.concatenate([times, values], axis=-1).reshape(len(t), -1)
+                for sample in rows.tolist():
+                    cells = f",{number}" * values.shape[-1]
+                    lines = "".join(f"{number},{name}{cells}\n" for name in names)
+                    file.write((lines % tuple(sample)).replace(",nan\n", ",\n"))
+                    number = f"%.{digits}g"
 
 
 def data_frame(flight: Flight, rate: float) -> DataFrame:

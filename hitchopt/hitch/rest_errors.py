@@ -181,10 +181,10 @@ def vertex_errors(team: Team, samples: Mapping[str, Array], sizes: ErrorSizes) -
         of_samples.append(FirstOrder.of(of_sample, nodes[i : i + 1], sizes))
     predicted = np.array([sample.moves for sample in of_samples])
     worst_errors = np.array([sample.worst_errors for sample in of_samples])
-    differences = list[Array]()
-    for sign in (1.0, -1.0):
-        moves = _settled_with(team, samples, sign * worst_errors) - vertices
-        differences.append(np.max(length(moves - sign * predicted), axis=1))
+    both_ways = {name: np.concatenate([values, values]) for name, values in samples.items()}
+    with_errors = _settled_with(team, both_ways, np.concatenate([worst_errors, -worst_errors]))
+    moves = with_errors.reshape(2, *vertices.shape) - vertices
+    differences = np.max(length(moves - np.stack([predicted, -predicted])), axis=-1)
     beyond = REMAINDER_FACTOR * np.max(differences, axis=0)
     remainder = np.where(np.isfinite(beyond), beyond, np.inf)
     displaced = length(vertices - samples["vertices"])

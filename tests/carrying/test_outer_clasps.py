@@ -68,7 +68,7 @@ def test_objects_are_held_where_legs_would_cut_the_rim_farther_inside(
 ) -> None:
     plan = ho.solve(ho.problem_from_dict(wild_carry(seed)))
     assert plan.certificate.certified
-    plan.save(tmp_path, picture=False)
+    plan.save(tmp_path)
     assert {row.verdict for row in verify.verify(tmp_path)} <= set(verify.PASSING)
 
 

@@ -81,7 +81,7 @@ def test_a_plan_is_saved_without_its_picture(
     """No picture is drawn where matplotlib is missing."""
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.warns(FaultWarning, match=r"summary\.png failed"):
-        planned("triangle").save(tmp_path / "out", rate=5.0)
+        planned("triangle").save(tmp_path / "out", rate=5.0, picture=True)
     assert ho.load(tmp_path / "out").certificate.certified
     monkeypatch.chdir(tmp_path)
     done = run("solve", TRIANGLE, "-o", "other", "--rate", "5", code=0)

@@ -75,7 +75,7 @@ PASSING = {
 
 
 def test_an_export_that_violates_a_limit_ends_with_3(place: Path) -> None:
-    ho.solve(ho.problem_from_dict(PASSING)).save(place / "out", picture=False)
+    ho.solve(ho.problem_from_dict(PASSING)).save(place / "out")
     done = run("export", "out", "--format", "compressed", "-o", "files", code=3)
     assert done.stdout == ""
     for words in ("error: keep_out: ", "(the plan keeps 0.120", "sample at a higher --rate"):
@@ -156,7 +156,7 @@ def test_notes_of_several_parts_are_said_once(place: Path) -> None:
     mission: list[ho.MoveVertex | ho.Hold] = []
     for k in range(9):
         mission += [ho.MoveVertex(0, by=[0.0, 0.1 * (-1.0) ** k]), ho.Hold(1.0)]
-    ho.solve(start, mission).save(place / "out", picture=False)
+    ho.solve(start, mission).save(place / "out")
     said = run("export", "out", "--format", "crazyswarm2", "--stiffness", "4.75", code=0).stdout
     assert said.count("note: cables are assumed weightless") == 1
     assert said.count("certified as exported") > 1

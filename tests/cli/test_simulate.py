@@ -34,7 +34,7 @@ def solved(tmp_path_factory: pytest.TempPathFactory) -> Path:
     team = ho.Team(3, 2.4, tension=0.5, cable_density=0.01, cable_friction=0.1)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     place = tmp_path_factory.mktemp("plan") / "out"
-    return ho.solve(hitch, ho.Hold(seconds=0.1)).save(place, picture=False)
+    return ho.solve(hitch, ho.Hold(seconds=0.1)).save(place)
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def settling(place: Path) -> Path:
     """Return the plan of a regular triangle, at rest for a second."""
     team = ho.Team(3, 2.4, tension=0.5, quadrotor=ho.Quadrotor(stiffness=4.75))
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
-    return ho.solve(hitch, ho.Hold(seconds=1.0)).save(place / "out", picture=False)
+    return ho.solve(hitch, ho.Hold(seconds=1.0)).save(place / "out")
 
 
 def read(path: Path) -> Any:
@@ -57,7 +57,7 @@ def test_errors_are_compared_with_what_was_allowed_for(
     team = ho.Team(3, 2.4, tension=0.3, cable_density=0.01, cable_friction=0.1, quadrotor=drone)
     hitch = ho.Hitch.balanced(team, ho.regular_polygon(3, 1.3), altitude=1.4)
     limits = ho.Limits(tracking=allowed)
-    ho.solve(hitch, ho.Hold(seconds=0.1), limits=limits).save(place / "out", picture=False)
+    ho.solve(hitch, ho.Hold(seconds=0.1), limits=limits).save(place / "out")
     result = run("simulate", place / "out", code=0 if words == "within" else 3)
     verdict = rf"drones were off by up to .* m vertically, {words} limits.tracking"
     assert re.search(verdict, result.stdout)
@@ -112,7 +112,7 @@ def test_flights_that_evaluate_refuses_name_no_command_for_it() -> None:
         "start": {"tied": {"hitch": hitch}, "single": [[3.0, 0.0, 1.0]]},
         "mission": [{"tied": {"hold": {"seconds": 1.0}}, "single": {"fly": {"goal": goal}}}],
     }
-    ho.solve(ho.problem_from_dict(problem)).save("out", picture=False)
+    ho.solve(ho.problem_from_dict(problem)).save("out")
     result = run("simulate", "out", code=0)
     assert "every vertex holds" in result.stdout
     assert "hitchopt evaluate" not in result.stdout
@@ -288,7 +288,7 @@ def test_slack_cables_end_with_3_and_integrals_are_warned_of(settling: Path) -> 
 def test_solve_replaces_earlier_statics(settling: Path) -> None:
     run("statics", settling, "--at", "0", code=0)
     (settling / "mine.txt").write_text("mine")
-    ho.load(settling).save(settling, picture=False)
+    ho.load(settling).save(settling)
     names = {path.name for path in settling.iterdir()}
     assert "mine.txt" in names
     assert not names & {"statics.json", "statics.png"}

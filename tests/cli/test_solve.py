@@ -209,8 +209,8 @@ def test_a_plan_is_printed_and_stored_before_it_is_drawn(monkeypatch: pytest.Mon
 
 def test_a_picture_goes_to_its_own_plan_only(place: Path) -> None:
     first, second = planned("triangle"), planned("pentagon")
-    first.save("out", rate=5.0, picture=False)
-    second.save("out", rate=5.0)
+    first.save("out", rate=5.0)
+    second.save("out", rate=5.0, picture=True)
     with pytest.raises(
         FileError, match=r"summary\.png: is not written: the directory has another plan"
     ):

@@ -194,8 +194,6 @@ def _table(folder: Path, names: Sequence[str], _: Array) -> Read:
     else:
         with next(folder.glob("setpoints_*.csv")).open() as file:
             rows = list(csv.DictReader(file))
-        # Readers such as polars take a column that begins with 0 for integers.
-        assert all("." in cell for row in rows for key, cell in row.items() if key != "drone")
     assert [row["drone"] for row in rows[: len(names)]] == list(names)
     groups = [[[float(row[c]) for c in group.split()] for row in rows] for group in GROUPS]
     t = np.array([float(row["t"]) for row in rows[:: len(names)]])

@@ -220,7 +220,7 @@ def test_the_manifest_says_how_and_by_whom_a_plan_is_flown(name: str, tmp_path: 
 def test_a_stated_latency_is_stored_and_checked_before_arming(tmp_path: Path) -> None:
     gains = {"kp": 2.24, "kd": 0.9, "ki": 0}
     for kind, latency in ((RETUNED, 20), (replace(RETUNED, gains=gains, latency=0.04), 40)):
-        plan_of(kind).save(tmp_path / "plan", picture=False)
+        plan_of(kind).save(tmp_path / "plan")
         plan = ho.load(tmp_path / "plan")
         assert plan.motion.team.quadrotor[0] == kind
         plan.export("crazyswarm2", tmp_path / "files")

@@ -59,7 +59,7 @@ def test_hitches_of_unstated_density_are_noted_with_their_sag(
     text = json.dumps(single if "" in teams else several)
     (tmp_path / "problem.yaml").write_text(text)
     plan = ho.solve(tmp_path / "problem.yaml")
-    plan.save(tmp_path / "plan", picture=False)
+    plan.save(tmp_path / "plan")
     saved = ho.load(tmp_path / "plan")
     (part,) = saved.export("csv", tmp_path / "files")
     notes = [note for note in part.notes if "weightless" in note]
@@ -192,7 +192,7 @@ def test_exports_of_groups_are_read_back_and_certified(tmp_path: Path) -> None:
 
 def test_tables_have_all_groups(tmp_path: Path) -> None:
     plan = ho.Plan(two_hitches(), certify(two_hitches()), "Two")
-    plan.save(tmp_path, rate=5.0, picture=False)
+    plan.save(tmp_path, rate=5.0)
     with (tmp_path / "vertices.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {row["vertex"] for row in rows} == {f"a.p{i}" for i in range(3)} | {

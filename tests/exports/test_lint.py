@@ -164,7 +164,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (text(",d2,", ",d2,nonsense"), "line 4: x is 'nonsense.*', no number"),
         (rows(lambda s: s[:1]), "has no rows"),
         (rows(lambda s: [s[0], "nan,d0" + ",0" * 26]), "line 2, column t: not a number"),
-        (rows(lambda s: [*s[:-1], s[-1][:80]]), "cells, not 28; is it cut off"),
+        (rows(lambda s: [*s[:-1], s[-1][:25]]), "cells, not 28; is it cut off"),
     ],
     "gltf/plan.glb": [
         (content(b"glTF" + bytes(60)), "does not begin with the header of a .glb file"),

@@ -82,7 +82,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
 
 
 def saved(name: str, folder: Path) -> ho.Plan:
-    solved(name).save(folder / name, rate=5.0, picture=False)
+    solved(name).save(folder / name, rate=5.0)
     return ho.load(folder / name)
 
 
@@ -203,7 +203,7 @@ def test_drones_of_several_teams_keep_their_names(tmp_path: Path) -> None:
             }
         ],
     }
-    ho.solve(problem_from_dict(problem)).save(tmp_path, rate=5.0, picture=False)
+    ho.solve(problem_from_dict(problem)).save(tmp_path, rate=5.0)
     plan = ho.load(tmp_path)
     assert plan.certificate.certified
     starts = [

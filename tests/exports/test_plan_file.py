@@ -195,7 +195,7 @@ def test_plans_made_in_python_and_their_aborts_are_read_again(tmp_path: Path) ->
     start = ho.Hitch.spread(ho.Team(3, 2.4), [[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
     plan = ho.morph(start, [[0, -0.5], [-0.4, 0.5], [0.4, 0.5]])
     for i, each in enumerate((plan, plan.abort(1.0))):
-        each.save(tmp_path / str(i), picture=False)
+        each.save(tmp_path / str(i))
         assert ho.load(tmp_path / str(i)).certificate.certified
     hitch = request_of(plan.motion)["start"]["hitch"]
     assert [*hitch["polygon"][0], hitch["altitude"]] == pytest.approx([0.0, -1.0, 1.0])

@@ -80,7 +80,7 @@ def test_a_motion_is_certified_once_and_another_one_again(
 ) -> None:
     """Exports ask for the certificate of the very motion."""
     solved = ho.solve(ho.problem_from_dict(PROBLEM))
-    solved.save(tmp_path / "plan", picture=False)
+    solved.save(tmp_path / "plan")
     late = np.array(solved.motion.vertices.coefficients)
     late[-1, 0] += 0.01  # which no exported file shows
     moved = solved.motion.replaced(vertices=solved.motion.vertices.replaced(late))

@@ -210,7 +210,7 @@ def test_setpoints_of_a_plan_are_read_as_a_flight(tmp_path: Path) -> None:
     team = ho.Team(3, 2.4)
     start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.0)
     plan = ho.morph(start, [[0, -0.9], [-0.4, 0.5], [0.4, 0.5]])
-    plan.save(tmp_path / "plan", picture=False)
+    plan.save(tmp_path / "plan")
     flight = ho.read_flight(tmp_path / "plan" / "setpoints.csv")
     assert [*flight.tracks] == ["q0", "r0", "q1", "r1", "q2", "r2"]
     track = flight.tracks["r1"]

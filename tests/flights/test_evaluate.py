@@ -451,7 +451,7 @@ def run(*arguments: str) -> Result:
 
 
 def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
-    plan("triangle").save(place / "plan", picture=False)
+    plan("triangle").save(place / "plan")
     write_csv(place / "flight.csv", triangle())
     call = run(
         "evaluate",
@@ -500,7 +500,7 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
 
 
 def test_commands_place_markers_and_refuse_other_plans(place: Path) -> None:
-    plan("sharp").save(place / "other", picture=False)
+    plan("sharp").save(place / "other")
     write_csv(place / "flight.csv", triangle())
     refusal = run("evaluate", "flight.csv", "--plan", "other")
     assert refusal.exit_code == 2

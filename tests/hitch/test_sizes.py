@@ -129,7 +129,7 @@ def test_heavy_drones_without_a_stated_ellipsoid_are_noted(
     """At solve and at export, which reads the plan back."""
     (tmp_path / "problem.yaml").write_text(json.dumps(problem_of(quadrotor, **more)), "utf-8")
     plan = ho.solve(tmp_path / "problem.yaml")
-    plan.save(tmp_path / "plan", picture=False)
+    plan.save(tmp_path / "plan")
     saved = read_saved_plan(tmp_path / "plan" / "plan.npz")
     (part,) = export_flight(saved, ExportOptions("csv"), tmp_path / "out")
     for notes in (plan.notes, ho.load(tmp_path / "plan").notes, part.notes):

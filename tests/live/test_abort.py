@@ -197,7 +197,7 @@ def test_tensions_that_vanish_stay_zero_on_another_clock() -> None:
 
 def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> None:
     plan = planned("triangle")
-    plan.save(tmp_path, rate=10.0, picture=False)
+    plan.save(tmp_path, rate=10.0)
     done = CliRunner().invoke(main, ["abort", str(tmp_path), "--how", "hold", "--every", "1"])
     assert done.exit_code == 0, done.output
     table = json.loads((tmp_path / "aborts.json").read_text())
@@ -325,9 +325,7 @@ def test_survivors_may_wait_until_they_can_stop(share: float) -> None:
 
 @pytest.mark.slow
 def test_the_command_line_reports_losses(tmp_path: Path) -> None:
-    shown = CliRunner().invoke(
-        main, ["check", str(plan_of(1.0).save(tmp_path, picture=False)), "--survivable"]
-    )
+    shown = CliRunner().invoke(main, ["check", str(plan_of(1.0).save(tmp_path)), "--survivable"])
     (row,) = [line for line in shown.output.splitlines() if "survivable" in line]
     assert (shown.exit_code, row.split()[1]) == (0, "1")
 

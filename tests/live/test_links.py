@@ -235,7 +235,7 @@ def test_invalid_arguments_and_missing_libraries_are_refused() -> None:
 
 
 def test_the_command_streams_the_start_and_ends_without_an_operator(tmp_path: Path) -> None:
-    planned("triangle").save(tmp_path / "plan", picture=False)
+    planned("triangle").save(tmp_path / "plan")
     runner = CliRunner()
     with receivers(1) as ([receiver], [(host, port)]):
         options = ["--over", "json", "--to", f"{host}:{port}", "--patience", "0.1"]
@@ -273,7 +273,7 @@ def test_controllers_that_are_not_streamed_to_are_refused(
 ) -> None:
     team = ho.Team(3, 3.4, tension=0.2, quadrotor=ho.Quadrotor(controller=name))
     ho.solve(ho.Hitch.balanced(team, ho.regular_polygon(3, 1.2), 1.5), ho.Hold(0.5)).save(
-        tmp_path / "plan", picture=False
+        tmp_path / "plan"
     )
     done = CliRunner().invoke(main, ["fly", str(tmp_path / "plan"), "--over", over])
     assert done.exit_code == 2, done.output

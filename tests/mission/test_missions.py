@@ -211,7 +211,7 @@ def test_a_translated_problem_has_the_translated_plan(tmp_path: Path) -> None:
         other = moved.certificate[check.name]
         assert other.holds
         assert other.worst == pytest.approx(check.worst, rel=1e-6, abs=1e-6)
-    moved.save(tmp_path, picture=False)
+    moved.save(tmp_path)
     assert {row.verdict for row in verify.verify(tmp_path)} <= verify.PASSING
 
 

@@ -48,7 +48,7 @@ def test_a_whole_mission_is_one_plan_with_one_certificate() -> None:
 
 def test_a_saved_plan_tells_its_roles_and_vertices_while_it_is_tied(tmp_path: Path) -> None:
     plan = planned("tie_carry_untie")
-    plan.save(tmp_path, rate=10.0, picture=False)
+    plan.save(tmp_path, rate=10.0)
     roles, rows = plan.motion.assignment, (tmp_path / "vertices.csv").read_text().splitlines()[1:]
     assert roles is not None
     expected = {"robots": list(roles.robots), "flipped": list(roles.flipped)}
@@ -156,7 +156,7 @@ def test_plans_go_on_from_the_end_of_one_that_has_exchanged_robots(tmp_path: Pat
     assert end.team.assignment is not None
     assert end.team.assignment.robots != (0, 1, 2)
     plan = ho.solve(end, ho.Transport([0.2, 0.1, 1.1]))
-    plan.save(tmp_path, picture=False)
+    plan.save(tmp_path)
     assert ho.load(tmp_path).certificate.certified
     assert ho.solve(end, ho.Release()).certificate.certified
 

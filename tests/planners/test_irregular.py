@@ -37,7 +37,7 @@ def planned(pair: dict[str, Any]) -> ho.Plan:
 
 def is_proven(plan: ho.Plan, folder: Path) -> bool:
     """Return whether ``hitchopt verify`` proves every limit of a plan."""
-    plan.save(folder, picture=False)
+    plan.save(folder)
     return all(row.verdict in verify.PASSING for row in verify.verify(folder))
 
 

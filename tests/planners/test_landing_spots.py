@@ -43,7 +43,7 @@ def test_drones_land_on_the_spots(assign: str, tmp_path: Path) -> None:
     assert is_in_order == (assign == "fixed")
     robots = np.argmin(distances, axis=1).reshape(3, 2) // 2
     np.testing.assert_array_equal(robots[:, 0], robots[:, 1])  # a robot takes one pair
-    plan.save(tmp_path, picture=False)
+    plan.save(tmp_path)
     assert {row.verdict for row in second.verify(tmp_path / "plan.npz")} <= second.PASSING
 
 

@@ -295,7 +295,7 @@ def test_forming_with_friction_ends_with_settling() -> None:
 def test_cables_with_weight_and_the_independent_verifier(tmp_path: Path) -> None:
     plan = settled(Settle(18.0), density=0.01)
     assert plan.duration == 18.0
-    plan.save(tmp_path, picture=False)
+    plan.save(tmp_path)
     assert verify.main([str(tmp_path)]) == 0
 
 

@@ -214,7 +214,7 @@ def test_hitches_are_tied_and_carry_in_tubes_that_recorded_drones_reach(
     assert check.limit == 0.08
     assert check.holds
     assert plan.certificate.certified
-    plan.save(tmp_path, picture=False)
+    plan.save(tmp_path)
     assert {row.verdict for row in verify(tmp_path)} == {"proven"}
 
 
@@ -231,7 +231,7 @@ def test_plans_keep_every_distance_with_tracking_errors(name: str, tmp_path: Pat
     assert check.limit == off
     assert check.holds
     assert plan.certificate.certified
-    replace(plan, problem="").save(tmp_path, picture=False)  # which states another radius below
+    replace(plan, problem="").save(tmp_path)  # which states another radius below
     assert ho.load(tmp_path).motion.requirements.limits.tracking == off
     rows = list(verify(tmp_path))
     assert {row.verdict for row in rows} == {"proven"}
@@ -258,9 +258,7 @@ def test_certificate_and_verify_agree_on_the_largest_tube(tmp_path: Path) -> Non
     prism = ho.Prism([[-2.0, -2.0], [-2.0, 2.0], [2.0, 2.0], [2.0, -2.0]], 0.0, 1.0)
     places = np.array([[-0.5, 0.0, 1.9], [0.5, 0.0, 1.9]])
     steps = [ho.Fly(places + [0.0, 0.3, 0.0])]
-    ho.separate(ho.Problem(ho.Swarm(2), places, steps, keep_out=(prism,))).save(
-        tmp_path, picture=False
-    )
+    ho.separate(ho.Problem(ho.Swarm(2), places, steps, keep_out=(prism,))).save(tmp_path)
     with np.load(tmp_path / "plan.npz") as file:
         arrays = dict(file)
     settings = json.loads(str(arrays["settings"]))

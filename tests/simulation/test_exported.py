@@ -191,8 +191,8 @@ def test_gains_that_files_do_not_hold_are_said(
 
 
 def test_an_export_flies_with_its_own_plan_alone(plan: ho.Plan, tmp_path: Path) -> None:
-    saved = plan.save(tmp_path / "plan", picture=False)
-    other = ho.solve(plan.end, ho.Hold(0.5)).save(tmp_path / "other", picture=False)
+    saved = plan.save(tmp_path / "plan")
+    other = ho.solve(plan.end, ho.Hold(0.5)).save(tmp_path / "other")
     folder = exported(ho.load(saved), tmp_path / "csv", "csv")
     manifest = json.loads((folder / "export.json").read_text(encoding="utf-8"))
     assert (folder / PLAN_COPY).read_bytes() == (saved / PLAN).read_bytes()

@@ -96,7 +96,7 @@ def test_drones_carry_loads_and_vertices_keep_their_heights() -> None:
 
 def test_the_task_of_a_plan_is_its_states_at_100_hz(tmp_path: Path) -> None:
     plan = ho.solve(regular_hitch(3, load=0.01), ho.Transport(to=[0.1, 0.0, 2.1]))
-    task = read_task(plan.save(tmp_path / "plan", picture=False))
+    task = read_task(plan.save(tmp_path / "plan"))
     count = int(100 * plan.duration) + 1
     np.testing.assert_allclose(task.states.t, np.append(np.arange(count) / 100, plan.duration))
     states = plan.at(task.states.t)

@@ -134,7 +134,7 @@ def test_objects_are_held_by_their_own_group() -> None:
 def test_functions_of_a_single_team_refuse_several(tmp_path: Path) -> None:
     plan = planned("two_teams")
     flight = plan.flight
-    folder = plan.save(tmp_path / "plan", rate=10.0, picture=False)
+    folder = plan.save(tmp_path / "plan", rate=10.0)
     recording = tmp_path / "flight.csv"
     rows = "".join(f"{0.01 * i:.2f},q0,0,0,1\n" for i in range(100))
     recording.write_text(f"t,name,x,y,z\n{rows}", encoding="utf-8")

@@ -297,9 +297,7 @@ def plan_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the plan of a triangle, at rest for two seconds."""
     team = ho.Team(3, [2.4, 2.5, 2.45], tension=0.5)
     hitch = ho.Hitch.balanced(team, TRIANGLE, altitude=1.4)
-    return ho.solve(hitch, ho.Hold(seconds=2.0)).save(
-        tmp_path_factory.mktemp("plan") / "out", picture=False
-    )
+    return ho.solve(hitch, ho.Hold(seconds=2.0)).save(tmp_path_factory.mktemp("plan") / "out")
 
 
 def rows_of(task: TeamTask) -> list[str]:

@@ -170,7 +170,7 @@ def test_vertex_errors_before_and_after_are_those_of_plans_with_these_errors() -
 def test_the_command_prints_trims_and_how_far_the_vertex_error_falls(tmp_path: Path) -> None:
     stated = Errors(0.02, 0.03, 0.0)
     plan = planned(team(errors=stated), OTHER)
-    folder = plan.save(tmp_path / "out", picture=False)
+    folder = plan.save(tmp_path / "out")
     task = TeamTask.of(plan.motion)
     drones = task.states.positions - level(TRIMS)
     rows = ["t,name,x,y,z"]

@@ -40,7 +40,7 @@ def plan() -> ho.Plan:
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
     """Save the plan."""
-    return plan().save(tmp_path / "ruled", picture=False)
+    return plan().save(tmp_path / "ruled")
 
 
 def settings_of(folder: Path) -> dict[str, Any]:
@@ -87,7 +87,7 @@ def test_loaded_plans_list_rules_as_not_recomputed_until_they_are(saved: Path) -
 
 
 def test_plans_are_saved_again_as_they_were(saved: Path, tmp_path: Path) -> None:
-    ho.load(saved).save(tmp_path / "again", picture=False)
+    ho.load(saved).save(tmp_path / "again")
     first, again = (folder / "plan.npz" for folder in (saved, tmp_path / "again"))
     assert first.read_bytes() == again.read_bytes()
     assert ho.load(saved).draw(saved).exists()  # the picture of the same plan
@@ -96,7 +96,7 @@ def test_plans_are_saved_again_as_they_were(saved: Path, tmp_path: Path) -> None
 
 def test_plans_without_rules_state_nothing(saved: Path, tmp_path: Path) -> None:
     bare = ho.solve(START, ho.Morph(GOAL), team=TEAM)
-    bare.save(tmp_path / "bare", picture=False)
+    bare.save(tmp_path / "bare")
     assert [*settings_of(tmp_path / "bare")] == ["title", "problem", "request", "groups", "others"]
     content = json.loads((tmp_path / "bare" / "certificate.json").read_text())
     assert [*content] == ["format", "certified", "duration", "checks", "plan", "tables"]
@@ -163,7 +163,7 @@ def test_rules_without_items_have_no_worst_value(tmp_path: Path) -> None:
     team = ho.Swarm(2)
     start, goal = [[0, 0, 1], [2, 0, 1]], [[0, 1, 1], [2, 1, 1]]
     plan = ho.solve(start, ho.Fly(goal), team=team, rules=[LEG_ANGLE])
-    folder = plan.save(tmp_path, picture=False)
+    folder = plan.save(tmp_path)
     (rule,) = ho.load(folder).stated_rules
     assert rule.worst is None
     assert "leg_angle (no value, limit ≥ 35 deg)" in run("check", folder)[1]
@@ -225,7 +225,7 @@ def test_other_limits_do_not_replace_stated_rules(saved: Path, tmp_path: Path) -
     for other in others:
         found = ho.certify(loaded, rules=[other, CEILING])
         assert [rule.limit for rule in found.not_recomputed] == [35.0]
-        ho.Plan(loaded.flight, found).save(tmp_path / "again", picture=False)
+        ho.Plan(loaded.flight, found).save(tmp_path / "again")
         again = ho.load(tmp_path / "again").certificate.not_recomputed
         stated = [(rule.unit, rule.limit) for rule in again if rule.name == "leg_angle"]
         assert stated == [(other.unit, other.limit), ("deg", 35.0)]

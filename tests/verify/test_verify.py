@@ -48,7 +48,7 @@ PROVEN = "proven: every limit holds at all times"
 
 def saved(name: str, folder: Path) -> ho.Plan:
     plan = planned(name)
-    plan.save(folder, rate=10.0, picture=False)
+    plan.save(folder, rate=10.0)
     return plan
 
 
@@ -87,7 +87,7 @@ def test_errors_stand_in_a_column_of_their_own(tmp_path: Path) -> None:
     arena = ho.Arena([-4, -4, -9], [4, 4, 9])
     limits = ho.Limits(tracking=error)
     plan = ho.morph(start, polygon, limits=limits, arena=arena)
-    plan.save(tmp_path, rate=10.0, picture=False)
+    plan.save(tmp_path, rate=10.0)
     rows = {row.name: row for row in second.verify(tmp_path)}
     for name, change in (("cable_clearance", 2.0), ("crossing", 2.0), ("legs", 2.0)):
         row, check = rows[name], plan.certificate[name]
@@ -123,7 +123,7 @@ def test_heights_above_the_ground_are_no_limit_without_an_arena(tmp_path: Path) 
         (0.2, PROVEN),
         (-0.2, f"{PROVEN}; not proven: height above z = 0, which is no limit without an arena"),
     ):
-        ho.solve(start, ho.Transport(to=[0, 0, altitude])).save(tmp_path, rate=10.0, picture=False)
+        ho.solve(start, ho.Transport(to=[0, 0, altitude])).save(tmp_path, rate=10.0)
         rows = [*second.verify(tmp_path)]
         assert second.verdict(rows) == words
         assert {row.verdict for row in rows} <= second.PASSING

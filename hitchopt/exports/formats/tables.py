@@ -5,7 +5,8 @@ controllers that add gravity, ``a_ff = a - F / m`` with the cable force F on the
 is ``m (a_ff + g ẑ)``; ``q*``, the corresponding attitude, from the body frame to the file's frame;
 ``rate_*``, the angular velocity in the body frame.
 
-csv: ``setpoints_FRAME.csv``, twelve significant digits. parquet: the frame is in the metadata, a
+csv: ``setpoints_FRAME.csv``, twelve significant digits: quintics through positions of nine would
+have other accelerations far from the origin. parquet: the frame is in the metadata, a
 row group has complete samples. Readers use positions, velocities and accelerations.
 """
 
@@ -42,6 +43,7 @@ STATE_COLUMNS = COLUMNS[:3], COLUMNS[3:6], COLUMNS[6:9]
 SENT_COLUMNS = *STATE_COLUMNS[:2], GROUPS["feed_forward"]
 """Columns of position, velocity and feed-forward acceleration."""
 SMOOTH = 2  # The curves are quintics with continuous accelerations
+DIGITS = 12  # Significant digits of numbers in csv
 GROUP = 100_000  # Rows of a parquet row group, 23 MB of numbers
 FRAME_KEY = b"hitchopt.frame"  # Key in a parquet schema's metadata
 
@@ -117,7 +119,8 @@ class CsvTable(TableFormat):
 
     def write(self, folder: Path, task: ExportTask) -> FormatOutput:
         """Write the only file."""
-        write_rows(folder / self.files(task)[0], HEADER, (task.names, rows_of(task, ROWS)))
+        rows = task.names, rows_of(task, ROWS)
+        write_rows(folder / self.files(task)[0], HEADER, rows, digits=DIGITS)
         return FormatOutput(self.files(task))
 
     def table(
