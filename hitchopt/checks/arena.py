@@ -121,6 +121,15 @@ def _part_wall_gap(spans: Parts) -> Bound:
 
     A straight part of length s sags by ``ρ g s² / 8 T`` at its middle.
     """
+    points, sag = _sagging_points(spans)
+    return _wall_gap(spans, points, sag)
+
+
+def _sagging_points(spans: Parts) -> tuple[Array, Array]:
+    """Return points (spans, k, 3, degree + 1) on straight parts, and how far cables sag there [m].
+
+    The polygon through the points, lowered by the sags (spans, k), is below the cable.
+    """
     ends = spans.read(cable_parts(spans.source)[0])
     start = ends[:, :1]
     along = ends[:, 1:] - start
@@ -131,7 +140,17 @@ def _part_wall_gap(spans: Parts) -> Bound:
         sag = half_density.upper.value / tension.lower.value * chord**2 / 4.0
     is_inner = (FRACTIONS > 0.0) & (FRACTIONS < 1.0)
     points = start + FRACTIONS[:, None, None] * along
-    return _wall_gap(spans, points, sag[:, None] * is_inner)
+    return points, sag[:, None] * is_inner
+
+
+def height_above_floor(motion: Motion) -> float:
+    """Return the smallest height [m] of drones and taut cables above the floor at any time."""
+    heights = [motion.drones.coefficients[:, :, 2]]
+    if np.all(motion.taut):
+        for spans in Parts.of(motion):
+            points, sag = _sagging_points(spans)
+            heights.append(points[:, :, 2] - sag[..., None])
+    return min(float(np.min(each)) for each in heights) - motion.requirements.floor
 
 
 def _object_wall_gap(motion: Motion, _: float) -> WorstCase:

@@ -21,6 +21,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from hitchopt.checks import Certificate, certify
+from hitchopt.checks.arena import height_above_floor
 from hitchopt.checks.registry import RULE_OF, check_of
 from hitchopt.checks.violations import infeasible_error
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
@@ -40,7 +41,7 @@ from hitchopt.motion.retiming import (
     with_last_poses,
 )
 from hitchopt.motion.states import final_hitch
-from hitchopt.objects.placing import REST_DRIFT, in_world
+from hitchopt.objects.placing import CONTACT_GAP, REST_DRIFT, in_world
 from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.planners.forming.tying import vertical_motion
 from hitchopt.planners.task import RestState, StepTask
@@ -358,9 +359,18 @@ def _with_landing(whole: Motion, *, untie: bool) -> Motion:
 
 
 def _descent(hitch: Hitch, requirements: Requirements, index: int) -> Motion:
-    """Return the vertical descent of a hitch until its lowest drones are on the ground."""
-    altitude = hitch.altitude - (float(np.min(hitch.drones[:, 2])) - requirements.floor)
-    return vertical_motion(hitch, altitude, requirements, Phase("land", index, 0.0, 0.0))
+    """Return the vertical descent of a hitch until its lowest drones are on the ground.
+
+    Raises InfeasibleError if its cables would be there first.
+    """
+    depth = float(np.min(hitch.drones[:, 2])) - requirements.floor
+    phase = Phase("land", index, 0.0, 0.0)
+    landed = vertical_motion(hitch, hitch.altitude - depth, requirements, phase)
+    height = height_above_floor(landed)
+    if height < -CONTACT_GAP:
+        reason = f"landed: cables of the hitch would be {-height:.2g} m below the ground"
+        raise _refusal(reason, "choose release_and_land, or hold")
+    return landed
 
 
 def _hitch_at_end(whole: Motion) -> Hitch:

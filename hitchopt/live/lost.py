@@ -1,7 +1,7 @@
 """Certified reactions to the loss of a drone: survivors release tension and descend clear of it.
 
 Survivors react DELAY after the loss. The plan's clock stops as soon as the certificate allows. The
-team descends with all distances unchanged until its lowest drone is on the ground; higher drones
+team descends with all distances unchanged until its lowest drone or cable is on the ground; drones
 then descend vertically. The survivors of a hitch release tension within RELEASE_TIME, while the
 lost drone swings below its clasp and its cable slides. With free cables, the lost drone must reach
 the ground before its cable is taut, because no drone can carry two.
@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from hitchopt.checks.arena import height_above_floor
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.drones import largest_at_rest, thrust_share
 from hitchopt.checks.linking import CONTINUITY
@@ -236,8 +237,8 @@ def _with_descent(motion: Motion, time: float) -> tuple[Motion, Check | None]:
 
 
 def _with_common_descent(motion: Motion) -> Motion:
-    """Return a plan with a descent of the whole team until its lowest drone is on the ground."""
-    depth, limits = float(np.min(_heights(motion))), motion.requirements.limits
+    """Return a plan with a descent of the whole team until a drone or cable is on the ground."""
+    depth, limits = height_above_floor(resting(motion, 1.0)), motion.requirements.limits
     if depth <= GROUND_TOLERANCE:
         return motion
     bounds = (LIMIT_SHARE * bound for bound in (limits.speed, limits.acceleration, limits.jerk))
@@ -268,23 +269,25 @@ def survivable(
 
     It is sampled, not a bound for all times. Spans without a reaction are listed.
     """
-    reactions, names, spans = Reactions(motion), motion.team.drone_names, list[UnsurvivableSpan]()
+    reactions, names = Reactions(motion), motion.team.drone_names
+    spans: dict[str, list[UnsurvivableSpan]] = {name: [] for name in names}
     count = max(MIN_SAMPLES, round(motion.duration / positive("every", every)))
     edges, refused = np.linspace(0.0, motion.duration, count + 1).tolist(), 0
-    for name in names:
-        for start, end in pairwise(edges):
-            if progress is not None:
-                progress(f"loss of {name} at t = {start:.4g} s")
+    for start, end in pairwise(edges):
+        time = 0.5 * (start + end)
+        if progress is not None:
+            progress(f"losses at t = {time:.4g} s of {motion.duration:.4g} s")
+        for name, found in spans.items():
             try:
-                reactions.plan(name, 0.5 * (start + end))
+                reactions.plan(name, time)
             except InfeasibleError as error:
                 refused += 1
-                last = spans[-1] if spans else None
-                if last is not None and (last.drone, last.end) == (name, start):
-                    spans[-1] = replace(last, end=end)
+                if found and found[-1].end == start:
+                    found[-1] = replace(found[-1], end=end)
                 else:
-                    spans.append(UnsurvivableSpan(name, start, end, str(error)))
-    share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in spans)
-    time = spans[0].start if spans else 0.0
+                    found.append(UnsurvivableSpan(name, start, end, str(error)))
+    without = [each for found in spans.values() for each in found]
+    share, where = 1.0 - refused / (count * len(names)), dict.fromkeys(x.drone for x in without)
+    time = min((each.start for each in without), default=0.0)
     worst = WorstCase(share, time, tuple(where))
-    return replace(worst.check(SURVIVABLE, None), method="sampled"), spans
+    return replace(worst.check(SURVIVABLE, None), method="sampled"), without

@@ -16,6 +16,7 @@ import hitchopt as ho
 from hitchopt.checks import certify
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.cli import main
+from hitchopt.cli.planning import PACKAGE
 from hitchopt.hitch import GRAVITY
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.lab.simulation.task import TeamTask
@@ -242,6 +243,38 @@ def test_survivors_descend_as_a_rigid_team(altitude: float) -> None:
         assert np.max(np.linalg.norm(motion.drones.at(t, order), axis=-1)) <= limit + 1e-6
     assert np.min(places[-1, :, 2]) == pytest.approx(0.0, abs=1e-9)
     assert np.max(np.abs(motion.drones.at(t[-1], 1))) <= 1e-9
+
+
+@cache
+def heavy() -> ho.Plan:
+    """Return a plan whose drones are above their clasps, which are above the middle of edges."""
+    team = ho.Team(3, 2.65, tension=0.4, cable_density=0.01)
+    start = ho.Hitch.spread(team, [[0, 0.64], [0.55, -0.32], [-0.55, -0.32]], 1.6)
+    return ho.solve(start, ho.Transport(to=[0.3, 0.2, 1.6]))
+
+
+def test_no_cable_sinks_below_the_ground() -> None:
+    """Drones are 10 cm above their clasps: the lowest point is in the middle of an edge."""
+    motion = Reactions(heavy().motion).plan("q1", TIME).motion
+    down = next(phase.start for phase in motion.phases if phase.name == "land")
+    vertices, drones = motion.vertices.at(down), motion.drones.at(down)
+    edges = vertices - np.roll(vertices, -1, axis=0)
+    sag = 0.01 * GRAVITY * np.sum(edges**2, axis=1) / (8.0 * 0.4)
+    lowest = 0.5 * (vertices + np.roll(vertices, -1, axis=0))[:, 2] - sag
+    assert np.min(drones[:, 2]) > 0.1
+    assert np.min(lowest) == pytest.approx(0.0, abs=1e-3)
+    np.testing.assert_allclose(motion.drones.at(motion.duration)[:, 2], 0.0, atol=1e-9)
+
+
+def test_a_hitch_whose_cables_reach_the_ground_first_does_not_land_tied() -> None:
+    with pytest.raises(ho.InfeasibleError, match=r"cables of the hitch would be 0\.21 m below"):
+        Aborts(heavy().flight).plan(TIME, "land")
+
+
+@pytest.mark.slow
+def test_most_losses_of_the_first_plan_of_users_are_survivable() -> None:
+    plan = ho.solve(PACKAGE / "mission" / "template.yaml")
+    assert survivable(plan.motion)[0].worst >= 0.9
 
 
 @pytest.mark.parametrize("lost", [0, 3, 5, 6])
