@@ -7,9 +7,10 @@ Families: ``form``, irregular hitches tied from scattered robots; ``scattered_fo
 grips, half of them beside a table; ``morph`` and ``heavy_morph``, irregular hitches into each
 other; ``past_post``, ``past_team`` and ``tube``, such morphs past a post, past another team that
 stays or crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of two cables;
-``box``, ``door`` and ``corridor``, single drones in tight boxes, through doors and past each
-other. Both ends of every problem are certified at rest before it is planned, and none is left out
-afterwards.
+``curves``, letters and closed curves that a vertex writes; ``timed``, such curves with the times of
+their points; ``blends``, steps in a row without a stop; ``box``, ``door`` and ``corridor``, single
+drones in tight boxes, through doors and past each other. Both ends of every problem are certified
+at rest before it is planned, and none is left out afterwards.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from problems.random_morph import (
     wild_morph,
     wild_polygon,
 )
+from problems.random_steps import random_blend, random_curve, random_timed_curve
 from problems.swarm import random_box, random_corridor, random_door
 
 LIMITATIONS = (
@@ -581,6 +583,9 @@ FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "tube": wild_tube,
     "many": many,
     "chain": wild_chain,
+    "curves": random_curve,
+    "timed": random_timed_curve,
+    "blends": random_blend,
     "box": random_box,
     "door": random_door,
     "corridor": random_corridor,

@@ -14,7 +14,15 @@ from problems.random_morph import is_certified
 
 
 @pytest.mark.parametrize(
-    "family", ["form", "scattered_form", pytest.param("carry", marks=pytest.mark.slow), "corridor"]
+    "family",
+    [
+        "form",
+        "scattered_form",
+        pytest.param("carry", marks=pytest.mark.slow),
+        "curves",
+        pytest.param("blends", marks=pytest.mark.slow),
+        "corridor",
+    ],
 )
 def test_problems_are_seeded_and_valid(family: str) -> None:
     draw = FAMILIES[family]

@@ -231,8 +231,10 @@ def test_a_speed_limits_points_with_times_and_is_limited_itself() -> None:
     ]
     a, b = (plan.motion.vertices.coefficients for plan in plans)
     np.testing.assert_array_equal(a, b)
+    even = ho.solve(START, ho.FollowVertex(K, path, speed=0.8 * peak))
+    assert even.duration == 4.0
     with pytest.raises(ho.InfeasibleError, match="allow more time for the points, omit") as caught:
-        ho.solve(START, ho.FollowVertex(K, path, speed=0.99 * peak))
+        ho.solve(START, ho.FollowVertex(K, path, speed=0.9 * 0.1 / 4.0))
     (fast,) = caught.value.violations
     assert (fast.constraint, fast.where) == ("vertex_speed", (f"p{K}",))
     assert fast.value == pytest.approx(peak, rel=1e-4)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -35,15 +34,17 @@ from hitchopt.planners.morph.path import (
     roll_between,
     shapes_along,
 )
+from hitchopt.planners.morph.tracks import eased, spline_through, vertex_track
 from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,
     cable_error,
+    clocked_limits,
     in_duration,
     motion_along,
+    needed_stretch,
 )
 from hitchopt.trajectory import PiecewisePolynomial, joined
-from hitchopt.trajectory.splines import interpolated
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
@@ -167,7 +168,7 @@ def follow_vertex(start: Hitch, polygon: Outline, vertex: int, points: Array) ->
         places = np.vstack([origin, ahead])
         covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
         s = covered / covered[-1]
-        path = PiecewisePolynomial(s, _through(s, places, (2, 3)))  # straight at the ends
+        path = PiecewisePolynomial(s, spline_through(s, places, (2, 3)))  # straight at the ends
         return replace(action, track=_of_all_vertices(start, vertex, path))
     later = points
     if points[0, 0] == 0.0:
@@ -201,36 +202,6 @@ def _of_all_vertices(start: Hitch, vertex: int, track: PiecewisePolynomial) -> P
     return PiecewisePolynomial(track.breaks, coefficients)
 
 
-def _through(s: Array, points: Array, zero_orders: tuple[int, int]) -> Array:
-    """Return the coefficients (J - 1, d, 6) of a quintic spline through points (J, d) at s (J,)."""
-    coefficients = interpolated(s - s[0], points, zero_orders=zero_orders).coefficients.copy()
-    coefficients[..., 0] = points[:-1]
-    coefficients[..., -1] = points[1:]
-    return coefficients
-
-
-def vertex_track(times: Array, points: Array) -> PiecewisePolynomial:
-    """Return the path through points (J, d) [m] at times (J,) [s], a piece per interval.
-
-    Each moving stretch is a quintic spline with four continuous derivatives, which minimises the
-    squared jerk; it is at rest at both ends.
-    """
-    distances = np.linalg.norm(np.diff(points, axis=0), axis=1)
-    resting = distances < POSITION_TOLERANCE
-    # Stretches end where the vertex stops or starts.
-    changes = np.flatnonzero(resting[1:] | resting[:-1]) + 1
-    bounds = [0, *changes.tolist(), len(distances)]
-    coefficients = np.empty((len(distances), points.shape[1], 6))
-    for first, last in pairwise(bounds):
-        span = slice(first, last)
-        if resting[first]:
-            coefficients[span] = points[span, :, None]
-            continue
-        knots = slice(first, last + 1)
-        coefficients[span] = _through(times[knots], points[knots], (1, 2))
-    return PiecewisePolynomial(times, coefficients)
-
-
 @dataclass(frozen=True, eq=False)
 class FlownAction:
     """The motion of an action, with names of further drones that move."""
@@ -249,6 +220,10 @@ class FlownAction:
 
     worst: float | None = None
     """The law's largest violation is at this s; None without one."""
+
+
+MAX_EASED_STRETCH = 2.0
+"""Stretch in time of a timed track beyond which no other through the same points is sought."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,7 +274,7 @@ class ActionMorph:
         if seconds is None:
             motion = motion_along(path, self.requirements, self.duration)
         else:
-            motion = fly_timed(path, self.requirements, seconds)
+            motion = self._timed(path, seconds)
         moved = self._moved_drones(motion)
         names = np.array(action.start.team.drone_names)
         by_law = self.path_by_law
@@ -310,6 +285,14 @@ class ActionMorph:
             sliding=tuple(names[moved.further & ~moved.by_law].tolist()),
             worst=None if path is by_law else worst_point(by_law, self.requirements),
         )
+
+    def _timed(self, path: Path, seconds: float) -> Motion:
+        """Return the motion whose s is time over ``seconds`` [s], eased if it exceeds a limit."""
+        motion = fly_timed(path, self.requirements, seconds)
+        if not 1.0 < needed_stretch(motion) < MAX_EASED_STRETCH:
+            return motion
+        limits = clocked_limits(path, self.requirements)
+        return fly_timed(eased(path, limits, seconds), self.requirements, seconds)
 
     def _moved_drones(self, motion: Motion) -> MovedDrones:
         """Return which drones the law moves, and which further ones the motion moves.

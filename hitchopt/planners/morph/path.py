@@ -275,7 +275,11 @@ class Path(OneLine):
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
-        vertices = self.vertices.jet(s, count)
+        return self.flat_of(self.vertices.jet(s, count), s)
+
+    def flat_of(self, vertices: Array, s: Array) -> FlatJets:
+        """Return the flat outputs at s (J,) for other vertices with jets (J, points, 3, m)."""
+        count = vertices.shape[-1]
         tensions = _constant_jets(self.team.tension, len(s), count)
         if self.tensions is not None:
             tensions = self.tensions.jet(s, count)
