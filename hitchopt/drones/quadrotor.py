@@ -60,27 +60,59 @@ class Model(NamedTuple):
     controller: str
     separation: tuple[float, float]  # [m], semi-axes for its size
     cable_density: float  # [kg/m], of cables that suit it
+    source: str  # of mass and thrust, as Markdown
 
 
 CRAZYFLIE = (0.12, 0.30)
 
 MODELS: Mapping[str, Model] = {
-    "crazyflie_2.1": Model(0.029, 4 * 0.1125, "mellinger", CRAZYFLIE, 0.001),
-    "crazyflie_2.1_upgraded": Model(0.0325, 4 * 0.1625, "mellinger", CRAZYFLIE, 0.001),
-    "crazyflie_2.1_brushless": Model(0.0393, 4 * 0.2, "mellinger", CRAZYFLIE, 0.0015),
-    # The drones of arXiv 2303.07427, section V-B: 132 g, flown by Mellinger's controller with
-    # Crazyswarm. It prints neither thrust (here twice the weight) nor size (here a Crazyflie's
-    # ellipsoid) nor the weight of its cables (here 10 g/m, a cord).
-    "paper_132g": Model(0.132, 2.6, "mellinger", CRAZYFLIE, 0.010),
-    "x260_bolt": Model(0.32, 4 * 0.28 * GRAVITY, "mellinger", (0.25, 0.60), 0.010),
+    "crazyflie_2.1": Model(
+        0.029,
+        4 * 0.1125,
+        "mellinger",
+        CRAZYFLIE,
+        0.001,
+        source="the firmware's `platform_defaults_cf2.h`, propellers older than 2.1+",
+    ),
+    "crazyflie_2.1_upgraded": Model(
+        0.0325,
+        4 * 0.1625,
+        "mellinger",
+        CRAZYFLIE,
+        0.001,
+        source="the same, with the thrust upgrade kit",
+    ),
+    "crazyflie_2.1_brushless": Model(
+        0.0393,
+        4 * 0.2,
+        "mellinger",
+        CRAZYFLIE,
+        0.0015,
+        source="`platform_defaults_cf21bl.h`: guards, 350 mAh battery, Lighthouse deck",
+    ),
+    # The paper prints neither thrust (here twice the weight) nor size (here a Crazyflie's
+    # ellipsoid) nor the weight of its cables (here 10 g/m, a cord)
+    "paper_132g": Model(
+        0.132,
+        2.6,
+        "mellinger",
+        CRAZYFLIE,
+        0.010,
+        source="arXiv 2303.07427, section V-B: mass and controller; thrust: twice the weight",
+    ),
+    "x260_bolt": Model(
+        0.32,
+        4 * 0.28 * GRAVITY,
+        "mellinger",
+        (0.25, 0.60),
+        0.010,
+        source="a frame of 260 mm (`config/models/x260.js` of "
+        "[tansa](https://github.com/dennisss/tansa)) with a Crazyflie Bolt",
+    ),
 }
-"""Drones by name.
+"""Drones by name, with Mellinger's controller and the stiffest gains.
 
-Crazyflies have the masses and largest thrusts of the firmware's ``platform_defaults_cf2.h``, with
-the propellers from before 2.1+ or the thrust upgrade kit, and of ``platform_defaults_cf21bl.h``,
-with guards, a 350 mAh battery and a Lighthouse deck. The x260, 260 mm between opposite motors, is
-that of github.com/dennisss/tansa, ``config/models/x260.js``, here with a Crazyflie Bolt. All use
-Mellinger's controller with the stiffest gains: 4.75 N/m and 1.32 N s/m at 132 g.
+Those are 4.75 N/m and 1.32 N s/m at 132 g.
 """
 
 LARGEST_DEFAULT = 0.3

@@ -31,6 +31,7 @@ from exported_plans import (
     swarm_plan,
 )
 from format_readers import polynomials, segments
+from generators.drone_lists import write_checklist
 from plans import ROOT, planned
 from ruamel.yaml import YAML
 
@@ -614,7 +615,8 @@ def test_the_note_says_where_each_drone_is_on_the_hitch(tmp_path: Path) -> None:
 def test_the_checklist_is_the_same_everywhere(tmp_path: Path) -> None:
     exported(hitch_plan(), "crazyswarm2", tmp_path)
     page = (ROOT / "docs/how_to/before_you_fly.md").read_text(encoding="utf-8")
-    items = re.findall(r"^(\d+\. .*)$", page.partition("## Checklist")[2], re.MULTILINE)
+    assert "generated/checklist.inc" in page.partition("## Checklist")[2]
+    items = re.findall(r"^(\d+\. .*)$", write_checklist(), re.MULTILINE)
     assert len(items) == 11
     for file in ("fly.py", "README.txt"):
         text = (tmp_path / file).read_text(encoding="utf-8")
