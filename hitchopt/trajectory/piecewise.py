@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import comb, factorial, isfinite, prod
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -14,6 +15,9 @@ from numpy.typing import ArrayLike
 from hitchopt.errors import InputError, OneLine
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array, Indices, as_array
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BPoly
 
 MAX_STORED_TIMES = 500  # Maximum number of times for which the weights of jets are stored: 0.1 MB
 MAX_STORED_SIZE = 2**16  # Maximum number of coefficients of a stored derivative: 0.5 MB
@@ -158,6 +162,12 @@ class PiecewisePolynomial(OneLine):
         basis = basis.reshape(*piece.shape, *(1,) * len(self.shape), -1)
         jets[..., 0] = np.einsum("...i,...i->...", c, basis)  # to the last bit what ``at`` returns
         return jets
+
+    def to_scipy(self) -> BPoly:
+        """Return the functions as a ``scipy.interpolate.BPoly``, with the same coefficients."""
+        from scipy.interpolate import BPoly
+
+        return BPoly(np.moveaxis(self.coefficients, -1, 0), self.breaks)
 
     def differentiated(self, order: int = 1) -> PiecewisePolynomial:
         """Return the time derivative of the given order."""
