@@ -346,7 +346,7 @@ class Plan(OneLine):
         Parameters
         ----------
         format: crazyswarm2, compressed, skybrush, mavsdk_drone_show, ros2bag, csv, parquet,
-            gltf, or a format that another package registers.
+            gltf, mjcf, or a format that another package registers.
         folder: created if it is missing; only files of an earlier export are replaced.
         progress: status callback.
         options: keywords of ``hitchopt.exports.options.ExportOptions``, all optional.

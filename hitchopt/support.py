@@ -32,6 +32,7 @@ class Feature(StrEnum):
     EDITING = "editing in the live view"
     STATICS = "statics"
     SIMULATION = "simulation"
+    SCENE = "a scene for MuJoCo"
     SIMULATED_LOSS = "the simulated loss of a drone"
     AS_CALIBRATED = "drones as calibrated"
     EVALUATE = "evaluate"
@@ -179,6 +180,9 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
     ),
     (Feature.STATICS, Neighbour.OBJECTS): Refusal(
         "statics do not model objects that a hitch carries", "choose a time without them"
+    ),
+    (Feature.SCENE, Neighbour.LOADS): Refusal(
+        "a scene for MuJoCo does not support loads, which are no bodies", "simulate the plan"
     ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): Refusal(
         "single drones have no cables", "simulate a hitch's plan"

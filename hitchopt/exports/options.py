@@ -29,10 +29,11 @@ HOMES = {
     "csv": "hitchopt.exports.formats.tables:CsvTable",
     "parquet": "hitchopt.exports.formats.tables:ParquetTable",
     "gltf": "hitchopt.exports.formats.gltf:Gltf",
+    "mjcf": "hitchopt.lab.simulation.mjcf:Mjcf",
 }
 """Module and class of every format of hitchopt; ``pyproject.toml`` registers the same."""
 
-ENDINGS = (".bin", ".csv", ".db3", ".glb", ".mcap", ".parquet", ".skyc")
+ENDINGS = (".bin", ".csv", ".db3", ".glb", ".mcap", ".parquet", ".skyc", ".xml")
 """Suffixes of files with trajectories in the formats of hitchopt."""
 
 STORAGES = {"mcap": ".mcap", "sqlite3": ".db3"}  # Storage formats of bags, and their suffixes

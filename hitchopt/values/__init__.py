@@ -156,6 +156,7 @@ SYNONYMS = {
     "csv": "npz npy json txt tsv xlsx table setpoints",
     "parquet": "pandas arrow feather polars",
     "gltf": "glb blender three.js threejs",
+    "mjcf": "mujoco scene",
 }
 """Words that users write in place of each valid word."""
 

@@ -13,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 from mcap.reader import make_reader
@@ -234,7 +235,14 @@ def _gltf(folder: Path, names: Sequence[str], _: Array) -> Read:
     return Read(t, places[..., [0, 2, 1]] * [1.0, -1.0, 1.0])
 
 
+def _mjcf(folder: Path, names: Sequence[str], _: Array) -> Read:
+    model = mujoco.MjModel.from_xml_path(str(folder / "scene.xml"))
+    columns = [[model.actuator(f"{name} {axis}").id for axis in "xyz"] for name in names]
+    return Read(model.key_time, model.key_ctrl[:, columns])
+
+
 READERS: dict[str, Reader] = {
+    "mjcf": _mjcf,
     "gltf": _gltf,
     "crazyswarm2": _crazyswarm2,
     "compressed": _compressed,

@@ -97,7 +97,7 @@ def test_the_project_registers_the_formats_of_the_package() -> None:
 def test_the_documented_package_is_listed_certified_as_exported_and_linted(
     plan: Path, place: Path
 ) -> None:
-    assert "gltf, our_fleet." in help_of_export()
+    assert "mjcf, our_fleet." in help_of_export()
     assert "A table of positions and velocities for our fleet." in run("export", code=2).stderr
     export = ("export", plan, "--format", "our_fleet")
     assert "Cables will go slack" in run(*export, "-o", "ours", code=3).stderr

@@ -273,6 +273,11 @@ class FlightInProgress:
         max_thrust = task.team.max_thrust
         return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
 
+    def settled(self) -> World:
+        """Return the world at the plan's start, with taut cables if it begins with a hitch."""
+        self._settle()
+        return self._world
+
     def flown(self, progress: Progress | None = None) -> SimulatedFlight:
         """Return the flight, simulated to its end or until the simulation becomes invalid."""
         self._progress = progress

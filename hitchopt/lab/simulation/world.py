@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,9 +46,13 @@ BODY_HALF_HEIGHT = 0.03  # Vertical semi-axis of that ellipsoid [m]
 # mass
 RADII_OF_GYRATION = (0.5, 0.5, 0.65)
 
-# Slide joints in x, y and z, and the rotational inertia [kg m²] that MuJoCo requires
-SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
-TINY_INERTIA = "1e-9 1e-9 1e-9"
+SLIDE_AXES = {"x": "1 0 0", "y": "0 1 0", "z": "0 0 1"}
+"""Directions of slide joints."""
+
+SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in SLIDE_AXES.values())
+
+# Rotational inertia [kg m²] that MuJoCo requires of nodes of ropes
+TINY_INERTIA = (1e-9, 1e-9, 1e-9)
 
 PREFIX = "object "  # Prefix of objects in names of bodies
 RIM_THICKNESS = 0.01  # Above the height of a rim [m]: ropes pass through thin sheets
@@ -115,13 +119,13 @@ class World:
             mujoco.set_mju_user_warning(lambda _text: None)
         self.ropes, self.ground, self.objects = ropes, ground, objects
         self.masses = np.array(masses, dtype=np.float64)
-        # (2n, 3) [kg m²], about the drones' own axes
-        self.inertia: Array = np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
+        self.inertia = inertia_of(self.masses)
         count = len(ropes.lengths)
         self.drone_names = list(names) or [f"{end}{k}" for k in range(count) for end in "qr"]
         self.teams = np.array([team_of(name) for name in self.drone_names[::2]])
         self.cable_names = cable_names(self.drone_names)
-        self.model = model = mujoco.MjModel.from_xml_string(_describe(self))
+        description = describe(ropes, self.masses, ground, objects, self.drone_names)
+        self.model = model = mujoco.MjModel.from_xml_string(description)
         self.data = mujoco.MjData(model)
         things = [f"{PREFIX}{name}" for name in self.objects]
         self.drone_bodies, self.object_bodies = (
@@ -285,62 +289,94 @@ def check_valid(world: World, time: float) -> None:
             raise InvalidRunError(quantity, f"{excess} at {where}", time, where, exact=exact)
 
 
-def _describe(world: World) -> str:
-    """Return the model in MuJoCo's XML, with straight ropes."""
-    ropes, ground, objects = world.ropes, world.ground, world.objects
+def inertia_of(masses: Array) -> Array:
+    """Return the moments of inertia (2n, 3) [kg m²] of drones about their own axes."""
+    return np.asarray(np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2))
+
+
+def describe(
+    ropes: Ropes,
+    masses: Array,
+    ground: float,
+    objects: dict[str, SolidObject],
+    names: Sequence[str],
+    drone_joints: Callable[[str, Array], str] = lambda _name, _place: "<freejoint/>",
+    node_joints: Callable[[str, Array], str] = lambda _name, _place: SLIDES,
+    further: str = "",
+) -> str:
+    """Return the model in MuJoCo's XML, with straight ropes.
+
+    Drones have masses (D,) [kg] and names (D,), those of cables first. Joints of drones, and of
+    nodes between them, follow from their names and initial positions. ``further`` are more elements
+    of the model.
+    """
     bodies, flexes, equalities = "", "", ""
     edge = min(EDGE_TIME, EDGE_STEPS * ropes.preset.time_step) if objects else EDGE_TIME
-    radius = _text(0.5 * ropes.preset.diameter)
+    radius = text(0.5 * ropes.preset.diameter)
     # Objects collide with nodes, not edges: MuJoCo's iterative distances of capsules from convex
     # bodies have normals that are too inaccurate for light ropes at the corners of a rim
     ball = f'<geom size="{radius}" contype="0" conaffinity="{OBJECTS}"/>' if objects else ""
-    axes = _text([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
+    axes = text([BODY_RADIUS, BODY_RADIUS, BODY_HALF_HEIGHT])
     collision = f'contype="0" conaffinity="{GROUND | OBJECTS}"'
     ellipsoid = f'<geom type="ellipsoid" size="{axes}" {collision}/>'
     frictions = np.broadcast_to(ropes.friction, ropes.lengths.shape)
-    masses = ropes.density * ropes.segment_lengths
+    node_masses = ropes.density * ropes.segment_lengths
+    inertia = inertia_of(masses)
+    cables = len(ropes.lengths)
     for k, (count, size) in enumerate(zip(ropes.segments, ropes.segment_lengths, strict=True)):
-        q, r = world.drone_names[2 * k : 2 * k + 2]
-        names = [q, *(f"c{k}_{i}" for i in range(1, count)), r]
-        for i, name in enumerate(names):
-            mass, inertia, joint, shape = masses[k], TINY_INERTIA, SLIDES, ball
+        q, r = names[2 * k : 2 * k + 2]
+        nodes = [q, *(f"c{k}_{i}" for i in range(1, count)), r]
+        for i, name in enumerate(nodes):
+            place = np.array([i * size, k, ground + 1.0])
             if i in (0, count):  # a drone, and half of the last segment
-                drone, joint, shape = 2 * k + (i == count), "<freejoint/>", ellipsoid
-                mass = world.masses[drone] + 0.5 * mass
-                inertia = _text(world.inertia[drone])
-            bodies += (
-                f'<body name="{name}" pos="{_text([i * size, k, ground + 1.0])}">'
-                f'<inertial pos="0 0 0" mass="{_text(mass)}" diaginertia="{inertia}"/>'
-                f"{joint}{shape}</body>"
-            )
+                drone = 2 * k + (i == count)
+                inertial = masses[drone] + 0.5 * node_masses[k], inertia[drone]
+                bodies += _body(name, place, *inertial, drone_joints(name, place) + ellipsoid)
+            else:
+                content = node_joints(name, place) + ball
+                bodies += _body(name, place, node_masses[k], TINY_INERTIA, content)
         elements = " ".join(f"{i} {i + 1}" for i in range(count))
         flexes += (
             f'<flex name="cable{k}" dim="1" radius="{radius}" '
-            f'body="{" ".join(names)}" element="{elements}"><contact contype="{ROPES}" '
+            f'body="{" ".join(nodes)}" element="{elements}"><contact contype="{ROPES}" '
             f'conaffinity="{ROPES | GROUND}" condim="3" '
-            f'friction="{_text(frictions[k])} 0 0" {CONTACT_SOLVER} '
+            f'friction="{text(frictions[k])} 0 0" {CONTACT_SOLVER} '
             f'selfcollide="none" margin="0"/></flex>'
         )
         equalities += f'<flex flex="cable{k}" solref="{edge} 1" {EDGE_IMPEDANCE}/>'
-    ground_friction = _text(max(np.max(frictions), MIN_GROUND_FRICTION))
+    for drone in range(2 * cables, len(names)):
+        place = np.array([0.0, cables + drone, ground + 1.0])
+        content = drone_joints(names[drone], place) + ellipsoid
+        bodies += _body(names[drone], place, masses[drone], inertia[drone], content)
+    ground_friction = text(np.max(frictions, initial=MIN_GROUND_FRICTION))
     meshes, things = _describe_objects(objects)
-    step, ratio = _text(ropes.preset.time_step), FRICTION_STIFFNESS_RATIO if objects else 1
+    step, ratio = text(ropes.preset.time_step), FRICTION_STIFFNESS_RATIO if objects else 1
     return f"""<mujoco>
-        <option timestep="{step}" gravity="0 0 {_text(-GRAVITY)}" integrator="Euler"
+        <option timestep="{step}" gravity="0 0 {text(-GRAVITY)}" integrator="Euler"
             solver="Newton" iterations="30" tolerance="1e-8" cone="elliptic" impratio="{ratio}"/>
         <size memory="{64 + 16 * len(ropes.lengths)}M"/>
         <asset>{meshes}</asset>
         <worldbody>
-            <geom type="plane" size="0 0 1" pos="0 0 {_text(ground)}" contype="{GROUND}"
+            <geom type="plane" size="0 0 1" pos="0 0 {text(ground)}" contype="{GROUND}"
                 conaffinity="0" friction="{ground_friction} 0 0"/>
             {bodies}{things}
         </worldbody>
         <deformable>{flexes}</deformable>
         <equality>{equalities}</equality>
+        {further}
     </mujoco>"""
 
 
-def _text(values: ArrayLike) -> str:
+def _body(name: str, place: Array, mass: float, inertia: ArrayLike, content: str) -> str:
+    """Return a body with its joints and shapes."""
+    return (
+        f'<body name="{name}" pos="{text(place)}">'
+        f'<inertial pos="0 0 0" mass="{text(mass)}" diaginertia="{text(inertia)}"/>'
+        f"{content}</body>"
+    )
+
+
+def text(values: ArrayLike) -> str:
     """Return numbers as text with full precision."""
     return " ".join(f"{x:.17g}" for x in np.atleast_1d(np.asarray(values, dtype=np.float64)))
 
@@ -356,7 +392,7 @@ def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
         slabs = [(each.section, each.lower, each.upper)]
         if each.rim is not None:
             slabs.append((each.rim.section, each.rim.height, each.rim.height + RIM_THICKNESS))
-        contact = f'condim="3" friction="{_text(each.friction)} 0 0" {CONTACT_SOLVER} mass="0"'
+        contact = f'condim="3" friction="{text(each.friction)} 0 0" {CONTACT_SOLVER} mass="0"'
         parts = [
             (*slab, np.zeros(2), f'contype="{OBJECTS}" priority="1" {contact}') for slab in slabs
         ]
@@ -371,14 +407,14 @@ def _describe_objects(objects: dict[str, SolidObject]) -> tuple[str, str]:
             meshes += mesh
             geoms += f'<geom {shape} conaffinity="0" {attributes}/>'
         geoms += "".join(
-            f'<geom size="{FOOT}" pos="{_text(foot)}" contype="0" '
+            f'<geom size="{FOOT}" pos="{text(foot)}" contype="0" '
             f'conaffinity="{GROUND | OBJECTS}" priority="{1 if each.fixed else 2}" {contact}/>'
             for i, slab in enumerate(slabs)
             for foot in _feet(*slab, RINGS[: 2 - i])
         )
         turn = [math.cos(0.5 * each.yaw), 0.0, 0.0, math.sin(0.5 * each.yaw)]
         bodies += (
-            f'<body name="{PREFIX}{name}" pos="{_text(each.at)}" quat="{_text(turn)}">'
+            f'<body name="{PREFIX}{name}" pos="{text(each.at)}" quat="{text(turn)}">'
             f"{'' if each.fixed else '<freejoint/>'}{geoms}</body>"
         )
     return meshes, bodies
@@ -388,18 +424,18 @@ def _shape(label: str, section: Section, heights: Array, shift: Array) -> tuple[
     """Return the mesh, if any, and the geom of a section's prism between two heights [m]."""
     centre, half = [*(section.centroid + shift), np.mean(heights)], 0.5 * np.ptp(heights)
     if section.outline is None:
-        return "", f'type="cylinder" size="{_text([section.rounding, half])}" pos="{_text(centre)}"'
+        return "", f'type="cylinder" size="{text([section.rounding, half])}" pos="{text(centre)}"'
     corners, sides = section.outline, np.diff(section.outline, axis=0)
     sizes = length(sides)
     skew = len(corners) != 4 or not np.allclose(corners[0] + corners[2], corners[1] + corners[3])
     if not skew and abs(sides[0] @ sides[1]) <= RIGHT_ANGLE * sizes[0] * sizes[1]:
         # MuJoCo has closed-form contacts of boxes
         turn = 0.5 * math.atan2(sides[0, 1], sides[0, 0])
-        box = _text([0.5 * sizes[0], 0.5 * sizes[1], half])
-        quat = _text([math.cos(turn), 0.0, 0.0, math.sin(turn)])
-        return "", f'type="box" size="{box}" pos="{_text(centre)}" quat="{quat}"'
+        box = text([0.5 * sizes[0], 0.5 * sizes[1], half])
+        quat = text([math.cos(turn), 0.0, 0.0, math.sin(turn)])
+        return "", f'type="box" size="{box}" pos="{text(centre)}" quat="{quat}"'
     layers = [np.insert(corners + shift, 2, z, axis=1) for z in heights]
-    points = _text(np.concatenate(layers).ravel())
+    points = text(np.concatenate(layers).ravel())
     return f'<mesh name="{label}" vertex="{points}"/>', f'type="mesh" mesh="{label}"'
 
 
