@@ -28,7 +28,7 @@ PACKAGE = Path(hitchopt.__file__).parent
 CALLED = frozenset(
     """compute_constraint_params convert format_commands invoke
     reducer_override abort angle_to displacements mirrored pause renumbered resume retarget rotated
-    to_dataframe""".split()  # noqa: SIM905
+    to_dataframe to_scipy""".split()  # noqa: SIM905
 )
 CLASS_NAME = r"(?:[\w.]+:)?[A-Z]\w*"  # Strings that name a class, with or without its module
 
