@@ -115,6 +115,16 @@ class Place(NamedTuple):
         return f"{self.file}:{self.line}:{self.column}"
 
 
+class Missing:
+    """Placeholder for the value of a missing key."""
+
+    def __repr__(self) -> str:
+        return "(missing)"
+
+
+UNKNOWN_KEY = "a known key"
+"""The bound of a key that does not exist."""
+
 YAML_LITERALS = {"None": "null", "True": "true", "False": "false"}
 """YAML literals of Python constants."""
 
@@ -138,7 +148,12 @@ class InputError(HitchoptError, ValueError):
         text = _truncated(value if place is None else _as_in_file(value))
         if place is not None and not isinstance(value, str):
             text = re.sub(r"\b(None|True|False)\b", lambda word: YAML_LITERALS[word[0]], text)
-        super().__init__(f"{prefix}{key} = {text}: must be {bound}; {remedy}")
+        summary = f"missing {key}" if isinstance(value, Missing) else f"{key} = {text}"
+        if bound == UNKNOWN_KEY:
+            summary = f"{summary}: unknown key"
+        elif bound != "given" or not isinstance(value, Missing):
+            summary = f"{summary}: must be {bound}"
+        super().__init__(f"{prefix}{summary}; {remedy}")
 
     def renamed(self, rename: Callable[[str], str]) -> InputError:
         """Return the error with its key renamed by a function."""

@@ -10,7 +10,14 @@ from typing import Any, NoReturn
 import click
 
 from hitchopt.cli.output import in_options, negations, options, output, record, say
-from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, UnitWarning
+from hitchopt.errors import (
+    FileError,
+    HitchoptError,
+    InfeasibleError,
+    InputError,
+    Missing,
+    UnitWarning,
+)
 from hitchopt.storage.interrupts import EXIT_INTERRUPTED, exit_on_signals
 
 EXIT_USAGE = 2  # Exit code of invalid files and usage
@@ -129,8 +136,6 @@ def report_usage(error: click.UsageError) -> None:
 
 def report_error(error: HitchoptError) -> None:
     """Write every line of the error's message to stderr, and record the error as a result."""
-    from hitchopt.values.fields import Missing
-
     names = options()
     if isinstance(error, InputError) and error.place is None and error.key in names:
         name, value = names[error.key], error.value

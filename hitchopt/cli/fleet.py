@@ -24,7 +24,7 @@ from hitchopt.cli.options import (
     plan_path,
 )
 from hitchopt.cli.output import ProgressBar, record, say, show_places
-from hitchopt.errors import InfeasibleError, InputError, UnsupportedError
+from hitchopt.errors import InfeasibleError, InputError, Missing, UnsupportedError
 from hitchopt.tables import table
 
 if TYPE_CHECKING:
@@ -112,14 +112,15 @@ def export(directory: Path | None, output: Path | None, yaw_deg: float, **option
     from hitchopt.exports.options import ExportOptions
     from hitchopt.exports.placing import read_fleet
     from hitchopt.motion.plan_file import read_saved_plan
-    from hitchopt.values.fields import Missing
 
     if directory is None or options["format"] is None:
         summaries = [(kind.name, type(kind).__doc__ or "") for kind in usable_formats()]
         rows = [{"format": name, "what it is": text.partition("\n")[0]} for name, text in summaries]
         say(table("Formats", rows), err=True)
-        bound, remedy = "given with DIR", "choose one, such as --format csv"
-        raise InputError("format", options["format"] or Missing(), bound, remedy)
+        key, remedy = "format", "choose one, such as --format csv"
+        if directory is None and options["format"]:
+            key, remedy = "DIR", "name the directory of a plan"
+        raise InputError(key, Missing(), "given", remedy)
     parsed = ExportOptions(yaw=math.radians(yaw_deg), **options)
     format_of(parsed.format)  # report an unknown name before reading the plan
     path = plan_path(directory)

@@ -10,7 +10,7 @@ import click
 
 from hitchopt.cli import main
 from hitchopt.cli.output import output
-from hitchopt.errors import FileError, InputError
+from hitchopt.errors import UNKNOWN_KEY, FileError, InputError
 
 if TYPE_CHECKING:
     from hitchopt.values.fields import Key
@@ -114,7 +114,7 @@ def _assignment(option: str, pair: str, keys: Mapping[str, Key]) -> tuple[str, A
     if not equals:
         raise InputError(option, pair, "KEY=VALUE", f"write {next(iter(keys))}=0.1")
     if name not in keys:
-        raise InputError(option, name, "a known key", closest_word(name, list(keys)))
+        raise InputError(option, name, UNKNOWN_KEY, closest_word(name, list(keys)))
     return name, keys[name].from_file(f"{option} {name}", parse_yaml(value, option))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from hitchopt.checks.custom import Rule, checked_rules
 from hitchopt.checks.registry import NAMES
 from hitchopt.drones.quadrotor import Quadrotor, quadrotors
-from hitchopt.errors import InputError, UnitWarning
+from hitchopt.errors import InputError, Missing, UnitWarning
 from hitchopt.geometry import Outline
 from hitchopt.hitch import Hitch, Swarm, Team
 from hitchopt.hitch.hitch import UNIT_ERROR_RATIO, checked_polygon, count_remedy
@@ -50,7 +50,6 @@ from hitchopt.support import Feature, Neighbour, refused_value
 from hitchopt.values import Array, ByValue, Points, check_instance, closest_word, sequence, text
 from hitchopt.values.fields import (
     Key,
-    Missing,
     Record,
     by_key,
     collect,

@@ -19,7 +19,7 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from hitchopt.drones.quadrotor import Quadrotor
-from hitchopt.errors import InputError
+from hitchopt.errors import UNKNOWN_KEY, InputError
 from hitchopt.geometry import ConvexPolygon
 from hitchopt.hitch import GRAVITY, Swarm, Team
 from hitchopt.hitch.requirements import Requirements
@@ -127,7 +127,7 @@ def _decoded_record(kind: Any, value: Mapping[str, Any]) -> Any:
     values = dict[str, Any]()
     for name, item in value.items():
         if name not in hints:
-            raise InputError(name, item, "a known key", REMEDY)
+            raise InputError(name, item, UNKNOWN_KEY, REMEDY)
         try:
             values[name] = decoded(hints[name], item)
         except InputError as error:

@@ -28,9 +28,11 @@ from numpy.typing import ArrayLike
 
 from hitchopt.errors import (
     MAX_LISTED,
+    UNKNOWN_KEY,
     FileError,
     InputError,
     JointInputError,
+    Missing,
     UnitWarning,
     joint_error,
 )
@@ -265,13 +267,6 @@ def parameter_docs(record: type[Any], exclude: str = "") -> str:
 # Records from mappings.
 
 
-class Missing:
-    """Placeholder for the value of a missing key."""
-
-    def __repr__(self) -> str:
-        return "(missing)"
-
-
 def arguments_from(
     keys: Mapping[str, Key],
     key: str,
@@ -297,7 +292,7 @@ def arguments_from(
         """Return the name and value of a constructor's argument; no name for a default."""
         path, value = join_key(key, name), data.get(name, Missing())
         if name not in fields_by_key:
-            raise InputError(path, value, "a known key", remedies[name])
+            raise InputError(path, value, UNKNOWN_KEY, remedies[name])
         field = fields_by_key[name]
         declared = keys[field]
         misspelt = f"did you mean {name}?" in guesses.values()

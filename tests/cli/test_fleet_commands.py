@@ -121,7 +121,7 @@ def test_frames_origin_yaw_fleet_and_the_usual_place(plan: Path, place: Path) ->
         ("--format csv --hold-tension", "pass --stiffness, or team.quadrotor.stiffness"),
         ("--format csv --damping 2", "--damping = 2.0: must be omitted for csv without --hold"),
         ("--format csv -o table.parquet", "-o = 'table.parquet': must be a folder"),
-        ("", "--format = (missing): must be given with DIR"),
+        ("", "missing --format; choose one"),
     ],
 )
 def test_invalid_export_usage_ends_with_2(

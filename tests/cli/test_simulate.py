@@ -166,7 +166,7 @@ def test_a_flight_that_is_invalid_ends_with_3(solved: Path) -> None:
         ("simulate --perturb lag=late", "--perturb lag = 'late': must be a number"),
         (
             "simulate --perturb wnd=0.1",
-            "--perturb = 'wnd': must be a known key; did you mean wind?",
+            "--perturb = 'wnd': unknown key; did you mean wind?",
         ),
         ("simulate --perturb wind", "--perturb = 'wind': must be KEY=VALUE; write noise=0.1"),
         ("simulate --perturb wind=[", "--perturb:1:"),

@@ -72,7 +72,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         ("sovle x.yaml", "error: No such command 'sovle'. Did you mean 'solve'?"),
         ("solve x.yaml --repot", "'--report'"),
         ("export", "\nskybrush           A Skybrush show of cubic"),
-        ("export out", "error: --format = (missing): must be given with DIR"),
+        ("export out", "error: missing --format; choose one, such as"),
         ("fly out", "error: Missing option '--over'. Choose from:"),
         ("view .", 'error: No plan in ".": name a directory that hitchopt solve -o wrote.'),
         ("fit none.svg --robots 3", "error: none.svg: there is no such file"),
@@ -90,7 +90,7 @@ RATE = "error: --rate = {}: must be above 0 and at most 10000 Hz"
         (f"calibrate {ROOT}/problems/show", "must be a flight, not its plan; name the file"),
         (
             f"sweep {TRIANGLE}",
-            ":6:1: problem = (missing): must be given: this is a problem, not a stu",
+            ":6:1: missing problem; this is a problem: plan it with",
         ),
         *((f"init {name}", "error: ") for name in ("''", ".", "/", "missing/x", "x" * 300)),
     ],

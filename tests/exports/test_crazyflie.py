@@ -211,13 +211,13 @@ MISTAKES: list[tuple[str, str, dict[str, object] | None, str]] = [
     ("drones", "q0", {"name": "CF9"}, "must be unique among drones"),
     ("drones", "q0", {"uri": DRONES["r0"]["uri"]}, "uri = .* must be unique among drones"),
     ("drones", "q0", {"uri": "E7E7E7E707"}, "drones.q0.uri = 'E7E7E7E707': must be an address"),
-    ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: must be a known key"),
+    ("drones", "q0", {"channel": 80}, "drones.q0.channel = 80: unknown key"),
     ("drones", "q0", {"name": 7}, "drones.q0.name = 7: must be a string"),
     ("robots", "cf3", {"enabled": True}, "robots = 'cf3': .* a robot's role states which one it"),
     ("robots", "cf3", {"enabled": True, "role": "r0"}, "robots.cf3.role = 'r0': .* and cf7 has"),
     ("robots", "cf7", {"uri": None}, "robots.cf7.uri"),
     ("drones", "r0", None, "drones = 'r0': must be named once"),
-    ("others", "q0", {}, "others = .*known key"),
+    ("others", "q0", {}, "others = .*unknown key"),
 ]
 
 

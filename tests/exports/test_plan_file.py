@@ -242,7 +242,7 @@ LIES = [
     ("a['settings'] = np.array('[' * 100_000)", ""),
     ("a['settings'] = np.array('[]')", ""),
     ("del r['team']", ""),
-    ("q['limits']['colour'] = 1.0", "colour = 1.0: must be a known key"),
+    ("q['limits']['colour'] = 1.0", "colour = 1.0: unknown key"),
     ("q['limits']['speed'] = 0.0", "speed"),
     ("q['arena']['lower'] = [9.0, 9.0, 9.0]", ""),
     ("t['robots'] = 5", ""),

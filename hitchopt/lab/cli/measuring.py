@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import hitchopt as ho
 from hitchopt.cli.options import PATH, command, option, paper_option, picture_format, plan_path
 from hitchopt.cli.output import ProgressBar, known_text, say
-from hitchopt.errors import InputError
+from hitchopt.errors import InputError, Missing
 from hitchopt.tables import table
 
 if TYPE_CHECKING:
@@ -84,7 +84,6 @@ def evaluate(
     """
     from hitchopt.lab.simulation.exported import is_export, team_task
     from hitchopt.support import Feature
-    from hitchopt.values.fields import Missing
 
     task = None
     if plan is not None:

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hitchopt.errors import FileError, InputError, OneLine, short
+from hitchopt.errors import FileError, InputError, Missing, OneLine, short
 from hitchopt.lab.simulation.settings import MAX_SEED, PRESETS, flight_keys
 from hitchopt.mission.problem import TITLE
 from hitchopt.storage.yaml_file import Plain, key_path, plain, read_yaml, split_key
@@ -24,7 +24,6 @@ from hitchopt.values.fields import (
     ANYTHING,
     FLAGS,
     Key,
-    Missing,
     dict_of,
     either,
     integers,
@@ -264,8 +263,8 @@ def study_from_dict(data: object, directory: str | Path = ".") -> Study:
         bound = "a mapping with the keys problem and parameters"
         raise InputError("study", short(values), bound, "see hitchopt.lab.sweeps.study.Study")
     if "problem" not in values and {"team", "teams"} & values.keys():
-        remedy = "plan it with hitchopt solve, or name it in a study as problem: FILE"
-        raise InputError("problem", Missing(), "given: this is a problem, not a study", remedy)
+        remedy = "this is a problem: plan it with hitchopt solve, or name it in a study"
+        raise InputError("problem", Missing(), "given", remedy)
     study = Study(STUDY.check("", values), tuple(_problems(values["problem"], Path(directory))))
     study.check()
     return study
