@@ -11,6 +11,7 @@ import pytest
 from hitchopt.errors import FileError
 from hitchopt.exports.directory import write_rows
 from hitchopt.storage.tables import Table, labelled_table, numeric_table, text_lines
+from hitchopt.values import Array
 
 VALUES = np.array([[0.0, 1.25, -3.5e-3], [0.5, 7.0, 2.0e4], [1.0, -0.125, 0.0]])
 LABELS = ("t [s]", "Xß", "y")
@@ -90,7 +91,8 @@ def test_invalid_tables_are_refused(lines: list[str], words: str) -> None:
 @pytest.mark.parametrize("digits", [9, 12])
 def test_numbers_are_written_with_their_digits(tmp_path: Path, digits: int) -> None:
     random = np.random.default_rng(3)
-    times, names = 0.01 * np.arange(40), ["a.q0", "nan", "r0"]
+    times: Array = np.linspace(0.0, 0.39, 40)
+    names = ["a.q0", "nan", "r0"]
     values = random.normal(size=(40, 3, 5)) * 10.0 ** random.uniform(-9.0, 4.0, (40, 3, 5))
     values[:20, :, :2] = 0.0
     values[:, 1, 4] = np.nan
