@@ -267,6 +267,11 @@ class TestReport:
         assert not report.locator("#checks").is_visible()
         strip = report.locator("#strip").bounding_box()
         assert strip["y"] + strip["height"] <= 800
+        blocks = "[...document.querySelectorAll('#strip button')]"
+        names = report.evaluate(f"{blocks}.map((block) => block.textContent)")
+        whole = [phase.name for phase in tied_plan().phases]
+        assert all(name in ("", phase) for name, phase in zip(names, whole, strict=True))
+        assert not any(report.evaluate(f"{blocks}.map((b) => b.scrollWidth > b.clientWidth)"))
         report.set_viewport_size({"width": 1200, "height": 800})
         report.reload()
         waited(report, lambda: bool(report.evaluate("Boolean(window.hitchopt)")))

@@ -53,7 +53,8 @@ class Plots {
     const write = (text, value, style) => {
       let baseline = y(value) + 4;
       for (const other of baselines) if (Math.abs(other - baseline) < 12) baseline = other + (baseline <= other ? -12 : 12);
-      baseline = Math.min(HEIGHT - 2, Math.max(10, baseline));
+      baseline = Math.min(HEIGHT - 2, Math.max(TOP + 8, baseline));  // below the heading
+      while (baselines.some((other) => Math.abs(other - baseline) < 12) && baseline + 12 < HEIGHT) baseline += 12;
       baselines.push(baseline);
       node("text", { x: right + 6, y: baseline, class: style }, text);
     };

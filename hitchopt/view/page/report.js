@@ -70,6 +70,14 @@ class Page {
     });
     table.append(body);
     this.needle = strip.appendChild(element("i"));
+    new ResizeObserver(() => this.nameStrips()).observe(strip);
+  }
+
+  // Names the blocks that are wide enough for the whole name of their phase.
+  nameStrips() {
+    this.strips.forEach((block, i) => { block.textContent = this.data.phases[i].name; });
+    const fit = this.strips.map((block) => block.scrollWidth <= block.clientWidth);
+    this.strips.forEach((block, i) => { if (!fit[i]) block.textContent = ""; });
   }
 
   addChecks() {
