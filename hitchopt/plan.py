@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -287,6 +287,8 @@ class Plan(OneLine):
         *,
         ghost: Path | str | None = None,
         width: float | None = None,
+        height: float | None = None,
+        panels: Sequence[str] | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
         browser: bool = True,
@@ -304,6 +306,9 @@ class Plan(OneLine):
             comparison.
         width: of a saved picture [inch], a figure for a paper with text of 8 pt; by default it is
             one for screens.
+        height: of that figure [inch]; by default it follows from its parts.
+        panels: its parts, some of ``plan``, ``separation``, ``speed`` and ``thrust``; all by
+            default.
         host, port: address to listen on; if the port is in use, the next free one.
         browser: whether to open the browser.
         progress: status callback for films.
@@ -317,10 +322,12 @@ class Plan(OneLine):
             if ghost is not None:
                 bound = "None when a plan is written to a file"
                 raise InputError("ghost", str(ghost), bound, "omit save: ghosts are shown live")
+            from hitchopt.view.pictures import Page
             from hitchopt.view.report import save_view
 
             content = self.flight, self.certificate, self.title, self.problem
-            save_view(path("save", save), *content, progress, width)
+            page = Page.of(width, height, panels)
+            save_view(path("save", save), *content, progress, page)
             return None
         import webbrowser
 

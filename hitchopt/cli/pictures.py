@@ -51,6 +51,15 @@ def report(directory: Path, ghost: Path | None) -> None:
         "PATH",
     ),
     width_option("a saved picture"),
+    option(
+        "--height", "Height of that picture; by default it follows from its parts.", float, "INCHES"
+    ),
+    option(
+        "--panels",
+        "Its parts, of plan, separation, speed and thrust; all by default.",
+        str,
+        "NAME,…",
+    ),
     option("--host", "Address to listen on; by default this machine.", "127.0.0.1", "TEXT"),
     option("--port", "Port to listen on, or the next free one.", 8080, "INTEGER"),
     option("--browser/--no-browser", "Open the browser.", True),
@@ -60,6 +69,8 @@ def view(
     save: Path | None,
     ghost: Path | None,
     width: float | None,
+    height: float | None,
+    panels: str | None,
     host: str,
     port: int,
     *,
@@ -87,7 +98,8 @@ def view(
         if ghost is not None:
             bound = "omitted when a plan is written to a file"
             raise InputError("ghost", str(ghost), bound, "omit --save: ghosts are shown live")
-        _save(save, path, recording if is_flight else None, width)
+        names = None if panels is None else [name.strip() for name in panels.split(",")]
+        _save(save, path, recording if is_flight else None, (width, height, names))
         return
     from hitchopt.storage.interrupts import how_to_end
     from hitchopt.view.live import open_server, server_address
@@ -107,18 +119,25 @@ def view(
         close()
 
 
-def _save(file: Path, path: Path, recording: Path | None, width: float | None) -> None:
+def _save(
+    file: Path,
+    path: Path,
+    recording: Path | None,
+    page: tuple[float | None, float | None, list[str] | None],
+) -> None:
     """Write a plan as a page, picture or film, or the film of a simulated flight of it."""
     from hitchopt.view.film import save_film
+    from hitchopt.view.pictures import Page
     from hitchopt.view.report import save_view
     from hitchopt.view.scene import ghost_scene
 
+    layout = Page.of(*page)
     plan = _load_content(path)
     with ProgressBar("certifying and drawing") as progress:
         if recording is None:
             certificate = plan.certificate if isinstance(plan, ho.Plan) else ho.certify(plan)
             content = plan.flight, certificate, plan.title, plan.problem
-            save_view(file, *content, progress, width)
+            save_view(file, *content, progress, layout)
         else:
             scene = ghost_scene(recording, plan.flight)
             title = f"{plan.title} (flown)".strip()

@@ -15,20 +15,22 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
 from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpecBase, SubplotSpec
+from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Polygon, Rectangle
 from matplotlib.patheffects import withStroke
+from scipy.optimize import isotonic_regression
 from scipy.spatial import ConvexHull, cKDTree
 
 from hitchopt.checks.certificate import Certificate, html_table
 from hitchopt.checks.registry import RULE_OF
 from hitchopt.checks.separation import Closeness
+from hitchopt.errors import InputError
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import Phase
 from hitchopt.motion.states import States, flight_states_at
-from hitchopt.values import Array
+from hitchopt.values import Array, check_choice, sequence, text
 from hitchopt.view import painter, style
 from hitchopt.view.painter import PATH_OPACITY
 from hitchopt.view.scene import Appearance, TeamLabel, scene_at
@@ -73,6 +75,56 @@ PAGE_HEIGHT = 190.0  # Height of axes [points] below which names are close
 LINE_STYLES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)))
 # Colours and line styles of pairs, the closest first; they also differ in grey
 STYLES = tuple(zip(COLOURS, LINE_STYLES, strict=False))
+
+
+PLAN = "plan"  # Name of the view from above or storyboard among the parts of a page
+PARTS = (PLAN, "separation", "speed", "thrust")
+"""Parts of a summary on a page, from top to bottom."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A summary for a paper, whose parts are below each other.
+
+    Attributes
+    ----------
+    width: [inch]
+    height: [inch]; None for a height that follows from the parts.
+    panels: names of PARTS.
+
+    Raises InputError for a width or height out of range, or a part that is unknown or missing.
+    """
+
+    width: float
+    height: float | None = None
+    panels: tuple[str, ...] = PARTS
+
+    def __post_init__(self) -> None:
+        for name in self.panels:
+            check_choice("panels", name, PARTS)
+        if not self.panels:
+            raise InputError("panels", self.panels, f"some of {', '.join(PARTS)}", "name one")
+        if (
+            self.height is not None
+            and not style.PAGE_WIDTHS[0] <= self.height <= style.PAGE_WIDTHS[1]
+        ):
+            bound = "from {:g} to {:g} inches".format(*style.PAGE_WIDTHS)
+            raise InputError("height", self.height, bound, "a column's figure is some 4 high")
+
+    @classmethod
+    def of(
+        cls, width: float | None, height: float | None = None, panels: Sequence[str] | None = None
+    ) -> Page | None:
+        """Return the page of a width; None without one. Raises InputError for other values then."""
+        if width is None:
+            for name, value in (("height", height), ("panels", panels)):
+                if value is not None:
+                    raise InputError(
+                        name, value, "omitted without a width", "set width, such as 3.5"
+                    )
+            return None
+        names = PARTS if panels is None else sequence("panels", panels)
+        return cls(width, height, tuple(text("panels", name) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,50 +183,80 @@ def panels(flight: Flight, states: States) -> tuple[Panel, ...]:
 
 @style.own_style()
 def draw_summary(
-    flight: Flight, certificate: Certificate, title: str = "", width: float | None = None
+    flight: Flight, certificate: Certificate, title: str = "", page: Page | None = None
 ) -> Figure:
     """Return the summary: a storyboard or a view from above, and limited quantities over time.
 
-    The certificate's worst values are marked. With a ``width`` [inch] it is a figure for a paper:
-    all parts are below each other, and it has no headline.
+    The certificate's worst values are marked. On a page it has no headline.
     """
     states = sample_states(flight)
     quantities = panels(flight, states)
-    rows = len(quantities)
-    if width is None:
-        figure = style.new_figure(SIZE, None)  # automatic layout takes as long as drawing
-        grid: GridSpecBase = figure.add_gridspec(rows, 1, **PLOT_EDGES)
-        _draw_plan(figure, flight)
-    else:
-        heights = min(PAGE_SHARE * width, PAGE_PLAN), PAGE_PLOT * rows
-        figure = style.page_figure(width, sum(heights) + PAGE_LEGEND)
-        parts = figure.add_gridspec(2, 1, height_ratios=heights)
-        grid = parts[1].subgridspec(rows, 1)
+    if page is not None:
+        return _summary_on_page(flight, certificate, states, quantities, page)
+    figure = style.new_figure(SIZE, None)  # automatic layout takes as long as drawing
+    grid = figure.add_gridspec(len(quantities), 1, **PLOT_EDGES)
+    _draw_plan(figure, flight)
+    axes = [figure.add_subplot(grid[row]) for row in range(len(quantities))]
+    _draw_panels(axes, flight, certificate, states, quantities)
+    for each in axes:
+        each.yaxis.set_label_coords(LABEL_AT, 0.5)
+    style.legend_below(axes[-1], _panel_handles(), 0.32, 2)
+    style.headline(figure, title, f"{style.facts(flight)}; {style.verdict(certificate)}")
+    return figure
+
+
+def _summary_on_page(
+    flight: Flight,
+    certificate: Certificate,
+    states: States,
+    quantities: Sequence[Panel],
+    page: Page,
+) -> Figure:
+    """Return the parts of a summary that a page has, below each other, with a legend below."""
+    shown = [panel for panel in quantities if panel.name in page.panels]
+    plan_height = min(PAGE_SHARE * page.width, PAGE_PLAN) if PLAN in page.panels else 0.0
+    heights = [size for size in (plan_height, PAGE_PLOT * len(shown)) if size]
+    figure = style.page_figure(page.width, page.height or sum(heights) + PAGE_LEGEND)
+    parts = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    if plan_height:
         _draw_plan(figure, flight, parts[0])
-    axes = [figure.add_subplot(grid[row]) for row in range(rows)]
-    for each, panel in zip(axes, quantities, strict=True):
-        _draw_panel(each, states.t, panel, certificate)
-        each.tick_params(labelbottom=each is axes[-1])
-    draw_phases(axes, flight.phases, flight.duration)
-    axes[-1].set_xlabel("t [s]")
-    handles = [
-        Line2D([], [], color=INK, linewidth=CURVE_WIDTH, label="worst drone or pair"),
-        Line2D([], [], color=LIMIT_COLOUR, linestyle=DASHES, label="limit"),
-        _worst_marker(),
-        Patch(label="forbidden", **FORBIDDEN),
-    ]
-    if width is None:
-        for each in axes:
-            each.yaxis.set_label_coords(LABEL_AT, 0.5)
-        style.legend_below(axes[-1], handles, 0.32, 2)
-        style.headline(figure, title, f"{style.facts(flight)}; {style.verdict(certificate)}")
-        return figure
-    figure.align_ylabels(axes)
+    handles = list[Artist]()
+    if shown:
+        grid = parts[-1].subgridspec(len(shown), 1)
+        axes = [figure.add_subplot(grid[row]) for row in range(len(shown))]
+        _draw_panels(axes, flight, certificate, states, shown)
+        figure.align_ylabels(axes)
+        handles = _panel_handles()
     for legend in filter(None, [each.get_legend() for each in figure.axes]):
         handles = [*filter(None, legend.legend_handles), *handles]
         legend.remove()
     style.legend_on_page(figure, handles)
     return figure
+
+
+def _draw_panels(
+    axes: Sequence[Axes],
+    flight: Flight,
+    certificate: Certificate,
+    states: States,
+    quantities: Sequence[Panel],
+) -> None:
+    """Draw quantities over time, below each other, with the names of phases above."""
+    for each, panel in zip(axes, quantities, strict=True):
+        _draw_panel(each, states.t, panel, certificate)
+        each.tick_params(labelbottom=each is axes[-1])
+    draw_phases(axes, flight.phases, flight.duration)
+    axes[-1].set_xlabel("t [s]")
+
+
+def _panel_handles() -> list[Artist]:
+    """Return the entries of the panels' legend."""
+    return [
+        Line2D([], [], color=INK, linewidth=CURVE_WIDTH, label="worst drone or pair"),
+        Line2D([], [], color=LIMIT_COLOUR, linestyle=DASHES, label="limit"),
+        _worst_marker(),
+        Patch(label="forbidden", **FORBIDDEN),
+    ]
 
 
 def plan_card(
@@ -209,34 +291,65 @@ def plot_from_above(flight: Flight, axes: Axes | None) -> Axes:
 def draw_phases(axes: Sequence[Axes], phases: Sequence[Phase], duration: float) -> None:
     """Shade every other phase on all axes, and write their names above the first.
 
-    Names of short phases are slanted: if they overlap, those of longer phases are written; long
-    lines are cut at the start. Nothing is drawn after ``duration`` [s], where the axes end.
+    Names of short phases are slanted, and moved apart where they would overlap; if they do not fit,
+    those of the longest phases are written. Long lines are cut at the start. Nothing is drawn after
+    ``duration`` [s], where the axes end.
     """
     figure: Any = axes[0].figure
     flown = [phase for phase in phases if phase.start < duration]
     phases = [phase.retimed(phase.start, min(phase.end, duration)) for phase in flown]
     per_point = duration / (72.0 * figure.get_size_inches()[0] * axes[0].get_position().width)
-    character, slanted = CHARACTER_WIDTH * per_point, SLANTED_WIDTH * per_point
+    character = CHARACTER_WIDTH * per_point
     level = all(p.end - p.start > character * (len(p.name) + 1) for p in phases)
-    positions: list[float] = []
     for i, phase in enumerate(phases):
         for each in axes if i else ():
             each.axvline(phase.start, color="0.6", linewidth=0.7, linestyle=":", zorder=1)
             if i % 2:
                 each.axvspan(phase.start, phase.end, color="0.93", linewidth=0, zorder=-1)
     look: Any = {"xycoords": axes[0].get_xaxis_transform(), "parse_math": False}
-    if not level:
-        angle = 30 if any(", " in phase.name for phase in phases) else 45
-        look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
-    for phase in sorted(phases, key=lambda phase: phase.start - phase.end):
-        lines = [phase.name]
-        if not level:
-            names, cut = phase.name.split(", "), slice(-MAX_CHARACTERS, None)
-            lines = [x if len(x) <= MAX_CHARACTERS else f"…{x[cut]}" for x in names]
-        middle, width = 0.5 * (phase.start + phase.end), slanted * len(lines)
-        if level or all(abs(middle - other) > width for other in positions):
-            positions.append(middle)
-            write(axes[0], "\n".join(lines), (middle, 1.0), (0, 4), **look)
+    if level:
+        for phase in phases:
+            middle = 0.5 * (phase.start + phase.end)
+            write(axes[0], phase.name, (middle, 1.0), (0, 4), **look)
+        return
+    angle = 30 if any(", " in phase.name for phase in phases) else 45
+    look |= {"rotation": angle, "ha": "left", "rotation_mode": "anchor"}
+    for phase, place, lines in _placed_names(phases, duration, SLANTED_WIDTH * per_point):
+        middle = 0.5 * (phase.start + phase.end)
+        stem = axes[0].get_xaxis_transform()
+        axes[0].plot(
+            [middle, place], [1.0, 1.05], color="0.6", linewidth=0.7, transform=stem, clip_on=False
+        )
+        write(axes[0], "\n".join(lines), (place, 1.05), (0, 2), **look)
+
+
+def _placed_names(
+    phases: Sequence[Phase], duration: float, line_width: float
+) -> list[tuple[Phase, float, list[str]]]:
+    """Return phases with the places of their names on the axis [s], and the names' lines.
+
+    Lines are ``line_width`` [s] wide. Places are those next to the middles of the phases that are
+    far enough apart: isotonic regression of the middles less the widths before them.
+    """
+    chosen = sorted(phases, key=lambda phase: phase.start - phase.end)
+    while True:
+        ordered = sorted(chosen, key=lambda phase: phase.start)
+        lines = [_lines(phase.name) for phase in ordered]
+        widths = line_width * np.array([len(each) for each in lines])
+        if len(chosen) == 1 or np.sum(widths[:-1]) <= duration:
+            break
+        chosen.pop()
+    before = np.cumsum([0.0, *widths[:-1]])
+    middles = np.array([0.5 * (phase.start + phase.end) for phase in ordered])
+    apart = isotonic_regression(middles - before).x
+    places = np.clip(apart, 0.0, duration - before[-1]) + before
+    return [*zip(ordered, places.tolist(), lines, strict=True)]
+
+
+def _lines(name: str) -> list[str]:
+    """Return the lines of a phase's name, cut at the start."""
+    cut = slice(-MAX_CHARACTERS, None)
+    return [x if len(x) <= MAX_CHARACTERS else f"…{x[cut]}" for x in name.split(", ")]
 
 
 @style.own_style()

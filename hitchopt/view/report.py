@@ -27,7 +27,7 @@ from hitchopt.storage.files import digest
 from hitchopt.values import Array
 from hitchopt.view import style
 from hitchopt.view.cables import CLASPS, HOOKED_STATES, POINTS
-from hitchopt.view.pictures import draw_summary, panels, sample_states
+from hitchopt.view.pictures import Page, draw_summary, panels, sample_states
 from hitchopt.view.scene import RigidSurface, Scene, highlight_of, mesh, scene_of
 
 PAGE = ".html"  # Suffix of pages
@@ -49,18 +49,18 @@ def save_view(
     title: str = "",
     problem: str = "",
     progress: Progress | None = None,
-    width: float | None = None,
+    page: Page | None = None,
 ) -> None:
     """Write a plan as a page, a picture or a film, according to the file name's extension.
 
     ``problem`` is the text of its file; ``progress`` receives the finished fraction of a film;
-    ``width`` [inch] makes a picture a figure for a paper. Raises
+    ``page`` makes a picture a figure for a paper. Raises
     InputError for another extension, UnsupportedError for a missing package, and FileError if the
     file cannot be written.
     """
     kind = path.suffix.lower()
-    if width is not None and kind in (PAGE, *FILMS):
-        raise InputError("width", width, "of a picture", f"save {', '.join(PICTURES)}")
+    if page is not None and kind in (PAGE, *FILMS):
+        raise InputError("width", page.width, "of a picture", f"save {', '.join(PICTURES)}")
     if kind in FILMS:
         from hitchopt.view.film import save_film
 
@@ -74,7 +74,7 @@ def save_view(
         if kind == PAGE:
             write_report(draft, flight, certificate, title, problem, path.parent)
         else:
-            style.save_figure(draw_summary(flight, certificate, title, width), draft)
+            style.save_figure(draw_summary(flight, certificate, title, page), draft)
 
 
 def write_report(

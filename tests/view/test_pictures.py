@@ -30,6 +30,7 @@ from hitchopt.motion.retiming import resting
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.view.painter import MAX_PANELS, MIN_TRAVEL, choose_shots, shots_in_motion
 from hitchopt.view.pictures import (
+    Page,
     draw_closeness,
     draw_phases,
     draw_plan_view,
@@ -191,8 +192,8 @@ def test_nothing_written_overlaps_or_is_clipped(n: int, gap: float) -> None:
     texts = visible_texts(figure)
     assert len(texts) > 30
     slanted = [text for text in figure.axes[-3].texts if text.get_rotation() > 0.0]
-    assert [text.get_text() for text in slanted] == ["m", "follow_vertex", "follow_vertex"]
-    starts = [text.get_window_extent().x0 for text in slanted[1:]]
+    assert [text.get_text() for text in slanted] == ["follow_vertex", "follow_vertex", "m"]
+    starts = [text.get_window_extent().x0 for text in slanted[:2]]
     assert abs(starts[1] - starts[0]) > math.sqrt(2.0) * 8.0 * 120.0 / 72.0  # high letters' height
     for text, box in texts:
         assert min(box.min) >= 0.0, text
@@ -209,8 +210,8 @@ def test_figures_for_papers_have_8_point_text_within_their_width(
 ) -> None:
     motion, others = make_motion(4), swarm(9)
     figures = [
-        draw_summary(ho.Flight.of(motion), made_certificate(), "A title", width),
-        draw_summary(ho.Flight.of(others), made_certificate(), width=width),
+        draw_summary(ho.Flight.of(motion), made_certificate(), "A title", Page(width)),
+        draw_summary(ho.Flight.of(others), made_certificate(), page=Page(width)),
         draw_closeness(ho.Flight.of(others), closeness(ho.Flight.of(others), 6), width),
     ]
     for figure in figures:
@@ -225,13 +226,52 @@ def test_figures_for_papers_have_8_point_text_within_their_width(
     save_figure(figures[-1], tmp_path / "figure.png")
     assert imread(tmp_path / "figure.png").shape[1] == round(300 * width)
     assert "A title" not in words(figures[0])
-    save_view(tmp_path / "plan.svg", ho.Flight.of(motion), made_certificate(), width=width)
+    save_view(tmp_path / "plan.svg", ho.Flight.of(motion), made_certificate(), page=Page(width))
     assert f'width="{72.0 * width:g}pt"' in (tmp_path / "plan.svg").read_text("utf-8")
     with pytest.raises(ho.InputError, match=r"width = .* must be of a picture; save \.png"):
-        save_view(tmp_path / "plan.html", ho.Flight.of(motion), made_certificate(), width=width)
+        save_view(
+            tmp_path / "plan.html", ho.Flight.of(motion), made_certificate(), page=Page(width)
+        )
     for wrong in (0.5, float("nan"), 40.0):
         with pytest.raises(ho.InputError, match=r"width = .* from 2\.5 to 20 inches; .* 3\.5 wide"):
             draw_closeness(ho.Flight.of(others), closeness(ho.Flight.of(others), 6), wrong)
+
+
+def test_a_page_has_the_height_and_parts_that_are_asked_for(tmp_path: Path) -> None:
+    flight = ho.Flight.of(make_motion(4))
+    figure = draw_summary(flight, made_certificate(), page=Page(3.5, 3.0, ("separation", "speed")))
+    assert figure.get_size_inches().tolist() == [3.5, 3.0]
+    labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes]
+    assert labels == ["minimum separation [–]", "largest speed [m/s]"]
+    above = draw_summary(flight, made_certificate(), page=Page(3.5, panels=("plan",)))
+    assert not [axes for axes in above.axes if axes.get_xlabel() == "t [s]"]
+    assert above.get_size_inches()[1] < 5.0
+    for wrong, words in (
+        ({"height": 3.0}, "height = 3.0: must be omitted without a width"),
+        ({"width": 3.5, "height": 0.1}, "height = 0.1: must be from 2.5 to 20 inches"),
+        ({"width": 3.5, "panels": ["seperation"]}, "panels = 'seperation': must be one of plan"),
+        ({"width": 3.5, "panels": []}, "must be some of plan, separation"),
+    ):
+        with pytest.raises(ho.InputError, match=words):
+            planned("triangle").view(tmp_path / "a.png", **wrong)
+
+
+def test_names_of_many_short_phases_are_all_written_apart() -> None:
+    ends = np.concatenate([[0.0], np.linspace(1.0, 1.5, 9), [3.1]])
+    names = ["rest", *"abcdefgh", "last"]
+    phases = [
+        Phase(name, i, *span)
+        for i, (name, span) in enumerate(zip(names, pairwise(ends), strict=True))
+    ]
+    figure = new_figure((3.5, 2.0))
+    axes = figure.add_subplot()
+    draw_phases([axes], phases, 3.1)
+    texts = {text.get_text(): text.xy[0] for text in axes.texts}
+    assert sorted(texts) == sorted(names)
+    places = [texts[name] for name in names]
+    per_point = 3.1 / (72.0 * 3.5 * axes.get_position().width)
+    assert np.min(np.diff(places)) >= 12.0 * per_point
+    assert 0.0 <= min(places) <= max(places) <= 3.1
 
 
 def test_the_png_is_written_whatever_the_title(tmp_path: Path) -> None:
