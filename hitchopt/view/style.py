@@ -52,6 +52,8 @@ COMPRESSION = 1
 PAGE_TEXT = 8.0  # Size of all text in figures of a given width, for papers [points]
 PAGE_RESOLUTION = 300  # Resolution of such figures [dots per inch]
 PAGE_WIDTHS = (2.5, 20.0)  # Smallest and largest width of such figures [inch]
+USUAL_PERCENTILE = 99.0  # Percentile of usual values; larger ones are short peaks
+PEAK_RATIO = 2.0  # Largest drawn value over this percentile
 PAGE_SHARE = 0.7  # Height of a single plot over its width in such figures
 LETTER_WIDTH = 0.5  # Width of a letter over its size
 HANDLE_WIDTH = 26.0  # Width of an entry of a legend without its text [points]
@@ -249,9 +251,25 @@ def draw_lines(
     axes.add_collection(LineCollection(list(np.asarray(lines)), **style), autolim=False)
 
 
-def from_zero(axes: Axes, headroom: float = 0.1) -> None:
-    """Set the vertical axis from zero to the largest drawn value plus a headroom."""
-    axes.set_ylim(0.0, (1.0 + headroom) * (axes.dataLim.y1 if axes.dataLim.y1 > 0.0 else 1.0))
+def from_zero(axes: Axes, headroom: float = 0.1, values: Array | None = None) -> None:
+    """Set the vertical axis from zero to the largest drawn value plus a headroom.
+
+    Of drawn ``values`` short peaks are cut, which would flatten all others; the largest is written.
+    """
+    top = axes.dataLim.y1 if axes.dataLim.y1 > 0.0 else 1.0
+    if values is not None and values.size:
+        usual = PEAK_RATIO * float(np.percentile(values, USUAL_PERCENTILE))
+        if 0.0 < usual < top:
+            write(
+                axes,
+                f"up to {top:.3g}",
+                (1.0, 1.0),
+                (-3, -10),
+                xycoords="axes fraction",
+                ha="right",
+            )
+            top = usual
+    axes.set_ylim(0.0, (1.0 + headroom) * top)
     axes.grid(axis="y", color="0.9", linewidth=0.6)
     axes.set_axisbelow(True)
 

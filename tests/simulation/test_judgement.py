@@ -200,6 +200,17 @@ def test_the_title_of_a_figure_states_the_outcome(tmp_path: Path) -> None:
     assert len(drawn_flight(brief, ho.Flight.of(motion)).axes) == 3
 
 
+def test_a_short_peak_of_the_tension_does_not_flatten_all_others() -> None:
+    simulation, motion = flight_with(), ho.solve(HITCH, ho.Hold(2.0)).motion
+    calm = drawn_flight(simulation, ho.Flight.of(motion)).axes[-2]
+    assert not any("up to" in text.get_text() for text in calm.texts)
+    record = simulation.flight.record
+    record.tensions[len(record.t) // 2, 0] = 181.0
+    axes = drawn_flight(simulation, ho.Flight.of(motion)).axes[-2]
+    assert axes.get_ylim()[1] < 0.1 * 181.0
+    assert "up to 181" in [text.get_text() for text in axes.texts]
+
+
 def test_setpoints_without_a_plan_are_saved_with_a_motion_to_draw(tmp_path: Path) -> None:
     with pytest.raises(ho.InputError, match="flight = None"):
         flight_with().save(tmp_path / "flight")

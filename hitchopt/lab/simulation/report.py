@@ -422,10 +422,11 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
     first = "vertex error" if simulation.settings.preset.exact else "vertex error\n± 1 to 2 cm"
     second = f"tension [N]\nplanned: dashed\nthick: {MEAN_TIME:g} s average"
     titles = f"{first},\nsag included [cm]", second, "largest drone\nerror [cm]"
-    for axes, words in zip(plots, titles, strict=True):
+    drawn = 100.0 * errors.errors, record.tensions, tracking
+    for axes, words, values in zip(plots, titles, drawn, strict=True):
         axes.set_ylabel(words)
         axes.set_xlim(0.0, end)
-        style.from_zero(axes, 0.3 if axes.get_legend() else 0.1)
+        style.from_zero(axes, 0.3 if axes.get_legend() else 0.1, values)
         axes.tick_params(labelbottom=axes is bottom)
         if end > task.duration:
             axes.axvspan(task.duration, end, facecolor="none", edgecolor="0.8", hatch="////", lw=0)
