@@ -132,9 +132,10 @@ def error_in_words(motion: Motion) -> str:
     radius = 100.0 * float(rest.radii[vertex])  # [cm]
     if not np.isfinite(radius):
         return f"{name}: no equilibrium was found for errors as large as team.errors"
-    parts = zip(KINDS, (100.0 * rest.parts[vertex]).tolist(), strict=True)
-    causes = ", ".join(f"{part:.2g} cm by {kind}" for kind, part in parts if part > 0.0)
-    return f"vertex error: at most {radius:.3g} cm, of {name} at t = {rest.time:.4g} s: {causes}"
+    parts = dict(zip(KINDS, (100.0 * rest.parts[vertex]).tolist(), strict=True))
+    parts["higher-order terms"] = radius - sum(parts.values())
+    causes = ", ".join(f"{x:.2g} cm from {kind}" for kind, x in parts.items() if x > 0.0)
+    return f"vertex error: up to {radius:.3g} cm, at {name}, t = {rest.time:.4g} s ({causes})"
 
 
 VERTEX_ERROR = ReportRule(

@@ -403,7 +403,8 @@ def fly(
                 outlet.close(landed=stream.landed)
     landed, late = stream.landed, stream.late
     if late:
-        say(f"{late} setpoints were late by {1e3 / rate:.0f} ms because commands took longer")
+        subject = "1 setpoint was" if late == 1 else f"{late} setpoints were"
+        say(f"{subject} up to {1e3 / rate:.0f} ms late: a command took too long")
     say("landed" if landed else "not landed", err=not landed, landed=landed, late=late)
     if not landed:
         exit_infeasible()

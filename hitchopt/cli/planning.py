@@ -205,7 +205,7 @@ def _show_models(team: ho.Team) -> None:
         robots = sorted({i // 2 for i, each in enumerate(kinds) if each == kind})
         pulls = span_text(team.tension[robots], ".3g") if team.has_cables else ""
         limit, binding = kind.usual_pull
-        cables = f"; tension {pulls} N, at most {limit:.3g} N by {binding}"
+        cables = f"; tension {pulls} N ({binding} allows {limit:.3g} N)"
         thrust = f"thrust {kind.max_thrust:.3g} N{cables if pulls else ''}"
         say(f"{kind.model}: {1e3 * kind.mass:.3g} g, {thrust}")
 

@@ -157,15 +157,15 @@ def export_flight(
 
 
 def tracking_notes(flight: Flight) -> Iterator[str]:
-    """Yield a note if distances allow for the errors that simulated controllers have."""
+    """Yield a note if ``limits.tracking`` is the error of a simulated controller."""
     for each in flight.teams:
         tube, team = each.motion.requirements.limits.tube, each.motion.team
         if team.tracking is None or Tube.of(team.tracking) != tube:
             continue
         if any(kind.controller and kind.tracking is None for kind in team.quadrotor):
             yield (
-                f"distances allow for tracking errors of {tube}; recorded drones were off by "
-                f"{Tube(*RECORDED_TUBE)}: set limits.tracking to your measured error"
+                f"distances hold if drones stay within {tube}; real drones in public logs were off "
+                f"by {Tube(*RECORDED_TUBE)}: set limits.tracking to your measured error"
             )
             return
 

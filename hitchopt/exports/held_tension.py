@@ -60,7 +60,8 @@ class HeldTension:
         stiffness, damping = _range_text(self.stiffness), _range_text(self.damping)
         return (
             f"setpoints lie up to {100.0 * self.offset:.3g} cm outside the plan to hold the "
-            f"tension (gains {stiffness} N/m, {damping} N s/m); files last {REST_TIME:g} s longer"
+            f"tension (gains {stiffness} N/m, {damping} N s/m); files last "
+            f"{REST_TIME:g} s longer than the plan"
         )
 
 

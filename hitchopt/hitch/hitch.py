@@ -90,10 +90,9 @@ def cable_slack(team: Team, polygon: Outline) -> Array:
     remedy = f"{facts}: {remedy}"
     if edge_length > UNIT_ERROR_RATIO * cable_length:
         remedy += f"; if millimetres were meant, {1e-3 * edge_length:.3g} m"
-    straight_slack = cable_length - edge_length
     # Sags of edges that are longer than their cables mean nothing.
-    lacking = straight_slack if straight_slack < 0.0 else slack[shortest]
-    raise _refusal(lacking, 0.0, "min", team.cable_names[shortest], remedy)
+    needed = edge_length if edge_length > cable_length else cable_length - slack[shortest]
+    raise _refusal(needed, cable_length, "max", f"edge {shortest}", remedy)
 
 
 def balanced_legs(team: Team, polygon: Outline) -> Array:

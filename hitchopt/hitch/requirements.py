@@ -378,10 +378,10 @@ class Requirements(ByValue):
         if stated.level >= expected.level and max(stated.height, stated.level) >= expected.height:
             return ""
         names = sorted({kind.loop.name for kind in team.quadrotor if kind.loop.name})
-        source = f"the gains of {', '.join(names)}" if names else "its drones' measurements"
+        source = f"with the gains of {', '.join(names)}" if names else "by their calibration"
         return (
-            f"limits.tracking is {stated}, but {source} lead to {expected}, which is not "
-            f"certified: raise it, unless you measured it"
+            f"expect drones {expected} off {source}; only {stated} is certified: raise "
+            "limits.tracking, unless you measured it"
         )
 
     @property

@@ -160,7 +160,7 @@ class VertexErrors:
     parts: Array
 
 
-KINDS = ("cables", "drones", "friction")
+KINDS = ("cable lengths", "drone positions", "friction")
 """Kinds of errors in the order of ``VertexErrors.parts``."""
 
 

@@ -25,6 +25,15 @@ from hitchopt.motion.states import flight_states_at
 from hitchopt.values import Array, positive
 
 COMMANDS = ("pause", "resume", "back", "abort", "land")
+EFFECTS = {
+    "pause": "at rest",
+    "resume": "full speed",
+    "back": "flying back at full speed",
+    "abort": "aborting",
+    "land": "landing",
+}
+"""Effects of commands in messages, before the time until then."""
+
 OPERATOR = "operator"  # name of the operator's link
 MAX_ATTEMPTS = 6  # number of nearest entries of an abort table that are tried
 LEAD = 0.2  # time by which setpoints are computed ahead, and commands delayed [s]
@@ -110,7 +119,7 @@ class CommandedPlan:
         seconds = getattr(self._player, command)()
         self.started = self.started or command == "resume"
         self._landing = None
-        return f"{command}: takes {seconds:.2f} s"
+        return f"{EFFECTS[command]} in {seconds:.2f} s"
 
     def _land(self, command: str) -> str:
         """Move the clock to the nearest rest with a landing, preferably a later one.
@@ -118,7 +127,7 @@ class CommandedPlan:
         No object that is now at rest on its support moves.
         """
         if self.descending:
-            return f"landing continues, in {self._player.resume():.2f} s"
+            return f"landing continues at full speed in {self._player.resume():.2f} s"
         time = self._player.time
         refusal = InfeasibleError([], f"{command}: the plan has no such landing")
         landings = [
@@ -132,7 +141,7 @@ class CommandedPlan:
                 refusal = error
             else:
                 self._landing = landing
-                return f"{command}: begins in {seconds:.2f} s"
+                return f"{EFFECTS[command]} in {seconds:.2f} s"
         raise refusal
 
 

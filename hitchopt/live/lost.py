@@ -136,8 +136,7 @@ class Reactions:
             motion, violated = _with_descent(self.motion, time + DELAY + delay)
             if violated is None:
                 return motion
-            values = f"{violated.worst:.4g} {violated.unit} ({violated.number:.4g})"
-            reasons.append(f"sinking breaks {violated.name}: {values}")
+            reasons.append(f"descending would violate {violated.in_words}")
         raise _no_reaction(time, reasons[0])
 
     def _check_swing(self, lost: int, states: States) -> tuple[float, float]:

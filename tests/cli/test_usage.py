@@ -321,7 +321,7 @@ def test_a_problem_for_drones_of_a_model_is_planned(name: str, robots: int) -> N
     team = ho.load_problem("mine.yaml").team
     assert (team.robots, team.cable_density) == (robots, MODELS[name].cable_density)
     assert team.quadrotor == ho.Team(robots, 2.4, quadrotor=name).quadrotor
-    told = re.search(r"tension ([\d.]+) N, at most ([\d.]+) N by tilt", said)
+    told = re.search(r"tension ([\d.]+) N \(tilt allows ([\d.]+) N\)", said)
     assert told is not None
     weight = 9.81 * team.mass[0]
     pulls = [team.tension[0], weight]

@@ -303,7 +303,7 @@ def test_a_lost_link_ends_in_a_hold_and_then_on_the_ground(who: str, refused: in
     assert (rig.going, rig.course.resting, rig.speed) == (True, True, 0.0)
     assert np.max(np.abs(rig.sent[-1].setpoints.positions - begun)) < 0.6
     assert f"lost: {who}" in rig.said
-    assert who == "operator" or any(words.startswith("pause: takes") for words in rig.said)
+    assert who == "operator" or any(words.startswith("at rest in") for words in rig.said)
     rig.run(LONG)
     rig.check(landed=True)
 
@@ -389,7 +389,7 @@ def test_the_clock_is_led_back_to_where_a_landing_begins() -> None:
     )
     course.obey("resume")
     course.step(3.0)
-    assert course.obey("land").startswith("land: begins in ")
+    assert course.obey("land").startswith("landing in ")
     for _ in range(12):
         sent = course.step(1.0)
     assert course.landed

@@ -277,8 +277,8 @@ def _flown(task: Task, settings: Settings) -> Simulation:
         seconds = flight.expected_seconds()
     if flight.files:
         say(
-            f"flies what an export would contain ({flight.files}), without storing it; to fly "
-            "stored files, simulate the folder of their export",
+            f"simulates the files that export would write ({flight.files}); to simulate files on "
+            "disk, name the folder of their export",
             files=flight.files,
         )
     say(f"{flight.steps:,} steps, about {seconds:.0f} s")

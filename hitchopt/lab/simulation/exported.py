@@ -93,7 +93,7 @@ class ExportedFlight:
     def __str__(self) -> str:
         seconds = " + ".join(f"{part.curves.duration:.2f} s" for part in self.parts)
         count = f"{len(self.parts)} parts" if len(self.parts) > 1 else "1 part"
-        start = "with its take-off" if self.takes_off else "from its first setpoints"
+        start = "with its take-off" if self.takes_off else "starting at their first setpoints"
         words = f"flies the {self.format} files in {count} ({seconds}) {start}"
         waits = f", {BETWEEN:g} s between parts for goTo and upload" if len(self.parts) > 1 else ""
         words = f"{words}{waits}: {self.task.duration:.2f} s"

@@ -466,8 +466,8 @@ def _no_grip(task: GripTask, nearest: Grip) -> InfeasibleError:
     name, ratio = (worst, 1.0 + margin) if margin < 0.0 else ("grip", 0.0)
     limit, unit = (1.0, "ratio") if name in {"grip", "separation"} else (task.limits[name], "m")
     remedy = (
-        f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found: this is the "
-        "largest violation of the nearest one"
+        f"no grip by {task.robots} cables of {task.cable_length:.3g} m was found: the best attempt "
+        "misses this limit"
     )
     value = round(ratio * limit, DECIMALS)
     return InfeasibleError([Violation(name, value, limit, "min", unit, (), "", remedy)])
