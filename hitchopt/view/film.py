@@ -20,9 +20,11 @@ from hitchopt.view.scene import Scene
 from hitchopt.view.style import atomic_write, draw_lines, facts, own_style
 
 FRAME_SIZE = (12.8, 7.2)  # Size of a frame [inch]
-RESOLUTION = 100  # Resolution of a frame [1/inch]
-# Frame rates [Hz]; the resolution of a gif's clock is 10 ms
+RESOLUTIONS = {".mp4": 100, ".gif": 50}  # Resolutions of frames [1/inch]
+# Largest frame rates [Hz]; the resolution of a gif's clock is 10 ms
 RATES = {".mp4": 30.0, ".gif": 100.0 / 6.0}
+MAX_GIF_FRAMES = 240  # Largest number of a gif's frames, of some 20 kB each
+TEXT_SIZE = 13.0  # Least size of titles [pixels]
 AZIMUTH = -115.0  # Azimuth of the camera [deg]
 ELEVATION = 32.0  # Elevation of the camera [deg]
 MARGIN = 0.2  # Margin around drones and cables [m]
@@ -38,9 +40,9 @@ def save_film(
 ) -> None:
     """Write the film of a scene, 1280 × 720, with a title above it.
 
-    ``progress`` is called with the completed fraction. Raises InputError unless ``path`` ends in
-    .gif or .mp4, UnsupportedError for a missing package, and FileError if the file cannot be
-    written.
+    A gif has 640 × 360 pixels and at most MAX_GIF_FRAMES frames, to remain below 5 MB. ``progress``
+    is called with the completed fraction. Raises InputError unless ``path`` ends in .gif or .mp4,
+    UnsupportedError for a missing package, and FileError if the file cannot be written.
     """
     kind = path.suffix.lower()
     if kind not in RATES:
@@ -51,6 +53,11 @@ def save_film(
     if kind == ".mp4":
         optional_module("imageio_ffmpeg", f"{path}: needs", "view")
     rate = RATES[kind]
+    if kind == ".gif":
+        steps = np.ceil(
+            100.0 * float(scene.t[-1]) / (MAX_GIF_FRAMES - 2)
+        )  # of its clock, per frame
+        rate = 100.0 / max(6.0, float(steps))
     options: dict[str, Any] = {"fps": rate, "macro_block_size": 8}
     if kind == ".gif":
         options = {"duration": 1000.0 / rate, "loop": 0}
@@ -58,16 +65,19 @@ def save_film(
     with atomic_write(path) as draft:
         film: Any = imageio.get_writer(draft, **options)
         with film as writer:
-            for i, frame in enumerate(frames(scene, times, title)):
+            for i, frame in enumerate(frames(scene, times, title, RESOLUTIONS[kind])):
                 writer.append_data(frame)
                 if progress is not None:
                     progress((i + 1) / len(times))
 
 
-def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]]:
-    """Yield a frame (720, 1280, 3) for each time [s]; the camera follows drones and cables."""
+def frames(scene: Scene, times: Array, title: str, resolution: int) -> Iterator[NDArray[np.uint8]]:
+    """Yield a frame for each time [s], (720, 1280, 3) at a resolution of 100 dots per inch.
+
+    The camera follows drones and cables.
+    """
     camera = Camera.at_angles(AZIMUTH, ELEVATION)
-    figure: Any = Figure(FRAME_SIZE, dpi=RESOLUTION)
+    figure: Any = Figure(FRAME_SIZE, dpi=resolution)
     canvas: Any = FigureCanvasAgg(figure)
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     axes.set_axis_off()
@@ -76,7 +86,11 @@ def frames(scene: Scene, times: Array, title: str) -> Iterator[NDArray[np.uint8]
     size = max(1.0, MIN_DRONE_SIZE * view.height / scene.flight.requirements.separation.radius)
     painter = Painter(scene, camera, max(scene.radius, MIN_CABLE_WIDTH * view.height), size)
     shapes: Any = draw_painting(axes, painter.paint(scene.at(0.0)))
-    words: dict[str, Any] = {"fontsize": 13, "parse_math": False, "zorder": 3}
+    words: dict[str, Any] = {
+        "fontsize": max(13.0, 72.0 * TEXT_SIZE / resolution),
+        "parse_math": False,
+        "zorder": 3,
+    }
     figure.text(0.02, 0.945, f"{title}\n{facts(scene.flight)}".strip(), va="center", **words)
     clock = figure.text(0.98, 0.945, "", ha="right", va="center", **words)
     phases = scene.flight.phases

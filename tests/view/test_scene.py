@@ -210,11 +210,19 @@ def test_a_film_is_in_real_time_and_shows_the_motion(tmp_path: Path) -> None:
     progress: list[float] = []
     for ending in ("gif", "mp4"):  # 0.31 s at 50/3 and 30 Hz, both ends
         save_film(tmp_path / f"plan.{ending}", short_scene(), "Three", progress.append)
-    assert imageio.imread(tmp_path / "plan.gif").shape == (7, 720, 1280, 3)
+    assert imageio.imread(tmp_path / "plan.gif").shape == (7, 360, 640, 3)
     assert imageio_ffmpeg.count_frames_and_secs(tmp_path / "plan.mp4")[0] == 11
     assert progress == pytest.approx([*(np.arange(1, 8) / 7), *(np.arange(1, 12) / 11)])
     assert {entry.name for entry in tmp_path.iterdir()} == {"plan.gif", "plan.mp4"}
-    first, again, last = frames(short_scene(), np.array([0.0, 0.0, 0.2]), "")
+    long = scene_of(ho.Flight.of(make_motion(3).slowed(0.003)))  # of 9.3 s
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hitchopt.view.film.MAX_GIF_FRAMES", 12)
+        save_film(tmp_path / "long.gif", long)
+    count = len(imageio.imread(tmp_path / "long.gif"))
+    assert count <= 12
+    milliseconds = imageio.immeta(tmp_path / "long.gif")["duration"]
+    assert 1e-3 * count * milliseconds == pytest.approx(long.t[-1], abs=2e-3 * milliseconds)
+    first, again, last = frames(short_scene(), np.array([0.0, 0.0, 0.2]), "", 100)
     np.testing.assert_array_equal(first, again)
     assert 0.001 < np.mean(np.any(first != last, axis=-1)) < 0.3
 
@@ -223,7 +231,7 @@ def test_films_begin_before_the_first_frame_of_a_flight() -> None:
     """Flights are recorded every 40 ms from the middle of their settling, not at their start."""
     late = short_scene()
     late = replace(late, t=late.t + 0.02)
-    first, recorded, last = frames(late, np.array([0.0, 0.02, 0.2]), "")
+    first, recorded, last = frames(late, np.array([0.0, 0.02, 0.2]), "", 100)
     changed = [np.mean(np.any(first != other, axis=-1)) for other in (recorded, last)]
     assert changed[0] < changed[1]
 
