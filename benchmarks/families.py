@@ -5,12 +5,13 @@ Usage: python -m benchmarks families [FAMILY ...] [--problems N] [--first SEED]
 Families: ``form``, irregular hitches tied from scattered robots; ``scattered_form``, those of 3 to
 10 robots on the ground, with light and heavy cables; ``carry``, objects held by rims or
 grips, half of them beside a table; ``morph`` and ``heavy_morph``, irregular hitches into each
-other; ``past_post``, ``past_team`` and ``tube``, such morphs past a post, past another team that
-stays or crosses, and with tracking errors; ``many``, of 20 and 24 robots; ``chain``, of two cables;
-``curves``, letters and closed curves that a vertex writes; ``timed``, such curves with the times of
-their points; ``blends``, steps in a row without a stop; ``box``, ``door`` and ``corridor``, single
-drones in tight boxes, through doors and past each other. Both ends of every problem are certified
-at rest before it is planned, and none is left out afterwards.
+other; ``past_post``, ``past_pillars``, ``past_team`` and ``tube``, such morphs past a post, past
+pillars and walls, past another team that stays or crosses, and with tracking errors; ``many``, of
+20 and 24 robots; ``chain``, of two cables; ``curves``, letters and closed curves that a vertex
+writes; ``timed``, such curves with the times of their points; ``blends``, steps in a row without a
+stop; ``box``, ``door`` and ``corridor``, single drones in tight boxes, through doors and past each
+other. Both ends of every problem are certified at rest before it is planned, and none is left out
+afterwards.
 """
 
 from __future__ import annotations
@@ -466,7 +467,7 @@ def travelling(seed: int, half_width: float) -> dict[str, Any]:
         reach = float(np.max(np.linalg.norm(corners, axis=1)))
         reach += cable - float(np.min(polygon.edge_lengths))
         away = reach + half_width + TRAVEL_GAP
-        outline["polygon"] = np.round(corners + [side * away, 0.0], 3).tolist()
+        outline["polygon"] = np.round(corners + [side * away, 0.0], 6).tolist()
     return problem
 
 
@@ -480,6 +481,68 @@ def past_post(seed: int) -> dict[str, Any]:
         "fixed": True,
     }
     return {**travelling(seed, POST_HALF_WIDTH), "objects": {"post": post}}
+
+
+def past_pillars(seed: int) -> dict[str, Any]:
+    """Return a wild morph in any direction past one or two pillars, boxes, hexagons or walls."""
+    rng = np.random.default_rng([seed, 8])
+    while True:
+        half_width = float(rng.uniform(*PILLAR_HALF_WIDTH))
+        problem = travelling(seed, half_width)
+        heading = float(rng.uniform(0.0, 2.0 * math.pi))
+        hitches = problem["start"]["hitch"], problem["mission"][0]["morph"]
+        nearer = float(rng.uniform(*NEARER))
+        for outline in hitches:
+            polygon = ho.ConvexPolygon(outline["polygon"])
+            moved = polygon.translated(-nearer * polygon.centroid)
+            outline["polygon"] = np.round(_turned(moved.vertices, heading), 6).tolist()
+        pillars = {f"pillar{k}": _pillar(half_width, heading, rng) for k in range(1 + seed % 2)}
+        obstacles = {"objects": pillars}
+        ends = [{**hitch, "altitude": 1.5, "legs": "spread"} for hitch in hitches]
+        if all(is_certified(problem["team"], {"hitch": end}, obstacles) for end in ends):
+            return {**problem, **obstacles}
+
+
+PILLAR_HALF_WIDTH = (0.08, 0.35)
+"""Half the width of a pillar, box or hexagon, minimum and maximum [m]."""
+
+PILLAR_HEIGHT = (2.2, 4.0)
+"""Height of a pillar, minimum and maximum [m]."""
+
+NEARER = (0.0, 0.5)
+"""Share of the way to a pillar by which both polygons are moved closer to it."""
+
+MAX_PILLAR_OFFSET = 0.8
+"""Largest distance of a pillar from the line between the centres of both polygons [m]."""
+
+WALL_HALF_LENGTH = (0.5, 1.2)
+"""Half the length of a wall, minimum and maximum [m]."""
+
+
+def _pillar(half_width: float, heading: float, rng: np.random.Generator) -> dict[str, Any]:
+    """Return an obstacle about the middle of a way with a heading [rad]."""
+    kind = rng.integers(4)
+    angles = -2.0 * math.pi * np.arange(6) / 6
+    corners = half_width * np.column_stack([np.cos(angles), np.sin(angles)])
+    if kind == 0:
+        corners = half_width * RECTANGLE
+    elif kind == 1:
+        corners = np.array([0.1, float(rng.uniform(*WALL_HALF_LENGTH))]) * RECTANGLE
+    place = _turned(np.array([0.0, rng.uniform(-MAX_PILLAR_OFFSET, MAX_PILLAR_OFFSET)]), heading)
+    height = round(float(rng.uniform(*PILLAR_HEIGHT)), 2)
+    yaw = heading + float(rng.uniform(-0.5, 0.5))
+    section = {"outline": np.round(corners, 3).tolist()}
+    if kind == 2:
+        section = {"circle": round(half_width, 3)}
+    pose = {"at": [*_rounded(place), 0.0], "yaw_deg": round(math.degrees(yaw) % 360.0, 1)}
+    return {**section, "to": height, **pose, "fixed": True}
+
+
+def _turned(points: Array, angle: float) -> Array:
+    """Return points (…, 2) turned about the origin [rad]."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    turned: Array = points @ np.array([[cosine, sine], [-sine, cosine]])
+    return turned
 
 
 def past_team(seed: int) -> dict[str, Any]:
@@ -579,6 +642,7 @@ FAMILIES: dict[str, Callable[[int], dict[str, Any]]] = {
     "morph": wild_pair,
     "heavy_morph": partial(wild_pair, heavy=True),
     "past_post": past_post,
+    "past_pillars": past_pillars,
     "past_team": past_team,
     "tube": wild_tube,
     "many": many,

@@ -92,7 +92,16 @@ COLUMNS = [range(3, 5), range(5, 7), range(7, 9), range(9, 13)]
 SIZES = [*(range(n, n + 1) for n in range(3, 9)), range(9, 13)]
 """Numbers of robots of the figure's marks."""
 
-SHOWN_FAMILIES = ("form", "carry", "morph", "heavy_morph", "box", "door", "corridor")
+SHOWN_FAMILIES = (
+    "form",
+    "carry",
+    "morph",
+    "heavy_morph",
+    "past_pillars",
+    "box",
+    "door",
+    "corridor",
+)
 
 MISSIONS = [
     (drones, radius, seed)

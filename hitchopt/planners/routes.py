@@ -6,12 +6,13 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
 from hitchopt.checks.violations import infeasible_error, named_checks
 from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
 from hitchopt.motion.flight import Flight
@@ -23,8 +24,12 @@ from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
 if TYPE_CHECKING:
     from hitchopt.planners.morph.actions import Action
+    from hitchopt.planners.morph.detours import Translatable
     from hitchopt.planners.morph.path import Path
     from hitchopt.planners.optimise.cost import FlightCost
+    from hitchopt.trajectory import PiecewisePolynomial
+
+P = TypeVar("P", bound="Translatable")
 
 
 DIRECT_INFEASIBLE = "the step's own route is infeasible"
@@ -90,6 +95,44 @@ def plan_along(
     return replace(task.plan_ending(motion.replaced(phases=phases), end), path=path)
 
 
+OBSTACLE_CHECKS = frozenset({"keep_out", "object_clearance"})
+"""Checks of obstacles, over or around which hitches and objects fly."""
+
+MAX_DETOURS = 6
+"""Maximum number of detours of one path that are tried."""
+
+
+def past_obstacles(
+    task: StepTask, direct: StepPlan, path: P | None, along: Callable[[P], StepPlan]
+) -> StepPlan:
+    """Return a plan once it is certified, or one on a detour if only obstacles are in its way.
+
+    Raises InfeasibleError with what the plan breaks, or the best one of its detours.
+
+    Parameters
+    ----------
+    direct: plan along ``path``, which is None if its motion has none.
+    along: returns the plan along another path.
+    """
+    from hitchopt.planners.morph.detours import detours
+
+    def on_detour(route: P, shift: PiecewisePolynomial) -> StepPlan:
+        """Return the certified plan along a translated path."""
+        plan = require_certified(along(route.translated(shift)))
+        farthest = float(np.max(length(shift.at(np.linspace(0.0, 1.0, 201)))))
+        return plan.with_remark(f"on a detour of up to {farthest:.2g} m around obstacles")
+
+    def candidates() -> Iterator[Candidate[StepPlan]]:
+        """Yield the plan itself, and those on detours."""
+        yield Candidate("route", partial(require_certified, direct))
+        violated = {check.name for check in direct.certificate.violated}
+        if path is not None and violated <= OBSTACLE_CHECKS:
+            for shift in detours(path, task.requirements)[:MAX_DETOURS]:
+                yield Candidate("detour", partial(on_detour, path, shift))
+
+    return first_certified(candidates(), task.effort)
+
+
 def straight_plan(
     task: StepTask, end: Hitch, phase: Phase, duration: float | None = None
 ) -> StepPlan:
@@ -142,16 +185,22 @@ def blended_plan(
 
         inner = [hitch for each in hitches for hitch in each]
         morph = BlendedMorph([task.hitch, *inner], task.requirements)
-        motion, times_within = morph.solve()
         last = np.cumsum([len(each) for each in hitches])[:-1] - 1
-        times = [0.0, *times_within[last].tolist(), motion.duration]
-        remarks = ["continues without a stop"] * (len(names) - 1) + [""]
-        phases = tuple(
-            Phase(name, task.index + j, times[j], times[j + 1], remarks[j])
-            for j, name in enumerate(names)
-        )
-        plan = task.plan_ending(motion.replaced(phases=phases), inner[-1])
-        return require_certified(with_friction_feedforward(plan, timed=False))
+
+        def along(path: Path) -> StepPlan:
+            """Return the plan along a path."""
+            motion, times_within = morph.timed(path)
+            times = [0.0, *times_within[last].tolist(), motion.duration]
+            remarks = ["continues without a stop"] * (len(names) - 1) + [""]
+            phases = tuple(
+                Phase(name, task.index + j, times[j], times[j + 1], remarks[j])
+                for j, name in enumerate(names)
+            )
+            plan = task.plan_ending(motion.replaced(phases=phases), inner[-1])
+            return with_friction_feedforward(plan, timed=False)
+
+        path = morph.problem
+        return past_obstacles(task, along(path), path, along)
 
     def candidates() -> Iterator[Candidate[StepPlan]]:
         """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
@@ -185,10 +234,12 @@ def plan_to_hitch(task: StepTask, end: Hitch, phase: Phase) -> StepPlan:
 
     def straight_or_faster() -> StepPlan:
         """Return the plan along the straight route, or a faster one if that is slow."""
-        own = require_certified(straight_plan(task, end, phase))
+        direct = straight_plan(task, end, phase)
+        along = partial(plan_along, task, end=end, phase=phase)
+        own = past_obstacles(task, direct, direct.path, along)
         if not task.optimiser or own.path is None or not is_slow(own, task.hitch, end):
             return own
-        faster = partial(optimised_plan, task, end, phase, straight=own.path)
+        faster = partial(optimised_plan, task, end, phase, straight=own.path, own=own)
         return first_feasible([Candidate(FASTER_ROUTE, faster)], own)
 
     routes = [Candidate(OWN_ROUTE, straight_or_faster)]
@@ -265,8 +316,11 @@ class RouteSearch:
         return self._optimised_plan(first_feasible([straight], None))
 
     def _own_plan(self) -> StepPlan:
-        """Return the certified plan along the step's own route."""
-        return require_certified(self.own())
+        """Return the certified plan along the step's own route, if need be around obstacles."""
+        own = self.own()
+        phase = own.motion.phases[0]
+        along = partial(plan_along, self.task, end=self.end, phase=phase, duration=self.duration)
+        return past_obstacles(self.task, own, own.path, along)
 
     def _own_or_faster_plan(self) -> StepPlan:
         """Return the plan along the step's own route, or a faster one if it looks for one."""
@@ -276,17 +330,23 @@ class RouteSearch:
             return own
         if not is_slow(own, self.task.hitch, self.end):
             return own
-        faster = Candidate(FASTER_ROUTE, partial(self._optimised_plan, own.path))
+        faster = Candidate(FASTER_ROUTE, partial(self._optimised_plan, own.path, own))
         return first_feasible([faster], own)
 
-    def _optimised_plan(self, straight: Path | None = None) -> StepPlan:
-        """Return the optimised plan; ``straight`` is the path along straight lines, if known."""
+    def _optimised_plan(
+        self, straight: Path | None = None, own: StepPlan | None = None
+    ) -> StepPlan:
+        """Return the optimised plan.
+
+        ``straight`` is the path along straight lines and ``own`` the plan along it, if known.
+        """
         return optimised_plan(
             self.task,
             self.end,
             self.phase,
             self.duration,
             straight=straight,
+            own=own,
             allow_slides=self.allow_slides,
             cost=self.cost,
         )
@@ -346,6 +406,7 @@ def optimised_plan(
     duration: float | None = None,
     *,
     straight: Path | None = None,
+    own: StepPlan | None = None,
     allow_slides: bool = False,
     cost: CostFunction | None = None,
 ) -> StepPlan:
@@ -358,6 +419,7 @@ def optimised_plan(
     phase: with the step's name, index and range of tensions.
     duration: prescribed duration [s], or None.
     straight: the step's own path, which is a candidate if it is feasible; None if it is not.
+    own: certified plan along this path, if there is one.
     allow_slides: also try legs that lead and lag.
     cost: minimised together with the duration.
     """
@@ -376,7 +438,11 @@ def optimised_plan(
 
     def certified_along(path: Path) -> Motion:
         """Return the certified motion along a path."""
-        plan = require_certified(plan_along(task, path, end, phase))
+        along = partial(plan_along, task, end=end, phase=phase)
+        if own is not None and path is own.path:
+            plan = own
+        else:
+            plan = past_obstacles(task, along(path), path, along)
         certified[plan.motion] = plan
         return plan.motion
 

@@ -50,6 +50,7 @@ from hitchopt.planners.carrying.polygons import (
     rest_polygons,
 )
 from hitchopt.planners.ends import RolledLegs, end_of_morph
+from hitchopt.planners.routes import OBSTACLE_CHECKS
 from hitchopt.planners.task import StepPlan, StepTask, plan_in_sequence, require_certified
 from hitchopt.steps.moving import Morph, Transport
 from hitchopt.steps.step import (
@@ -97,9 +98,6 @@ PLACE_TOLERANCE = 1e-6
 
 MAX_VIA = 100
 """Maximum number of waypoints of one object."""
-
-OBSTACLE_CHECKS = frozenset({"keep_out", "object_clearance"})
-"""Checks of obstacles, over or around which an object is carried."""
 
 
 def object_of(task: StepTask, name: str) -> SolidObject:

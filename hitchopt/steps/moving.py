@@ -29,7 +29,13 @@ from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.compensation import settling_plan, with_friction_feedforward
 from hitchopt.planners.ends import End, end_of_action, end_of_morph
 from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
-from hitchopt.planners.routes import RouteSearch, action_plan, blended_plan, straight_plan
+from hitchopt.planners.routes import (
+    RouteSearch,
+    action_plan,
+    blended_plan,
+    past_obstacles,
+    straight_plan,
+)
 from hitchopt.planners.task import (
     RestState,
     StepPlan,
@@ -755,11 +761,19 @@ class Transport(HitchStep):
         outline = self.polygon_after(start.team, start.polygon)
         end = Hitch(start.team, outline, float(to[2]), start.q_legs, start.roll)
         self.check_end(end, task)
-        motion = None
-        if not path.is_constant:
-            check_loads(path, task.requirements.limits)
+        if path.is_constant:
+            return task.plan_ending(self.in_phase(task, None, end), end)
+        check_loads(path, task.requirements.limits)
+
+        def along(path: RigidPath) -> StepPlan:
+            """Return the plan along a path."""
             motion = motion_along(path, task.requirements, self.duration)
-        return task.plan_ending(self.in_phase(task, motion, end), end)
+            return task.plan_ending(self.in_phase(task, motion, end), end)
+
+        direct = along(path)
+        if not task.requirements.keep_out and not task.requirements.objects:
+            return direct
+        return past_obstacles(task, direct, path, along)
 
     def scaled(self, factor: float, centre: Array) -> tuple[Edits, Array]:  # noqa: ARG002
         """Return no edits, and the goal as the new centre."""

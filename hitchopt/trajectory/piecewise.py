@@ -322,6 +322,14 @@ def on_breaks(part: PiecewisePolynomial, breaks: Array) -> PiecewisePolynomial:
     return part.replaced(coefficients, breaks)
 
 
+def summed(first: PiecewisePolynomial, second: PiecewisePolynomial) -> PiecewisePolynomial:
+    """Return the sum of two functions on one span, whose shapes broadcast."""
+    breaks = merged_breaks([first.breaks, second.breaks])
+    degree = max(first.degree, second.degree)
+    terms = [on_breaks(part, breaks).elevated(degree) for part in (first, second)]
+    return PiecewisePolynomial(breaks, terms[0].coefficients + terms[1].coefficients)
+
+
 @lru_cache(maxsize=32)
 def _cells(own: bytes, breaks: bytes) -> tuple[Indices, Indices, Array, Array]:
     """Return the pieces of ``on_breaks``, and those that are partial, with their ends in [0, 1].

@@ -57,7 +57,7 @@ def test_legs_roll_between_where_no_level_route_was_found(tmp_path: Path) -> Non
 
 
 def test_a_morph_passes_a_pole_in_its_way() -> None:
-    """Neither a straight route nor one of other shapes passes it; the hitch moves aside."""
+    """Neither a straight route nor one of other shapes passes it; the hitch makes a detour."""
     triangle = np.array([[0.0, -1.0], [-0.4, 0.5], [0.4, 0.5]])
     section = [[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]
     pole = {"outline": section, "to": 4.0, "at": [2.5, 0.0, 0.0], "fixed": True}
@@ -68,7 +68,7 @@ def test_a_morph_passes_a_pole_in_its_way() -> None:
         "mission": [{"morph": {"polygon": (triangle + [5.0, 0.0]).tolist()}}],
     }
     plan = ho.solve(ho.problem_from_dict(problem))
-    assert "aside" in plan.phases[0].remark
+    assert "on a detour" in plan.phases[0].remark
     assert plan.certificate.certified
 
 

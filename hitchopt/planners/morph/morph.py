@@ -200,12 +200,11 @@ class BlendedMorph:
         check_loads(path, self.requirements.limits)
         return path
 
-    def solve(self) -> tuple[Motion, Array]:
-        """Return the motion, and its times (J - 2,) [s] at the inner hitches.
+    def timed(self, path: Path) -> tuple[Motion, Array]:
+        """Return the motion along ``problem`` or a detour, and times (J - 2,) [s] at inner hitches.
 
-        Raises InfeasibleError as in ``problem``, or TimingError if no timing was found.
+        Raises TimingError if no timing was found.
         """
-        path = self.problem
         motion = motion_along(path, self.requirements)
         # Path and flight agree at equal distances covered by vertices and fractions.
         t = np.linspace(0.0, motion.duration, 2001)

@@ -16,6 +16,7 @@ from hitchopt.hitch.forces import cable_slack_of
 from hitchopt.hitch.model import DroneJets, FlatJets, cable_of_span, drone_jets
 from hitchopt.hitch.series import JET, Series, product
 from hitchopt.trajectory import PiecewisePolynomial
+from hitchopt.trajectory.piecewise import summed
 from hitchopt.trajectory.splines import evenly_interpolated, interpolated
 from hitchopt.values import (
     Array,
@@ -266,12 +267,12 @@ class Path(OneLine):
 
     def climbing(self, by: float) -> Path:
         """Return the path with a climb of the hitch's plane [m], linear in s."""
-        breaks = self.vertices.breaks
-        coefficients = self.vertices.coefficients.copy()
-        shares = np.linspace(0.0, 1.0, coefficients.shape[-1])
-        s = breaks[:-1, None] + np.diff(breaks)[:, None] * shares  # Bernstein coefficients of s
-        coefficients[:, :, 2] += by * s[:, None]
-        return replace(self, vertices=PiecewisePolynomial(breaks, coefficients))
+        climb = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, by]])
+        return self.translated(PiecewisePolynomial(np.array([0.0, 1.0]), climb[None]))
+
+    def translated(self, by: PiecewisePolynomial) -> Path:
+        """Return the path with the whole hitch translated by (3,) over s [m]."""
+        return replace(self, vertices=summed(self.vertices, by.reshaped(1, 3)))
 
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
@@ -460,18 +461,20 @@ def shapes_of(team: Team, flat: FlatJets) -> Shapes:
 
 @dataclass(frozen=True, eq=False)
 class RigidPath:
-    """A path with a straight centroid and a rotation about it, both linear in s.
+    """A path with a straight centroid and a rotation about it, both linear in s, and a detour.
 
     Parameters
     ----------
     start: the hitch at s = 0.
     to: (3,) [m], its centroid at s = 1.
     yaw: counter-clockwise rotation [rad], of any number of turns.
+    detour: translation (3,) over s [m], zero at both ends; None without one.
     """
 
     start: Hitch
     to: Array
     yaw: float
+    detour: PiecewisePolynomial | None = None
 
     @property
     def team(self) -> Team:
@@ -488,6 +491,10 @@ class RigidPath:
         """Return whether start and end are equal."""
         return self.yaw == 0.0 and bool(np.max(np.abs(self.to - self.centroid)) < 1e-9)
 
+    def translated(self, by: PiecewisePolynomial) -> RigidPath:
+        """Return the path with a detour (3,) over s [m]."""
+        return replace(self, detour=by if self.detour is None else summed(self.detour, by))
+
     def flat(self, s: Array, count: int = JET) -> FlatJets:
         """Return the flat outputs' jets in s, with ``count`` coefficients, at s (J,)."""
         hitch = self.start
@@ -501,6 +508,8 @@ class RigidPath:
         offset = self.to - self.centroid
         vertices[..., 0] += (self.centroid + s[:, None] * offset)[:, None]
         vertices[..., 1:2] += offset[:, None]  # there is none for a single coefficient
+        if self.detour is not None:
+            vertices += self.detour.jet(s, count)[:, None]
         roll = _constant_jets(hitch.roll, len(s), count) if np.any(hitch.roll) else None
         return FlatJets(
             vertices,

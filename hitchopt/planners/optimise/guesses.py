@@ -10,7 +10,7 @@ that are widened halfway, they pass side by side.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
@@ -20,7 +20,7 @@ import scipy.sparse as sp
 
 from hitchopt.geometry import Outline
 from hitchopt.geometry.outline import centroids
-from hitchopt.geometry.vectors import EAST, left_of, length, unit
+from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.forces import if_balanced
 from hitchopt.hitch.quadratic_program import QuadraticProgram, solve_qp
@@ -68,13 +68,6 @@ TURN_COST = 0.3
 
 EVENNESS = (0.0, 1.0)
 """Changes of fractions of legs midway toward equal ones, over the whole change."""
-
-DETOURS = (0.15, 0.3, 0.6, 1.0, 1.5)
-"""Offsets midway on detours, over the reach of the hitch from its middle."""
-
-MIN_DISPLACEMENT = 1e-3
-"""[m] Smallest displacement of the middle across which detours lead; for smaller ones they lead
-north and south."""
 
 
 def polygon_guesses(first: Outline, last: Outline, count: int) -> dict[str, Array]:
@@ -267,20 +260,6 @@ def _rolled(path: KnotPath, roll: float, midway: Array, evenness: float) -> Knot
     fractions = path.q_legs / path.slack
     q_legs = (fractions + evenness * midway * (0.5 - fractions)) * path.slack
     return replace(path, name=name, q_legs=q_legs, roll=rolls if np.any(rolls) else None)
-
-
-def detours(path: KnotPath) -> Iterator[KnotPath]:
-    """Yield paths of the same shapes that move aside midway, to either side, nearer ones first."""
-    middles = path.polygons.mean(axis=1)
-    arms = length(path.polygons - middles[:, None])
-    reach = float(np.max(arms) + np.max(path.slack))
-    aside = left_of(unit(middles[-1] - middles[0], EAST[:2], MIN_DISPLACEMENT))
-    bump = np.sin(math.pi * np.linspace(0.0, 1.0, len(middles))) ** 2
-    for share in DETOURS:
-        for side in (aside, -aside):
-            offsets = np.multiply.outer(share * reach * bump, side)
-            polygons = path.polygons + offsets[:, None]
-            yield replace(path, name=f"{path.name}, aside", polygons=polygons)
 
 
 def distance_margins(paths: Sequence[KnotPath], requirements: Requirements) -> Array:

@@ -68,7 +68,7 @@ from hitchopt.planners.timing.timed_motion import (
     within_limits,
 )
 from hitchopt.trajectory import PiecewisePolynomial
-from hitchopt.trajectory.piecewise import merged_breaks, on_breaks
+from hitchopt.trajectory.piecewise import merged_breaks, on_breaks, summed
 from hitchopt.trajectory.splines import bspline, evenly_interpolated, knots_through
 from hitchopt.values import Array, Indices
 
@@ -301,14 +301,6 @@ def with_leg_lengths(path: Path) -> Path:
     return replace(path, legs=LegLaw.of_lengths(evenly_interpolated(flat.q_legs[..., 0])))
 
 
-def _sum(part: PiecewisePolynomial, change: PiecewisePolynomial) -> PiecewisePolynomial:
-    """Return the sum of two functions of the same shape over s."""
-    breaks = merged_breaks([part.breaks, change.breaks])
-    degree = max(part.degree, change.degree)
-    terms = [on_breaks(each, breaks).elevated(degree) for each in (part, change)]
-    return PiecewisePolynomial(breaks, terms[0].coefficients + terms[1].coefficients)
-
-
 def flight_along(
     path: Path,
     requirements: Requirements,
@@ -479,9 +471,9 @@ class Flight:
         return Path(
             path.team,
             vertices.replaced(coefficients),
-            LegLaw.of_lengths(_sum(path.legs.length, of(columns.q_legs))),
-            None if path.tensions is None else _sum(path.tensions, of(columns.tensions)),
-            None if path.roll is None else _sum(path.roll, of(columns.roll)),
+            LegLaw.of_lengths(summed(path.legs.length, of(columns.q_legs))),
+            None if path.tensions is None else summed(path.tensions, of(columns.tensions)),
+            None if path.roll is None else summed(path.roll, of(columns.roll)),
         )
 
     def after(self, step: Step) -> Flight | None:
@@ -495,7 +487,7 @@ class Flight:
             return flight_along(path, self.requirements, self.tension, self.settings)
         if shape_violation(path) is not None:
             return None
-        rate = _sum(self.clock.squared_rate, step.rate_change)
+        rate = summed(self.clock.squared_rate, step.rate_change)
         moved = if_balanced(
             partial(self._slowed, path, replace(self.clock, squared_rate=rate)), None
         )

@@ -28,7 +28,6 @@ from hitchopt.planners.optimise.cost import FlightCost
 from hitchopt.planners.optimise.guesses import (
     STRAIGHT,
     WIDENED,
-    detours,
     distance_margins,
     is_hitch,
     polygon_guesses,
@@ -254,10 +253,7 @@ class OptimisedMorph:
         if not candidates:
             candidates += self._rolled(rejected)
         if not candidates and rejected:
-            best = _most_feasible(rejected, self.requirements)
-            candidates = self._around_obstacles(best)
-            if not candidates:
-                raise NoRouteError(best)
+            raise NoRouteError(_most_feasible(rejected, self.requirements))
         return sorted(candidates, key=lambda candidate: candidate.objective)
 
     def _cost_of(self, path: Path, motion: Motion) -> float:
@@ -410,16 +406,6 @@ class OptimisedMorph:
                 else:
                     unoptimised = [Candidate(guess.name, motion, self._cost_of(guess.path, motion))]
         return unoptimised
-
-    def _around_obstacles(self, path: KnotPath) -> list[Candidate]:
-        """Return the motion on the first detour of a path that passes all prisms and objects."""
-        if not self.requirements.keep_out and not self.requirements.objects:
-            return []
-        for detour in detours(path):
-            motion = self._flown_as_it_is(detour)
-            if motion is not None:
-                return [Candidate(detour.name, motion, self._cost_of(detour.path, motion))]
-        return []
 
     def _flown_as_it_is(self, guess: KnotPath) -> Motion | None:
         """Return the motion along a guess with leg lengths that keep distances, or None."""

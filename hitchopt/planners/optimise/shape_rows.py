@@ -16,7 +16,7 @@ from hitchopt.checks.solids import Solid
 from hitchopt.geometry.vectors import length, unit
 from hitchopt.hitch.pairs import end_combinations
 from hitchopt.hitch.requirements import Requirements
-from hitchopt.objects import Slab
+from hitchopt.planners.morph.detours import Obstacle, obstacles_of
 from hitchopt.planners.optimise.parts import Columns, PartFunctions
 from hitchopt.planners.optimise.program import near_pairs
 from hitchopt.trajectory import bernstein
@@ -293,43 +293,20 @@ class PathShapes:
         self, requirements: Requirements, reach: float, margin: float
     ) -> Iterator[ShapeBlock]:
         """Yield the rows of drones and cables near prisms and objects."""
-        layout = self.columns.team.layout
-        drones = layout.points + np.arange(2 * layout.robots)
-        drone_nodes = np.column_stack([drones, drones])
-        separation = requirements.separation
-        for prism in requirements.keep_out:
-            drones_only = [(drone_nodes, separation.radius)]
-            at_origin = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
-            yield self._obstacle_block(
-                prism.slab, at_origin, drones_only, requirements.height_ratio, reach, margin
-            )
-        bodies = [(drone_nodes, separation.radius), (layout.part_nodes, separation.object)]
-        for obstacle in requirements.objects.values():
-            for slab in obstacle.slabs:
-                yield self._obstacle_block(
-                    slab, obstacle.pose, bodies, requirements.height_ratio, reach, margin
-                )
+        for obstacle in obstacles_of(self.columns.team.layout, requirements):
+            yield self._obstacle_block(obstacle, requirements.height_ratio, reach, margin)
 
     def _obstacle_block(
-        self,
-        slab: Slab,
-        pose: Array,
-        bodies: Sequence[tuple[Indices, float]],
-        height_ratio: float,
-        reach: float,
-        margin: float,
+        self, obstacle: Obstacle, height_ratio: float, reach: float, margin: float
     ) -> ShapeBlock:
-        """Return the rows of bodies near a slab with a pose, as of ``SolidObject.pose``.
-
-        Bodies are nodes (bodies, 2) at their ends, and the distance [m] that they keep.
-        """
-        solid = Solid(slab).flattened(height_ratio)
+        """Return the rows of bodies near an obstacle."""
+        solid = Solid(obstacle.slab).flattened(height_ratio)
         scale = np.array([1.0, 1.0, 1.0 / height_ratio])
-        place, (cosine, sine) = pose[:3], pose[3:]
+        place, (cosine, sine) = obstacle.pose[:3], obstacle.pose[3:]
         to_slab = np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]])
         nodes = (self.nodes - place) @ to_slab.T * scale
         blocks = [self._no_rows]
-        for ends, distance in bodies:
+        for ends, distance in obstacle.bodies:
             corners = nodes[:, ends]  # (J, bodies, 2, 3)
             normals = solid.normals(corners[:, :, None])[:, :, 0]
             along = np.sum(corners * normals[:, :, None], axis=-1)
