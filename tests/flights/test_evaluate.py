@@ -21,7 +21,7 @@ from benchmarks.recordings import RATE, Camera, exact_markers, plan_of
 from hitchopt.cli import main
 from hitchopt.errors import FileError
 from hitchopt.lab.flights.alignment import align
-from hitchopt.lab.flights.evaluation import summary
+from hitchopt.lab.flights.evaluation import Evaluation, summary
 from hitchopt.lab.flights.recordings import RecordedFlight, Track, plan_at
 from hitchopt.lab.flights.vertices import ROPE_SCATTER, clasps_of, marker_plan
 from hitchopt.lab.simulation.task import TeamTask
@@ -482,7 +482,12 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     assert len(result.to_dataframe()) == len(content["table"])
     assert b"/MediaBox [ 0 0 252 " in (out / "evaluation.pdf").read_bytes()  # 3.5 inches
     cells = f"{1e3 * row['mean']:.1f} & {1e3 * row['std']:.1f}"
-    assert cells in (out / "evaluation.tex").read_text()
+    latex = (out / "evaluation.tex").read_text()
+    assert cells in latex
+    rows = [line for line in latex.splitlines() if line.startswith("$p_{0}$ & ")]
+    assert len({line.split(" & ", 2)[2] for line in rows}) == len(rows) >= 1  # none twice
+    assert all(word in latex for word in (r"\begin{table}", r"\caption{", "$q_{0}$ & all"))
+    assert_moving_and_resting_make_up_the_flight(result)
     ghost, clean = (
         ghost_scene(out, plan("triangle").flight),
         scene_at(plan("triangle").flight, result.t),
@@ -497,6 +502,23 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
         result.save(out, "gif")
     with pytest.raises(FileError, match=r"contains plan\.npz"):
         result.save(place / "plan")
+
+
+def assert_moving_and_resting_make_up_the_flight(result: Evaluation) -> None:
+    """Sums over moving and resting times are those over all times."""
+    rows = {(row.name, row.phase): row for row in result.table}
+    off = result.drone_errors[:, 0]
+    speeds = np.linalg.norm(np.gradient(result.planned_drones, result.t, axis=0), axis=-1)
+    moving = np.max(speeds, axis=1) > 1e-3
+    for phase, mask in (("moving", moving), ("resting", ~moving)):
+        if mask.any():
+            assert rows["q0", phase].mean == pytest.approx(np.nanmean(off[mask]))
+    shares = np.mean(moving), 1.0 - np.mean(moving)
+    means = [
+        rows["q0", phase].mean if share else 0.0
+        for phase, share in zip(("moving", "resting"), shares, strict=True)
+    ]
+    assert np.dot(shares, means) == pytest.approx(rows["q0", "all"].mean, rel=0.05)
 
 
 def test_commands_place_markers_and_refuse_other_plans(place: Path) -> None:

@@ -116,6 +116,10 @@ def evaluate(
     say(f"results are in {folder}; {LATEX} is the LaTeX table")
 
 
+WHOLE = ("moving", "resting", "all")
+"""Rows of the table that are not of one phase."""
+
+
 def _tables(evaluation: Evaluation) -> str:
     """Return the tables of errors of vertices and drones, and of the alignment."""
     kind = "crossings" if evaluation.clasps is None else "clasps"
@@ -123,7 +127,7 @@ def _tables(evaluation: Evaluation) -> str:
     rows: list[dict[str, object]] = []
     for row in evaluation.short_table:
         cells: dict[str, object] = {"of": row.name, "phase": row.phase}
-        if row.phase != "all":
+        if row.phase not in WHOLE:
             cells["phase"] = f"{row.phase}, {row.start:.1f} to {row.end:.1f} s"
         errors = {"mean": row.mean, "std": row.std, "max": row.max}
         errors["standard error"] = row.standard_error

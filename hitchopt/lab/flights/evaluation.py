@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -67,6 +68,7 @@ WIDTHS = (1.35, 1.0)  # Widths of its columns, relative
 PAGE_SHARES = (0.6, 0.5, 0.8)  # Heights of the parts on a page, as fractions of its width
 PAGE_LEGEND = 0.9  # Height of the legend on a page [inch]
 MAX_NAMED = 8  # Maximum number of names in a legend
+MOVING_SPEED = 1e-3  # Planned speed of a drone from which the flight is in motion [m/s]
 SNAPSHOT_TIME = 0.05  # Half width of a snapshot [s]
 
 
@@ -75,7 +77,7 @@ class ErrorRow:
     """Errors of a vertex or a drone in a phase or in the whole flight."""
 
     name: str  # of the vertex or drone, or ``vertices`` for all vertices
-    phase: str  # name, or ``all`` for the whole flight
+    phase: str  # name, ``moving`` or ``resting`` for all such times, ``all`` for the whole flight
     start: float  # [s]
     end: float  # [s]
     mean: float  # distance from the plan in three dimensions [m]; nan without samples
@@ -153,7 +155,10 @@ class Evaluation(OneLine):
 
     @property
     def table(self) -> tuple[ErrorRow, ...]:
-        """Errors of every vertex, of all vertices and of every drone, by phase and overall."""
+        """Errors of every vertex, of all vertices and of every drone, by phase and overall.
+
+        The flight is moving while any drone has a planned speed.
+        """
         team, t, rows = self.task.team, self.t, list[ErrorRow]()
         points, off, stated = team.layout.clasps, self.errors, self.standard_errors
         hitched, missing = np.isfinite(self.planned[:, points[0], 0]), np.full(len(t), np.nan)
@@ -161,9 +166,21 @@ class Evaluation(OneLine):
         columns.append(("vertices", hitched, off[:, points], stated[:, points]))
         drones = zip(team.listed_names, self.drone_errors.T[team.listed], strict=True)
         columns += [(name, t >= 0.0, each, missing) for name, each in drones]
-        spans = [(phase.name, phase.start, phase.end) for phase in self.planned_flight.phases]
-        for span in [*spans, ("all", float(t[0]), float(t[-1]))]:
-            during = (t >= span[1]) & ((t < span[2]) | (span[0] == "all"))
+        velocities = np.gradient(self.planned_drones, t, axis=0) if len(t) > 1 else 0.0
+        moving = (
+            np.max(length(velocities + np.zeros_like(self.planned_drones)), axis=1) > MOVING_SPEED
+        )
+        flight = float(t[0]), float(t[-1])
+        spans = [
+            *(
+                ((phase.name, phase.start, phase.end), (t >= phase.start) & (t < phase.end))
+                for phase in self.planned_flight.phases
+            ),
+            (("moving", *flight), moving),
+            (("resting", *flight), ~moving),
+            (("all", *flight), np.ones_like(moving)),
+        ]
+        for span, during in spans:
             for name, mask, each, error in columns:
                 if np.any(chosen := mask & during):
                     x, e = (y[chosen][np.isfinite(y[chosen])] for y in (each, error))
@@ -430,16 +447,27 @@ def shapes(evaluation: Evaluation) -> dict[str, Array]:
 
 
 def latex_table(evaluation: Evaluation) -> str:
-    """Return the short table as a LaTeX tabular [mm], with dashes for missing values."""
+    """Return the short table as a LaTeX table [mm], with dashes for missing values.
+
+    Of rows with the same samples, such as those of the only phase and of the whole flight, the
+    first is written.
+    """
     heads = ("mean", "std.", "max.", "std. error")
-    lines = [f"% Distances from the plan [mm]; {evaluation.sag}", r"\begin{tabular}{llrrrrr}"]
-    lines.append(" & ".join(("of", "phase", *heads, "found")) + r" \\ \hline")
+    lines = [
+        r"\begin{table}",
+        rf"\caption{{Distances from the plan [mm]; {evaluation.sag}.}}",
+        r"\begin{tabular}{llrrrrr}",
+        " & ".join(("of", "phase", *heads, "found")) + r" \\ \hline",
+    ]
+    written = set[tuple[str, ...]]()
     for row in evaluation.short_table:
         lengths = [1e3 * x for x in (row.mean, row.std, row.max, row.standard_error)]
-        cells = [f"{x:.1f}" if np.isfinite(x) else "--" for x in lengths]
-        words = row.name, row.phase.replace("_", r"\_"), *cells, f"{row.found:.2f}"
-        lines.append(" & ".join(words) + r" \\")
-    return "\n".join([*lines, r"\end{tabular}", ""])
+        cells = [f"{x:.1f}" if np.isfinite(x) else "--" for x in lengths] + [f"{row.found:.2f}"]
+        if (row.name, *cells) not in written:
+            written.add((row.name, *cells))
+            name = re.sub(r"^(.*\.)?([a-z])(\d+)$", r"\1$\2_{\3}$", row.name)
+            lines.append(" & ".join((name, row.phase.replace("_", r"\_"), *cells)) + r" \\")
+    return "\n".join([*lines, r"\end{tabular}", r"\end{table}", ""])
 
 
 @style.own_style()
