@@ -57,6 +57,9 @@ FORMATS: dict[str, Write] = {
     "Crazyflie uSD log of floats": partial(w.write_usd, group="stateEstimate."),
     "Crazyflie uSD log of motion capture": partial(w.write_usd, group="locSrv."),
     "Crazyflie uSD log of the filter": partial(w.write_usd, group="kalman.state", axes="XYZ"),
+    "cfclient log": w.write_cfclient,
+    "TUM trajectory": w.write_tum,
+    "TUM trajectory without a head": partial(w.write_tum, head=""),
     "PX4 ulog": w.write_ulog,
     "PX4 ulog of motion capture": partial(w.write_ulog, topic="vehicle_mocap_odometry"),
     "PX4 ulog of a simulator": partial(w.write_ulog, topic="vehicle_local_position_groundtruth"),
@@ -85,11 +88,13 @@ def test_recordings_are_read_back(name: str, tmp_path: Path) -> None:
     assert list(result.tracks) == list(flight.tracks)
     assert result.epoch == pytest.approx(w.EPOCH if "bag" in name else 0.0, abs=1e-6)
     assert result.one_clock == ("log" not in name)
-    assert list(result.setpoints) == (list(flight.setpoints) if "uSD" in name else [])
+    assert list(result.setpoints) == (
+        list(flight.setpoints) if "uSD" in name or "cfclient" in name else []
+    )
     pairs = [(x, flight.tracks[body]) for body, x in result.tracks.items()]
     pairs += [(x, flight.setpoints[body]) for body, x in result.setpoints.items()]
     clouds = [result.markers, flight.markers]
-    if "of bodies" in name:
+    if "of bodies" in name or "TUM" in name:
         clouds[1] = NO_MARKERS
     elif name.startswith(("C3D", "Qualisys")):  # their cloud contains all points
         bodies = [np.column_stack([x.t, x.positions]) for x in flight.tracks.values()]

@@ -180,6 +180,34 @@ def write_csv(path: Path, flight: RecordedFlight, separator: str = ",") -> Path:
     return path
 
 
+def write_cfclient(folder: Path, flight: RecordedFlight) -> Path:
+    """Write a log of cfclient for every drone."""
+    folder.mkdir()
+    for name, track in flight.tracks.items():
+        groups = {"stateEstimate": track}
+        groups |= {"ctrltarget": flight.setpoints[name]} if name in flight.setpoints else {}
+        lines = [
+            ",".join(["Timestamp", *(f"{group}.{axis}" for group in groups for axis in "xyz")])
+        ]
+        for i, t in enumerate(track.t.tolist()):
+            places = np.concatenate([each.positions[i] for each in groups.values()]).tolist()
+            lines.append(",".join([repr(1e3 * t), *map(repr, places)]))
+        (folder / f"{name}.csv").write_text("\n".join([*lines, ""]), "utf-8")
+    return folder
+
+
+def write_tum(
+    folder: Path, flight: RecordedFlight, head: str = "# timestamp tx ty tz qx qy qz qw\n"
+) -> Path:
+    """Write a trajectory of TUM's benchmark for every body."""
+    folder.mkdir()
+    for name, track in flight.tracks.items():
+        rows = zip(track.t.tolist(), track.positions.tolist(), strict=True)
+        lines = [" ".join([*map(repr, (t, *place)), "0 0 0 1"]) for t, place in rows]
+        (folder / f"{name}.txt").write_text(head + "\n".join([*lines, ""]), "utf-8")
+    return folder
+
+
 Stream = tuple[str, str, RecordedFlight]
 """Topic with ``*`` in place of bodies' names, type of its messages, and the bodies' positions."""
 

@@ -11,6 +11,7 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -44,8 +45,10 @@ from hitchopt.lab.flights.topics import (
 )
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import file_bytes, opened
+from hitchopt.storage.tables import labelled_table, text_lines
 from hitchopt.values import Array
 
+CFCLIENT_TIME = "Timestamp"  # Column of times [ms] in logs of cfclient
 HELD = "locSrv"  # Topic of a uSD log that repeats the last position, or zeros, until the next
 USD_DRONES = ("stateEstimate", "stateEstimateZ", "kalman", HELD)  # Topics of drones' positions
 TIE_SPAN = 5.0  # Largest difference between the starts of two logs of a flight [s]
@@ -164,7 +167,19 @@ def _tied(names: Sequence[str], loads: Mapping[str, Array]) -> tuple[dict[str, f
 
 def read_usd(path: Path) -> Log:
     """Return the content of a log of a Crazyflie's uSD card."""
-    events, notes = usd_events(file_bytes(path))
+    return _crazyflie_log(*usd_events(file_bytes(path)))
+
+
+def read_cfclient(path: Path) -> Log:
+    """Return the content of a log of cfclient: a table of variables over ``Timestamp`` [ms]."""
+    table = labelled_table(partial(text_lines, path), (CFCLIENT_TIME,), str(path))
+    variables = table.numbers(table.labels, blanks=True)
+    event = dict(zip(table.labels, variables.T, strict=True))
+    return _crazyflie_log([{"t": 1e-3 * event[CFCLIENT_TIME], **event}], [])
+
+
+def _crazyflie_log(events: Sequence[Mapping[str, Array]], notes: list[str]) -> Log:
+    """Return the content of a log with variables of the Crazyflie's firmware, by event type."""
     positions, quantities = dict[str, Array](), dict[str, Logged]()
     for topic, (variables, unit) in USD_POSITIONS.items():
         if (samples := _usd_samples(events, variables)) is None:

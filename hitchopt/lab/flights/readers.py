@@ -25,7 +25,7 @@ from hitchopt.errors import FileError
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.flights.bag_files import single_file
 from hitchopt.lab.flights.bags import read_bag
-from hitchopt.lab.flights.logs import read_logs, read_ulog, read_usd
+from hitchopt.lab.flights.logs import read_cfclient, read_logs, read_ulog, read_usd
 from hitchopt.lab.flights.recordings import (
     MARKER,
     UNITS,
@@ -37,7 +37,7 @@ from hitchopt.lab.flights.recordings import (
 )
 from hitchopt.storage.archive import reading
 from hitchopt.storage.files import file_text, opened, parsed_json
-from hitchopt.storage.tables import Table, labelled_table, text_lines
+from hitchopt.storage.tables import Table, labelled_table, numeric_table, text_lines
 from hitchopt.values import Array, check_choice
 from hitchopt.values import path as checked_path
 from hitchopt.values.fields import suggest_keywords
@@ -462,6 +462,19 @@ def read_c3d(path: Path, unit: str | None) -> RecordedFlight:
         return flight_of("C3D", positions_of(rows), length_unit, notes=[*notes, *row_notes])
 
 
+def read_tum(paths: Sequence[Path], unit: str | None, topic: str | None) -> RecordedFlight:
+    """Return the flight in trajectories of TUM's benchmark, one file per body, on one clock.
+
+    Rows are ``timestamp tx ty tz qx qy qz qw`` [s], [m]; attitudes are not read.
+    """
+    _refuse_topic(topic)
+    rows = dict[str, Array]()
+    for path in paths:
+        with reading(path, "TUM trajectory"):
+            rows[path.stem] = numeric_table(partial(text_lines, path), str(path)).numbers(range(4))
+    return flight_of("TUM trajectory", positions_of(rows), unit or "m")
+
+
 TEXT = rb'^(\xef\xbb\xbf|\xff\xfe|\xfe\xff)?[\s"]*'
 Formats = dict[bytes, tuple[str, Callable[..., RecordedFlight]]]
 """Names and readers of formats by their first bytes."""
@@ -477,5 +490,7 @@ TABLE_FORMATS: Formats = {
 TOPIC_FORMATS: Formats = {
     rb"^(SQLite format 3|\x89MCAP0\r\n|#ROSBAG V2\.0|\x28\xb5\x2f\xfd)": ("a ROS bag", read_bag),
     rb"^\xbc": ("Crazyflie uSD logs", partial(read_logs, "Crazyflie uSD log", read_usd)),
+    TEXT + rb"Timestamp,": ("cfclient logs", partial(read_logs, "cfclient log", read_cfclient)),
     rb"^ULog\x01\x12\x35": ("PX4 ulogs", partial(read_logs, "PX4 ulog", read_ulog)),
+    rb"^(#\s*timestamp|([-+\d.eE]+ ){4})": ("TUM trajectories", read_tum),
 }
