@@ -354,7 +354,7 @@ class TimeLimitError(InfeasibleError):
     """Planning reached its time limit; feasibility is undecided."""
 
 
-EXCHANGED = ", or are x and y exchanged?"
+EXCHANGED = ", or are x and y swapped?"
 """End of a remedy if exchanged coordinates would be valid."""
 
 

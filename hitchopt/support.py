@@ -155,7 +155,7 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "{other} flies on a clock that cannot be slowed",
         "plan without others, or use aborts only",
     ),
-    (Feature.REACTION, Neighbour.OBJECTS): Refusal("the team carries objects, or is among them"),
+    (Feature.REACTION, Neighbour.OBJECTS): Refusal("the team carries objects, or flies near them"),
     (Feature.FEEDBACK, Neighbour.SINGLE_DRONES): Refusal(
         "a Plan or Motion of a hitch", "solve or load one", key="plan"
     ),
@@ -182,7 +182,7 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "statics do not model objects that a hitch carries", "choose a time without them"
     ),
     (Feature.SCENE, Neighbour.LOADS): Refusal(
-        "a scene for MuJoCo does not support loads, which are no bodies", "simulate the plan"
+        "a scene for MuJoCo does not support loads, which are not bodies", "simulate the plan"
     ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): Refusal(
         "single drones have no cables", "simulate a hitch's plan"

@@ -152,7 +152,7 @@ def approach(bodies: Sequence[Bodies], gamma: float, *, hitched: bool) -> float:
     return max(sum(errors.get(kind, 0.0) for kind in pair) for pair in pairs)
 
 
-REPORT_IT = "this plan must not be flown; please report it"
+REPORT_IT = "do not fly this plan; please report it"
 """Remedy of checks that plans violate only by a fault, or because they violate another one."""
 
 

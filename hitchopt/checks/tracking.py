@@ -399,7 +399,7 @@ TRACKING_RADIUS = ReportRule(
     free_remedy="",
     group="distances",
     key="limits.tracking",
-    proves="the largest error [m] that all drones may have simultaneously without violating a "
-    "distance ({doc}`/explanation/tracking`)",
+    proves="the largest error [m] of all drones at once that violates no distance "
+    "({doc}`/explanation/tracking`)",
     unproven="the actual errors of your drones",
 )

@@ -156,7 +156,7 @@ def _report_part(part: Export, reported: Collection[str]) -> None:
     say(
         f"at most {1e3 * position.worst:.3g} mm ({position.drone}, t = {position.time:.3f} s) "
         f"and {1e3 * velocity.worst:.3g} mm/s ({velocity.drone}, t = {velocity.time:.3f} s) "
-        f"from the plan, over all time\n{verdict.not_carried}"
+        f"from the plan, at all times\n{verdict.not_carried}"
     )
     for note in part.notes:
         if note not in reported:

@@ -192,7 +192,7 @@ def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str
         )
     for each in flight.others:
         yield (
-            f"certified next to {each.name}, which begins at t = "
+            f"certified next to {each.name}, which starts at t = "
             f"{each.motion.drones.breaks[0]:.4g} "
             "s of this plan: fly both on one clock"
         )

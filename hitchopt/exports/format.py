@@ -317,7 +317,7 @@ def _check_format(kind: Format, name: str) -> None:
         raise TypeError(f"states no {', '.join(missing)}")
     for key in ("endings", "several", "frames"):
         if not isinstance(getattr(kind, key), tuple):
-            raise TypeError(f"{key} = {getattr(kind, key)!r} is no tuple")
+            raise TypeError(f"{key} = {getattr(kind, key)!r} is not a tuple")
     if unknown := [frame for frame in kind.frames if frame not in AXES]:
         raise ValueError(f"frame {unknown[0]} is not one of {', '.join(AXES)}")
     if kind.name != name:

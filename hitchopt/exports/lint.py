@@ -524,7 +524,7 @@ def _manifest_findings(path: Path, kind: Format, contents: FileContents) -> Iter
         name for name, file in files.items() if file.exists() and has_other_line_ends(file)
     ]:
         more = f" and {len(other) - 1} more" * (len(other) > 1)
-        yield note("line ends", f"{other[0]}{more}", "those of Windows; lines are as exported")
+        yield note("line ends", f"{other[0]}{more}", "line ends of Windows; otherwise as exported")
     if (fleet := next(iter(files.values())).parent / SETTINGS).is_file():
         settings: Any = read_yaml(fleet)
         robots = mapping_at(settings if isinstance(settings, Mapping) else {}, "robots")

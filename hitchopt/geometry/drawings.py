@@ -163,7 +163,7 @@ def _normalise(root: ElementTree.Element, name: str) -> None:
         for key in LENGTHS:
             if (value := parent.get(key)) is not None:
                 if (match := LENGTH.fullmatch(value)) is None:
-                    bound = f"lengths in mm, cm, in, pt, pc or px, and not {key}={value[:30]!r}"
+                    bound = f"lengths in mm, cm, in, pt, pc or px, not {key}={value[:30]!r}"
                     raise InputError("outline", name, bound, "save it in mm, with decimal points")
                 parent.set(key, "".join(match.groups()).lower())
         for i, child in enumerate(list(parent)):
@@ -278,7 +278,7 @@ def _drawing_of(lines: Lines, name: str, notes: list[str]) -> Drawing:
     size = float(np.max(np.ptp(points, axis=0)))
     if not MIN_EXTENT <= size <= MAX_EXTENT:
         extreme = f"least {MIN_EXTENT:g}" if size < MIN_EXTENT else f"most {MAX_EXTENT:g}"
-        bound = f"at {extreme} m across, and not {format_size(points)}"
+        bound = f"at {extreme} m across, not {format_size(points)}"
         remedy = "state the drawing's unit: numbers without one are metres"
         if size < MIN_EXTENT:
             remedy = f"{remedy}; if these are degrees, as in GeoJSON, project them to metres"

@@ -120,7 +120,7 @@ class Reactions:
             )
         if nearest < 1.0:
             raise _no_reaction(
-                time, f"a survivor comes as close as {nearest:.3g} of the minimum distance"
+                time, f"a survivor comes within {nearest:.3g} times the minimum distance"
             )
         return Reaction(drone, start, descent, thrust, nearest)
 
@@ -185,7 +185,7 @@ class Reactions:
             taut = chords > team.cable_length[lost // 2]
             if np.any(taut):
                 height = fall[np.argmax(taut), 2] - floor
-                reason = f"hangs on its partner {height:.2g} m above the ground"
+                reason = f"hangs from its partner {height:.2g} m above the ground"
                 raise _no_reaction(time, f"{team.drone_names[lost]} {reason}")
         later = drones.at(np.linspace(start, drones.breaks[-1], GROUND_SAMPLES))
         survivors, later = (np.delete(each, lost, axis=1) for each in (survivors, later))

@@ -90,7 +90,7 @@ def resolved_steps(mission: TeamMission) -> tuple[Step, ...]:
             if is_two and not unresolved.of_two_robots:
                 names = ", ".join(kind.name for kind in STEPS if kind.of_two_robots)
                 bound = f"one of {names}, the steps of two robots"
-                remedy = "two cables hold nothing but an object: tie them around it"
+                remedy = "two cables can only hold an object: tie them around it"
                 raise InputError("", "a step of three robots or more", bound, remedy)
             step = unresolved.resolved_for(whole)
             stage = stage.after(step, objects)
@@ -144,10 +144,12 @@ class _ObjectStage:
                 current, required = (x.replace(Stage.FREE, tied) for x in (current, required))
             raise InputError("", current, f"{required}, which {step.name} needs", remedy)
         if begin is not Stage.FREE and name != self.name:
-            raise InputError("object", name, f"{self.name}, the one enclosed", "leave that before")
+            raise InputError(
+                "object", name, f"{self.name}, the one enclosed", "leave that one first"
+            )
         if not self.outline_specified and step.moves_points:
             bound = "given an outline of the file"
-            raise InputError("", "the outline around an object", bound, "morph before")
+            raise InputError("", "the outline around an object", bound, "morph first")
         specified = getattr(step, "polygon", None) is not None
         specified |= self.outline_specified and not hasattr(step, "object")
         return _ObjectStage(end, "" if end is Stage.FREE else name, specified)

@@ -151,7 +151,7 @@ def check_controllers(team: Team) -> None:
     )
     share = float(np.mean(team.feed_forward))
     where = (*names[:4], *(["…"] if len(names) > 4 else []))
-    values = share, 1.0, "min", "", where, "in all of the plan", remedy
+    values = share, 1.0, "min", "", where, "throughout the plan", remedy
     raise InfeasibleError([Violation("feed_forward", *values)])
 
 

@@ -126,9 +126,9 @@ def ellipsoid_notes(flight: Flight, problem: str = "") -> Iterator[str]:
         if mass > LARGEST_DEFAULT and is_small and (is_default or data is not None):
             drones = f"drones of {flown.name}" if flown.name else "drones"
             yield (
-                f"{drones} weigh up to {mass:g} kg, but their ellipsoid of {stated.radius:g} m and "
-                f"{stated.height:g} m is not stated; at this mass that of x260_bolt would be "
-                f"{radius:g} m and {height:g} m: state separation.radius and separation.height"
+                f"{drones} weigh up to {mass:g} kg, but have the default ellipsoid "
+                f"({stated.radius:g} m, {stated.height:g} m); that of x260_bolt, scaled to this "
+                f"mass, has {radius:g} m and {height:g} m: state separation.radius and separation.height"
             )
 
 

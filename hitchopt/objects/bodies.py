@@ -339,7 +339,7 @@ class SolidObject(ByValue):
         for name, value in values.items():
             object.__setattr__(self, name, value)
         if self.lower >= self.upper:
-            bound, remedy = f"above its floor, {self.lower:g} m", "exchange the heights"
+            bound, remedy = f"above its floor, {self.lower:g} m", "swap the heights"
             raise InputError("upper", self.upper, bound, remedy)
         if rim is not None and not self.lower <= rim.height <= self.upper:
             bound = f"from the body's floor, {self.lower:g} m, to its ceiling, {self.upper:g} m"

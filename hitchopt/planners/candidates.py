@@ -184,7 +184,7 @@ def _refusal(failures: Sequence[Failure], *, complete: bool = True) -> HitchoptE
     names = [name if count == 1 else f"{count} {name}s" for name, count in counts.items()]
     note = f"the best of {len(failures)} candidates: {', '.join(names)}"
     if not complete:
-        note += "; others were not tried, since these took all of the effort"
+        note += "; others were not tried: these used up the effort"
     first = failures[0]
     if first is not best and isinstance(first.error, InfeasibleError):
         violation = replace(first.error.violations[0], remedy="")

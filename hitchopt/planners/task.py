@@ -62,7 +62,7 @@ class RestState:
     def tied(self) -> Hitch:
         """The hitch; raises InputError on free cables, which problems do not have here."""
         if self.hitch is None:
-            raise RequestError("start", "free cables", "a hitch", "form one before")
+            raise RequestError("start", "free cables", "a hitch", "form one first")
         return self.hitch
 
     @property
@@ -154,7 +154,7 @@ class StepTask:
     def grasp(self) -> GraspState:
         """The enclosed or held object; raises InputError without one."""
         if self.before.grasp is None:
-            raise RequestError("start", "no object", "an enclosed object", "enclose one before")
+            raise RequestError("start", "no object", "an enclosed object", "enclose one first")
         return self.before.grasp
 
     def within(self, requirements: Requirements, state: RestState) -> StepTask:

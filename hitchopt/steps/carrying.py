@@ -221,7 +221,7 @@ class Enclose(Step):
             raise InfeasibleError([violation])
         radius = float(np.max(np.linalg.norm(polygon.vertices - polygon.centroid, axis=1)))
         size = f"{rounded_up(radius, 2):.2g} m in radius"
-        remedy = f"tie the hitch at its size around objects.{self.object}, {size}"
+        remedy = f"tie the hitch at its size around objects.{self.object} ({size})"
         check_opens(hitch, polygon.vertices, requirements, remedy)
         safe_altitude = altitude_over(task)
         start = np.append(hitch.polygon.centroid, hitch.altitude)
@@ -652,7 +652,7 @@ class TransportObject(TensionStep):
     def advice(self, check: str, key: str) -> str:
         """Return the advice for keeping clear of obstacles."""
         is_obstacle = check in OBSTACLE_CHECKS
-        return f"raise {key}.lift, or lead it around by {key}.via" if is_obstacle else ""
+        return f"raise {key}.lift, or carry it around with {key}.via" if is_obstacle else ""
 
     def place_after(self, body: SolidObject, below: float) -> Array:  # noqa: ARG002
         """Return the goal, turned by ``yaw``."""

@@ -351,7 +351,7 @@ def _checked_range(key: str, value: object) -> tuple[float, float]:
     checked = _RANGE_FORMS.check(key, value)
     low, high = (checked.min, checked.max) if isinstance(checked, TensionRange) else checked
     if low > high:
-        raise InputError(f"{key}.max", high, f"at least {key}.min, {low:g} N", "exchange the two")
+        raise InputError(f"{key}.max", high, f"at least {key}.min, {low:g} N", "swap the two")
     return low, high
 
 
@@ -462,7 +462,9 @@ def _convex(team: Team, points: Array, key: str, value: Points | None) -> Outlin
     except InputError as error:
         reason = f"{error.key} = {error.value} would have to be {error.bound}"
         bound = f"such that the outline stays convex and clockwise ({reason})"
-        raise RequestError(key, np.asarray(value).tolist(), bound, "move less far") from None
+        raise RequestError(
+            key, np.asarray(value).tolist(), bound, "use a smaller displacement"
+        ) from None
 
 
 def _checked_index(key: str, index: int, count: int) -> int:

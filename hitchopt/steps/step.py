@@ -382,10 +382,10 @@ class Step(Record, ABC):
         """
         if self.needs_hitch is True and outline is None:
             bound = "given a hitch at that point"
-            raise InputError("", "no hitch", bound, f"{reason}: form one before")
+            raise InputError("", "no hitch", bound, f"{reason}: form one first")
         if self.needs_hitch is False and outline is not None:
             bound = "given drones on free cables at that point"
-            raise InputError("", "a hitch", bound, f"{reason}: release it before")
+            raise InputError("", "a hitch", bound, f"{reason}: release it first")
         return self.polygon_after(team, outline)
 
     def polygon_after(self, team: Team, outline: Any) -> Outline | None:

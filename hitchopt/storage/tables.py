@@ -139,7 +139,7 @@ class Table:
 
     def _no_number(self, number: int, index: int, cell: str, *, commas: bool) -> _NumberError:
         name = self.labels[index] if self.labels else f"column {index + 1}"
-        reason = f"{self.source}: line {number}: {name} is {cell.strip()[:40]!r}, no number"
+        reason = f"{self.source}: line {number}: {name} is {cell.strip()[:40]!r}, not a number"
         reason += " among decimal commas" if commas else ""
         comma = commas or "," in cell
         return _NumberError(f"{reason}; {COMMA_REMEDY}" if comma else reason, comma=comma)

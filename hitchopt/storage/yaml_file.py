@@ -130,7 +130,7 @@ class Node:
     def child(self, part: str | int) -> Node:
         """Return the node at a key or index; raises InputError if it does not exist."""
         if part not in self.children:
-            raise InputError(str(part), self.value, "an entry of the file", "add it before")
+            raise InputError(str(part), self.value, "an entry of the file", "add it first")
         return self.children[part]
 
     def places(self, path: KeyPath = ()) -> Iterator[tuple[str, Place]]:

@@ -312,7 +312,7 @@ def verdict(rows: Sequence[Row]) -> str:
     stated = ", ".join(row.name for row in rows if row.verdict == STATED)
     rest = f"; not recomputed: {stated}" if stated else ""
     if any(row.verdict == NO_LIMIT for row in rows):
-        rest += "; not proven: height above z = 0, which is no limit without an arena"
+        rest += "; not proven: heights above z = 0, which are limited only by an arena"
     if bad:
         return f"not proven: {', '.join(bad)}{rest}"
     return f"proven: every limit holds at all times{rest}"

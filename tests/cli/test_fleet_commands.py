@@ -51,7 +51,7 @@ def test_kinds_of_formats_there_and_back(name: str, plan: Path) -> None:
         assert "0 errors, 1 warnings" in run("lint", "slack", code=0).stdout
         export += ["--stiffness", "4.75"]
     said = run(*export, "-o", "files", code=0).stdout
-    for words in ("certified as exported", "from the plan, over all time", "discontinuous"):
+    for words in ("certified as exported", "from the plan, at all times", "discontinuous"):
         assert words in said
     assert "0 errors, 0 warnings" in run("lint", "files", code=0).stdout
     if name in ONE_FILE:  # written where it is wanted, again too
@@ -186,7 +186,7 @@ def test_shows_declare_limits_and_hold_the_tension(plan: Path) -> None:
     assert "note: setpoints lie up to 8.4" in said
     assert "gains 4.75 N/m, 1.3 N s/m" in said
     assert "separation" in said
-    table, _, rest = said.partition("from the plan, over all time")
+    table, _, rest = said.partition("from the plan, at all times")
     assert "thrust" in table  # of the drones that follow the setpoints
     assert "jerk" not in table
     assert "Limits of motion hold for drones that follow the setpoints" in rest

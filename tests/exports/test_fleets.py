@@ -233,7 +233,7 @@ def test_stretching_slows_all_groups_but_not_others(tmp_path: Path) -> None:
     later = with_others.stretched(1.5)
     assert later.others[0].motion is with_others.others[0].motion
     (part,) = exported(with_others, "csv", tmp_path, stretch=1.5)
-    assert any("next to show, which begins at t = 2 s" in note for note in part.notes)
+    assert any("next to show, which starts at t = 2 s" in note for note in part.notes)
     near = beside(flight, alone(flight, "ring"), 0.5)
     with pytest.raises(CertificateError, match="separation"):
         exported(near, "csv", tmp_path / "near")

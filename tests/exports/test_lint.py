@@ -161,7 +161,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
         (rows(lambda s: [s[i] for i in (0, 4, 5, 6, 1, 2, 3)]), "go back from t = "),
         (rows(lambda s: s[:3]), "has fewer than two samples|ends within"),
         (rows(lambda s: s[:-1]), "ends within the sample"),
-        (text(",d2,", ",d2,nonsense"), "line 4: x is 'nonsense.*', no number"),
+        (text(",d2,", ",d2,nonsense"), "line 4: x is 'nonsense.*', not a number"),
         (rows(lambda s: s[:1]), "has no rows"),
         (rows(lambda s: [s[0], "nan,d0" + ",0" * 26]), "line 2, column t: not a number"),
         (rows(lambda s: [*s[:-1], s[-1][:25]]), "cells, not 28; is it cut off"),

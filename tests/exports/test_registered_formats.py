@@ -232,7 +232,7 @@ class Faulty(OurFleet):
         ("broken_fleet:Incomplete", "Can't instantiate abstract class"),
         ("broken_fleet:Nameless", "states no name, file, endings, frames, accuracy, feed_forward"),
         ("broken_fleet:OtherName", "is registered as broken, and its name is other"),
-        ("broken_fleet:Word", r"endings = '\.csv' is no tuple"),
+        ("broken_fleet:Word", r"endings = '\.csv' is not a tuple"),
         ("broken_fleet:Turned", "frame esu is not one of enu, nwu, ned"),
         ("broken_fleet:Pattern", "missing \\)"),
         ("broken_fleet:Foreign", "is not derived from hitchopt.exports.format.Format"),

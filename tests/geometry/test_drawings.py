@@ -352,8 +352,8 @@ INVALID = {
     FileError: [
         ("a.svg", "<svg", "cannot be read"),
         ("a.json", "[[0, 0, 0], [1, 0, 0], [1, 1, 0]]", "a list of points"),
-        ("a.csv", "0, 0\n1, 0\nx, 1\n", "line 3: column 1 is 'x', no number"),
-        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", "line 1: column 1 is 'O.1', no number"),
+        ("a.csv", "0, 0\n1, 0\nx, 1\n", "line 3: column 1 is 'x', not a number"),
+        ("a.csv", "O.1,0.2\n0.4,0\n0.4,0.3\n", "line 1: column 1 is 'O.1', not a number"),
         ("a.csv", "0, 0, 0\n1, 0, 0\n1, 1, 0\n", "one on each line"),
         ("a.csv", "0,4,0,3\n0,1,0,2\n", "not 4 numbers; decimal commas need semicolons"),
         ("a.geojson", '{"type": "Polygon", "coordinates": 3}', "neither GeoJSON nor"),

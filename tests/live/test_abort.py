@@ -374,7 +374,7 @@ def test_no_drone_carries_two(altitude: float, share: float) -> None:
     assert (found.worst, found.where) == (share, tuple(each.drone for each in without))
     told = [(each.drone, each.start, each.end) for each in without]
     assert told == ([] if share else [(name, 0.0, 2.0) for name in team.drone_names])
-    assert all(f"{each.drone} hangs on its partner 0.19" in each.reason for each in without)
+    assert all(f"{each.drone} hangs from its partner 0.19" in each.reason for each in without)
 
 
 def test_single_drones_land_clear_of_the_lost_one() -> None:

@@ -152,7 +152,7 @@ def drones(**places: Any) -> dict[str, Any]:
         ),
         (
             {"start": {"hitch": {"polygon": [p[::-1] for p in CORNERS], "altitude": 1}}},
-            r"in clockwise order .*, or are x and y exchanged\?",
+            r"in clockwise order .*, or are x and y swapped\?",
         ),
         (drones(r=[[1e9, 0, 1], *PLACES["r"][1:]]), r"start\.drones\.r\[0\] = .* finite and with"),
         (drones(r=[[1, 0], *PLACES["r"][1:]]), r"drones\.r\[0\] = .* must be a point \[x, y, z\]"),

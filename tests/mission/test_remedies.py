@@ -245,7 +245,7 @@ PHRASES: dict[str, Editor | tuple[Editor, ...]] = {
     r"lower (mission\[\d+\]\.\w+\.(?:seconds|duration))": shorter_duration,
     "omit blend": omit_blend,
     "allow more time for the points": more_time,
-    "begin there, or later": begin_there,
+    "start there, or later": begin_there,
     r"tie it at (\S+) m or higher above its base": lambda x: tie_at(x, float(x.phrase[1])),
     r"tie it lower \(mission\[\d+\]\.\w+\.at\)": tie_by(-1.0),
     r"tie it higher \(mission\[\d+\]\.\w+\.at\)": tie_by(1.0),
@@ -275,7 +275,7 @@ FACTS = (
     r"edge \d+ is [\d.]+ m long on a cable of [\d.]+ m:",
     r"the path begins at t = 0 at \[.*?\], the vertex is at \[.*?\]:",
     r"pid ignores .* at most [\d.]+ N\.",
-    r"are x and y exchanged\?",
+    r"are x and y swapped\?",
     "place the drones so that cables need not pass each other",  # of an order, without a measure
     r"move the goal of \w+ or \w+; no delay helps",  # of a swarm
 )

@@ -460,7 +460,7 @@ def test_obstacles_are_passed_above_or_beside() -> None:
     key = "mission[0].transport_object"
     with pytest.raises(ho.InfeasibleError) as raised:
         ho.solve(problem_from_dict(data))
-    assert f"raise {key}.lift, or lead it around by {key}.via" in str(raised.value)
+    assert f"raise {key}.lift, or carry it around with {key}.via" in str(raised.value)
     by_key = {s.change.key: s for s in ho.suggestions(problem_from_dict(data), PATIENCE)}
     assert set(by_key) == {f"{key}.lift", f"{key}.via"}
     # Its base is as far above the pole as objects are from each other.

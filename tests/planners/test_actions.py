@@ -252,7 +252,7 @@ def test_a_speed_limits_points_with_times_and_is_limited_itself() -> None:
 def test_infeasible_points_are_refused_by_name() -> None:
     plan = ho.solve(START, ho.FollowVertex(K, [[0.0, *HERE], [3.0, *(HERE + [0.1, 0.0])]]))
     assert plan.duration == 3.0
-    with pytest.raises(ho.InfeasibleError, match=r"p3 at t = 0.*begin there, or later"):
+    with pytest.raises(ho.InfeasibleError, match=r"p3 at t = 0.*start there, or later"):
         ho.solve(START, ho.FollowVertex(K, [[0.0, *(HERE + [0.01, 0.0])], [3.0, *HERE]]))
     with pytest.raises(ho.InfeasibleError) as caught:
         ho.solve(START, ho.FollowVertex(K, [[0.4, *(HERE + [0.2, 0.0])]]))

@@ -82,7 +82,7 @@ def test_effort_is_counted_in_candidates_and_ends_the_search() -> None:
     """The first candidate is tried in any case; parts of an effort count for the whole."""
     whole = Effort(2.5 * CANDIDATE_COST)
     ways = candidates(refused(0.1), refused(0.2), refused(0.3), "too late")
-    with pytest.raises(InfeasibleError, match="took all of the effort") as caught:
+    with pytest.raises(InfeasibleError, match="used up the effort") as caught:
         first_certified(ways, Effort(whole=whole))
     assert caught.value.violations[0].value == 0.2
     with pytest.raises(InfeasibleError):

@@ -121,7 +121,7 @@ def test_heights_above_the_ground_are_no_limit_without_an_arena(tmp_path: Path) 
     start = ho.Hitch.spread(team, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=0.1)
     for altitude, words in (
         (0.2, PROVEN),
-        (-0.2, f"{PROVEN}; not proven: height above z = 0, which is no limit without an arena"),
+        (-0.2, f"{PROVEN}; not proven: heights above z = 0, which are limited only by an arena"),
     ):
         ho.solve(start, ho.Transport(to=[0, 0, altitude])).save(tmp_path, rate=10.0)
         rows = [*second.verify(tmp_path)]

@@ -144,8 +144,8 @@ def _statics_tables(content: dict[str, Any]) -> str:
         cables.append({"cable": name, **spans, "slack": slack})
     for each in content["vertices"]:
         pairs = list(zip(each["planned"], each["position"], strict=True))
-        row = {"from the plan [mm]": f"{1e3 * max(math.dist(*pair) for pair in pairs):.1f}"}
-        row["lower by [mm]"] = span_text((1e3 * (p[2] - r[2]) for p, r in pairs), ".1f")
+        row = {"off the plan [mm]": f"{1e3 * max(math.dist(*pair) for pair in pairs):.1f}"}
+        row["below the plan [mm]"] = span_text((1e3 * (p[2] - r[2]) for p, r in pairs), ".1f")
         inner, outer = zip(*each["band"], strict=True)
         if inner != outer:
             ends = f"{1e3 * min(inner):+.0f} to {1e3 * max(outer):+.0f}"
@@ -212,7 +212,7 @@ def calibrate(
     if plan is None and not any((x / PLAN).is_file() for x in (first, first.absolute().parent)):
         if density is not None:
             remedy = "hovers do not determine cables; specify a plan, or omit it"
-            raise InputError("density", density, "given with plan=", remedy)
+            raise InputError("density", density, "used with plan=", remedy)
         _calibrate_hover(recordings, output, {**values, "names": names})
         return
     hover = values if names is None else {**values, "names": names}
@@ -341,7 +341,7 @@ def _rest_tables(calibration: Calibration) -> list[str]:
     if before is not None and after is not None:
         bounds = f"{100.0 * after:.3g} cm instead of {100.0 * before:.3g} cm"
         text += f" With them vertex_error is {bounds}."
-    return [table(f"Trims by {len(at_rests.t)} rests", rows), text]
+    return [table(f"Trims from {len(at_rests.t)} rests", rows), text]
 
 
 def _fit_options() -> Sequence[click.Option]:

@@ -91,7 +91,7 @@ def evaluate(
     if markers:
         if task is None:
             remedy = "name the directory of the plan"
-            raise InputError("plan", None, "given with markers=True", remedy)
+            raise InputError("plan", None, "used with markers=True", remedy)
         _say_markers(task)
         return
     if recording is None:

@@ -167,7 +167,7 @@ def simulate(
         say(drones, drones=drones)
     if lose is not None and exported is not None:
         settings = replace(settings, lost=Loss.parsed(lose))
-        say("exported files contain no reaction to a loss: the other drones fly on")
+        say("exported files contain no reaction to a loss: the other drones continue as planned")
     elif lose is not None:
         settings, task = _with_loss(directory, settings, task, lose, react=reaction)
     for warning in warnings(task, settings):
@@ -305,12 +305,12 @@ def _report(simulation: Simulation, folder: Path, source: Path) -> None:
         say(words, tracking=words)
     for time, test in simulation.flight.pull_tests.items():
         if test.error is not None:
-            say(f"note: not pulled at t = {time:.2f} s: {test.error}")
+            say(f"note: no pull test at t = {time:.2f} s: {test.error}")
     plan = simulation.flight.task.flight
     is_comparable = plan is not None and len(plan.teams) == 1 and simulation.loss is None
     if simulation.errors.t.size and is_comparable:
         command = shlex.join(["hitchopt", "evaluate", str(folder), "--plan", str(source)])
-        say(f"LaTeX table of the plan, without the rest after it: {command}")
+        say(f"for a LaTeX table of the planned motion: {command}")
     for failure in simulation.outcome.failures:
         status = NOT_SIMULATED if failure.kind in UNSIMULATED else FAILED
         say(f"{status}: t = {failure.time:.2f} s, {failure.words}", err=True)
@@ -339,7 +339,7 @@ def flight_tables(simulation: Simulation) -> str:
         "flown by": _flown_by(simulation.settings),
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
         "rope density: simulated [g/m]": grams["simulated"],
-        "  planned": grams["planned"],
+        "rope density: planned [g/m]": grams["planned"],
         "extra rope for bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
     }
     parts = []

@@ -137,7 +137,7 @@ class DroneHover(OneLine):
         off = math.hypot(*self.trim)
         toward = direction_of(-self.trim[0], -self.trim[1])
         error = 100.0 * self.trim_error
-        beside = f"{100.0 * off:.0f} cm toward {toward} of its setpoint (± {error:.1g} cm)"
+        beside = f"{100.0 * off:.0f} cm from its setpoint, toward {toward} (± {error:.1g} cm)"
         if math.isnan(self.tilt_deg):
             return f"hovers {beside}; its tilt is not recorded"
         if self.tilt_deg < LEVEL and off < max(NEAR, 2.0 * self.trim_error):
@@ -166,7 +166,7 @@ class DroneHover(OneLine):
             return ""
         text = f"; it follows commands {self.lag:.2f} s late (± {self.lag_error:.1g})"
         known = not math.isnan(self.expected_lag)
-        return f"{text}; its gains lead to {self.expected_lag:.2f} s" if known else text
+        return f"{text}; its gains predict {self.expected_lag:.2f} s" if known else text
 
 
 @dataclass(frozen=True, eq=False)

@@ -83,9 +83,9 @@ def _snapped(flight: SimulatedFlight, end: float) -> Iterator[Failure]:
         """Return the tension and its time."""
         tension = peaks[row, cable]
         return (
-            f"{names[cable]} is pulled with {tension:.3g} N at t = {record.t[row]:.2f} s, "
-            f"{tension / planned[cable]:.3g} times the plan's largest tension of "
-            f"{planned[cable]:.3g} N; at most {MAX_TENSION_RATIO:g} times"
+            f"the tension of {names[cable]} reaches {tension:.3g} N at t = {record.t[row]:.2f} s, "
+            f"{tension / planned[cable]:.3g} times the largest planned one "
+            f"({planned[cable]:.3g} N); the limit is {MAX_TENSION_RATIO:g} times"
         )
 
     yield from _failures(SNAPPED, names, record.t[rows], excess, words)

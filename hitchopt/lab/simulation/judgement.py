@@ -345,17 +345,23 @@ def _failed_links(
     presses = bearing >= least_bearing(task)[-1]
     for c in np.flatnonzero(formed & ~task.last_clasps & presses).tolist():
         name = task.team.point_names[layout.clasps[c]]
-        words = f"{name} presses with {bearing[c]:.3f} N like a clasp, but should be open"
+        words = (
+            f"{name} has a contact force of {bearing[c]:.3f} N, like a clasp, but should be open"
+        )
         failures.append(Failure("tangled", (name,), rested, words))
     for each in clasps:
         force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
         cases = (  # the first one is reported
             (abs(each.linking) != 1, "unlinked", f"is linked {each.linking} times, not once"),
-            (not each.bears, "lost", f"presses with {force}, less than {least}: cables cross"),
+            (
+                not each.bears,
+                "lost",
+                f"has a contact force of {force}, below {least}: its cables only cross",
+            ),
             (
                 moved > MAX_SLIP,
                 "slipped",
-                f"slips {moved:.3f} m, over {MAX_SLIP}, in the pull test",
+                f"slips {moved:.3f} m in the pull test; at most {MAX_SLIP} m",
             ),
         )
         for kind, words in [case for wrong, *case in cases if wrong][:1]:

@@ -121,7 +121,7 @@ class Ropes:
         needed = TENSION_RESERVE * tension
         if self.largest_tension < needed:
             needed_density = float(np.max(self.density)) * needed / self.largest_tension
-            bound = f"at least {rounded_up(needed_density, 3):.3g} kg/m to bear {needed:.3g} N"
+            bound = f"at least {rounded_up(needed_density, 3):.3g} kg/m to hold {needed:.3g} N"
             raise InputError("density", self.density, bound, "simulate heavier cables (density=)")
 
 

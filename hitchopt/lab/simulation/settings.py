@@ -230,7 +230,7 @@ class Settings(Record):
         str | None,
         Key(
             words(*DRONES),
-            "Drones that fly: their controller and filter if the plan names none of theirs, "
+            "Drones to simulate: their controller and filter if the plan names none of theirs, "
             "cables 0.5 % and starts 2 cm off, wind, downwash and errors of objects; other "
             "options override these; null: as the plan states, undisturbed",
         ),

@@ -57,7 +57,7 @@ class GridKeys:
 
     def __post_init__(self) -> None:
         if not self.low < self.high:
-            raise InputError("from", self.low, f"below to, {self.high:g}", "exchange the two")
+            raise InputError("from", self.low, f"below to, {self.high:g}", "swap the two")
         if self.log and self.low <= 0.0:
             raise InputError("from", self.low, "above 0 if log is true", "omit log")
 

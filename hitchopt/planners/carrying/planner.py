@@ -155,7 +155,7 @@ class MovePlanner:
         """The hitch with the object; raises InputError without one."""
         hold = self.state.hold
         if hold is None:
-            raise RequestError("object", self.state.object, "one that is held", "grasp it before")
+            raise RequestError("object", self.state.object, "one that is held", "grasp it first")
         return hold
 
     @property

@@ -188,7 +188,7 @@ def _other_start(vertex: int, origin: Array, first: Array) -> Violation:
     is_exchanged = float(np.linalg.norm(first[::-1] - origin)) <= START_TOLERANCE
     remedy = (
         f"the path begins at t = 0 at {first.tolist()}, the vertex is at "
-        f"{origin.round(9).tolist()}: begin there, or later{EXCHANGED if is_exchanged else ''}"
+        f"{origin.round(9).tolist()}: start there, or later{EXCHANGED if is_exchanged else ''}"
     )
     where = (f"p{vertex}",)
     return Violation("continuity", distance, START_TOLERANCE, "max", "m", where, "at t = 0", remedy)

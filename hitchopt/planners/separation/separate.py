@@ -217,7 +217,7 @@ class SeparatedCurves:
             flight = first_feasible([Candidate("flight", planner.solve)], None)
             if flight is None:  # its violations are of prisms around others, not of the task
                 name = task.names[drone]
-                raise InfeasibleError([], f"{name} found no flight past the others at rest")
+                raise InfeasibleError([], f"no flight of {name} past the others at rest was found")
             flights.append((drone, flight.drones))
         curves = in_a_row(task, flights)
         if task.duration is not None:

@@ -236,7 +236,7 @@ def hover_violation(
         ratio = float(kind.ratios[sample, drone])
         if ratio >= LIMIT_SHARE:
             limit = float(kind.limits[drone])
-            reserved = f"{when[sample]}, {1.0 - LIMIT_SHARE:.1%} of it being reserved to move by"
+            reserved = f"{when[sample]}, {1.0 - LIMIT_SHARE:.1%} of it reserved for motion"
             return Violation(
                 kind.check,
                 ratio * limit,
