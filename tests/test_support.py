@@ -6,6 +6,8 @@ import ast
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from types import SimpleNamespace
 from typing import Any
 
@@ -125,6 +127,12 @@ def with_team(**values: Any) -> Motion:
     return triangle().replaced(team=replace(triangle().team, **values))
 
 
+def scene_of(team: ho.Team) -> None:
+    start = ho.Hitch.spread(team, ho.regular_polygon(3, 1.0))
+    with TemporaryDirectory() as folder:
+        ho.solve(start, ho.Hold(0.5)).export("mjcf", Path(folder) / "scene.xml")
+
+
 def slack() -> Motion:
     tensions = triangle().tensions
     return triangle().replaced(
@@ -184,6 +192,7 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.STATICS, Neighbour.SINGLE_DRONES): lambda: taut_times(swarm().teams[0].motion),
     (Feature.STATICS, Neighbour.FREE_CABLES): lambda: taut_times(slack()),
     (Feature.STATICS, Neighbour.OBJECTS): lambda: ho.equilibrium(drum(), carrying_time()),
+    (Feature.SCENE, Neighbour.LOADS): lambda: scene_of(LOADED),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): lambda: Task.of(swarm()),
 }
 """A refused call of each combination, but those that ``Flight.of_one_team`` refuses."""

@@ -128,7 +128,8 @@ def ellipsoid_notes(flight: Flight, problem: str = "") -> Iterator[str]:
             yield (
                 f"{drones} weigh up to {mass:g} kg, but have the default ellipsoid "
                 f"({stated.radius:g} m, {stated.height:g} m); that of x260_bolt, scaled to this "
-                f"mass, has {radius:g} m and {height:g} m: state separation.radius and separation.height"
+                f"mass, has {radius:g} m and {height:g} m: state separation.radius and "
+                "separation.height"
             )
 
 

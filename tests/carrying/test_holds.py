@@ -99,7 +99,7 @@ REFUSED: list[tuple[dict[str, Any], str, str]] = [
     (ON_TOP, "objects.cup.at", "carry objects.cup away"),
     (EDGE, "mission[0]", "farther from the edge"),
     (steps_of(LOW, ENCLOSED), "arena", r"at the end of step 0 \(enclose\)"),
-    (steps_of(SMALL, ENCLOSED_DRUM), "equilibrium", r"at its size around objects\.drum \(0\.5\d? m in radius\)"),
+    (steps_of(SMALL, ENCLOSED_DRUM), "equilibrium", r"objects\.drum \(0\.5\d? m in radius\)"),
     (steps_of(plans.tray(), {"lift": {"by": 0.2}}), "mission[0].lift",
      "must be a grasped object, which lift needs"),
     (steps_of(plans.tray(), ENCLOSED, LEFT, {"move_vertex": {"vertex": 0, "by": [0.1, 0]}}),

@@ -94,7 +94,7 @@ def test_a_sentence_says_what_to_do() -> None:
     drone = calibrate_hover(flown({"cf3": HOVER}, 1, 0.003), **GAINS).drones["cf3"]
     assert drone.sentence.startswith("cf3 is tilted by 9.")
     assert "redefine its rigid body; until then it hovers" in drone.sentence
-    assert "toward +x of its setpoint" in drone.sentence  # The trim points to -x
+    assert "from its setpoint, toward +x" in drone.sentence  # The trim points to -x
     level = calibrate_hover(flown({"cf3": replace(HOVER, tilt_deg=0.0)}, 1, 0.003), **GAINS)
     assert "is level at rest and hovers within" in level.drones["cf3"].sentence
     short = calibrate_hover(flown({"cf3": replace(HOVER, seconds=6.0)}, 1), **GAINS)

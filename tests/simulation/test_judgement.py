@@ -128,7 +128,7 @@ def test_clasps_report_movement_and_force() -> None:
     assert max(clasp.moved for clasp in flight_with(moved=0.0, drift=0.3).outcome.clasps) < 1e-9
     assert flight_with(moved=0.0, swing=0.07).outcome.clasps[1].moved < 0.04
     assert "slips 0.130 m" in slipped.failures[0].words
-    assert "has a contact force of 0.200 N, below 0.212 N" in lost.failures[0].words
+    assert "contact force 0.200 N, below 0.212 N" in lost.failures[0].words
     assert [clasp.holds for clasp in lost.clasps] == [True, True, False, True]
     assert all(np.isnan(clasp.moved) for clasp in flight_with(lost=2, pulled=np.nan).outcome.clasps)
     pulling = flight_with(error=STRAIN, pulled=np.nan).outcome.clasps

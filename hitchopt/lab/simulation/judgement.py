@@ -345,9 +345,7 @@ def _failed_links(
     presses = bearing >= least_bearing(task)[-1]
     for c in np.flatnonzero(formed & ~task.last_clasps & presses).tolist():
         name = task.team.point_names[layout.clasps[c]]
-        words = (
-            f"{name} has a contact force of {bearing[c]:.3f} N, like a clasp, but should be open"
-        )
+        words = f"{name} is closed (contact force {bearing[c]:.3f} N), but should be open"
         failures.append(Failure("tangled", (name,), rested, words))
     for each in clasps:
         force, least, moved = f"{each.bearing:.3f} N", f"{each.least_bearing:.3f} N", each.moved
@@ -356,7 +354,7 @@ def _failed_links(
             (
                 not each.bears,
                 "lost",
-                f"has a contact force of {force}, below {least}: its cables only cross",
+                f"contact force {force}, below {least}: cables only cross",
             ),
             (
                 moved > MAX_SLIP,
