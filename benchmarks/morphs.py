@@ -19,6 +19,7 @@ import os
 import subprocess
 import sys
 import tempfile
+import time
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -228,6 +229,21 @@ def measure_random(count: int, limit: float, table: Table) -> None:
             table.row(*row, *(float(cell) for cell in cells))
 
 
+def measure_many(quick: bool, table: Table) -> None:
+    """Write how many straight morphs all processors plan per second."""
+    table.section("Many morphs on all processors", "n", "morphs", "planned", "morphs per second")
+    for n in (3, 6) if quick else (3, 6, 12, 24):
+        separation = ho.Separation(cable=clearance(n), crossing=min(0.05, clearance(n)))
+        start = ho.Hitch.spread(ho.Team(n, 2.0), ho.regular_polygon(n, 1.3), separation=separation)
+        count = 16 if quick else 64
+        goals = [start.polygon.translated([STEP * k, 0.1]) for k in range(count)]
+        begin = time.perf_counter()
+        plans = ho.morphs([(start, goal) for goal in goals], separation=separation)
+        seconds = time.perf_counter() - begin
+        planned = sum(isinstance(plan, ho.Plan) for plan in plans)
+        table.row(n, count, planned, count / seconds)
+
+
 def measure_in_process(kind: str, n: int, limit: float) -> Measurements:
     """Return the measurements of a separate process."""
     command = [sys.executable, "-m", "benchmarks", "morphs", "--one", kind, str(n), str(limit)]
@@ -279,4 +295,5 @@ def main() -> None:
         if len(times) == len(large) > 1:
             exponent = slope(list(large), times)
             table.note(f"{kind}: second solves grow as n^{exponent:.2f} from n = 6 on")
+    measure_many(options.quick, table)
     measure_random(22 if options.quick else options.count, options.limit, table)

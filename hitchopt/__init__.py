@@ -8,7 +8,7 @@ from __future__ import annotations
 from importlib import import_module
 
 PUBLIC_NAMES = {
-    "api": ("export", "form", "morph", "repair", "separate", "solve", "suggestions"),
+    "api": ("export", "form", "morph", "morphs", "repair", "separate", "solve", "suggestions"),
     "checks": ("Certificate", "Check", "certify"),
     "checks.custom": ("ClaspSpans", "DroneSpans", "Rule", "VertexSpans"),
     "errors": ("HitchoptError", "InfeasibleError", "InputError", "UnitWarning"),

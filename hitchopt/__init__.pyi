@@ -1,7 +1,12 @@
 """The public names of ``__init__.py``, for type checkers and editors."""
 
-from hitchopt.api import export as export, form as form, morph as morph, repair as repair
-from hitchopt.api import separate as separate, solve as solve, suggestions as suggestions
+from hitchopt.api import export as export, form as form, morph as morph, morphs as morphs
+from hitchopt.api import (
+    repair as repair,
+    separate as separate,
+    solve as solve,
+    suggestions as suggestions,
+)
 from hitchopt.checks import Certificate as Certificate, Check as Check, certify as certify
 from hitchopt.checks.custom import ClaspSpans as ClaspSpans, DroneSpans as DroneSpans, Rule as Rule
 from hitchopt.checks.custom import VertexSpans as VertexSpans

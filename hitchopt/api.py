@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -28,7 +30,7 @@ from hitchopt.steps.moving import Morph
 from hitchopt.steps.step import Legs, Polygon, SettleAtEnd, Step
 from hitchopt.steps.tying import Assign, Form
 from hitchopt.storage.yaml_file import read_text
-from hitchopt.values import Points, check_instance, path, positive, sequence, text
+from hitchopt.values import Points, check_instance, integer, path, positive, sequence, text
 from hitchopt.values.fields import suggest_keywords
 
 if TYPE_CHECKING:
@@ -189,6 +191,67 @@ def morph(
     problem = step_problem(start.team, start, step, limits, separation, arena)
     with step_errors(step):
         return solve(problem, limit=seconds)
+
+
+def morphs(
+    pairs: Iterable[tuple[Hitch, Polygon]],
+    *,
+    workers: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> list[Plan | InfeasibleError]:
+    """Return the plans of many changes of polygons, planned by several processes, in order.
+
+    Where processes are spawned, a script must guard its own start by ``__name__ == "__main__"``.
+
+    Parameters
+    ----------
+    pairs: starts and their goals, as of ``morph``.
+    workers: number of processes; by default as many as processors.
+    progress: called with the number of finished pairs; by default a bar is shown on a terminal.
+    options: further arguments of ``morph``, the same for all pairs.
+
+    Returns
+    -------
+    A plan for each pair, or the error of one that cannot be planned.
+
+    Raises
+    ------
+    InputError: an argument is invalid.
+    """
+    given = [(start, polygon, options) for start, polygon in sequence("pairs", pairs)]
+    count = os.cpu_count() or 1 if workers is None else integer("workers", workers, 1)
+    with ExitStack() as stack:
+        report = progress or stack.enter_context(_bar("planning morphs", len(given)))
+        pool = stack.enter_context(ProcessPoolExecutor(min(count, max(len(given), 1))))
+        stack.callback(pool.shutdown, cancel_futures=True)
+        futures = [pool.submit(_morph_or_error, *each) for each in given]
+        for done, future in enumerate(as_completed(futures), 1):
+            future.result()  # invalid arguments end all others
+            report(f"planning morphs, {done} of {len(given)}")
+        return [future.result() for future in futures]
+
+
+def _morph_or_error(
+    start: Hitch, polygon: Polygon, options: Mapping[str, Any]
+) -> Plan | InfeasibleError:
+    """Return the plan of a morph, or the error that it is infeasible."""
+    try:
+        return morph(start, polygon, **options)
+    except InfeasibleError as error:
+        return error
+
+
+@contextmanager
+def _bar(message: str, total: int) -> Iterator[Progress]:
+    """Show a progress bar on a terminal; yield the callback that advances it."""
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    console = Console(stderr=True)
+    with Bar(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(message, total=total)
+        yield lambda _: bar.advance(task)
 
 
 @suggest_keywords
