@@ -184,7 +184,7 @@ class TautBodies:
         frames = len(lowest)
         swept = Boxes(lowest.min(axis=0), highest.max(axis=0))
         if len(self.nodes) <= MAX_DIRECT_BODIES:
-            i, j, kind = self._all_pairs
+            i, j, kind = self.all_pairs
             limited = limits[kind] > 0.0
             if frames > 1:
                 limited &= _are_close(swept.lower, swept.upper, i, j, cutoff)
@@ -213,7 +213,7 @@ class TautBodies:
         return near
 
     @cached_property
-    def _all_pairs(self) -> tuple[Indices, Indices, Indices]:
+    def all_pairs(self) -> tuple[Indices, Indices, Indices]:
         """Both bodies and the kind of all pairs that may not touch."""
         i, j = np.triu_indices(len(self.nodes), 1)
         kind = self.kind(i, j)

@@ -14,7 +14,7 @@ import numpy as np
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon, Outline
 from hitchopt.geometry.vectors import length, rotated, unit
-from hitchopt.hitch import Hitch, Team
+from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import Motion, PhaseHold
 from hitchopt.objects import SolidObject
@@ -28,11 +28,12 @@ from hitchopt.objects.placing import (
 )
 from hitchopt.planners.candidates import Candidate, first_certified
 from hitchopt.planners.carrying.grasps import (
-    hitches_below,
+    ROLL_RESERVE,
     hold_error,
     require_hold,
     wider_for_closing,
 )
+from hitchopt.planners.carrying.hold_search import HoldSearch
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
@@ -387,33 +388,48 @@ class Grasp(TensionStep):
         with_margin = replace(requirements, separation=wider_for_closing(requirements.separation))
         closing_task = task.within(requirements, task.before)
 
-        def held(planner: MovePlanner, hitch: Hitch, below: ConvexPolygon) -> StepPlan:
+        def held(planner: MovePlanner, closing: tuple[RestHold, ...]) -> StepPlan:
             """Return the plan that closes the hitch below the rim and rises to it."""
             moves = [
                 *planner.retension(team.tension, tension),
                 planner.rim_move(planner.gap, 0.0),
             ]
             require_hold(task, planner)
-            legs = RolledLegs(hitch.q_legs, hitch.roll)
-            closing = require_certified(Morph(below, legs).plan(closing_task))
+            hitches = [hold.hitch(body, planner.gap) for hold in closing]
+            ends = [(each.polygon, RolledLegs(each.q_legs, each.roll)) for each in hitches]
+            morphs = [Morph(*end).plan for end in ends]
+            closed = require_certified(plan_in_sequence(morphs, closing_task))
             rising = planner.motion(moves, self.name)
-            parts = [closing.motion, rising]
+            parts = [closed.motion, rising]
             motion = step_motion(self, task, parts, rising.phases[0].hold)
-            if np.any(hitch.roll):  # drones and cables sink toward the ground
+            if np.any(planner.hold.roll):  # drones and cables sink toward the ground
                 require_certified(StepPlan(motion, task.before))
             return plan_to(task, planner.state, motion, body.place)
 
+        def closings() -> Iterator[tuple[RestHold, ...]]:
+            """Yield the hitches below the rim through which it closes, the last of which hold it.
+
+            Those of the rim's polygons come first. Holds that are found from them have other legs,
+            which change around the object.
+            """
+            polygons, gap = task.grasp.polygons, planner_of(task).gap
+            holds = list[RestHold]()
+            for clasps in polygons.below_rim:
+                goal = end_of_morph(task.hitch, polygon_at(body, clasps), None, with_margin).hitch
+                roll = ROLL_RESERVE * goal.roll
+                holds.append(RestHold(team, body, clasps, height, goal.fractions, roll))
+                yield (holds[-1],)
+            for start in holds:
+                search = HoldSearch(start, polygons.around, tension, with_margin, gap)
+                for hold in search.holds():
+                    yield replace(hold, polygon=polygons.around), hold
+
         def holds() -> Iterator[Candidate[StepPlan]]:
-            """Yield the holds below the rim: by its polygons, and by legs and their rolls."""
-            for clasps in task.grasp.polygons.below_rim:
-                below = polygon_at(body, clasps)
-                goal = end_of_morph(task.hitch, below, None, with_margin).hitch
-                for hitch in hitches_below(goal, with_margin):
-                    hold = RestHold(team, body, clasps, height, hitch.fractions, hitch.roll)
-                    planner = planner_of(task).from_state(tension=tension, hold=hold)
-                    explained = partial(hold_error, task, planner)
-                    plan = partial(held, planner, hitch, below)
-                    yield Candidate("hold", plan, explained=explained)
+            """Yield the plans of all holds."""
+            for closing in closings():
+                planner = planner_of(task).from_state(tension=tension, hold=closing[-1])
+                plan = partial(held, planner, closing)
+                yield Candidate("hold", plan, explained=partial(hold_error, task, planner))
 
         return first_certified(holds(), task.effort, task.progress)
 

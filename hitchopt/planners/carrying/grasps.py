@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,11 +9,8 @@ import numpy as np
 
 from hitchopt.checks.grips import GRIP_LIMIT
 from hitchopt.errors import InfeasibleError, Violation, rounded_up, violations_at
-from hitchopt.hitch import Hitch
-from hitchopt.hitch.forces import if_balanced
 from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
-from hitchopt.hitch.slack_split import LegTask
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim
 from hitchopt.planners.candidates import Candidate, first_feasible
@@ -31,12 +26,6 @@ CLOSING_MARGIN = 1.03
 
 ROLL_RESERVE = 1.3
 """Factor of the smallest roll of unloaded legs: a load brings legs closer together."""
-
-HELD_ROLLS = tuple(math.radians(angle) for angle in (0.0, 9.0, 18.0, 27.0, 36.0, 45.0))
-"""[rad] Other rolls of legs that hold an object by its rim, in the order of the search."""
-
-HELD_SPLITS = (0.5, 0.4, 0.6, 0.3, 0.7)
-"""Slack splits for each roll, all cables alike, after the one nearest to the hitch's own."""
 
 LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Constraints that only less weight or more capacity satisfies."""
@@ -178,32 +167,3 @@ def wider_for_closing(separation: Separation) -> Separation:
     """Return the distances to keep with the margin for closing."""
     wider = {key: CLOSING_MARGIN * getattr(separation, key) for key in keys_of(Separation)}
     return replace(separation, **wider)
-
-
-def hitches_below(goal: Hitch, requirements: Requirements) -> Iterator[Hitch]:
-    """Yield hitches below a rim that may hold it: the goal first, then others with all distances.
-
-    A load moves drones, which may require another slack split or roll than without it.
-    """
-    team = goal.team
-    polygon = goal.polygon
-    yield Hitch(team, polygon, goal.altitude, goal.q_legs, ROLL_RESERVE * goal.roll)
-    sign = -1.0 if np.sum(goal.roll) < 0.0 else 1.0
-    splits = [goal.q_legs, *(split * goal.slack for split in HELD_SPLITS)]
-    shortest = requirements.limits.leg
-    for roll in HELD_ROLLS:
-        rolls = np.full(team.robots, sign * roll)
-        for q_legs in splits:
-            if np.min([q_legs, goal.slack - q_legs]) < shortest:
-                continue
-            task = LegTask(
-                team,
-                requirements,
-                polygons=polygon.vertices[None],
-                reference=q_legs[None],
-                shortest_leg=shortest,
-                margin=1.0,
-                roll=rolls,
-            )
-            if if_balanced(task.reference_margin, 0.0) >= 1.0:
-                yield Hitch(team, polygon, goal.altitude, q_legs, rolls)

@@ -118,7 +118,7 @@ class HoldingHitch(ABC):
     @property
     def reach(self) -> float:
         """Largest horizontal distance [m] of a drone from the object's origin without a load."""
-        drones = self._at_rest(self.team.tension, load_share=0.0)["drones"]
+        drones = self.at_rest(self.team.tension, load_share=0.0)["drones"]
         return float(np.max(np.linalg.norm(drones[..., :2], axis=-1)))
 
     def drop(self, tension: Array, load_share: Array | float) -> Array:
@@ -141,12 +141,15 @@ class HoldingHitch(ABC):
         InfeasibleError: a weight that the tensions cannot carry.
         """
 
-    def _at_rest(self, tension: Array, load_share: float) -> dict[str, Array]:
-        """Return all curves at one time, at rest at the origin, for tensions (n,) [N]."""
+    def at_rest(self, tension: Array, load_share: float) -> dict[str, Array]:
+        """Return all curves at rest at the origin, for tensions (n,) [N].
+
+        They have one time, or, of holds with leading axes, these axes instead.
+        """
         origin = np.zeros(4)
         tensions = np.stack([tension, tension])
         rest = Move(origin, origin, tensions, (load_share, load_share), SmoothLaw(1.0))
-        return self.curves(rest, np.zeros(1))
+        return self.curves(rest, np.zeros(self.polygon.shape[:-2] or 1))
 
     def motion(self, move: Move, requirements: Requirements, phase: Phase) -> Motion:
         """Return the motion of a move as one phase; all other objects are at rest."""
@@ -188,8 +191,9 @@ class RestHold(HoldingHitch):
 
     @property
     def clasps(self) -> Array:
-        """(n, 3) [m]: the clasps below the rim."""
-        return np.column_stack([self.polygon, np.full(len(self.polygon), self.height)])
+        """(…, n, 3) [m]: the clasps below the rim."""
+        heights = np.full((*self.polygon.shape[:-1], 1), self.height)
+        return np.concatenate([self.polygon, heights], axis=-1)
 
     @property
     def supports(self) -> Supports:
@@ -231,7 +235,7 @@ class RestHold(HoldingHitch):
         InfeasibleError: forces that the tensions cannot carry.
         """
         team = self.team
-        edges = np.roll(self.clasps, -1, axis=0) - self.clasps
+        edges = np.roll(self.clasps, -1, axis=-2) - self.clasps
         slack = cable_slack_of(team, edges, tension)
         q_legs = self.fractions * slack
         cable_loads = clasp_loads(team, q_legs, slack, self.roll)
@@ -269,15 +273,8 @@ class RestHold(HoldingHitch):
         That is by more than RIM_CUT at rest, without and with the whole weight, for tensions (n,)
         [N].
         """
-        rim = known(self.body.rim).section
         for load_share in (0.0, 1.0):
-            at_rest = self._at_rest(tension, load_share)
-            clasps = at_rest["vertices"][0, self.team.layout.anchors]
-            legs = at_rest["drones"][0] - clasps
-            level_lengths = length(legs[:, :2])
-            level_directions = legs[:, :2] / level_lengths[:, None]
-            within_rim = rim.reach(clasps[:, :2], level_directions)
-            heights = clasps[:, 2] + within_rim * legs[:, 2] / level_lengths - self.height
+            heights = self.rim_heights(self.at_rest(tension, load_share))[0]
             worst = int(np.argmax(heights))
             if heights[worst] > RIM_CUT:
                 where = (f"cable {self.team.labels[worst // 2]}", RIM_EDGE)
@@ -286,12 +283,22 @@ class RestHold(HoldingHitch):
                 )
         return None
 
+    def rim_heights(self, curves: dict[str, Array]) -> Array:
+        """Return the heights (…, 2n) [m] above the rim at which straight legs leave its outline."""
+        clasps = curves["vertices"][..., self.team.layout.anchors, :]
+        legs = curves["drones"] - clasps
+        level_lengths = length(legs[..., :2])
+        level_directions = legs[..., :2] / level_lengths[..., None]
+        within_rim = known(self.body.rim).section.reach(clasps[..., :2], level_directions)
+        rises = within_rim * legs[..., 2] / level_lengths
+        return np.asarray(clasps[..., 2] + rises - self.height)
+
     def curves(self, move: Move, t: Array) -> dict[str, Array]:
         """Return all curves of a move at times t (…) [s]."""
         state = move.state(t)
         tension = state.tension
         load_share = state.load_share
-        edges = length(np.roll(self.clasps, -1, axis=0) - self.clasps)
+        edges = length(np.roll(self.clasps, -1, axis=-2) - self.clasps)
         bent_share = load_share**2  # the rim's effects on legs grow with the load's square
         strut = bent_share * strut_share(self.team, self.body.mass, edges, tension)
         savings = rim_savings(self.team, self.body, self.polygon, tension)
@@ -300,7 +307,7 @@ class RestHold(HoldingHitch):
 
         depth = state.between(*move.below) + self.drop(tension, load_share)
         down = depth[..., None, None] * [0.0, 0.0, 1.0]
-        clasps = np.broadcast_to(self.clasps, (*t.shape, *self.clasps.shape))
+        clasps = np.broadcast_to(self.clasps, (*t.shape, *self.clasps.shape[-2:]))
         pose = state.pose
         pose_of_points = pose[..., None, :]
         return {
@@ -317,14 +324,15 @@ class RestHold(HoldingHitch):
         mass = self.body.mass
         supports = self.supports
         if not move.lifted:
-            forces = np.zeros((*state.load_share.shape, *self.clasps.shape))
+            forces = np.zeros((*state.load_share.shape, *self.clasps.shape[-2:]))
             forces[..., 2] = -state.load_share[..., None] * (GRAVITY * mass * supports.shares)
             return forces
         accelerations = state.accelerations(self.clasps) + np.array([0.0, 0.0, GRAVITY])
-        forces = np.asarray(-mass * supports.shares[:, None] * accelerations)
+        forces = np.asarray(-mass * supports.shares[..., None] * accelerations)
         centre_of_mass = self.body.centre_of_mass[None]
         level_acceleration = state.accelerations(centre_of_mass)[..., 0, :2]
-        forces[..., 2] += mass * self._mass_height * (level_acceleration @ supports.gains.T)
+        shifts = supports.gains @ level_acceleration[..., None]
+        forces[..., 2] += mass * self._mass_height * shifts[..., 0]
         return forces
 
 

@@ -198,8 +198,8 @@ class MoveState:
         return self.between(*self.move.tension)
 
     def accelerations(self, points: Array) -> Array:
-        """Return accelerations (…, k, 3) [m/s²] of points (k, 3) of the object, in its frame."""
-        x, y = points[:, 0], points[:, 1]
+        """Return accelerations (…, k, 3) [m/s²] of points (…, k, 3) of the object, in its frame."""
+        x, y = points[..., 0], points[..., 1]
         travel = self.move.end - self.move.start
         to_object = self.pose * [0.0, 0.0, 0.0, 1.0, -1.0]  # rotation by the opposite yaw
         linear = in_world(to_object, self.acceleration[..., None] * travel[:3])
