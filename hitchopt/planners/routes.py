@@ -23,7 +23,7 @@ from hitchopt.planners.rests import IDLE, check_at_rest, rest_motion
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 
 if TYPE_CHECKING:
-    from hitchopt.planners.morph.actions import Action
+    from hitchopt.planners.morph.actions import Action, FlownAction
     from hitchopt.planners.morph.detours import Translatable
     from hitchopt.planners.morph.path import Path
     from hitchopt.planners.optimise.cost import FlightCost
@@ -372,25 +372,69 @@ def action_plan(
     from hitchopt.planners.morph.actions import ActionMorph
 
     flown = ActionMorph(action, end, task.requirements, duration).solve()
+    phase = replace(phase, remark="; ".join(_remarks_on_drones(flown, action, reason)))
+    if flown.motion is None:
+        rest = rest_motion(end, task.requirements, duration or IDLE, phase)
+        return task.plan_ending(rest, end)
+    return _flown_plan(task, flown, end, phase)
+
+
+MAX_ROLLING = 4
+"""Maximum number of paths with legs that roll that are certified for one action."""
+
+
+def rolling_action_plan(
+    task: StepTask, action: Action, end: Hitch, phase: Phase, duration: float | None
+) -> StepPlan:
+    """Return the certified plan of an action whose legs roll between its ends.
+
+    Parameters are those of ``action_plan``. Raises InfeasibleError if legs come too close with any
+    roll.
+    """
+    from hitchopt.planners.morph.actions import ActionMorph
+    from hitchopt.planners.morph.legs import largest_roll
+
+    morph = ActionMorph(action, end, task.requirements, duration)
+
+    def along(path: Path) -> StepPlan:
+        """Return the certified plan along one of the paths."""
+        flown = morph.flown(path)
+        remark = f"legs roll by up to {math.degrees(largest_roll(path)):.0f}° on the way"
+        if flown.worst is not None:
+            remark += f": limits bind at {flown.worst:.0%} of the path"
+        return require_certified(_flown_plan(task, flown, end, replace(phase, remark=remark)))
+
+    paths = morph.rolling[:MAX_ROLLING] or [morph.path_by_law]
+    rolling = [Candidate("path with legs that roll", partial(along, path)) for path in paths]
+    return first_certified(rolling, task.effort, task.progress)
+
+
+def _flown_plan(task: StepTask, flown: FlownAction, end: Hitch, phase: Phase) -> StepPlan:
+    """Return the plan of an action's motion."""
+    motion = flown.motion
+    assert motion is not None
+    phases = (phase.retimed(0.0, motion.duration),)
+    return replace(task.plan_ending(motion.replaced(phases=phases), end), path=flown.path)
+
+
+def _remarks_on_drones(flown: FlownAction, action: Action, reason: str) -> list[str]:
+    """Describe the drones that move in addition to those of an action, and why."""
     team = action.start.team
     remarks = list[str]()
+    if flown.worst is not None:
+        reason = ", and ".join(
+            filter(None, [reason, f"limits bind at {flown.worst:.0%} of the path"])
+        )
     if flown.turning:
         cause = "tensions differ, so legs turn with both edges at their vertex"
-        if team.loaded and np.ptp(team.tension) == 0.0:
+        if np.any(action.start.roll):
+            cause = "legs are rolled, so they turn with both edges at their vertex"
+        elif team.loaded and np.ptp(team.tension) == 0.0:
             cause = "clasps carry weight, so legs rise as it changes"
         remarks.append(_further_drones(flown.turning, "turn", cause))
     if flown.sliding:
-        causes = [reason]
-        if flown.worst is not None:
-            causes.append(f"limits bind at {flown.worst:.0%} of the path")
-        cause = ", and ".join(filter(None, causes))
-        remarks.append(_further_drones(flown.sliding, "slide", cause))
-    phase = replace(phase, remark="; ".join(remarks))
-    if flown.motion is None:
-        motion = rest_motion(end, task.requirements, duration or IDLE, phase)
-    else:
-        motion = flown.motion.replaced(phases=(phase.retimed(0.0, flown.motion.duration),))
-    return replace(task.plan_ending(motion, end), path=flown.path)
+        remarks.append(_further_drones(flown.sliding, "slide", reason))
+    return remarks
 
 
 def _further_drones(names: Sequence[str], verb: str, reason: str) -> str:

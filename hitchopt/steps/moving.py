@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
@@ -34,6 +34,7 @@ from hitchopt.planners.routes import (
     action_plan,
     blended_plan,
     past_obstacles,
+    rolling_action_plan,
     straight_plan,
 )
 from hitchopt.planners.task import (
@@ -279,6 +280,12 @@ class ActionStep(ShapeStep):
         reason = "legs are to change" if self.legs is not None else end.reason
         duration = self.prescribed_duration
         return action_plan(task, self.action(task), end.hitch, phase, duration, reason)
+
+    def rolling_plan(self, task: StepTask, end: End) -> StepPlan:
+        """Return the plan of the action with legs that roll on the way."""
+        phase = Phase(self.name, task.index, 0.0, 0.0)
+        duration = self.prescribed_duration
+        return rolling_action_plan(task, self.action(task), end.hitch, phase, duration)
 
 
 @documented
@@ -546,6 +553,9 @@ MAX_TIME = 1e5
 MIN_STRETCH = 1e-3
 """[m] Minimum distance of two points without times; a smooth path cannot turn within less."""
 
+LEG_CHECKS = frozenset({"separation", "cable_clearance", "crossing", "legs"})
+"""Limits that legs may keep if they roll on a path."""
+
 RIGHT_ANGLE = 1e-9
 """[m²] Products of two stretches of a path up to this size are those of right angles."""
 
@@ -657,12 +667,27 @@ class FollowVertex(ActionStep):
         return np.split(self.points, np.flatnonzero(turns_back) + 1)
 
     def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
-        """Yield the plans of the whole path, and of parts between whose ends legs are spread."""
-        yield from super().ways(task)
+        """Yield the plans of the whole path, and of parts between whose ends legs are spread.
+
+        Where legs come too close on the whole path, a plan follows on which they roll.
+        """
+        for way, legs in zip(super().ways(task), (self.legs, "spread"), strict=False):
+            yield replace(way, amended=partial(with_fields(self, legs=legs).rolling, task))
         count = len(self.points)
         for parts in () if self.is_timed else (2, 4, count):
             if 1 < parts <= count:
                 yield Candidate(f"path in {parts} parts", partial(self._in_parts, parts, task))
+
+    def rolling(self, task: StepTask, error: InfeasibleError) -> Candidate[StepPlan] | None:
+        """Return the flight with legs that roll, after an error of one without; None if unneeded.
+
+        Rolling legs pass above each other.
+        """
+        if not any(violation.constraint in LEG_CHECKS for violation in error.violations):
+            return None
+        return Candidate(
+            "flight with legs that roll", partial(self._flight, self.rolling_plan, task)
+        )
 
     def _in_parts(self, parts: int, task: StepTask) -> StepPlan:
         """Return the plan that stops at the ends of a number of parts, with legs spread there."""
@@ -674,11 +699,15 @@ class FollowVertex(ActionStep):
         return plan.with_remark(f"stops {stops} on the way, where legs are spread")
 
     def fly_to_end(self, task: StepTask) -> StepPlan:
-        """Return the plan along the points; the optimiser has no other route."""
+        """Return the plan along the points, with legs that slide if necessary."""
+        return self._flight(self.direct_plan, task)
+
+    def _flight(self, plan_to: Callable[[StepTask, End], StepPlan], task: StepTask) -> StepPlan:
+        """Return the plan along the points, at the step's speed."""
         end = self.end(task)
         self.check_end(end.hitch, task)
         if self.speed is None:
-            return self.direct_plan(task, end)
+            return self._with_legs_apart(plan_to(task, end))
         limits = task.requirements.limits
         when = f"in step {task.index} ({self.name})"
         if self.speed > limits.vertex_speed:
@@ -696,15 +725,24 @@ class FollowVertex(ActionStep):
             )
             raise InfeasibleError([violation])
         slow = replace(task.requirements, limits=with_fields(limits, vertex_speed=self.speed))
-        plan = self.direct_plan(task.within(slow, task.before), end)
-        if not self.is_timed:
-            require_certified(plan)
+        plan = plan_to(task.within(slow, task.before), end)
         motion = plan.motion
         check = VERTEX_SPEED.check(motion)
-        if check is not None and not check.holds:  # of points with times
+        if check is not None and not check.holds and self.is_timed:
             remedy = "allow more time for the points, omit their times, or raise the step's speed"
             raise InfeasibleError([check.violation(f"at t = {check.time:.4g} s, {when}", remedy)])
+        plan = self._with_legs_apart(plan)
         return replace(plan, motion=motion.replaced(requirements=task.requirements))
+
+    def _with_legs_apart(self, plan: StepPlan) -> StepPlan:
+        """Return a certified plan, or one of timed points whose legs are far enough apart.
+
+        Only more time helps its other limits, as the mission's certificate tells.
+        """
+        violated = {check.name for check in plan.certificate.violated}
+        if self.is_timed and violated.isdisjoint(LEG_CHECKS):
+            return plan
+        return require_certified(plan)
 
     def knobs(self) -> Iterator[Knob]:
         """Yield the speed, and the times of points, to be scaled up or down."""

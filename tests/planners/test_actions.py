@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -309,17 +310,19 @@ def test_legs_are_spread_where_the_nearest_ones_cannot_hold() -> None:
     assert plan.certificate.certified
 
 
-@pytest.mark.slow
-def test_a_vertex_stops_on_its_path_where_legs_are_to_be_spread() -> None:
-    """Without stops legs cross, with any legs at the end."""
-    plan = ho.solve(WILD / "writes_an_eight.yaml")
-    phases = plan.motion.phases
-    assert [phase.name for phase in phases] == ["follow_vertex"] * 2
-    assert all("stops once on the way" in phase.remark for phase in phases)
-    middle = plan.motion.drones.at(phases[0].end, 1)
-    np.testing.assert_allclose(middle, 0.0, atol=1e-9)
-    step = ho.load_problem(WILD / "writes_an_eight.yaml").mission[0]
+@pytest.mark.parametrize("at", [None, 12.0])
+def test_legs_roll_where_they_would_cross_on_the_path_of_a_vertex(at: float | None) -> None:
+    """Legs cross if they keep their roll, with any legs at the end and however slow."""
+    problem = ho.load_problem(WILD / "writes_an_eight.yaml")
+    step = problem.mission[0]
+    if at is not None:
+        times = np.linspace(0.0, at, len(step.path) + 1)[1:]
+        step = replace(step, path=np.column_stack([times, step.path]), speed=None)
+    plan = ho.solve(replace(problem, mission=(step,)))
+    (phase,) = plan.motion.phases
+    assert "legs roll by up to" in phase.remark
+    assert at is None or plan.duration == at
     t = np.linspace(0.0, plan.duration, 4001)
     path = plan.motion.vertices.at(t)[:, step.vertex, :2]
-    distances = np.linalg.norm(path[:, None] - np.asarray(step.path), axis=-1)
+    distances = np.linalg.norm(path[:, None] - np.asarray(step.path)[:, -2:], axis=-1)
     assert np.max(np.min(distances, axis=0)) < 1e-3

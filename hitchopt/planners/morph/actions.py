@@ -18,12 +18,18 @@ from hitchopt.hitch import Hitch
 from hitchopt.hitch.hitch import cable_slack
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.motion.motion import Motion
-from hitchopt.planners.morph.legs import PATH_SAMPLES, with_legs_clear, worst_point
+from hitchopt.planners.morph.legs import (
+    PATH_SAMPLES,
+    rolling_paths,
+    with_legs_clear,
+    worst_point,
+)
 from hitchopt.planners.morph.morph import (
     MIN_LEG,
     POSITION_TOLERANCE,
     check_loads,
     check_shapes,
+    load_violation,
     shape_violation,
 )
 from hitchopt.planners.morph.path import (
@@ -257,26 +263,44 @@ class ActionMorph:
             slack = np.sum(shapes.legs, axis=-1)
             if violation.constraint != "legs" or np.min(slack) < 2.0 * MIN_LEG:
                 raise InfeasibleError([violation])
-        timed = self.action.seconds is not None
-        path = with_legs_clear(by_law, self.requirements, few=True, at_rest=timed)
+        path = with_legs_clear(by_law, self.requirements, few=True, at_rest=self._is_timed)
         check_shapes(path)
         check_loads(path, self.requirements.limits)
         return path
 
+    @property
+    def _is_timed(self) -> bool:
+        """Return whether the path's s is time."""
+        return self.action.seconds is not None
+
+    @cached_property
+    def rolling(self) -> list[Path]:
+        """Paths on which legs roll between the ends and keep all distances, the fastest first."""
+        paths = rolling_paths(self.path_by_law, self.requirements, at_rest=self._is_timed)
+        limits = self.requirements.limits
+        return [
+            path
+            for path in paths
+            if shape_violation(path) is None and load_violation(path, limits) is None
+        ]
+
     def solve(self) -> FlownAction:
         """Return the flight; errors are those of ``problem`` and ``motion_along``."""
         action = self.action
-        seconds = action.seconds
         distance = np.max(np.abs(self.end.drones - action.start.drones))
         if action.track is None and distance < POSITION_TOLERANCE:
             return FlownAction(None)
-        path = self.problem
+        return self.flown(self.problem)
+
+    def flown(self, path: Path) -> FlownAction:
+        """Return the flight along one of its paths; errors are those of ``motion_along``."""
+        seconds = self.action.seconds
         if seconds is None:
             motion = motion_along(path, self.requirements, self.duration)
         else:
             motion = self._timed(path, seconds)
         moved = self._moved_drones(motion)
-        names = np.array(action.start.team.drone_names)
+        names = np.array(self.action.start.team.drone_names)
         by_law = self.path_by_law
         return FlownAction(
             motion,

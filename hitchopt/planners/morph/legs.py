@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -76,6 +77,82 @@ def _nearby_laws(path: Path, requirements: Requirements, at_rest: bool) -> Itera
         fractions = split.q_legs / task.slack
         spline = interpolated(s, fractions, zero_orders=(1, 2) if at_rest else ())
         yield replace(path, legs=LegLaw.of_fractions(spline))
+
+
+ROLLS = tuple(math.radians(angle) for angle in (5.0, 10.0, 15.0, 20.0, 30.0, 45.0))
+"""[rad] Rolls to which legs rise on a path. Simulated clasps hold up to 60°."""
+
+ROLL_RAMPS = (0.5, 0.3, 0.15)
+"""Parts of a path on which legs roll at either end."""
+
+ROLL_KNOTS = 33
+"""Number of knots of the roll along a path."""
+
+MAX_SLIDING = 6
+"""Maximum number of rolling paths whose leg lengths are optimised, those of the largest margins."""
+
+
+def rolling_paths(path: Path, requirements: Requirements, *, at_rest: bool = False) -> list[Path]:
+    """Return the path with legs that roll between its ends and keep all distances, fastest first.
+
+    Legs pass above each other as they roll. Leg lengths are those of the path's law, or have
+    fractions that are linear from end to end; if neither keeps the distances with any roll, nearby
+    ones are optimised. ``at_rest`` is that of ``with_legs_clear``.
+    """
+    laws = path.legs, _linear_fractions(path, at_rest=at_rest)
+    rolled = [
+        replace(path, roll=_raised_roll(path, roll, ramp, at_rest=at_rest), legs=legs)
+        for roll in ROLLS
+        for ramp in ROLL_RAMPS
+        for legs in laws
+    ]
+    paths = [each for each in rolled if legs_clear(each, requirements)]
+    if not paths:
+        margins = [_smallest_margin(each, requirements) for each in rolled]
+        nearest = np.argsort(margins)[::-1][:MAX_SLIDING]
+        slid = [with_legs_clear(rolled[k], requirements, at_rest=at_rest) for k in nearest]
+        paths = [each for each in slid if legs_clear(each, requirements)]
+    if not paths:
+        return []
+    order = np.argsort(flight_estimates(paths, requirements.limits), kind="stable")
+    return [paths[index] for index in order]
+
+
+def _smallest_margin(path: Path, requirements: Requirements) -> float:
+    """Return the smallest margin of distances at samples of a path."""
+    shapes = shapes_along(path, np.linspace(0.0, 1.0, PATH_SAMPLES))
+    return leg_task_of(path, requirements, shapes, SAMPLE_MARGIN).reference_margin()
+
+
+def _raised_roll(path: Path, angle: float, part: float, *, at_rest: bool) -> PiecewisePolynomial:
+    """Return the roll (clasps,) over s that rises to an angle [rad] on a part at either end."""
+    s = np.linspace(0.0, 1.0, ROLL_KNOTS)[:, None]
+    first, last = np.zeros((2, len(path.team.layout.clasps)))
+    if path.roll is not None:
+        first, last = path.roll.at(np.array([0.0, 1.0]))
+    side = -1.0 if np.sum(first) + np.sum(last) < 0.0 else 1.0
+    linear = first + s * (last - first)
+    ramp = np.minimum(np.minimum(s, 1.0 - s) / part, 1.0)
+    progress = ramp**3 * (10.0 - 15.0 * ramp + 6.0 * ramp**2)
+    rise = np.maximum(angle - side * linear, 0.0)
+    roll = linear + side * progress * rise
+    return interpolated(s[:, 0], roll, zero_orders=(1, 2) if at_rest else ())
+
+
+def largest_roll(path: Path) -> float:
+    """Return the largest roll of a leg at samples of a path [rad]."""
+    roll = path.shapes(np.linspace(0.0, 1.0, PATH_SAMPLES)).roll
+    return 0.0 if roll is None else float(np.max(np.abs(roll)))
+
+
+def _linear_fractions(path: Path, *, at_rest: bool) -> LegLaw:
+    """Return the law of fractions that change evenly from one end of a path to the other."""
+    legs = shapes_along(path, np.array([0.0, 1.0])).legs
+    fractions = legs[..., 0] / np.sum(legs, axis=-1)
+    shares = np.repeat([0.0, 1.0], 3 if at_rest else 1)
+    coefficients = fractions[0][:, None] + np.diff(fractions, axis=0)[0][:, None] * shares
+    unit = np.array([0.0, 1.0])
+    return LegLaw.of_fractions(PiecewisePolynomial(unit, coefficients[None]))
 
 
 def legs_clear(path: Path, requirements: Requirements) -> bool:
