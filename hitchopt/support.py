@@ -28,6 +28,7 @@ class Feature(StrEnum):
     ABORT = "an abort"
     REPLANNER = "a replanner"
     REACTION = "a reaction to a lost drone"
+    SURVIVING = "`limits.survive`"
     FEEDBACK = "feedback"
     EDITING = "editing in the live view"
     STATICS = "statics"
@@ -156,6 +157,11 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
         "plan without others, or use aborts only",
     ),
     (Feature.REACTION, Neighbour.OBJECTS): Refusal("the team carries objects, or flies near them"),
+    (Feature.SURVIVING, Neighbour.OBJECTS): Refusal(
+        "omitted with objects, whose distances from what falls and swings are not bounded",
+        "plan without objects",
+        key="limits.survive",
+    ),
     (Feature.FEEDBACK, Neighbour.SINGLE_DRONES): Refusal(
         "a Plan or Motion of a hitch", "solve or load one", key="plan"
     ),

@@ -249,7 +249,7 @@ def test_yaml_has_keys_of_the_schema() -> None:
 def test_every_check_has_a_row_that_says_what_it_proves_and_what_not() -> None:
     assert "reference/generated/checks.inc" in text_of(DOCS / "explanation" / "certificate.md")
     rows = re.findall(r"^\| `(\w+)` \| (.+) \| (.+) \|$", write_check_table(), re.MULTILINE)
-    assert [name for name, *_ in rows] == [*CHECKS, "survivable"]  # computed on request only
+    assert [name for name, *_ in rows] == [*CHECKS]
     assert all(len(bound) > 10 and len(unproven) > 10 for _, bound, unproven in rows)
     facts, page = write_check_facts(), write_check_page()
     assert set(facts) == set(CHECKS)

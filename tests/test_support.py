@@ -177,6 +177,9 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     ),
     (Feature.PLAYER, Neighbour.OTHERS): lambda: ho.Player(in_company(triangle(), Neighbour.OTHERS)),
     (Feature.REACTION, Neighbour.OBJECTS): lambda: Reactions(drum()).plan("q0", 1.0),
+    (Feature.SURVIVING, Neighbour.OBJECTS): lambda: Requirements(
+        ho.Limits(survive="cable"), objects={"drum": DRUM}
+    ).flown_by(ho.Team(3, 2.4, release=True, quadrotor="paper_132g")),
     (Feature.FEEDBACK, Neighbour.SINGLE_DRONES): lambda: ho.Feedback(swarm()),
     (Feature.FEEDBACK, Neighbour.OBJECTS): lambda: ho.Feedback(
         with_requirements(objects={"drum": DRUM})

@@ -16,6 +16,7 @@ from hitchopt.checks import (
     crossing,
     drones,
     grips,
+    losses,
     separation,
     stops,
     support,
@@ -61,6 +62,8 @@ RULES = (
     grips.GRIP,
     grips.HINGE,
     support.SUPPORT,
+    losses.LOSS_DISPLACEMENT,
+    losses.SURVIVABLE,
     DURATION,
 )
 """One rule per check, in the order of a certificate."""
@@ -77,18 +80,7 @@ FLIGHT_REPORTS = (stops.STOPPABLE,)
 REPORTS = (*TEAM_REPORTS, *FLIGHT_REPORTS)
 """Quantities that a certificate reports after its checks, usually without a limit."""
 
-SURVIVABLE = Quantity(
-    "survivable",
-    "1",
-    "min",
-    group="timing",
-    proves="the fraction of (drone, time) whose loss has a certified reaction; only by `check "
-    "--survivable`",
-    unproven="the fall of the lost drone, which is sampled",
-)
-"""Quantity that is computed on request only."""
-
-QUANTITIES: tuple[Quantity, ...] = (*RULES, *REPORTS, SURVIVABLE)
+QUANTITIES: tuple[Quantity, ...] = (*RULES, *REPORTS)
 """All quantities of certificates."""
 
 RULE_OF = {rule.name: rule for rule in RULES}

@@ -326,8 +326,9 @@ def check(
         with ProgressBar("planning reactions") as progress:
             motion = flight.of_one_team(Feature.REACTION)
             share, unsurvivable = survivable_share(motion, progress=progress)
-        reported = (*certificate.checks[len(certificate.limited) :], share)
-        certificate = replace(certificate, reports=lambda: reported)
+        if share.name not in [each.name for each in certificate.limited]:
+            reported = (*certificate.checks[len(certificate.limited) :], share)
+            certificate = replace(certificate, reports=lambda: reported)
         record(without_reaction=[asdict(span) for span in unsurvivable])
     show_plan(saved.title, flight, certificate)
     _show_vertex_errors(flight)

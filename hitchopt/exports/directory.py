@@ -100,7 +100,12 @@ def certificate_content(flight: Flight, certificate: Certificate, plan: Path) ->
     assigned = (
         {} if flight.team.assignment is None else {"assignment": flight.team.assignment.to_dict()}
     )
-    return {**certificate.to_dict(), **assigned, "plan": digest(plan)}
+    content = {**certificate.to_dict(), **assigned}
+    if any(flown.motion.requirements.limits.survive for flown in flight.teams):
+        from hitchopt.planners.losses import after_loss
+
+        content["after_loss"] = after_loss(flight)
+    return content | {"plan": digest(plan)}
 
 
 def save_picture(directory: Path, certificate: Certificate, write: Writer) -> Path:

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike
 
 from hitchopt.drones.controllers import TRACKING, Tube
 from hitchopt.drones.quadrotor import MODELS
-from hitchopt.errors import InputError, OneLine, UnitWarning
+from hitchopt.errors import InputError, OneLine, UnitWarning, rounded_up
 from hitchopt.geometry import ConvexPolygon
+from hitchopt.hitch.losses import displacements
 from hitchopt.hitch.team import Team
 from hitchopt.objects import Clearance, Section, Slab, SolidObject
-from hitchopt.values import Array, ByValue, check_instance, lazy, sequence, units
+from hitchopt.support import Feature, Neighbour, refused_value
+from hitchopt.values import Array, ByValue, check_instance, known, lazy, sequence, units
 from hitchopt.values.fields import (
     Key,
     documented,
@@ -25,6 +27,7 @@ from hitchopt.values.fields import (
     store,
     store_degrees,
     with_fields,
+    words,
 )
 
 ROUNDING_FACTOR = 1.0 + 2e-9
@@ -89,6 +92,15 @@ class Limits(OneLine):
             units.VERTEX_ERROR,
             "Largest error of every vertex at rest, for the worst case of team.errors; null: any, "
             "which is reported",
+            omitted=True,
+        ),
+    ] = None
+    survive: Annotated[
+        str | None,
+        Key(
+            words("cable"),
+            "What the plan survives at any time while a hitch is tied: the loss of any cable, with "
+            "its two drones; null: nothing",
             omitted=True,
         ),
     ] = None
@@ -365,6 +377,12 @@ class Requirements(ByValue):
         limits, separation = self.limits, self.separation.for_drones(team)
         max_tilt = float(np.min(team.max_tilt))
         tracking = team.tracking if limits.tracking is None else limits.tracking
+        if limits.survive is not None:
+            check_survivable(team, self)
+            if limits.tracking is None:
+                jump = rounded_up(float(np.max(displacements(team))), 4)
+                tubes = [Tube.of(tracking), Tube.of(jump)]
+                tracking = known(Tube.enclosing(tubes)).tracking
         if tracking != limits.tracking or limits.tilt > max_tilt:
             limits = with_fields(limits, tilt=min(limits.tilt, max_tilt), tracking=tracking)
         if limits is self.limits and separation is self.separation:
@@ -390,3 +408,23 @@ class Requirements(ByValue):
         if self.limits.duration is None:
             return self
         return replace(self, limits=with_fields(self.limits, duration=None))
+
+
+def check_survivable(team: Team, requirements: Requirements) -> None:
+    """Raise InputError unless the loss of a cable can be survived by such a team."""
+    key, value = "limits.survive", requirements.limits.survive
+    if not team.release:
+        bound = "omitted unless drones can drop the ends of their cables"
+        raise InputError(key, value, bound, "set team.release: true if they can")
+    if not team.has_cables or team.robots < 3:
+        bound = "omitted with fewer than three cables: none holds another without one of them"
+        raise InputError(key, value, bound, "omit it")
+    if not np.all(np.isfinite(displacements(team))) or not np.all(team.feed_forward):
+        bound = "omitted unless drones have gains, and add the pulls of their cables"
+        remedy = "name team.quadrotor.controller or model, or set stiffness"
+        raise InputError(key, value, bound, remedy)
+    if np.any(team.load):
+        bound = "omitted with loads at clasps, which would slide along their cables"
+        raise InputError(key, value, bound, "omit team.load")
+    if requirements.objects:
+        raise refused_value(Feature.SURVIVING, Neighbour.OBJECTS, value)

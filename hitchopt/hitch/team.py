@@ -352,6 +352,14 @@ class Team(ByValue):
             omitted=True,
         ),
     ] = field(repr=False)
+    release: Annotated[
+        bool | None,
+        Key(
+            words(True, False),
+            "Whether drones can drop the ends of their cables; null: they cannot",
+            omitted=True,
+        ),
+    ] = field(repr=False)
     assignment: Assignment | None = field(repr=False, default=None)
 
     def __init__(
@@ -366,10 +374,11 @@ class Team(ByValue):
         quadrotor: Quadrotors | None = None,
         load: float | Sequence[float] | ArrayLike = 0.0,
         errors: Errors | Mapping[str, Any] | None = None,
+        release: bool | None = None,
         assignment: Assignment | None = None,
     ) -> None:
         store(self, topology=topology, cable_density=cable_density, cable_friction=cable_friction)
-        store(self, errors=errors)
+        store(self, errors=errors, release=release)
         n = integer("robots", robots, 2, MAX_ROBOTS)
         cable_lengths = per_robot("cable_length", cable_length, n, units.CABLE_LENGTH.check)
         kinds = kinds_of(quadrotor, n, "robot", _names("qr", n))
@@ -588,6 +597,7 @@ class Swarm(Team):
             "load": empty,
             "quadrotor": kinds_of(quadrotor, count, "drone", _names("d", count)),
             "errors": None,
+            "release": None,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

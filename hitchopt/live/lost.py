@@ -19,7 +19,8 @@ from hitchopt.checks.arena import height_above_floor
 from hitchopt.checks.certificate import Check
 from hitchopt.checks.drones import largest_at_rest, thrust_share
 from hitchopt.checks.linking import CONTINUITY
-from hitchopt.checks.registry import SURVIVABLE, distances_of, rules_of
+from hitchopt.checks.losses import SURVIVABLE
+from hitchopt.checks.registry import distances_of, rules_of
 from hitchopt.checks.rule import WorstCase
 from hitchopt.errors import InfeasibleError, InputError, OneLine, Progress
 from hitchopt.hitch import GRAVITY

@@ -235,7 +235,8 @@ DURATION_CHECKS = frozenset({"duration", PLAN_DURATION})
 """Constraints that a faster plan or more time repairs."""
 
 DISTANCE_CHECKS = frozenset(rule.name for rule in distances_of("drones", "cables")) | {
-    "tracking_radius"
+    "tracking_radius",
+    "survivable",
 }
 """Constraints that more distance repairs."""
 

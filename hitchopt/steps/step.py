@@ -228,7 +228,7 @@ class Knob:
 
 ALTITUDE_CHECKS = frozenset(
     rule.name for rule in RULES if any(not FIXED.isdisjoint(pair) for pair in rule.pairs)
-) | {"tracking_radius"}
+) | {"tracking_radius", "survivable"}
 """Constraints that another altitude may repair."""
 
 

@@ -16,6 +16,7 @@ from .cables import OPEN_ROLL, taut_cables
 from .catenary import lowest_height
 from .drones import drones, thrust
 from .links import interlacing, roll_changes
+from .losses import losses, read_stated
 from .objects import clear_held, clear_objects, gripped, hinged, resting, support_below
 from .reading import (
     CONTACT_TOL,
@@ -236,12 +237,23 @@ def verify(path: str | Path) -> Iterator[Row]:
     """Yield a row for every limit of a plan; UnreadableError if the file is not a plan."""
     path = Path(path)
     own, others = read(path / "plan.npz" if path.is_dir() else path)
-    yield from proofs(own, others)
+    stated = None
+    if any(p.limits.get("survive") for p in own):
+        try:
+            stated = read_stated(path if path.is_dir() else path.parent)
+        except ValueError as error:
+            raise UnreadableError(str(error)) from error
+    yield from proofs(own, others, stated)
     yield from stated_rules(own[0])
 
 
-def proofs(own: Sequence[Plan], others: Sequence[Plan]) -> Iterator[Row]:
-    """Yield a row for every limit of the plans of teams, next to other plans."""
+def proofs(
+    own: Sequence[Plan], others: Sequence[Plan], stated: dict[str, Any] | None = None
+) -> Iterator[Row]:
+    """Yield a row for every limit of the plans of teams, next to other plans.
+
+    ``stated`` is their certificate, which tells what remains after losses.
+    """
     if rows := [row for p in own for row in hopeless(p)]:
         yield from {row.name: row for row in rows}.values()
         return
@@ -250,6 +262,7 @@ def proofs(own: Sequence[Plan], others: Sequence[Plan]) -> Iterator[Row]:
     if len(own) + len(others) > 1:
         rests = (row for p in (*own, *others) for row in jumps(p, rests=True))
         rows += (row for row in rests if row.name == "continuity")
+    rows += [row for p in own for row in losses(p, stated)]
     rows += between_teams(exact, others, (0.0, 0.0))
     tube = max(p.tube[0] for p in own), max(p.tube[1] for p in own)
     of_errors = list[Row]()

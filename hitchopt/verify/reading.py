@@ -64,7 +64,7 @@ TYPES = {
     "records": "team:any requirements:requirements phases:phase[] assignment:roles?",
     "requirements": "limits:limits separation:separation arena:arena? keep_out:prism[] objects:any",
     "team": "robots:count cable_length:+[] topology:text cable_density:0+ cable_friction:0+ "
-    "tension:+[] quadrotor:kind[] load:0+[] errors*:errors",
+    "tension:+[] quadrotor:kind[] load:0+[] errors*:errors release*:flag",
     "errors": "cable_length:0+ drone:tube? friction:0+",
     "single": "drones:count quadrotor:kind[]",
     "kind": "mass:+ max_thrust:+ stiffness:+? integral:flag? feed_forward:flag? controller:text? "
@@ -72,7 +72,7 @@ TYPES = {
     "tube": "level:0+ height:0+",
     "gains": "kp:+[2]? kd:+[2]? ki:0+[2]?",
     "limits": "speed:+ acceleration:+ jerk:+ tilt:+ body_rate:+? vertex_speed:+ leg:+ duration:+? "
-    "reserve:+ tracking:tube? vertex_error*:+",
+    "reserve:+ tracking:tube? vertex_error*:+ survive*:text",
     "separation": "radius:+ height:+ cable:0+ crossing:0+ object:0+",
     "arena": "lower:number[3] upper:number[3]",
     "prism": "polygon:number[2][] lower:number upper:number",
