@@ -9,8 +9,8 @@ import hitchopt as ho
 
 TEAM = ho.Team(robots=3, cable_length=2.4)
 START = ho.Hitch.spread(TEAM, [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude=1.2)
-GOALS = [[[0, -0.7 - 0.1 * k], [-0.4, 0.5], [0.4, 0.5]] for k in range(3)]
-FAR = [[0, -7], [-3.0, 5.0], [3.0, 5.0]]
+GOALS: list[list[list[float]]] = [[[0, -0.7 - 0.1 * k], [-0.4, 0.5], [0.4, 0.5]] for k in range(3)]
+FAR: list[list[float]] = [[0, -7], [-3.0, 5.0], [3.0, 5.0]]
 
 
 def test_many_morphs_are_those_planned_one_by_one_in_order() -> None:

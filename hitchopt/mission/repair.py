@@ -57,8 +57,7 @@ from hitchopt.planners.fitting import (
     separating_cables,
     shortest_cable,
 )
-from hitchopt.planners.routes import BEST_ROUTE
-from hitchopt.steps.carrying import OBSTACLE_CHECKS
+from hitchopt.planners.routes import BEST_ROUTE, OBSTACLE_CHECKS
 from hitchopt.steps.step import Knob
 
 BUDGET = 18.0

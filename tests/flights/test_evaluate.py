@@ -484,8 +484,8 @@ def test_commands_and_files_agree_with_the_evaluation(place: Path) -> None:
     cells = f"{1e3 * row['mean']:.1f} & {1e3 * row['std']:.1f}"
     latex = (out / "evaluation.tex").read_text()
     assert cells in latex
-    rows = [line for line in latex.splitlines() if line.startswith("$p_{0}$ & ")]
-    assert len({line.split(" & ", 2)[2] for line in rows}) == len(rows) >= 1  # none twice
+    lines = [line for line in latex.splitlines() if line.startswith("$p_{0}$ & ")]
+    assert len({line.split(" & ", 2)[2] for line in lines}) == len(lines) >= 1  # none twice
     assert all(word in latex for word in (r"\begin{table}", r"\caption{", "$q_{0}$ & all"))
     assert_moving_and_resting_make_up_the_flight(result)
     ghost, clean = (

@@ -16,7 +16,7 @@ from matplotlib.collections import EllipseCollection, LineCollection, PolyCollec
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.patches import Polygon, Rectangle
-from matplotlib.text import Text
+from matplotlib.text import Annotation, Text
 from matplotlib.transforms import Bbox
 from pictured import made_certificate, make_motion
 from plans import planned
@@ -266,7 +266,9 @@ def test_names_of_many_short_phases_are_all_written_apart() -> None:
     figure = new_figure((3.5, 2.0))
     axes = figure.add_subplot()
     draw_phases([axes], phases, 3.1)
-    texts = {text.get_text(): text.xy[0] for text in axes.texts}
+    texts: dict[str, float] = {
+        text.get_text(): text.xy[0] for text in axes.texts if isinstance(text, Annotation)
+    }
     assert sorted(texts) == sorted(names)
     places = [texts[name] for name in names]
     per_point = 3.1 / (72.0 * 3.5 * axes.get_position().width)
