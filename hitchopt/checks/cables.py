@@ -179,7 +179,7 @@ LENGTH_ERROR = Evaluator(
 
 CABLE_LENGTH = CheckRule(
     "cable_length",
-    "1",
+    "ratio",
     "max",
     LENGTH_LIMIT,
     (
@@ -201,7 +201,7 @@ error of their chords beyond a fifth of their sag."""
 
 SPAN = CheckRule(
     "span",
-    "1",
+    "ratio",
     "max",
     1.0,
     (Evaluator(WorstOverSpans(Cables, _span_ratio, "max", _size), FREE_STATES, exported=True),),

@@ -147,7 +147,7 @@ class Check(OneLine):
             "check": self.title,
             "worst": self._worst_in_words,
             "limit": self._limit_in_words,
-            "unit": "" if self.unit == "1" else self.unit,
+            "unit": "number" if self.unit == "1" else self.unit,
             "where": f"{names} and {further} more" if further > 0 else names,
             "when": f"{self.time:.3f} s" if is_timed else "",
         }

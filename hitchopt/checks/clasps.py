@@ -581,7 +581,7 @@ def _balance_remedy(motion: Motion, check: Check) -> str:
 
 EQUILIBRIUM = CheckRule(
     "equilibrium",
-    "1",
+    "ratio",
     "max",
     BALANCE_LIMIT,
     (

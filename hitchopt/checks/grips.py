@@ -229,7 +229,7 @@ FORMULAS = (slip_ratio, Gripped.slip_load, Gripped.load)
 
 GRIP = CheckRule(
     "grip",
-    "1",
+    "ratio",
     "min",
     lambda motion: GRIP_LIMIT if gripped_objects(motion) or motion.has_wraps else None,
     (Evaluator(_slipping, TAUT_STATES | FREE_STATES, formulas=FORMULAS),),

@@ -61,8 +61,8 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove(*speed, vertices, lambda s, i: s.point(i, 1).norm())
     least = lim["leg"] + 2.0 * p.tracking  # vertices may be off as far as drones
     yield prove("legs m min", least, legs, lambda s, i: s.leg(i).flat(p.ratio).norm())
-    yield prove("cable_length 1 max", 1e-4, cables, length_error)
-    yield prove("equilibrium 1 max", 5e-3, clasps, force_residual)
+    yield prove("cable_length ratio max", 1e-4, cables, length_error)
+    yield prove("equilibrium ratio max", 5e-3, clasps, force_residual)
     closed = clasps.select(p.state[clasps.piece] == "hitched")
     yield prove("contact deg max", OPEN_ROLL, closed, roll_angle)
     if p.weight or np.any(p.load) or np.any(p.active):
@@ -71,7 +71,7 @@ def taut_cables(p: Plan) -> Iterator[Row]:
     yield prove("outline_turn deg min", 0.0, Spans.of(p, p.formed, [0], ["outline"]), turn_margin)
     yield prove("tension N max", 1e-4, cables, range_excess)
     if p.frictional:
-        yield prove("equilibrium 1 max", 5e-3, legs, friction_excess)
+        yield prove("equilibrium ratio max", 5e-3, legs, friction_excess)
     if p.has_contacts:
         straight = Spans.of(p, on & ~np.any(p.grip, axis=0), range(p.n), p.cables)
         yield prove("bend 1 max", 2 * WRAP_TOL, straight, bend)

@@ -316,7 +316,8 @@ def cells(row: Row) -> tuple[str, ...]:
     erring = "" if np.isnan(row.with_errors) else f"{row.with_errors:.5g}"
     limit = f"{'≥' if row.sense == 'min' else '≤'} {row.limit:.4g}"
     when = "" if np.isnan(row.time) else f"{row.time:.3f} s"
-    return row.name, worst, erring, limit, row.unit.strip("1"), row.where, when, row.verdict
+    unit = "number" if row.unit == "1" else row.unit
+    return row.name, worst, erring, limit, unit, row.where, when, row.verdict
 
 
 def verdict(rows: Sequence[Row]) -> str:

@@ -247,8 +247,8 @@ def gripped(p: Plan, b: int) -> Iterator[Row]:
         return maximum(*errors)
 
     slides = np.any(p.load_share.c[0][:, b, 0] > 0.0, axis=-1)
-    yield prove("grip 1 min", 1.5, Spans.of(p, on & slides, [0], [body.name]), grip_ratio)
-    yield prove("equilibrium 1 max", 5e-3, Spans.of(p, on, [0], [body.name]), residual)
+    yield prove("grip ratio min", 1.5, Spans.of(p, on & slides, [0], [body.name]), grip_ratio)
+    yield prove("equilibrium ratio max", 5e-3, Spans.of(p, on, [0], [body.name]), residual)
     yield prove("wrap m max", 3 * WRAP_TOL, Spans.of(p, on, cables, p.cables), wrap_error)
     yield prove(
         "wrap m max", CONTACT_TOL, Spans.of(p, on & p.active[b], [0], [body.name]), rotation

@@ -91,7 +91,7 @@ def bent_cables(p: Plan) -> Iterator[Row]:
             gaps.append(maximum(crossed, distance(a, b) - (2.0 * SAG_TOL + MIN_GAP)))
         return minimum(*gaps)
 
-    yield prove("equilibrium 1 max", 5e-3, legs, residual)
+    yield prove("equilibrium ratio max", 5e-3, legs, residual)
     yield prove("passing m min", MIN_GAP, both, opposite)
     yield prove("passing m min", SAG_TOL, both, apart)
     cable, parts = p.segments[:, 2], p.segment_names
@@ -147,7 +147,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
         parts = zip(pairwise(links.chord), pairwise(lower), strict=True)
         return minimum(*(prism_gap([s.point(i)], [*top, *bottom]) for top, bottom in parts))
 
-    span, chord = ("span 1 max", 1.0), Spans.level_chord
+    span, chord = ("span ratio max", 1.0), Spans.level_chord
     yield prove(*span, free, chord_share)
     yield prove(*p.crossing_limit, both, lambda s, i, j: distance(chord(s, i), chord(s, j)))
     yield prove(*p.cable_limit, lying, lambda s, i, k: distance([s.point(i)[:2]], chord(s, k)))
@@ -165,7 +165,7 @@ def free_cables(p: Plan) -> Iterator[Row]:
     s = Spans.of(p, beside, foreign, *ends)
     s = s.near_hulls(s.item[:, 1], s.point(s.item[:, 0]), p.cable_limit[1] + EXACT_RANGE)
     yield prove(*p.cable_limit, s, to_hull)
-    longer = "cable_length 1 max", 1e-4  # bound of lengths along vertices
+    longer = "cable_length ratio max", 1e-4  # bound of lengths along vertices
     s = Spans.of(p, tightened, k, p.cables)
     yield prove(*longer, s, lambda s, k: s.route_length(k) * (1.0 / p.length[k]) - 1.0)
     yield from laid_cables(p)
@@ -187,7 +187,7 @@ def drawn_cables(p: Plan) -> Iterator[Row]:
         return minimum(share, (speed - DRAWING_SPEED) * DRAWING_SLOPE + 1.0)
 
     if p.tracking:
-        yield prove("span 1 max", 1.0, s, drawn_share)
+        yield prove("span ratio max", 1.0, s, drawn_share)
     for run in runs_of(p.state == DRAWN):
         s = Spans.of(p, np.isin(np.arange(len(p.h)), run), range(p.n), p.cables)
         ends = [s.select(s.piece == q).subspan(x) for q, x in ((run[0], -1.0), (run[-1], 1.0))]
@@ -224,7 +224,7 @@ def laid_cables(p: Plan) -> Iterator[Row]:
             distance(s.level_chord(k), s.level_chord(j)), *(x * (1.0 / p.ratio) for x in heights)
         )
 
-    yield prove("cable_length 1 max", 1e-4, s, length_error)
+    yield prove("cable_length ratio max", 1e-4, s, length_error)
     pairs = Spans.of(p, laid & ~p.vertical, p.pair[::-1].T, p.cables, p.cables)
     yield prove(*p.crossing_limit, pairs, gap)
     half_crossings, unlinked = np.zeros((p.n, p.n, len(p.h) + 1)), np.zeros(len(p.clasps))

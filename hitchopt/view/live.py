@@ -430,7 +430,7 @@ def _cursor_line(t: Array, time: float, top: float) -> Array:
 
 
 def _check_label(check: Check) -> str:
-    unit = "" if check.unit == "1" else f" {check.unit}"
+    unit = "" if check.unit in {"1", "ratio"} else f" {check.unit}"
     worst = f"{check.worst:.4g}{unit}" if check.is_evaluated else "–"
     relation = "≥" if check.sense == "min" else "≤"
     limit = "" if check.limit is None else f" {relation} {check.limit:.4g}"

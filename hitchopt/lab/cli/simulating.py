@@ -41,7 +41,49 @@ if TYPE_CHECKING:
 
 RESULTS = "simulation"  # Default directory of the results, in DIR
 ERROR_COLUMNS = ("mean", "deviation", "largest")
-OBJECT_COLUMNS = ("name", "placed", "tilted", "turned", "slipped", "free")
+# Headings of tables by field, with units
+OBJECT_COLUMNS = {
+    "name": "object",
+    "placed": "off the plan [m]",
+    "tilted": "tilt [°]",
+    "turned": "turn [°]",
+    "slipped": "slip while carried [m]",
+    "free": "free of cables",
+}
+CLASP_COLUMNS = {
+    "name": "vertex",
+    "linking": "linking number",
+    "bearing": "contact force [N]",
+    "least_bearing": "at least [N]",
+    "moved": "slip if pulled [m]",
+    "holds": "holds",
+}
+FIGURES = {
+    "separation": "minimum separation of drones [ellipsoids]",
+    "peak_tension": "largest tension [N]",
+    "peak_thrust": "largest thrust [N]",
+    "peak_tilt": "largest tilt [°]",
+    "placed": "objects off the plan [m]",
+    "tilted": "tilt of objects [°]",
+    "slipped": "slip of objects [m]",
+}
+SPREADS = {
+    "vertex_error": "vertex errors",
+    "resting": "vertex errors at rest",
+    "moving": "vertex errors in motion",
+    "without_sag": "vertex errors without sag",
+    "tracking": "drone errors",
+}
+LOSS_ROWS = {
+    "drone": "lost drone",
+    "time": "time of the loss [s]",
+    "among": "survivors that touch",
+    "others": "survivors that touch cables or the lost drone",
+    "peak_tension": "largest tension since the loss [N]",
+    "moved": "largest distance of a survivor from its setpoint [m]",
+    "hangs": "height of the lost drone at the end [m]",
+    "linked": "clasps linked at the end",
+}
 # Errors of all vertices, and their labels
 ERRORS = {
     "vertex_error": "all",
@@ -344,7 +386,11 @@ def flight_tables(simulation: Simulation) -> str:
     }
     parts = []
     if content["clasps"]:
-        parts.append(table("Vertices after the flight [N, m]", map(dict, content["clasps"])))
+        parts.append(
+            table(
+                "Vertices after the flight", [_headed(x, CLASP_COLUMNS) for x in content["clasps"]]
+            )
+        )
     if simulation.errors.t.size:
         errors, team = content["vertex_error"], flight.task.team
         each = {name: errors[name] for name in (team.point_names[p] for p in team.layout.clasps)}
@@ -358,12 +404,25 @@ def flight_tables(simulation: Simulation) -> str:
         parts += _tables_of_rests(simulation.rests)
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
-        parts.append(quantities("Loss of a drone [s, N, m]", loss))
+        parts.append(quantities("Loss of a drone", _headed(loss, LOSS_ROWS)))
     if content["objects"]:
-        objects = [{key: each[key] for key in OBJECT_COLUMNS} for each in content["objects"]]
-        parts.append(table("Objects, relative to the plan's, and while carried [m, °]", objects))
+        objects = [_headed(each, OBJECT_COLUMNS) for each in content["objects"]]
+        parts.append(table("Objects after the flight, relative to the plan", objects))
     parts.append(quantities("Flight, errors as mean ± deviation (largest)", rows))
     return "\n\n".join([*parts, *_inexact(simulation.settings)])
+
+
+def _figure_heading(name: str) -> str:
+    """Return the heading, with its unit, of a figure of campaigns."""
+    spread, _, statistic = name.rpartition("_")
+    if spread in SPREADS:
+        return f"{SPREADS[spread]}, {statistic} [m]"
+    return FIGURES.get(name, name.replace("_", " "))
+
+
+def _headed(values: Mapping[str, Any], headings: Mapping[str, str]) -> dict[str, object]:
+    """Return the values that have headings, by heading."""
+    return {heading: values[key] for key, heading in headings.items()}
 
 
 def _tables_of_rests(rests: Sequence[Rest]) -> list[str]:
@@ -382,14 +441,12 @@ def _tables_of_rests(rests: Sequence[Rest]) -> list[str]:
             allowed = known_text(100.0 * rest.allowed.level, 100.0 * rest.allowed.height)
             of_drones |= {"allowed": allowed, "within": rest.within}
         drones.append(label | {"vertices": ", ".join(rest.vertices)} | of_drones)
-        objects += [
-            label | {key: getattr(each, key) for key in OBJECT_COLUMNS} for each in rest.objects
-        ]
+        objects += [label | _headed(vars(each), OBJECT_COLUMNS) for each in rest.objects]
     parts = [
         table("Vertices at rest, where steps end [cm]", vertices),
         table("Largest errors of drones at rest, relative to the plan [cm]", drones),
     ]
-    return [*parts, table("Objects at rest [m, °]", objects)] if objects else parts
+    return [*parts, table("Objects at rest", objects)] if objects else parts
 
 
 def _inexact(settings: Settings) -> list[str]:
@@ -448,7 +505,7 @@ def _campaign_tables(campaign: Campaign) -> str:
         values = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
         if values:
             row = {"mean": sum(values) / len(values), "largest": max(values)}
-            rows.append({"figure": name.replace("_", " "), **row})
+            rows.append({"figure": _figure_heading(name), **row})
     parts = [
         f"{campaign.successes} of {len(runs)} flights succeeded: "
         f"{campaign.successes / len(runs):.1%} ({low:.1%} to {high:.1%} at 95 %), "
@@ -457,7 +514,7 @@ def _campaign_tables(campaign: Campaign) -> str:
     if not_simulated:
         parts.append(f"{not_simulated} could not be simulated and count as not succeeded")
     parts += [f"flown by: {_flown_by(campaign.settings)}", *_inexact(campaign.settings)]
-    parts.append(table("All flights [m, N, °]", rows))
+    parts.append(table("All flights", rows))
     if campaign.failures:
         parts.append(table("First failures", campaign.to_dict()["first_failures"]))
     return "\n\n".join(parts)
