@@ -262,7 +262,8 @@ def _best_step(
         b_ub=margins[near],
         bounds=[*bounds.reshape(2, -1).T, (None, None)],
     )
-    return program.x[:-1].reshape(guess.shape), float(program.x[-1])
+    *step, smallest = np.asarray(program.x).tolist()
+    return np.reshape(step, guess.shape), smallest
 
 
 def _at_rest(hold: RestHold, tension: Array, load_share: float) -> dict[str, Array] | None:

@@ -427,13 +427,12 @@ class MovePlanner:
         high = np.minimum(tension, HIGH_OPENING_TENSION)
         body = self.body
         limit = MAX_PUSH * body.friction * body.mass * GRAVITY
-        candidates: tuple[Array, ...]
+        push = max(hold.largest_push(tension), 1e-9)  # not zero: it divides
+        reduced = tension * min(1.0, limit / push)
+        lowest = np.maximum(np.minimum(low, reduced), np.minimum(tension, MIN_TENSION))
+        candidates: tuple[Array, ...] = (tension, np.maximum(low, reduced), lowest)
         if opened is not None:
-            candidates = (low, high, opened)
-        else:
-            push = max(hold.largest_push(tension), 1e-9)  # not zero: it divides
-            reduced = tension * min(1.0, limit / push)
-            candidates = (tension, np.maximum(low, reduced))
+            candidates = (low, high, opened, lowest)
         rounded_limit = limit * (1.0 + 1e-9)
         tensions = [
             candidate for candidate in candidates if hold.largest_push(candidate) <= rounded_limit
@@ -474,7 +473,8 @@ MAX_SLOPE = 0.065
 jumps at corners of objects, by a tenth of a millimetre at this slope."""
 
 MIN_TENSION = 0.15
-"""[N] Smallest default of that tension, unless the team's is smaller."""
+"""[N] Smallest default of that tension, and smallest one as grips close and open, unless the team's
+is smaller."""
 
 
 def tying_tension(team: Team) -> float:
