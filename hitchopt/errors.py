@@ -293,8 +293,8 @@ class Violation(OneLine):
 class InfeasibleError(HitchoptError):
     """A request that cannot be met: its ``violations``, and a ``note`` on attempts.
 
-    Violations that a certificate finds are in the order of its checks, not by size; only at the
-    start ``span`` is before all others, which may follow from it.
+    Violations that a certificate finds are in the order of its checks, not by size, except that at
+    the start ``span`` precedes all others, which may follow from it.
     """
 
     def __init__(self, violations: Iterable[Violation], note: str = "") -> None:

@@ -13,7 +13,7 @@ from hitchopt.errors import InputError, UnsupportedError
 
 
 class Feature(StrEnum):
-    """What a user asks for: the rows of the table, and the subjects of messages."""
+    """What a user requests: the rows of the table, and the subjects of messages."""
 
     HITCH = "planning a hitch"
     LAYING = "laying and rolling"
@@ -149,7 +149,7 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
     ),
     (Feature.HOLD_TENSION, Neighbour.INTEGRAL_GAINS): Refusal(
         "0 with hold_tension=True: integral gains would pull drones to the moved setpoints",
-        "set team.quadrotor.gains.ki to 0, there and on board",
+        "set team.quadrotor.gains.ki to 0, in the problem and on the drones",
         key="gains.ki",
     ),
     (Feature.PLAYER, Neighbour.OTHERS): Refusal(

@@ -167,7 +167,7 @@ class Rule(ByValue, Generic[S]):
 
     @property
     def check_rule(self) -> CheckRule:
-        """The record by which certificates evaluate it."""
+        """The check rule with which certificates evaluate it."""
         worst = WorstOverSpans(self.over, self._bound, self.sense)
         evaluators = (Evaluator(worst, self.over.states),)
         return CheckRule(

@@ -560,7 +560,7 @@ def nearest_of(cases: Iterable[Moving], limit: float, size: float) -> WorstCase:
 def smaller_case(case: WorstCase, value: float, moving: Moving, pair: Extremum) -> WorstCase:
     """Return a case, or the smaller value that follows from the smallest distance of pairs.
 
-    If no pair attains a smaller one, a search that knew the case has still not excluded values down
+    If no pair attains a smaller one, a search from the case has still not excluded values down
     to its bound: the case keeps its bodies with that bound.
     """
     if not value < case.worst:

@@ -167,7 +167,7 @@ def clasp_motion(
     """Return the function of a clasp in motion: its two drones up to the jerk, and their thrusts.
 
     Inputs are FLAT_INPUTS (rows, 4) with a column for each derivative by time, and
-    MOTION_CONSTANTS. Flags are those of ``clasp_function``; ``last`` tells that the cable ahead
+    MOTION_CONSTANTS. Flags are those of ``clasp_function``; ``last`` says that the cable ahead
     ends a chain, so that its q-leg takes all of its slack. Outputs are ``positions``,
     ``velocities``, ``accelerations``, ``jerks`` [m, s] and ``thrusts`` [N], (3, 2) each with
     columns r_{k-1} and q_k; ``r_leg`` [m], ``turn``, ``straight`` and ``residual`` as of

@@ -335,7 +335,7 @@ class CrazyflieOutlet:
         if errors:
             errors.append(
                 "launch twice with crazyflies.yaml of an export and query_all_values_on_connect: "
-                "the first launch writes the parameters, the second reads what the drones hold"
+                "the first launch writes the parameters, the second reads them back"
             )
             raise UnsupportedError("\n".join(errors))
         for robot, groups in zip(self._robots, parameters, strict=True):

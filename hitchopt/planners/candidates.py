@@ -79,7 +79,7 @@ class Candidate(Generic[T_co]):
     """Return the candidate that avoids a failure of this one; None if nothing can be changed."""
 
     explained: Callable[[InfeasibleError], InfeasibleError] | None = None
-    """Return its error with what only a long analysis tells, for the best failure of all."""
+    """Return its error with what only a long analysis shows, for the best failure of all."""
 
 
 class Failure(NamedTuple):

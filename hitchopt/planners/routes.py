@@ -281,7 +281,7 @@ class RouteSearch:
         return first_certified(self.candidates(), self.task.effort, self.task.progress)
 
     def candidates(self) -> Iterator[Candidate[StepPlan]]:
-        """Yield the routes to the end: the optimised one first if the step asks for it.
+        """Yield the routes to the end: the optimised one first if the step requests it.
 
         Raises InfeasibleError if the step's own route is infeasible, and the hitch at an end of it
         breaks a limit at rest.
@@ -298,7 +298,7 @@ class RouteSearch:
             yield Candidate(OPTIMISED_ROUTE, self._optimised_plan)
 
     def _requests_optimiser(self) -> bool:
-        """Return whether the step asks for an optimised route."""
+        """Return whether the step requests an optimised route."""
         from hitchopt.planners.morph.morph import moves
 
         for_time = self.allow_slides or self.phase.tension is not None
@@ -306,7 +306,7 @@ class RouteSearch:
         return self.task.optimiser and is_requested and moves(self.task.hitch, self.end)
 
     def _requested_plan(self) -> StepPlan:
-        """Return the optimised plan that the step asks for, which may be along straight lines."""
+        """Return the optimised plan that the step requests, which may be along straight lines."""
         from hitchopt.planners.morph.morph import straight_path
 
         ends = self.task.hitch, self.end
@@ -540,7 +540,7 @@ def optimised_plan(
 
 
 def _remark(guess: str, *, is_feasible: bool, has_cost: bool) -> str:
-    """Describe a route from a guess; ``is_feasible`` tells whether straight lines are."""
+    """Describe a route from a guess; ``is_feasible`` says whether straight lines are."""
     route = f"on an optimised route, first guess {guess}" if guess else "legs lead and lag"
     if has_cost:
         return route

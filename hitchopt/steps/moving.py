@@ -638,7 +638,7 @@ class FollowVertex(ActionStep):
         return float(self.points[-1, 0]) if self.is_timed else None
 
     def advice(self, check: str, key: str) -> str:  # noqa: ARG002
-        """Return how to lower a rate."""
+        """Return advice on lowering a rate."""
         is_rate = check in RULE_OF and RULE_OF[check].derivative > 0
         return "allow more time for the points" if is_rate else ""
 
@@ -737,7 +737,7 @@ class FollowVertex(ActionStep):
     def _with_legs_apart(self, plan: StepPlan) -> StepPlan:
         """Return a certified plan, or one of timed points whose legs are far enough apart.
 
-        Only more time helps its other limits, as the mission's certificate tells.
+        Only more time helps its other limits, as the mission's certificate shows.
         """
         violated = {check.name for check in plan.certificate.violated}
         if self.is_timed and violated.isdisjoint(LEG_CHECKS):

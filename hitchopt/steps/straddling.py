@@ -106,7 +106,7 @@ def check_hinge(planner: MovePlanner) -> None:
 
 
 def _check_two(team: Team, remedy: str) -> None:
-    """Raise InputError with a remedy for a team of other than two robots."""
+    """Raise InputError with a remedy unless the team has two robots."""
     if team.robots != 2:
         bound = "2 where cables are tied around an object"
         raise RequestError("robots", team.robots, bound, remedy)
@@ -153,7 +153,7 @@ class Tie(Step):
         return self.around
 
     def resolved_for(self, team: Team) -> Self:
-        """Return the step, or raise InputError for a team of other than two robots."""
+        """Return the step, or raise InputError unless the team has two robots."""
         _check_two(team, "form a hitch, and enclose and grasp the object")
         return super().resolved_for(team)
 
@@ -291,7 +291,7 @@ class Untie(Step):
     duration: Seconds = None
 
     def resolved_for(self, team: Team) -> Self:
-        """Return the step, or raise InputError for a team of other than two robots."""
+        """Return the step, or raise InputError unless the team has two robots."""
         _check_two(team, "loosen and leave the object, and release the hitch")
         return super().resolved_for(team)
 

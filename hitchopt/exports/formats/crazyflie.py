@@ -207,7 +207,7 @@ class Crazyswarm2(CrazyflieFormat):
         with np.errstate(over="ignore"):  # reported below
             table = table.astype(np.float32).astype(np.float64)
         if not np.all(np.isfinite(table)):
-            raise FileError(f"{path}: a number exceeds single precision, which drones use")
+            raise FileError(f"{path}: a number exceeds the single precision of drones")
         if np.any(invalid := table[:, 0] <= 0.0):
             row = int(np.argmax(invalid))
             raise FileError(f"{path}: row {row + 1}: its duration is {table[row, 0]:g} s")

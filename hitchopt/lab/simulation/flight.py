@@ -52,7 +52,7 @@ PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its f
 BEFORE = -1  # Sample of the commands before the flight, which drones hold at rest
 REST_SAMPLES = round(REST_TIME * RATE)  # Number of samples of a rest before a pull test
 FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
-ESTIMATE_STEPS = 60  # Steps whose time tells that of the whole flight
+ESTIMATE_STEPS = 60  # Steps whose time predicts that of the whole flight
 # Period of searches for contacts, and of checks of strain and penetration [s]
 CHECK_PERIOD = 0.02
 REPORT_PERIOD = 50  # Samples between two calls of ``progress``

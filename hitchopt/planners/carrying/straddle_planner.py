@@ -415,7 +415,7 @@ def _check_straddle(planner: StraddlePlanner) -> None:
         raise InfeasibleError([_met_sides(planner.path)])
     if planner.unbalanced:
         when = "as cables lie on one another"
-        remedy = "raise the tension of tie, or use lighter cables or a different cable length"
+        remedy = "raise tie.tension, or use lighter cables or a different cable length"
         raise InfeasibleError([planner.unbalanced.violation(when, remedy)])
     distances = [planner.closest_rolling]
     if planner.path.pitch > 0.0:  # of pairs that can roll

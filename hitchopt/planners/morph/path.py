@@ -124,7 +124,7 @@ GOLDEN_RATIO = 0.5 * (1.0 + math.sqrt(5.0))
 MIN_KNOTS = 3
 """Smallest number of knots of a natural quintic spline."""
 
-SMOOTH_AT_REST = "smooth, with no velocity and acceleration at both ends"
+SMOOTH_AT_REST = "smooth, with zero velocity and acceleration at both ends"
 
 FunctionOrKnots = Points | Callable[[float], Points]
 """Values over s: a function of s from 0 to 1, or knots (J, …) at evenly spaced s."""
