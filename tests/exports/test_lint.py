@@ -127,7 +127,7 @@ DAMAGE: dict[str, list[tuple[Change, str]]] = {
     "crazyswarm2/d0.csv": [
         (rows(lambda s: s[:1]), "has no line of numbers"),
         (rows(lambda s: [*s, "1.0,2.0"]), "has 2 cells, not 33; is it cut off"),
-        (cell(2, 3, "1e39"), "exceeds single precision"),
+        (cell(2, 3, "1e39"), "exceeds the single precision of drones"),
         (cell(2, 0, "0.0"), "row 2: its duration is 0 s"),
         (cell(2, 0, "3e12"), r"times go from 0 to 3e\+12"),
     ],

@@ -113,7 +113,7 @@ def test_a_path_with_a_duration_keeps_its_timing(clock: Callable[[float], float]
     assert ho.certify(motion).certified
     with pytest.raises(ho.InputError, match=r"duration = 4.* omitted: the path takes 6 s"):
         ho.time(path, 4.0)
-    with pytest.raises(ho.InputError, match="no velocity and acceleration at both ends"):
+    with pytest.raises(ho.InputError, match="zero velocity and acceleration at both ends"):
         ho.Path.of(TEAM, on_circle, duration=seconds)
 
 
