@@ -207,6 +207,31 @@ class Plan(OneLine):
         certificate = entry.certificate.stating(rules)
         return Plan(entry.flight, certificate, f"{self.title} ({how} at {t:g} s)".strip())
 
+    def after_loss(self, robot: int | str, t: float, how: str = "hold") -> Plan:
+        """Return the plan after the loss of a robot at time t [s].
+
+        It begins at rest: all have flown on for 0.1 s and stopped with the plan's clock, and the
+        lost robot's drones, the team ``lost``, have dropped their cable and risen. Of the others,
+        the team ``chain``, both neighbours at its clasps move to where the chain is in balance, and
+        tensions rise again. Its robots are numbered in the problem's order without the lost one.
+
+        Parameters
+        ----------
+        robot: its number, or ``a.2`` of one of several teams.
+        t: time at which it is lost, while a hitch is taut [s].
+        how: ``hold`` the chain, or ``land`` in order: untie it, and land.
+
+        Raises
+        ------
+        InputError: an unknown robot, one whose loss leaves two pieces, or a time without a hitch.
+        InfeasibleError: a limit that is not kept after the loss.
+        """
+        from hitchopt.live.losing import after_loss_of
+
+        found = after_loss_of(self.flight, str(robot), t, how)
+        title = f"{self.title} (robot {robot} lost at {t:g} s)".strip()
+        return Plan(found.flight, found.certificate, title)
+
     def save(
         self,
         directory: Path | str,

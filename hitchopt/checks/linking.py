@@ -316,11 +316,13 @@ class Ties:
     def at_start(cls, motion: Motion) -> Ties:
         """Return the ties at the start of a plan.
 
-        An initial hitch is assumed to be tied with every q going up first: 1 for neighbours.
+        An initial hitch, taut or to be tightened, is assumed to be tied with every q going up
+        first: 1 for neighbours.
         """
         pairs = clasped_pairs(motion.team.layout)
         order = np.argsort(pairs)
-        numbers = np.full(len(order), int(motion.formed[0]), dtype=np.intp)
+        is_tied = motion.formed[0] or motion.phases[0].state is CableState.TIGHTENING
+        numbers = np.full(len(order), int(is_tied), dtype=np.intp)
         return cls(
             pairs=np.sort(pairs),
             order=order,

@@ -17,7 +17,13 @@ COMMANDS = {
         "statics": "lab.cli.estimates",
     },
     "Look": {"report": "cli.pictures", "view": "cli.pictures"},
-    "Fly": {"export": "cli.fleet", "lint": "cli.fleet", "abort": "cli.fleet", "fly": "cli.fleet"},
+    "Fly": {
+        "export": "cli.fleet",
+        "lint": "cli.fleet",
+        "abort": "cli.fleet",
+        "react": "cli.fleet",
+        "fly": "cli.fleet",
+    },
     "Study": {
         "evaluate": "lab.cli.measuring",
         "calibrate": "lab.cli.estimates",

@@ -23,7 +23,7 @@ from hitchopt.cli.options import (
     option,
     plan_path,
 )
-from hitchopt.cli.output import ProgressBar, record, say, show_places
+from hitchopt.cli.output import ProgressBar, record, say, show_places, show_plan
 from hitchopt.errors import InfeasibleError, InputError, Missing, UnsupportedError
 from hitchopt.tables import table
 
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
 MAX_LISTED = 5  # Maximum number of findings listed per rule
 HOWS = ("hold", "back", "release_and_land", "land")  # Aborts; the last two end a flight
+THEN = ("hold", "land")  # What follows a loss
 # Default first port; PX4's simulated vehicle i listens on 14580 + i
 PORT = {"json": 14600, "mavlink": 14580}
 
@@ -309,6 +310,46 @@ def abort(directory: Path, how: str | None, every: float) -> None:
         spans = ", ".join(f"{a:.4g} s to {b:.4g} s" for a, b in aborts.missing)
         say(f"no abort was found for commands from {spans}", err=True)
         exit_infeasible()
+
+
+@command(
+    "directory DIR",
+    option(
+        "--lose", "Robot that is lost: its number, or a.2 of team a.", str, "ROBOT", required=True
+    ),
+    option("--at", "Time of the loss.", float, "SECONDS", required=True),
+    option("-o --output", "Output directory.", PATH, "OUT", required=True),
+    option("--then", "Hold the chain that remains, or untie it and land.", "hold", choices=THEN),
+)
+def react(directory: Path, lose: str, at: float, output: Path, then: str) -> None:
+    """Plan what follows the loss of a robot in flight, and certify it.
+
+    Writes a plan to OUT. It begins at rest, once the others have stopped and the lost robot's
+    drones have dropped their cable and risen.
+    """
+    from hitchopt.live.losing import after_loss_of
+    from hitchopt.motion.plan_file import read_plan
+
+    flight = read_plan(plan_path(directory))
+    with ProgressBar("planning"):
+        found = after_loss_of(flight, lose, at, then)
+    plan = ho.Plan(found.flight, found.certificate, f"Robot {lose} lost at {at:g} s")
+    show_plan(plan.title, plan.flight, plan.certificate)
+    plan.save(output)
+    begin = f"the plan begins {found.start:.3f} s after the loss"
+    say(
+        f"{begin}: all rest where the plan is at t = {found.rest:.3f} s, and the drones of robot "
+        f"{lose} have risen by {found.rise:.3g} m"
+    )
+    names = ", ".join(f"{own} is {old}" for own, old in found.robots.items())
+    say(
+        f"robots: {names}\ncertified; the plan is in {output}",
+        directory=str(output),
+        starts_after=found.start,
+        rest=found.rest,
+        rise=found.rise,
+        robots=found.robots,
+    )
 
 
 def _default_abort(flight: ho.Flight) -> str:

@@ -243,7 +243,8 @@ def link_faults(p: Plan) -> Iterator[Fault]:
     row = prove("interlacing 1 min", 0.0, pairs, decided)
     yield row.time, row.verdict != "proven", row.where
     i, j = np.minimum(*p.pair), np.maximum(*p.pair)
-    linked = np.full(len(p.clasps), float(p.formed[0]))  # as a hitch at the start is
+    tied = p.formed[0] or p.state[0] == "being tightened"  # as at the start of a plan
+    linked = np.full(len(p.clasps), float(tied))
     half_crossings[i, j, 0] = linked * (1 + p.two)
     if np.any(laid):
         faults, sense, _ = replay(p, half_crossings, linked, 0.0 * linked)

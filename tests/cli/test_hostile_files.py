@@ -45,6 +45,7 @@ COMMANDS = {
         "statics out",
         "simulate out",
         "abort out",
+        "react out --lose 0 --at 1 -o after",
         "fly out --over json",
         "view out --save a.mp4",
     ),

@@ -1,0 +1,122 @@
+"""After the loss of a robot the others stop, hold a chain in balance, and land in order."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hitchopt as ho
+from hitchopt import verify as second
+from hitchopt.cli import main
+from hitchopt.live.losing import after_loss_of
+from hitchopt.motion.flight import TeamMotion
+
+
+@cache
+def square(density: float = 0.0) -> ho.Plan:
+    team = ho.Team(
+        *(4, 2.2),
+        tension=0.3,
+        cable_density=density,
+        release=True,
+        quadrotor=ho.Quadrotor(stiffness=4.75),
+    )
+    start = ho.Hitch.balanced(team, ho.regular_polygon(4, 1.2), 1.6)
+    moved = start.polygon.vertices + 0.1 * np.eye(4)[:, :1]
+    steps = [ho.Morph(moved), ho.Transport(to=[0.4, 0.2, 1.6], yaw=0.3)]
+    return ho.solve(start, steps, limits=ho.Limits(survive="cable"))
+
+
+@pytest.mark.parametrize(("robot", "time", "density"), [(0, 1.0, 0.0), (2, 2.0, 0.004)])
+def test_all_but_two_drones_stay_where_the_plan_stopped(
+    robot: int, time: float, density: float
+) -> None:
+    plan = square(density)
+    found = after_loss_of(plan.flight, str(robot), time)
+    assert found.certificate.certified
+    chain, lost = (flown.motion for flown in found.flight.teams)
+    assert found.rest >= time + 0.1
+    assert found.start > 0.1
+    before = plan.motion.drones.at(found.rest)
+    first = chain.drones.at(0.0)
+    names = {
+        f"{kind}{int(own.split('.')[1])}": f"{kind}{old}"
+        for own, old in found.robots.items()
+        for kind in "qr"
+    }
+    of_plan = plan.motion.team.drone_names
+    places = [of_plan.index(names[name]) for name in chain.team.drone_names]
+    np.testing.assert_allclose(first, before[places], atol=1e-9)
+    np.testing.assert_allclose(
+        lost.drones.at(0.0), before[[2 * robot, 2 * robot + 1]] + [0, 0, found.rise], atol=1e-9
+    )
+    moved = np.linalg.norm(chain.drones.at(chain.duration) - first, axis=1) > 1e-6
+    ends = {chain.team.drone_names[i] for i in np.flatnonzero(moved)}
+    assert {names[end] for end in ends} == {f"q{(robot + 1) % 4}", f"r{(robot - 1) % 4}"}
+    np.testing.assert_allclose(chain.tensions.at(chain.duration), 0.3)
+
+
+def test_the_chain_is_untied_and_lands(tmp_path: Path) -> None:
+    plan = square().after_loss(1, 1.5, how="land")
+    assert np.max(plan.at(plan.duration).positions[:, 2]) <= 1e-6
+    assert "chain unswap 2" in " ".join(phase.name for phase in plan.phases)
+    rows = list(second.verify(plan.save(tmp_path, picture=False)))
+    assert {row.verdict for row in rows} <= second.PASSING
+
+
+def test_the_command_writes_a_plan_that_others_read(tmp_path: Path) -> None:
+    folder, out = square().save(tmp_path / "plan", picture=False), tmp_path / "after"
+    call = ["react", str(folder), "--lose", "3", "--at", "0.5", "-o", str(out)]
+    shown = CliRunner().invoke(main, call)
+    assert shown.exit_code == 0, shown.output
+    assert "chain.2 is 2" in shown.output
+    assert CliRunner().invoke(main, ["check", str(out)]).exit_code == 0
+    exported = CliRunner().invoke(main, ["export", str(out), "--format", "csv"])
+    assert exported.exit_code == 0, exported.output
+
+
+@pytest.mark.parametrize(
+    ("robot", "time", "words"),
+    [
+        ("7", "1", "lose = '7': must be one of 0, 1, 2, 3"),
+        ("a.1", "1", "must be one of 0, 1, 2, 3"),
+        ("1", "99", "must be while a hitch is taut, 0 to"),
+        ("1", "-1", "t = -1"),
+    ],
+)
+def test_a_robot_or_a_time_without_an_answer_is_refused(
+    robot: str, time: str, words: str, tmp_path: Path
+) -> None:
+    folder = square().save(tmp_path / "plan", picture=False)
+    call = ["react", str(folder), "--lose", robot, "--at", time, "-o", str(tmp_path / "out")]
+    shown = CliRunner().invoke(main, call)
+    assert shown.exit_code == 2
+    assert words in shown.stderr
+
+
+def test_inner_robots_of_chains_and_tied_drones_are_refused() -> None:
+    arc = [[-1.4, 0.0], [-0.6, 0.7], [0.6, 0.7], [1.4, 0.0]]
+    for release, robot, words in ((True, "1", "hold one another"), (None, "0", "drop the ends")):
+        team = ho.Team(3, 1.9, topology="open", tension=0.3, release=release)
+        plan = ho.solve(ho.Hitch.balanced(team, arc, 1.5), ho.Hold(1.0))
+        with pytest.raises(ho.InputError, match=words):
+            plan.after_loss(robot, 0.5)
+
+
+def test_teams_are_named_and_others_rest() -> None:
+    plan = square()
+    away = plan.motion.drones.coefficients + np.array([0.0, 8.0, 0.0])[:, None]
+    clasps = plan.motion.vertices.coefficients + np.array([0.0, 8.0, 0.0])[:, None]
+    other = plan.motion.replaced(
+        drones=plan.motion.drones.replaced(away), vertices=plan.motion.vertices.replaced(clasps)
+    )
+    flight = ho.Flight((TeamMotion("a", plan.motion), TeamMotion("b", other)))
+    found = after_loss_of(flight, "b.2", 0.7)
+    assert {flown.name for flown in found.flight.teams} == {"a", "b", "b-lost"}
+    rest = plan.motion.drones.at(found.rest)
+    own = next(flown for flown in found.flight.teams if flown.name == "a")
+    np.testing.assert_allclose(own.motion.drones.at(1.0), rest, atol=1e-9)
