@@ -31,6 +31,7 @@ from hitchopt.motion.stated_rules import StatedRule
 from hitchopt.motion.states import States, final_hitch, flight_states_at
 from hitchopt.storage.archive import PLAN
 from hitchopt.storage.files import replace_files
+from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.support import Feature
 from hitchopt.values import check_instance, flag, integer, nonnegative, path, text
 from hitchopt.values.fields import suggest_keywords, with_suggestions
@@ -122,9 +123,10 @@ class Plan(OneLine):
         """
         notes = list[str]()
         with contained("a note"):
-            notes += weightless_notes(self.flight, self.problem)
-            notes += ellipsoid_notes(self.flight, self.problem)
-            notes += assumption_notes(self.flight, self.problem)
+            request = parse_yaml(self.problem) if self.problem else None
+            notes += weightless_notes(self.flight, request)
+            notes += ellipsoid_notes(self.flight, request)
+            notes += assumption_notes(self.flight, request)
             notes += tracking_warnings(self.flight)
             notes += self._distance_notes()
         return tuple(notes)

@@ -162,9 +162,10 @@ def show_plan(title: str, flight: ho.Flight, certificate: ho.Certificate) -> Non
 
 def show_notes(plan: ho.Plan) -> None:
     """Report the notes on a plan, one line each."""
-    for note in plan.notes:
+    notes = plan.notes
+    for note in notes:
         say(f"note: {note}")
-    record(notes=plan.notes)
+    record(notes=notes)
 
 
 MAX_PLACES = 40  # Drones whose positions are printed; all are in the JSON output

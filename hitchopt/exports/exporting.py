@@ -55,6 +55,7 @@ from hitchopt.motion.loads import ellipsoid_notes, tracking_warnings, weightless
 from hitchopt.motion.motion import Motion
 from hitchopt.motion.plan_file import SavedPlan, write_plan
 from hitchopt.storage.files import digest, replace_files, write_strict_json
+from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.values import Array
 from hitchopt.values.fields import with_fields
 
@@ -136,8 +137,9 @@ def export_flight(
     settings = kind.settings(flight.team, options)
     notes = list[str]()
     with contained("a note"):
-        notes += weightless_notes(flight, saved.problem)
-        notes += ellipsoid_notes(flight, saved.problem)
+        request = parse_yaml(saved.problem) if saved.problem else None
+        notes += weightless_notes(flight, request)
+        notes += ellipsoid_notes(flight, request)
         notes += _notes(kind, plan, options)
     if saved.stated_rules:
         names = ", ".join(rule.name for rule in saved.stated_rules)

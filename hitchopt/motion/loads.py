@@ -29,7 +29,6 @@ from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT, HoldBy, Motion, Phase
 from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import REST_DRIFT, in_frame
-from hitchopt.storage.yaml_file import parse_yaml
 from hitchopt.trajectory import bernstein
 from hitchopt.values import Array
 
@@ -81,17 +80,16 @@ USUAL_DENSITY = 0.01
 """[kg/m] Density of a cord of 4 mm, which drones without a model are assumed to have."""
 
 
-def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
+def weightless_notes(flight: Flight, request: object) -> Iterator[str]:
     """Yield a note for every hitch whose problem does not state the density of its cables.
 
     It says how much lower vertices hang with the cables of its drones' models, or USUAL_DENSITY.
-    ``problem`` is the text of the problem file; without it, a density of 0 is not stated.
+    ``request`` is the content of the problem file; if it is None, a density of 0 is not stated.
     """
-    data = parse_yaml(problem) if problem else None
     for flown in flight.teams:
         motion = flown.motion
         key = f"teams.{flown.name}" if flown.name else "team"
-        section: object = data
+        section = request
         for name in key.split("."):
             section = section.get(name) if isinstance(section, dict) else None
         is_stated = isinstance(section, dict) and "cable_density" in section
@@ -107,13 +105,13 @@ def weightless_notes(flight: Flight, problem: str = "") -> Iterator[str]:
         )
 
 
-def ellipsoid_notes(flight: Flight, problem: str = "") -> Iterator[str]:
+def ellipsoid_notes(flight: Flight, request: object) -> Iterator[str]:
     """Yield a note for every team with heavy drones whose problem does not state an ellipsoid.
 
-    ``problem`` is the text of the problem file; without it, the default ellipsoid is not stated.
+    ``request`` is the content of the problem file; if it is None, the default ellipsoid is not
+    stated.
     """
-    data = parse_yaml(problem) if problem else None
-    section = data.get("separation") if isinstance(data, dict) else None
+    section = request.get("separation") if isinstance(request, dict) else None
     if isinstance(section, dict) and not {"radius", "height"}.isdisjoint(section):
         return
     default = Separation()
@@ -123,7 +121,7 @@ def ellipsoid_notes(flight: Flight, problem: str = "") -> Iterator[str]:
         radius, height = usual_ellipsoid(mass)
         is_small = stated.radius < radius or stated.height < height
         is_default = (stated.radius, stated.height) == (default.radius, default.height)
-        if mass > LARGEST_DEFAULT and is_small and (is_default or data is not None):
+        if mass > LARGEST_DEFAULT and is_small and (is_default or request is not None):
             drones = f"drones of {flown.name}" if flown.name else "drones"
             yield (
                 f"{drones} weigh up to {mass:g} kg, but have the default ellipsoid "
@@ -133,10 +131,12 @@ def ellipsoid_notes(flight: Flight, problem: str = "") -> Iterator[str]:
             )
 
 
-def assumption_notes(flight: Flight, problem: str = "") -> Iterator[str]:
-    """Yield a note for every held object whose mass or friction the problem does not state."""
-    data = parse_yaml(problem) if problem else None
-    sections = data.get("objects") if isinstance(data, dict) else None
+def assumption_notes(flight: Flight, request: object) -> Iterator[str]:
+    """Yield a note for every held object whose mass or friction the problem does not state.
+
+    ``request`` is the content of the problem file, or None.
+    """
+    sections = request.get("objects") if isinstance(request, dict) else None
     if not isinstance(sections, dict):
         return
     for flown in flight.teams:
