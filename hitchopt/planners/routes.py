@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from hitchopt.checks.violations import infeasible_error, named_checks
-from hitchopt.errors import HitchoptError, InfeasibleError
+from hitchopt.errors import HitchoptError, InfeasibleError, Violation
 from hitchopt.geometry.vectors import length
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.casadi_model import CostFunction
@@ -146,6 +146,12 @@ def straight_plan(
     return plan_along(task, path, end, phase, duration)
 
 
+MAX_ROLLING = 4
+"""Maximum number of paths with legs that roll that are certified for one flight."""
+
+MAX_ROLLING_RATIO = 1.05
+"""Largest duration of blended steps whose legs roll, over that of the steps with stops."""
+
 BLEND_SHAPES = (2, 6, 14)
 """Numbers of shapes of each step's own route through which a flight without stops is led."""
 
@@ -155,32 +161,45 @@ def blended_plan(
     names: Sequence[str],
     ends: Sequence[Hitch],
     stopped: Callable[[], Sequence[StepPlan]],
+    *,
+    free_legs: bool = False,
 ) -> StepPlan:
     """Return the plan through the hitches at the ends of steps, without a stop in between.
 
     One path leads through all of them and is timed as a whole; the phase of each step, with its
     name, ends as the path passes its hitch. The first step is that of the task. Where that path is
-    infeasible, others lead through shapes of the routes on which the steps stop.
+    infeasible, others lead through shapes of the routes on which the steps stop; then legs roll on
+    these paths.
 
     Parameters
     ----------
     stopped: returns the certified plans of the steps that stop, or raises InfeasibleError.
+    free_legs: whether the hitches between the steps may have other legs and roll.
     """
 
     def through_ends() -> StepPlan:
         """Return the plan through the ends alone."""
         return through([[end] for end in ends])
 
-    def along(routes: Sequence[StepPlan], count: int) -> StepPlan:
+    def along(routes: Sequence[StepPlan], count: int, *, rolls: bool) -> StepPlan:
         """Return the plan through a number of shapes of each route, and its end."""
         hitches = list[list[Hitch]]()
-        for plan in routes:
-            shapes = [] if plan.path is None else hitches_along(plan.path, count)
-            hitches.append([*shapes, plan.after.tied])
-        return through(hitches)
+        for route in routes:
+            shapes = [] if route.path is None else hitches_along(route.path, count)
+            hitches.append([*shapes, route.after.tied])
+        plan = through(hitches, rolls=rolls)
+        with_stops = sum(route.motion.duration for route in routes)
+        if rolls and plan.motion.duration > MAX_ROLLING_RATIO * with_stops:
+            longest = MAX_ROLLING_RATIO * with_stops
+            remedy = "stop between the steps"
+            raise InfeasibleError(
+                [Violation("duration", plan.motion.duration, longest, "max", "s", (), "", remedy)]
+            )
+        return plan
 
-    def through(hitches: Sequence[Sequence[Hitch]]) -> StepPlan:
+    def through(hitches: Sequence[Sequence[Hitch]], *, rolls: bool = False) -> StepPlan:
         """Return the certified plan through the hitches of each step, the last one its end."""
+        from hitchopt.planners.morph.legs import largest_roll, rolling_paths
         from hitchopt.planners.morph.morph import BlendedMorph
 
         inner = [hitch for each in hitches for hitch in each]
@@ -200,14 +219,27 @@ def blended_plan(
             return with_friction_feedforward(plan, timed=False)
 
         path = morph.problem
-        return past_obstacles(task, along(path), path, along)
+        if not rolls:
+            return past_obstacles(task, along(path), path, along)
+
+        def rolling(path: Path) -> StepPlan:
+            """Return the certified plan along a path with legs that roll."""
+            plan = require_certified(along(path))
+            roll = math.degrees(largest_roll(path))
+            return plan.with_remark(f"legs roll by up to {roll:.0f}° on the way")
+
+        paths = rolling_paths(path, task.requirements)[:MAX_ROLLING] or [path]
+        planners = [Candidate("path with legs that roll", partial(rolling, path)) for path in paths]
+        return first_certified(planners, task.effort, task.progress)
 
     def candidates() -> Iterator[Candidate[StepPlan]]:
         """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
         yield Candidate("path through the ends", through_ends)
         routes = stopped()
-        for count in BLEND_SHAPES:
-            yield Candidate("path along the steps' routes", partial(along, routes, count))
+        for rolls in (False, True) if free_legs else (False,):
+            for count in BLEND_SHAPES:
+                planner = partial(along, routes, count, rolls=rolls)
+                yield Candidate("path along the steps' routes", planner)
 
     return first_certified(candidates(), task.effort, task.progress)
 
@@ -377,10 +409,6 @@ def action_plan(
         rest = rest_motion(end, task.requirements, duration or IDLE, phase)
         return task.plan_ending(rest, end)
     return _flown_plan(task, flown, end, phase)
-
-
-MAX_ROLLING = 4
-"""Maximum number of paths with legs that roll that are certified for one action."""
 
 
 def rolling_action_plan(

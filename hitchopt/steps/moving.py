@@ -251,7 +251,9 @@ def _plan_nonstop(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
             state = plans[-1].after
         return plans
 
-    return blended_plan(task, [step.name for step in steps], ends, stopped)
+    names = [step.name for step in steps]
+    free_legs = all(step.legs is None for step in steps[:-1])
+    return blended_plan(task, names, ends, stopped, free_legs=free_legs)
 
 
 class ActionStep(ShapeStep):

@@ -326,3 +326,14 @@ def test_legs_roll_where_they_would_cross_on_the_path_of_a_vertex(at: float | No
     path = plan.motion.vertices.at(t)[:, step.vertex, :2]
     distances = np.linalg.norm(path[:, None] - np.asarray(step.path)[:, -2:], axis=-1)
     assert np.max(np.min(distances, axis=0)) < 1e-3
+
+
+@pytest.mark.slow
+def test_legs_roll_on_the_paths_of_blended_steps() -> None:
+    """Legs that keep the roll of the steps' own routes come too close at a joint."""
+    plan = ho.solve(WILD / "blends_with_roll.yaml")
+    *before, last = plan.motion.phases
+    assert all("continues without a stop; legs roll by" in phase.remark for phase in before)
+    speeds = [np.linalg.norm(plan.motion.drones.at(phase.end, 1)) for phase in before]
+    assert min(speeds) > 0.05
+    assert last.name == "morph"
