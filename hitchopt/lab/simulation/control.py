@@ -14,7 +14,7 @@ delay) and motors (first order, 20 ms).
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -31,7 +31,13 @@ from hitchopt.hitch import GRAVITY, Team
 from hitchopt.lab.feedback import Feedback
 from hitchopt.lab.simulation.settings import Perturbations, Settings
 from hitchopt.lab.simulation.task import Task
-from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT, BODY_RADIUS, RigidBodies, World
+from hitchopt.lab.simulation.world import (
+    BODY_HALF_HEIGHT,
+    BODY_RADIUS,
+    Airframes,
+    RigidBodies,
+    World,
+)
 from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.storage.yaml_file import read_yaml
@@ -140,6 +146,11 @@ class FlownDrones:
         factors = flown / np.where(exported, team.thrust_factor, 1.0)
         return cls(np.insert(team.trim, 2, 0.0, axis=1), turns, factors, drag)
 
+    def repeated(self, flights: int) -> FlownDrones:
+        """Return the drones of several flights, flight after flight."""
+        arrays = (self.trims, self.turns, self.thrust_factors)
+        return FlownDrones(*(np.concatenate([each] * flights) for each in arrays), self.drag)
+
     @cached_property
     def _is_tilted(self) -> bool:
         return bool(np.any(self.turns != np.eye(3)))
@@ -159,6 +170,34 @@ class FlownDrones:
         return thrusts / self.thrust_factors, moments
 
 
+class Streams:
+    """Normal random numbers of several flights, whose rows of every array are their own.
+
+    Flights have generators of their own, so that none depends on how many there are. Numbers are
+    drawn in blocks: a call of each generator in each step would take longer than the step.
+    """
+
+    BLOCK = 4096  # Numbers that a generator draws at a time
+
+    def __init__(self, generators: Sequence[np.random.Generator]) -> None:
+        self._generators = generators
+        self._drawn: Array = np.zeros((len(generators), 0))
+        self._used = 0
+
+    def standard_normal(self, shape: int | tuple[int, ...]) -> Array:
+        """Return numbers of a shape whose first axis has the rows of all flights."""
+        flights = len(self._generators)
+        count = int(np.prod(shape)) // flights
+        if self._used + count > self._drawn.shape[1]:
+            block = max(count, self.BLOCK)
+            new = [generator.standard_normal(block) for generator in self._generators]
+            self._drawn = np.hstack([self._drawn[:, self._used :], new])
+            self._used = 0
+        numbers = self._drawn[:, self._used : self._used + count]
+        self._used += count
+        return numbers.reshape(shape)
+
+
 class Drift:
     """Ornstein-Uhlenbeck process with exact steps of any size.
 
@@ -166,7 +205,11 @@ class Drift:
     """
 
     def __init__(
-        self, spread: float, time: float, shape: tuple[int, ...], random: np.random.Generator
+        self,
+        spread: float,
+        time: float,
+        shape: tuple[int, ...],
+        random: np.random.Generator | Streams,
     ) -> None:
         self._spread, self._correlation_time, self._random = spread, time, random
         self.value: Array = spread * random.standard_normal(shape)
@@ -182,28 +225,36 @@ class Drift:
 
 
 class Disturbances:
-    """Disturbances of one flight of n robots.
+    """Disturbances of flights of n robots, one per seed.
 
     Every quantity has its own random stream, which does not depend on other perturbations:
-    ``sensor_random`` is that of motion capture and IMUs.
+    ``sensor_random`` is that of motion capture and IMUs. Arrays have a row for each cable or drone
+    of all flights, flight after flight; objects are those of the first.
     """
 
-    def __init__(self, perturbations: Perturbations, robots: int, seed: int) -> None:
-        streams = map(np.random.default_rng, np.random.SeedSequence(seed).spawn(9))
-        cables, start, noise, wind, velocity, direction, *others = streams
-        self._objects, self._vertices, self.sensor_random = others
+    def __init__(self, perturbations: Perturbations, robots: int, *seeds: int) -> None:
+        flights = [
+            [np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(9)]
+            for seed in seeds
+        ]
+        streams = [Streams(generators) for generators in zip(*flights, strict=True)]
+        cables, start, noise, wind, velocity, _, _, self._vertices, self.sensor_random = streams
+        self._objects = flights[0][6]
         sizes = self._perturbations = perturbations
+        robots = robots * len(seeds)
         drones = (2 * robots, 3)
         # Lengths of cables (n,) over the team's; offsets of the drones' starts (2n, 3) [m]; errors
-        # of their measured states (2n, 3) [m], [m/s]; gusts (2n, 3) [N]; and a level wind (3,) [N]
+        # of their measured states (2n, 3) [m], [m/s]; gusts and a level wind (2n, 3) [N]
         self.cable_scale: Array = 1.0 + sizes.cable_error * cables.standard_normal(robots)
         self.start_offset: Array = sizes.start_error * start.standard_normal(drones)
         self.noise = Drift(sizes.noise, NOISE_TIME, drones, noise)
         self.velocity_noise = Drift(sizes.velocity_noise, VELOCITY_NOISE_TIME, drones, velocity)
         self.wind = Drift(sizes.wind / np.sqrt(3.0), GUST_TIME, drones, wind)
-        heading = direction.uniform(0.0, 2.0 * np.pi)
-        level = np.array([np.cos(heading), np.sin(heading), 0.0])
-        self.steady_wind: Array = sizes.steady_wind * level
+        heading = np.array([generators[5].uniform(0.0, 2.0 * np.pi) for generators in flights])
+        level = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(seeds))])
+        self.steady_wind: Array = sizes.steady_wind * np.repeat(
+            level, drones[0] // len(seeds), axis=0
+        )
 
     def measured(self, vertices: Array) -> Array:
         """Return vertices (clasps, 3) [m] with measurement noise."""
@@ -251,22 +302,22 @@ class CableDrag:
 
 
 def downwash(drones: Array, thrusts: Array) -> Array:
-    """Return downwash forces on drones from drones above (2n, 3) [N].
+    """Return downwash forces on drones from drones above (…, 2n, 3) [N].
 
     A wake is a turbulent round jet with the momentum of the thrust. Its profile is Gaussian, with a
     half-width that grows from half of the drone's radius by ``SPREADING`` per distance (Pope 2000,
     section 5.1). A drone receives ``BLOCKED`` times the momentum through its disk. Drones are at
-    (2n, 3) [m], with thrusts (2n,) [N].
+    (…, 2n, 3) [m], with thrusts (…, 2n) [N].
     """
-    offset = drones[:, None] - drones[None]  # [below, above]
+    offset = drones[..., :, None, :] - drones[..., None, :, :]  # [below, above]
     depth = -offset[..., 2]
     below = depth > BODY_HALF_HEIGHT
     half_width = 0.5 * BODY_RADIUS + SPREADING * np.where(below, depth, 0.0)
     spread = half_width**2 / (4.0 * np.log(2.0))  # of the momentum, the square of the speed
     level_squares = offset[..., 0] ** 2 + offset[..., 1] ** 2
     share = 0.5 * BODY_RADIUS**2 / spread * np.exp(-0.5 * level_squares / spread)
-    push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[None], 0.0)
-    return np.asarray(-np.sum(push, axis=1)[:, None] * UP)
+    push = np.where(below, BLOCKED * np.minimum(share, 1.0) * thrusts[..., None, :], 0.0)
+    return np.asarray(-np.sum(push, axis=-1)[..., None] * UP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -311,7 +362,7 @@ class Pilots:
     thrusts, moments: current values, (2n,) [N], (2n, 3) [N m] about the bodies' axes.
     """
 
-    def __init__(self, world: World, team: Team, settings: Settings) -> None:
+    def __init__(self, world: Airframes, team: Team, settings: Settings) -> None:
         self.gains = PositionGains.of(team, settings)
         self._masses = world.masses[:, None]
         self._inertia = world.inertia

@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 from hitchopt.drones.controllers import EstimatorParameters
 from hitchopt.geometry.vectors import axial_vector, cross_product, dot, length, skew_matrix
 from hitchopt.hitch import GRAVITY
+from hitchopt.lab.simulation.control import Streams
 from hitchopt.lab.simulation.world import RigidBodies
 from hitchopt.values import Array
 
@@ -207,7 +208,7 @@ class Estimator(Filter):
         self,
         parameters: EstimatorParameters,
         bodies: RigidBodies,
-        random: np.random.Generator,
+        random: np.random.Generator | Streams,
         age: int = 5,
         sensors: Sensors = SENSORS,
     ) -> None:
@@ -245,7 +246,8 @@ class Estimator(Filter):
     def correct(self) -> None:
         """Correct with the frame that arrives."""
         captured = self._passed[0]
-        shift, turn = self._random.standard_normal((2, *captured.positions.shape))
+        shift = self._random.standard_normal(captured.positions.shape)
+        turn = self._random.standard_normal(captured.positions.shape)
         self.observe(
             captured.positions + self._sensors.position * shift,
             captured.attitudes @ rotation(self._sensors.attitude * turn),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
 from itertools import islice
@@ -13,17 +13,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hitchopt.drones.controllers import EstimatorParameters, FlightController
-from hitchopt.errors import InfeasibleError, InputError, Progress, UnsupportedError
-from hitchopt.geometry.vectors import length, unit
-from hitchopt.hitch import GRAVITY
+from hitchopt.errors import InputError, Progress
+from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation import contacts, control, ropes
-from hitchopt.lab.simulation.autopilots import PERIOD, Autopilots
-from hitchopt.lab.simulation.commands import flown_team, received, resolved
-from hitchopt.lab.simulation.estimator import LATENCY, Estimator, frame_age
+from hitchopt.lab.simulation.commands import resolved
+from hitchopt.lab.simulation.fleet import Fleet, control_period
 from hitchopt.lab.simulation.planned_rests import REST_TIME, PullTest, pull_tests
-from hitchopt.lab.simulation.settings import IDEAL, Settings
-from hitchopt.lab.simulation.task import RATE, Commands, Task
+from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import (
     BODY_HALF_HEIGHT,
     InvalidRunError,
@@ -32,12 +29,9 @@ from hitchopt.lab.simulation.world import (
     cable_names,
     check_valid,
 )
-from hitchopt.motion.states import States
 from hitchopt.objects import SolidObject
 from hitchopt.support import Feature
 from hitchopt.values import Array
-
-CONTROL_PERIOD = 0.005  # Period of the controller [s], rounded to a multiple of the time step
 
 SETTLE_TIME = 2.5  # Settling time before the flight [s]
 # Its first part, in which the tension grows while drones move from the ends of loose cables to
@@ -49,7 +43,6 @@ MIN_CALM_TENSION = 0.25  # Smallest tension, over the team's, at which ropes do 
 PULL_RATIO = 1.5  # Tension of the pull test over the plan's
 PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its first half
 
-BEFORE = -1  # Sample of the commands before the flight, which drones hold at rest
 REST_SAMPLES = round(REST_TIME * RATE)  # Number of samples of a rest before a pull test
 FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
 ESTIMATE_STEPS = 60  # Steps whose time predicts that of the whole flight
@@ -159,7 +152,6 @@ class _Moment:
     """The commands of a plan at one of its samples, used for several steps."""
 
     index: int  # of the sample
-    setpoints: States  # with the drones' trims
     end_offsets: Array  # of thick ropes from their drones (2n, 3) [m]
     load_shares: Array  # of loads that cables carry (n,)
     is_slack: bool  # whether the plan's tensions are too small to calm ropes
@@ -177,13 +169,11 @@ class FlightInProgress:
 
     def __init__(self, task: Task, settings: Settings) -> None:
         team, preset = task.team, settings.preset
-        self._may_stream, settings = settings.upload is None, resolved(task, settings)
+        may_stream, settings = settings.upload is None, resolved(task, settings)
         if task.flight is not None and settings.lost is not None:
             task.flight.of_one_team(Feature.SIMULATED_LOSS)
-        self._task, self._settings = task, settings
-        self.files = ""  # what an export of the plan would contain, in words; empty if streamed
+        self._task, parts = task, task.teams
         disturbances = control.Disturbances(settings.perturbations, team.robots, settings.seed)
-        self._disturbances, parts = disturbances, task.teams
         end_offsets = [ropes.leg_end_offsets(part, preset.diameter) for part in parts]
         extra = [ropes.thickness_allowance(p, preset.diameter, preset.segment) for p in parts]
         self._end_offsets = np.concatenate(end_offsets, axis=1)
@@ -210,30 +200,29 @@ class FlightInProgress:
                 )
             ]
         )
-        self._pilots = self._controllers()
-        self._drone_models = control.FlownDrones.of(task, settings, self._pilots.gains.stiffness)
+        self._calm_tension = MIN_CALM_TENSION * team.tension
+        self._mean_calm_tension = float(np.mean(self._calm_tension))
+        step = joined.preset.time_step
+        self._substeps = max(1, round(control_period(settings) / step))
+        self._period = self._substeps * step
+        self._moment = self._moment_at(0)
+        self._fleet = Fleet(
+            task,
+            settings,
+            disturbances,
+            world,
+            self._bodies,
+            self._period,
+            may_stream=may_stream,
+        )
+        self._settings, self.files = self._fleet.settings, self._fleet.files
         self._loads = contacts.HungLoads(world, team) if np.any(team.load) else None
         self._contacts = contacts.ClaspContacts(world, team)
         self._objects = contacts.ObjectContacts(world, task.cargo)
         self._least_bearing = contacts.least_bearing(task)
-        loops, delay = self._pilots.gains.stiffness, settings.perturbations.vertex_delay
-        self._feedback = None
-        if settings.feedback:
-            self._feedback = control.VertexFeedback(task, delay, disturbances, loops)
         self._lost = _lost_drone(task, settings)
-        step = joined.preset.time_step
-        period = CONTROL_PERIOD if settings.controller == IDEAL else PERIOD
-        self._substeps = max(1, round(period / step))
-        self._period = self._substeps * step
         self._damping, self._drag = 0.0, control.CableDrag(world)
-        self._calm_tension = MIN_CALM_TENSION * team.tension
-        self._mean_calm_tension = float(np.mean(self._calm_tension))
         self._tensions = world.tensions  # of all segments after the last step
-        self._setpoints = _setpoints(task, settings, self._drone_models.trims)
-        self._outward_pulls = _outward_pulls(task)
-        self._moment = self._moment_at(0)
-        # Samples of the commands and of the plan that were sent last; None if others corrected them
-        self._source_of_sent: tuple[int, int] | None = None
         self._loose_offset = self._drones(0) - task.states.positions[0]
         self._settling = iter(self._times(-SETTLE_TIME, 0.0))
         self._start_record(_planned_tests(task, settings))
@@ -254,24 +243,11 @@ class FlightInProgress:
         self._rested = self._pulled = float("nan")
         self._planned_tests, self._tests = planned_tests, dict[float, SimulatedFlight]()
 
-    def _controllers(self) -> control.Pilots | Autopilots:
-        """Return the drones' controllers, and store the commands of flight controllers."""
-        task, settings, world = self._task, self._settings, self._world
-        if settings.controller == IDEAL:
-            return control.Pilots(world, task.team, settings)
-        estimator, self._command_delay = None, 0.0
-        loops = self._receive()
-        settings = self._settings
-        if isinstance(settings.estimator, EstimatorParameters):
-            stated = [kind.latency or 0.0 for part in task.teams for kind in part.team.quadrotor]
-            latency = max(stated) if settings.latency is None else settings.latency
-            age = frame_age(latency) if latency else LATENCY
-            self._command_delay = 0.0 if settings.upload else latency or LATENCY
-            bodies = replace(world.bodies, positions=self._drones(0))
-            measuring = self._disturbances.sensor_random
-            estimator = Estimator(settings.estimator, bodies, measuring, round(age / PERIOD))
-        max_thrust = task.team.max_thrust
-        return Autopilots(loops, world.masses, world.inertia, max_thrust, settings.lag, estimator)
+    @property
+    def _bodies(self) -> RigidBodies:
+        """State of the drones, without the end offsets of thick ropes."""
+        actual = self._world.bodies
+        return replace(actual, positions=actual.positions - self._moment.end_offsets)
 
     def settled(self) -> World:
         """Return the world at the plan's start, with taut cables if it begins with a hitch."""
@@ -286,30 +262,6 @@ class FlightInProgress:
         except InvalidRunError as error:
             return self._flight(error)
         return self._flight(None)
-
-    def _receive(self) -> Sequence[FlightController]:
-        """Store the commands of flight controllers, from files or the plan; return their loops."""
-        task, settings = self._task, self._settings
-        teams = [flown_team(part.team, settings) for part in task.teams]
-        loops = [kind.loop for team in teams for kind in team.kinds]
-        if (files := task.received) is not None:
-            self._commands = files.commands
-            return files.loops or loops
-        pairs = [*zip(task.teams, teams, strict=True)]
-        try:
-            each = [received(part, team, settings) for part, team in pairs]
-        except (InfeasibleError, UnsupportedError):
-            if not self._may_stream:
-                raise
-            self._settings = replace(settings, upload=False)
-            each = [received(part, team, self._settings) for part, team in pairs]
-        self._commands = Commands.joined(each)
-        self.files = self._commands.files
-        return loops
-
-    def _hovering(self) -> Commands:
-        """Return the first commands as drones hold them before the flight, at rest."""
-        return self._commands.until(0, self._task.states.accelerations[0])[0]
 
     def _fly_all(self) -> None:
         """Simulate the flight; raises InvalidRunError if the simulation leaves its valid range."""
@@ -342,14 +294,10 @@ class FlightInProgress:
 
         It rests until nothing has moved for REST_TIME since a time [s].
         """
-        last, accelerations = self._rows[-REST_SAMPLES:], self._task.states.accelerations[index]
+        last = self._rows[-REST_SAMPLES:]
         self._task = self._task.until(index)
-        self._setpoints = self._setpoints[: index + 1].ending_at_rest()
-        self._moment, self._source_of_sent = self._moment_at(index), None
-        if isinstance(self._pilots, Autopilots):
-            self._commands = self._commands.until(index, accelerations)
-        if self._feedback is not None:
-            self._feedback.stop_clock(self._task.duration)
+        self._fleet.end_at(index, self._task)
+        self._moment = self._moment_at(index)
         self._start_record([])
         self._rows, now = last, last[-1].t
         try:
@@ -386,8 +334,6 @@ class FlightInProgress:
         )
         friction = world.model.flex_friction.copy()
         world.model.flex_friction[:] = 0.0
-        resting = self._setpoints[:1].ending_at_rest()[0]
-        self._moment = replace(self._moment_at(0), setpoints=resting)
         for time in islice(self._settling, steps):
             progress = min(1.0, (time + SETTLE_TIME) / TIGHTENING_TIME)
             share = progress**3 * (10.0 - 15.0 * progress + 6.0 * progress**2)
@@ -395,7 +341,6 @@ class FlightInProgress:
             offset = (1.0 - share) * tied[:, None] * self._loose_offset
             self._step(time, 0, np.where(tied, share, 1.0), offset)
         world.model.flex_friction[:] = friction
-        self._moment = self._moment_at(0)
 
     def _fly(self, begin: float, end: float, pull: float = 1.0) -> None:
         """Fly between two times [s], while the tension grows to ``pull`` times its value."""
@@ -430,60 +375,26 @@ class FlightInProgress:
         ``pull`` (2n,) is a factor of the plan's tension by drone: less than 1 while a hitch is
         tightened, more than 1 in the pull test, in which drones add the force; None is 1.
         """
-        world, task, period = self._world, self._task, self._period
-        disturbances, pilots, substeps = self._disturbances, self._pilots, 1
+        world, task, substeps = self._world, self._task, 1
         if self._lost is not None and time >= self._lost[1]:
-            pilots.stop(self._lost[0])
+            self._fleet.stop(self._lost[0])
             substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
         if index != self._moment.index:
             self._moment = self._moment_at(index)
-        moment, drones = self._moment, self._drone_models
-        setpoints = moment.setpoints
-        if offset is not None:
-            positions = task.states.positions[index] + offset + drones.trims
-            setpoints = replace(setpoints, positions=positions)
-        actual = world.bodies
-        positions = actual.positions - moment.end_offsets
-        bodies = drones.measured(
-            RigidBodies(positions, actual.velocities, actual.attitudes, actual.rates)
-        )
-        if self._settings.estimator is None:
-            measured = bodies.positions + disturbances.noise.advance(period)
-            velocities = bodies.velocities + disturbances.velocity_noise.advance(period)
-            bodies = replace(bodies, positions=measured, velocities=velocities)
-        if self._feedback is not None and time >= 0.0:
-            setpoints = self._feedback.corrected(setpoints, time, period, bodies.positions)
-        push = disturbances.wind.advance(period) + disturbances.steady_wind
-        if drones.drag:
-            push -= drones.drag * actual.velocities
-        added = None if pull is None else self._added_pulls(pull)
-        self._command(time, setpoints, bodies, added)
-        if added is not None and not isinstance(pilots, control.Pilots):
-            push += added
-        if self._settings.perturbations.downwash:
-            below = np.concatenate([actual.positions, task.passing.at(index)])
-            thrusts = np.concatenate([pilots.thrusts, GRAVITY * task.passing.masses])
-            push += control.downwash(below, thrusts)[: len(push)]
-        world.push(*drones.actual(pilots.thrusts, pilots.moments), push)
-        is_loose, load_shares = moment.is_slack, moment.load_shares
+        world.push(*self._fleet.advance(time, index, self._bodies, pull, offset))
+        is_loose, load_shares = self._moment.is_slack, self._moment.load_shares
         if pull is not None:
             by_cable = np.minimum(pull[::2], 1.0)
-            is_loose = self._are_slack(by_cable * setpoints.tensions)
+            is_loose = self._are_slack(by_cable * task.states.tensions[index])
             load_shares = by_cable * load_shares
         if self._loads is not None:
-            self._loads.apply(load_shares, period)
+            self._loads.apply(load_shares, self._period)
         self._drag.apply(self._damping)
         mean_tension = np.add.reduce(self._tensions) / len(self._tensions)
         is_loose |= bool(mean_tension < self._mean_calm_tension)
         substeps = max(substeps, world.ropes.substeps(float(np.maximum.reduce(self._tensions))))
         world.step(self._substeps, loose=is_loose, substeps=substeps)
         self._observe(time)
-
-    def _added_pulls(self, pull: Array) -> Array:
-        """Return the force (2n, 3) [N] that drones add to the plan's by factors of its tension."""
-        pulling = self._pilots.gains.feed_forward | (pull > 1.0)
-        pulls: Array = self._outward_pulls[self._moment.index]
-        return ((pull - 1.0) * pulling)[:, None] * pulls
 
     def _observe(self, time: float) -> None:
         """Check and record the state after the step at a time [s]."""
@@ -504,47 +415,13 @@ class FlightInProgress:
             state = (world.nodes.astype(np.float32), world.poses.astype(np.float32))
             self._frames.append((time, *state))
 
-    def _command(
-        self, time: float, setpoints: States, bodies: RigidBodies, added: Array | None
-    ) -> None:
-        """Run controllers and motors for a period.
-
-        Setpoints are those of a moment, corrected. Simplified controllers pull with ``added``
-        (2n, 3) [N] in addition.
-        """
-        pilots, period, moment = self._pilots, self._period, self._moment
-        if isinstance(pilots, control.Pilots):
-            pilots.command(setpoints, bodies, period, 0.0 if added is None else added)
-            if time >= 0.0:
-                pilots.integrate(setpoints.positions - bodies.positions, period)
-            return
-        sample = max(BEFORE, math.floor(RATE * (time - self._command_delay) + ROUNDING))
-        source = (sample, moment.index) if setpoints is moment.setpoints else None
-        if source is None or source != self._source_of_sent:
-            self._source_of_sent = source
-            commands = self._hovering() if sample == BEFORE else self._commands[sample]
-            self._sent = self._corrected(commands, setpoints)
-        pilots.advance(self._sent, bodies, period)
-
-    def _corrected(self, commands: Commands, setpoints: States) -> Commands:
-        """Return commands with the differences of setpoints from those of the plan."""
-        plan, index = self._task.states, self._moment.index
-        return Commands(
-            commands.positions + (setpoints.positions - plan.positions[index]),
-            commands.velocities + (setpoints.velocities - plan.velocities[index]),
-            commands.accelerations,
-            commands.rates,
-        )
-
     def _moment_at(self, index: int) -> _Moment:
         """Return what the plan commands at a sample."""
-        setpoints = self._setpoints[index]
         return _Moment(
             index,
-            setpoints,
             self._end_offsets[index],
             self._task.load_shares(index),
-            is_slack=self._are_slack(setpoints.tensions),
+            is_slack=self._are_slack(self._task.states.tensions[index]),
         )
 
     def _are_slack(self, tensions: Array) -> bool:
@@ -560,9 +437,9 @@ class FlightInProgress:
         world = self._world
         vertices, bearing = self._contacts.collect(self._least_bearing[index])
         commanded = self._task.states.positions[index]
-        if self._feedback is not None:
-            commanded = commanded + self._feedback.offsets
-            self._feedback.observe(time, vertices)
+        if self._fleet.feedback is not None:
+            commanded = commanded + self._fleet.feedback.offsets
+            self._fleet.feedback.observe(time, vertices)
         upward = np.minimum(np.maximum(world.bodies.attitudes[:, 2, 2], -1.0), 1.0)
         sample = FlightSample(
             t=time,
@@ -573,7 +450,7 @@ class FlightInProgress:
             bearing=bearing,
             tensions=np.add.reduceat(self._tensions, self._starts) / world.ropes.segments,
             peak_tensions=self._peaks.copy(),
-            thrusts=self._pilots.thrusts.copy(),
+            thrusts=self._fleet.thrusts.copy(),
             tilts=np.arccos(upward),
             poses=world.poses,
             touched=self._objects.cables,
@@ -597,7 +474,7 @@ class FlightInProgress:
             self._linking,
             self._rested,
             self._pulled,
-            gains=self._pilots.gains,
+            gains=self._fleet.gains,
             density=world.ropes.density,
             extra_length=float(np.max(self._extra_lengths)),
             end_offset=float(np.max(length(self._end_offsets))),
@@ -612,35 +489,6 @@ def _planned_tests(task: Task, settings: Settings) -> list[PullTest]:
     if not settings.pull_test or settings.lost is not None:
         return []
     return sorted(test for test in {*pull_tests(task).values()} if test.time < task.duration)
-
-
-def _setpoints(task: Task, settings: Settings, trims: Array) -> States:
-    """Return the setpoints of simplified controllers, with the drones' trims (2n, 3) [m].
-
-    Accelerations that files hold include the forces of cables.
-    """
-    states, files = task.states, task.received
-    if files is None or settings.controller != IDEAL:
-        return replace(states, positions=states.positions + trims)
-    sent, none = files.commands, np.zeros_like(states.positions)
-    return replace(
-        states,
-        positions=sent.positions + trims,
-        velocities=sent.velocities,
-        accelerations=sent.accelerations,
-        jerks=none,
-        cable_forces=none,
-    )
-
-
-def _outward_pulls(task: Task) -> Array:
-    """Return outward tensions along the legs, horizontal with objects (samples, 2n, 3) [N]."""
-    states, cargo = task.states, task.cargo
-    legs = states.positions - states.vertices[:, task.team.layout.pulled_to]
-    pulls: Array = np.repeat(states.tensions, 2, axis=1)[..., None] * unit(legs)
-    if cargo.objects:
-        pulls[np.any(cargo.load_share > 0.0, axis=1), :, 2] = 0.0
-    return pulls
 
 
 def ground_of(task: Task) -> float:

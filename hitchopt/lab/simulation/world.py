@@ -12,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -96,6 +97,18 @@ class RigidBodies:
     velocities: Array  # (2n, 3) [m/s]
     attitudes: Array  # (2n, 3, 3), their columns are the bodies' axes
     rates: Array  # (2n, 3) [rad/s], about the bodies' axes
+
+
+class Airframes(Protocol):
+    """Masses (2n,) [kg] of drones, and inertia (2n, 3) [kg m²] about their own axes."""
+
+    masses: Array
+    inertia: Array
+
+
+def inertia_of(masses: Array) -> Array:
+    """Return the moments of inertia (2n, 3) [kg m²] of drones of some masses (2n,) [kg]."""
+    return np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
 
 
 class World:
