@@ -21,7 +21,9 @@ import hitchopt as ho
 from benchmarks.measuring import Array, Table, parser
 from hitchopt.lab.flights.recordings import Recording
 from hitchopt.lab.simulation.control import Disturbances
-from hitchopt.lab.simulation.flight import CONTROL_PERIOD, SETTLE_TIME, SimulatedFlight
+from hitchopt.lab.simulation.fleet import CONTROL_PERIOD
+from hitchopt.lab.simulation.flight import SETTLE_TIME
+from hitchopt.lab.simulation.record import SimulatedFlight
 from hitchopt.lab.simulation.report import Simulation
 from hitchopt.lab.simulation.ropes import bend_lengths
 from hitchopt.lab.simulation.settings import ACCURATE

@@ -34,6 +34,7 @@ class Feature(StrEnum):
     STATICS = "statics"
     SIMULATION = "simulation"
     SCENE = "a scene for MuJoCo"
+    CLASPS = "simulation with `clasps`"
     SIMULATED_LOSS = "the simulated loss of a drone"
     AS_CALIBRATED = "drones as calibrated"
     EVALUATE = "evaluate"
@@ -77,7 +78,7 @@ class Refusal(NamedTuple):
 
 _ONE_TEAM = (
     *(Feature.MOTION, Feature.END, Feature.REPLANNER, Feature.REACTION, Feature.FEEDBACK),
-    *(Feature.STATICS, Feature.SIMULATED_LOSS, Feature.AS_CALIBRATED),
+    *(Feature.STATICS, Feature.CLASPS, Feature.SIMULATED_LOSS, Feature.AS_CALIBRATED),
     *(Feature.EVALUATE, Feature.CALIBRATE),
 )
 """Features that support a single team."""
@@ -189,6 +190,9 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
     ),
     (Feature.SCENE, Neighbour.LOADS): Refusal(
         "a scene for MuJoCo does not support loads, which are not bodies", "simulate the plan"
+    ),
+    (Feature.CLASPS, Neighbour.OBJECTS): Refusal(
+        "cables that slide through clasps meet no objects", "simulate ropes"
     ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): Refusal(
         "single drones have no cables", "simulate a hitch's plan"

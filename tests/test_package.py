@@ -166,7 +166,7 @@ def test_nothing_public_is_unused_by_the_package() -> None:
     [
         hitchopt.InputError("team.robots", 2, "at least 3", "add one"),
         hitchopt.InfeasibleError([Violation("gap", 0.0, 1.0, "min", "m", (), "", "widen")], "cut"),
-        InvalidRunError("strain", "it strains", 1.5, "cable 0"),
+        InvalidRunError("strain", "it strains", 1.5, "cable 0", "use thicker ropes"),
     ],
 )
 def test_errors_come_whole_from_other_processes(error: hitchopt.HitchoptError) -> None:

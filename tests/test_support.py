@@ -20,6 +20,7 @@ import hitchopt as ho
 from hitchopt.errors import HitchoptError
 from hitchopt.exports.held_tension import held_tension
 from hitchopt.hitch.requirements import Requirements
+from hitchopt.lab.simulation.hitched import fly_hitched
 from hitchopt.lab.simulation.settings import Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.statics.tolerance import taut_times
@@ -196,6 +197,9 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
     (Feature.STATICS, Neighbour.FREE_CABLES): lambda: taut_times(slack()),
     (Feature.STATICS, Neighbour.OBJECTS): lambda: ho.equilibrium(drum(), carrying_time()),
     (Feature.SCENE, Neighbour.LOADS): lambda: scene_of(LOADED),
+    (Feature.CLASPS, Neighbour.OBJECTS): lambda: fly_hitched(
+        Task.of(planned("two_robots_drum").flight), Settings(), [0]
+    ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): lambda: Task.of(swarm()),
 }
 """A refused call of each combination, but those that ``Flight.of_one_team`` refuses."""

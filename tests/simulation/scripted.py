@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from hitchopt.geometry import regular_polygon
 from hitchopt.hitch import Hitch, Team
 from hitchopt.lab.simulation.control import PositionGains
-from hitchopt.lab.simulation.flight import Film, FlightSamples, SimulatedFlight
+from hitchopt.lab.simulation.record import Film, FlightSamples, SimulatedFlight
 from hitchopt.lab.simulation.ropes import Ropes
 from hitchopt.lab.simulation.settings import FAST, Preset, Settings
 from hitchopt.lab.simulation.task import RATE, Task, TeamTask

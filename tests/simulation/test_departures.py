@@ -11,8 +11,8 @@ from scripted import changed, flight_of, regular_hitch, resting_task
 
 import hitchopt as ho
 from hitchopt.lab.simulation.departures import MAX_TENSION_RATIO, departures
-from hitchopt.lab.simulation.flight import Film, SimulatedFlight
 from hitchopt.lab.simulation.judgement import judge
+from hitchopt.lab.simulation.record import Film, SimulatedFlight
 from hitchopt.lab.simulation.settings import Loss, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.values import Array

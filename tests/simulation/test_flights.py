@@ -14,8 +14,8 @@ import hitchopt as ho
 from hitchopt.hitch import GRAVITY
 from hitchopt.lab.simulation.contacts import ObjectContacts
 from hitchopt.lab.simulation.control import Disturbances
-from hitchopt.lab.simulation.flight import ground_of
 from hitchopt.lab.simulation.judgement import judge
+from hitchopt.lab.simulation.record import ground_of
 from hitchopt.lab.simulation.report import Simulation, summary
 from hitchopt.lab.simulation.settings import ACCURATE, CALM, FAST, INDOOR, Preset, Settings
 from hitchopt.lab.simulation.task import RATE, Cargo, Task, read_task

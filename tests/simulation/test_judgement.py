@@ -39,7 +39,7 @@ FAILED, NOT_SIMULATED, SUCCEEDED = "failed", "not simulated", "succeeded"
 HITCH = regular_hitch(4)
 NEIGHBOURS = np.array([[0, 1, 0, 1], [1, 0, 1, 0], [0, 1, 0, 1], [1, 0, 1, 0]])
 UNLINKED = 0 * NEIGHBOURS
-STRAIN = InvalidRunError("strain", "strain of 5 %", 1.25, "cable 3")
+STRAIN = InvalidRunError("strain", "strain of 5 %", 1.25, "cable 3", "use a higher density")
 
 
 def flight_with(

@@ -103,6 +103,7 @@ def _settings_options() -> Sequence[click.Option]:
     keys = keys_of(Settings)
     return (
         key_option("--seed", keys["seed"], "S"),
+        key_option("--cables", keys["cables"]),
         assignment_option(
             "--perturb",
             "Value of a disturbance, or of a parameter of the plan, such as wind=0.1; may be "
@@ -124,8 +125,8 @@ def _settings_options() -> Sequence[click.Option]:
     option("--plan", "Plan of an exported file; export folders have a copy.", PATH, "PLAN"),
     option(
         "--preset",
-        "fast: links of 30 mm, to see whether the hitch holds; accurate: links of 10 mm, correct "
-        "friction, five times slower, to measure vertices.",
+        "Ropes: fast, links of 30 mm, to see whether the hitch holds; accurate, links of 10 mm, "
+        "correct friction, five times slower.",
         "fast",
         choices=("fast", "accurate"),
     ),
@@ -168,7 +169,7 @@ def simulate(
     reaction: bool,
     **options: Any,
 ) -> None:
-    """Simulate the plan or export in DIR with ropes and drones (needs mujoco).
+    """Simulate the plan or export in DIR with cables and drones (ropes need mujoco).
 
     An export, a folder or file that hitchopt export wrote, is flown by its files: their setpoints,
     gains and filter, and what fly.py does between parts. A plan is flown with its cables, its
@@ -313,7 +314,11 @@ def _flown(task: Task, settings: Settings) -> Simulation:
     """Simulate one flight; report what it flies, and how long that takes."""
     from hitchopt.lab.simulation.flight import FlightInProgress
     from hitchopt.lab.simulation.report import Simulation
+    from hitchopt.lab.simulation.settings import CLASPS
 
+    if settings.cables == CLASPS:
+        with ProgressBar("flying") as progress:
+            return Simulation.of(task, settings, progress)
     with ProgressBar("building ropes"):
         flight = FlightInProgress(task, settings)
         seconds = flight.expected_seconds()
@@ -380,8 +385,8 @@ def flight_tables(simulation: Simulation) -> str:
         "largest tilt [°]": figures["peak_tilt"],
         "flown by": _flown_by(simulation.settings),
         "stiffness of position loops [N/m]": span_text(flight.gains.stiffness.ravel(), ".3g"),
-        "rope density: simulated [g/m]": grams["simulated"],
-        "rope density: planned [g/m]": grams["planned"],
+        "cable density: simulated [g/m]": grams["simulated"],
+        "cable density: planned [g/m]": grams["planned"],
         "extra rope for bends [mm]": f"≤ {1e3 * flight.extra_length:.1f}",
     }
     parts = []
@@ -391,7 +396,8 @@ def flight_tables(simulation: Simulation) -> str:
                 "Vertices after the flight", [_headed(x, CLASP_COLUMNS) for x in content["clasps"]]
             )
         )
-    if simulation.errors.t.size:
+    measured = simulation.settings.measures_vertices
+    if simulation.errors.t.size and measured:
         errors, team = content["vertex_error"], flight.task.team
         each = {name: errors[name] for name in (team.point_names[p] for p in team.layout.clasps)}
         each |= {label: vars(simulation.spreads[name]) for name, label in ERRORS.items()}
@@ -401,7 +407,7 @@ def flight_tables(simulation: Simulation) -> str:
         ]
         parts.append(table("Vertex errors, sag included [cm]", vertices))
     if simulation.rests:
-        parts += _tables_of_rests(simulation.rests)
+        parts += _tables_of_rests(simulation.rests, measured=measured)
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
         parts.append(quantities("Loss of a drone", _headed(loss, LOSS_ROWS)))
@@ -425,13 +431,17 @@ def _headed(values: Mapping[str, Any], headings: Mapping[str, str]) -> dict[str,
     return {heading: values[key] for key, heading in headings.items()}
 
 
-def _tables_of_rests(rests: Sequence[Rest]) -> list[str]:
-    """Return the tables of every vertex, of the drones and of every object at every rest."""
+def _tables_of_rests(rests: Sequence[Rest], *, measured: bool) -> list[str]:
+    """Return the tables of every vertex, of the drones and of every object at every rest.
+
+    Errors of vertices are shown if they are ``measured``.
+    """
     vertices, drones, objects = list[dict[str, object]](), list[dict[str, object]](), []
     for rest in rests:
-        label = {"rest": f"{rest.phase}, {rest.end:.1f} s"}
+        label = {"rest": str(rest)}
         for name, vertex in rest.vertices.items():
-            errors = {key: known_text(100.0 * getattr(vertex, key)) for key in ERROR_COLUMNS}
+            columns = ERROR_COLUMNS if measured else ()
+            errors = {key: known_text(100.0 * getattr(vertex, key)) for key in columns}
             pulled = known_text(100.0 * vertex.moved)
             row = {"vertex": name, **errors, "slip if pulled": pulled, "holds": vertex.holds}
             vertices.append(label | row)
@@ -449,17 +459,24 @@ def _tables_of_rests(rests: Sequence[Rest]) -> list[str]:
     return [*parts, table("Objects at rest", objects)] if objects else parts
 
 
+def _cables_of(settings: Settings) -> str:
+    """Return the model of the cables in words."""
+    from hitchopt.lab.simulation.settings import ROPES
+
+    return f"preset {settings.preset.name}" if settings.cables == ROPES else settings.cables
+
+
 def _inexact(settings: Settings) -> list[str]:
     """Return the line that says that a preset's links are too long to measure vertices, if so."""
-    from hitchopt.lab.simulation.settings import ACCURATE
+    from hitchopt.lab.simulation.settings import ACCURATE, CLASPS
 
     preset = settings.preset
     line = (
-        f"preset {preset.name}: vertices are 1 to 2 cm off, since links of "
-        f"{1e3 * preset.segment:g} mm catch at clasps; use "
-        f"preset={ACCURATE.name} ({1e3 * ACCURATE.segment:g} mm) to measure them"
+        f"preset {preset.name}: links of {1e3 * preset.segment:g} mm catch at clasps, by 1 to 2 "
+        f"cm; to measure vertices, use --cables {CLASPS}, or --preset {ACCURATE.name} "
+        f"({1e3 * ACCURATE.segment:g} mm)"
     )
-    return [] if preset.exact else [line]
+    return [] if settings.measures_vertices else [line]
 
 
 def _disturbed_drones(task: Task, settings: Settings) -> str:
@@ -499,21 +516,31 @@ def spread_text(spread: Spread, unit: float = 0.01, digits: str = ".1f") -> str:
 
 def _campaign_tables(campaign: Campaign) -> str:
     """Return a campaign's success rate, and tables of figures and first failures."""
+    from hitchopt.lab.sweeps.campaign import Distribution
+
     (low, high), runs = campaign.interval, campaign.runs
-    not_simulated, rows = campaign.not_simulated, []
-    for name in max((run.figures for run in runs), key=len):  # flights that fail to start have none
-        values = [x for run in runs if math.isfinite(x := run.figures.get(name, math.nan))]
-        if values:
-            row = {"mean": sum(values) / len(values), "largest": max(values)}
-            rows.append({"figure": _figure_heading(name), **row})
+    not_simulated, measured = campaign.not_simulated, campaign.settings.measures_vertices
+    rows = [
+        {"figure": _figure_heading(name), **vars(Distribution.of(values))}
+        for name, values in campaign.figures.items()
+        if any(map(math.isfinite, values)) and (measured or not name.startswith(tuple(ERRORS)))
+    ]
+    vertices = [
+        {"rest": rest, "vertex": vertex}
+        | {key: 100.0 * x for key, x in vars(Distribution.of(errors)).items()}
+        for (rest, vertex), errors in campaign.rests.items()
+        if measured
+    ]
     parts = [
         f"{campaign.successes} of {len(runs)} flights succeeded: "
         f"{campaign.successes / len(runs):.1%} ({low:.1%} to {high:.1%} at 95 %), "
-        f"seeds {runs[0].seed} to {runs[-1].seed}, preset {campaign.settings.preset.name}"
+        f"seeds {runs[0].seed} to {runs[-1].seed}, {_cables_of(campaign.settings)}"
     ]
     if not_simulated:
         parts.append(f"{not_simulated} could not be simulated and count as not succeeded")
     parts += [f"flown by: {_flown_by(campaign.settings)}", *_inexact(campaign.settings)]
+    if vertices:
+        parts.append(table("Mean errors of vertices at rest [cm]", vertices))
     parts.append(table("All flights", rows))
     if campaign.failures:
         parts.append(table("First failures", campaign.to_dict()["first_failures"]))

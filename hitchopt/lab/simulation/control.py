@@ -148,8 +148,11 @@ class FlownDrones:
 
     def repeated(self, flights: int) -> FlownDrones:
         """Return the drones of several flights, flight after flight."""
-        arrays = (self.trims, self.turns, self.thrust_factors)
-        return FlownDrones(*(np.concatenate([each] * flights) for each in arrays), self.drag)
+        trims, turns, factors = (
+            np.concatenate([each] * flights)
+            for each in (self.trims, self.turns, self.thrust_factors)
+        )
+        return FlownDrones(trims, turns, factors, self.drag)
 
     @cached_property
     def _is_tilted(self) -> bool:
@@ -352,6 +355,10 @@ class PositionGains:
                 bound = f"lower: a drone of {mass:g} kg is unstable, since its thrust lags"
                 raise InputError("stiffness", float(gains[1]), bound, "lower it")
         return cls(stiffness, damping, integral, team.feed_forward)
+
+    def of_drones(self, drones: slice) -> PositionGains:
+        """Return the gains of some drones."""
+        return PositionGains(*(gain[drones] for gain in vars(self).values()))
 
 
 class Pilots:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hitchopt.geometry.vectors import length
-from hitchopt.lab.simulation.flight import REST_HEIGHT, SimulatedFlight, ground_of
+from hitchopt.lab.simulation.record import REST_HEIGHT, SimulatedFlight, ground_of
 from hitchopt.lab.simulation.task import TeamTask
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.motion.motion import CableState, Motion

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -85,9 +85,10 @@ class Fleet:
         self._task, self._flights, self._first = task, flights, first
         self._period, self._disturbances = period, disturbances
         self.settings, self.files = settings, ""
+        self._commands: Commands
         self._pilots = self._controllers(airframes, bodies, may_stream=may_stream)
         self.gains = self._pilots.gains
-        own = replace(self.gains, **{x: y[: task.team.drones] for x, y in vars(self.gains).items()})
+        own = self.gains.of_drones(slice(task.team.drones))
         models = control.FlownDrones.of(task, self.settings, own.stiffness)
         self._setpoints = _setpoints(task, self.settings, models.trims)
         self._models = models.repeated(flights)
@@ -171,7 +172,7 @@ class Fleet:
         """Return the setpoints of a flight for the drones of all flights."""
         if self._flights == 1:
             return setpoints
-        each = {name: self._repeat(getattr(setpoints, name)) for name in REPEATED}
+        each: Any = {name: self._repeat(getattr(setpoints, name)) for name in REPEATED}
         return replace(setpoints, **each)
 
     def _controllers(

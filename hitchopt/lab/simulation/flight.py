@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from time import process_time
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,18 +17,25 @@ from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation import contacts, control, ropes
 from hitchopt.lab.simulation.commands import resolved
 from hitchopt.lab.simulation.fleet import Fleet, control_period
+from hitchopt.lab.simulation.hitched import fly_hitched
 from hitchopt.lab.simulation.planned_rests import REST_TIME, PullTest, pull_tests
-from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.record import (
+    FRAME_PERIOD,
+    REPORT_PERIOD,
+    Film,
+    FlightSample,
+    FlightSamples,
+    SimulatedFlight,
+    ground_of,
+)
+from hitchopt.lab.simulation.settings import CLASPS, Settings
 from hitchopt.lab.simulation.task import RATE, Task
 from hitchopt.lab.simulation.world import (
-    BODY_HALF_HEIGHT,
     InvalidRunError,
     RigidBodies,
     World,
-    cable_names,
     check_valid,
 )
-from hitchopt.objects import SolidObject
 from hitchopt.support import Feature
 from hitchopt.values import Array
 
@@ -44,107 +50,35 @@ PULL_RATIO = 1.5  # Tension of the pull test over the plan's
 PULL_TIME = 2.0  # Duration of the pull test [s]; the tension grows during its first half
 
 REST_SAMPLES = round(REST_TIME * RATE)  # Number of samples of a rest before a pull test
-FRAME_PERIOD = 0.04  # Period of recorded cable shapes [s]
 ESTIMATE_STEPS = 60  # Steps whose time predicts that of the whole flight
 # Period of searches for contacts, and of checks of strain and penetration [s]
 CHECK_PERIOD = 0.02
-REPORT_PERIOD = 50  # Samples between two calls of ``progress``
 
 LOSS_TIME = 2.5  # Time after the loss of a drone with more substeps [s]
 # Number of substeps during that time: fast sliding at its clasp would strain ropes by more than 2
 # %
 LOSS_SUBSTEPS = 3
 
-REST_HEIGHT = BODY_HALF_HEIGHT + 0.005  # Height of the centre of a drone on the ground [m]
 ROUNDING = 1e-9  # Rounding error of sums of periods [s]
-
-
-@dataclass(frozen=True, eq=False)
-class FlightSamples:
-    """Samples of a flight; times start at the flight's start, after settling."""
-
-    t: Array  # (samples,) [s], at the rate of the setpoints, rest and pull test included
-    index: NDArray[np.intp]  # (samples,), index of the setpoint that applies from this time on
-    drones: Array  # positions (samples, 2n, 3) [m]
-    commanded: Array  # positions of the setpoints (samples, 2n, 3) [m]
-    vertices: Array  # (samples, clasps, 3) [m], nan if cables do not bear on each other
-    bearing: Array  # contact forces (samples, clasps) [N]
-    tensions: Array  # means over each cable's length (samples, n) [N]
-    # largest values over length and time since the last sample (samples, n) [N]
-    peak_tensions: Array
-    thrusts: Array  # (samples, 2n) [N]
-    tilts: Array  # of the drones (samples, 2n) [rad]
-    # of the objects (samples, objects, 7): positions of their bases [m], and quaternions
-    poses: Array
-    touched: NDArray[np.bool_]  # whether cables touch an object (samples, objects)
-
-
-class FlightSample(NamedTuple):
-    """One sample: a row of ``FlightSamples``, with fields in the same order."""
-
-    t: float
-    setpoint: int  # `index` there
-    drones: Array
-    commanded: Array
-    vertices: Array
-    bearing: Array
-    tensions: Array
-    peak_tensions: Array
-    thrusts: Array
-    tilts: Array
-    poses: Array
-    touched: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, eq=False)
-class Film:
-    """Shapes of the cables over time, including settling at negative times."""
-
-    t: Array  # (frames,) [s]
-    nodes: NDArray[np.float32]  # (frames, nodes, 3) [m], cable after cable, drones at their ends
-    cables: NDArray[np.intp]  # (n + 1,), first node of each cable, and the number of nodes
-    poses: NDArray[np.float32]  # of the objects (frames, objects, 7), as in a ``FlightSamples``
-
-
-@dataclass(frozen=True, eq=False)
-class SimulatedFlight:
-    """A flight that was simulated to its end, or until the simulation became invalid."""
-
-    task: Task  # of the flight
-    settings: Settings  # of the flight, with what they leave to the plan
-    record: FlightSamples  # samples
-    film: Film  # shapes of the cables
-    # times [s] of first forbidden contacts by pairs of names, such as ``("q0", "r2")`` or ``("q0",
-    # "cable 2")``
-    touches: dict[tuple[str, str], float]
-    # linking numbers (n, n) of all pairs of cables after the rest; None if not reached
-    linking: NDArray[np.int64] | None
-    rested: float  # time at which the rest ended [s]; nan if not reached
-    pulled: float  # time at which the pull test ended [s]; nan if not reached
-    gains: control.PositionGains  # of the drones' position loops
-    density: Array | float  # of the simulated cables [kg/m], of each (n,) for several teams
-    extra_length: float  # largest additional length of a rope [m], for the bends of thick ropes
-    # largest distance of a rope's end from its drone [m], which aligns the legs of thick ropes with
-    # those of thin cables
-    end_offset: float
-    objects: dict[str, SolidObject]  # simulated objects by name, with perturbations
-    error: InvalidRunError | None  # the error that ended the flight early, or None
-    # Pull tests before the plan's end, by time [s]: flights of the plan up to there, whose records
-    # begin with the last second before
-    pull_tests: Mapping[float, SimulatedFlight] = field(default_factory=dict)
-
-    @property
-    def cable_names(self) -> list[str]:
-        """Names of cables (n,): cable 0, cable 1, …, or a.cable 0, … for several teams."""
-        return cable_names(self.task.team.drone_names)
 
 
 def fly(task: Task, settings: Settings, progress: Progress | None = None) -> SimulatedFlight:
     """Return the flight of a task's setpoints, with the error that ended it early, if any.
 
-    Parameters and errors are those of ``FlightInProgress``.
+    Parameters and errors are those of ``FlightInProgress``, or of ``fly_hitched``.
     """
-    return FlightInProgress(task, settings).flown(progress)
+    (flight,) = fly_seeds(task, settings, [settings.seed], progress)
+    return flight
+
+
+def fly_seeds(
+    task: Task, settings: Settings, seeds: Sequence[int], progress: Progress | None = None
+) -> list[SimulatedFlight]:
+    """Return a flight as ``fly`` for each seed."""
+    if settings.cables == CLASPS:
+        return fly_hitched(task, settings, seeds, progress)
+    each = [replace(settings, seed=seed) for seed in seeds]
+    return [FlightInProgress(task, settings).flown(progress) for settings in each]
 
 
 @dataclass(frozen=True, eq=False)
@@ -489,12 +423,6 @@ def _planned_tests(task: Task, settings: Settings) -> list[PullTest]:
     if not settings.pull_test or settings.lost is not None:
         return []
     return sorted(test for test in {*pull_tests(task).values()} if test.time < task.duration)
-
-
-def ground_of(task: Task) -> float:
-    """Return the height of the ground [m]: that of objects, else 0 or below the lowest drone."""
-    lowest = float(np.min(task.states.positions[..., 2])) - REST_HEIGHT
-    return task.cargo.floor if task.cargo.objects else min(0.0, lowest)
 
 
 def _lost_drone(task: Task, settings: Settings) -> tuple[int, float] | None:

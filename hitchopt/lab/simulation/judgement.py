@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,14 +18,14 @@ from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
 from hitchopt.lab.simulation.contacts import least_bearing
 from hitchopt.lab.simulation.departures import Failure, departures
-from hitchopt.lab.simulation.flight import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.planned_rests import (
     REST_TIME,
     resting_samples,
 )
+from hitchopt.lab.simulation.record import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
-from hitchopt.lab.simulation.settings import Settings
-from hitchopt.lab.simulation.task import Task, team_of
+from hitchopt.lab.simulation.settings import CLASPS, Settings
+from hitchopt.lab.simulation.task import RATE, Task, closed_spans, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.motion.states import TAUT_RATIO
 from hitchopt.values import Array
@@ -52,6 +52,10 @@ WEIGHTLESS = (
     "cables are weightless in the plan, and fly as ropes of {:.2g} g/m, the lightest that {} "
 )
 WEIGHTLESS += "can simulate: state team.cable_density, or perturb density"
+HITCHED = (
+    "only the tied hitch is simulated, t = {}, without contacts of drones, cables and objects: "
+    "ropes have these, and tie it"
+)
 SEVERAL = "controllers are replaced by the ideal one; choose another with controller="
 NOT_FLOWN = (
     "only hitches are simulated: these drones follow their setpoints exactly, without cables"
@@ -522,13 +526,15 @@ def loss_outcome(flight: SimulatedFlight) -> LossOutcome | None:
 class CampaignRun(OneLine):
     """Row of a campaign for one flight: seed, verdict, failures by time, and figures by name.
 
-    A flight that failed at its start has no figures. Flights are reproducible by their seeds.
+    ``rests`` has the mean errors [m] of vertices at each rest, by rest and by vertex. A flight that
+    failed at its start has no figures. Flights are reproducible by their seeds.
     """
 
     seed: int
     verdict: str
     failures: tuple[Failure, ...]
     figures: dict[str, float]
+    rests: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def succeeded(self) -> bool:
@@ -577,7 +583,14 @@ def warnings(task: Task, settings: Settings) -> tuple[str, ...]:
     frictionless = any(not part.team.cable_friction for part in task.teams)
     messages = [NO_FRICTION] if settings.friction is None and frictionless else []
     weightless = [part for part in task.teams if not part.team.cable_density]
-    if weightless and settings.density is None:
+    if settings.cables == CLASPS:
+        spans = (
+            f"{span.first / RATE:.1f} to {span.last / RATE:.1f} s"
+            for part in task.teams
+            for span in closed_spans(part)
+        )
+        messages.append(HITCHED.format(" and ".join(spans)))
+    elif weightless and settings.density is None:
         each = (simulated_density(x.team, settings, largest_tension(x)) for x in weightless)
         density = max(each)
         messages.append(WEIGHTLESS.format(1e3 * density, settings.preset.name))

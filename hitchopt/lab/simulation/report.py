@@ -19,7 +19,7 @@ from hitchopt.errors import InputError, OneLine, Progress
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.departures import DEPARTURES
 from hitchopt.lab.simulation.exported import read_flown
-from hitchopt.lab.simulation.flight import SimulatedFlight, fly
+from hitchopt.lab.simulation.flight import fly
 from hitchopt.lab.simulation.judgement import (
     CampaignRun,
     LossOutcome,
@@ -35,8 +35,9 @@ from hitchopt.lab.simulation.judgement import (
     vertex_errors,
     warnings,
 )
+from hitchopt.lab.simulation.record import SimulatedFlight
 from hitchopt.lab.simulation.rests import Rest, rests
-from hitchopt.lab.simulation.settings import CALM, PRESETS, Settings, settings_of
+from hitchopt.lab.simulation.settings import CALM, CLASPS, PRESETS, Settings, settings_of
 from hitchopt.lab.simulation.task import Task
 from hitchopt.motion.flight import Flight
 from hitchopt.plan import Plan
@@ -57,10 +58,22 @@ CABLES = "cables.csv"  # Table of cables
 DRONES = "drones.csv"  # Table of drones
 OBJECTS = "objects.csv"  # Table of objects
 CAMPAIGN = "campaign.json"  # Figures of several flights
+CAMPAIGN_PICTURE = "campaign.png"  # Picture of several flights
 RUNS = "runs.csv"  # Table of several flights
 
 # Names that belong to hitchopt in the directory of results; other files are never touched
-OWNED = (SUMMARY, VERTICES, CABLES, DRONES, OBJECTS, RECORDING, *PICTURES, CAMPAIGN, RUNS)
+OWNED = (
+    SUMMARY,
+    VERTICES,
+    CABLES,
+    DRONES,
+    OBJECTS,
+    RECORDING,
+    *PICTURES,
+    CAMPAIGN,
+    CAMPAIGN_PICTURE,
+    RUNS,
+)
 
 SIZE = (13.0, 7.2)  # Width and height of the picture [inch]
 WIDTHS = (1.25, 1.0)  # Width ratios of storyboard and plots, as in a plan's summary
@@ -148,7 +161,14 @@ class Simulation(OneLine):
     def run(self) -> CampaignRun:
         """Row of a campaign for this flight."""
         return CampaignRun(
-            self.settings.seed, self.outcome.verdict, self.outcome.failures, self.figures
+            self.settings.seed,
+            self.outcome.verdict,
+            self.outcome.failures,
+            self.figures,
+            {
+                str(rest): {name: vertex.mean for name, vertex in rest.vertices.items()}
+                for rest in self.rests
+            },
         )
 
     def save(
@@ -220,7 +240,10 @@ def simulate(
     progress: Progress | None = None,
     **settings: Any,
 ) -> Simulation:
-    """Fly a plan with simulated ropes in MuJoCo; return the flight with its results.
+    """Fly a plan with simulated cables; return the flight with its results.
+
+    By default these are ropes in MuJoCo. With ``cables="clasps"`` they slide through clasps while
+    the hitch is tied, which measures vertices and is fast.
 
     The flight uses the plan's cables, drones and controllers, with the filter and files exported
     for them, unless settings replace them.
@@ -230,21 +253,22 @@ def simulate(
     plan: a plan with cables, the directory of a saved one, or the folder of an export. The hitches
         of several teams fly in one world; single drones and drones of other plans follow their
         setpoints exactly.
-    preset: ``fast``: links of 30 mm, which show whether the hitch holds; ``accurate``: of 10 mm,
-        five times slower, with correct friction, to measure vertices.
+    preset: of ropes. ``fast``: links of 30 mm, which show whether the hitch holds; ``accurate``: of
+        10 mm, five times slower, with correct friction, to measure vertices.
     perturbed: whether to add the usual disturbances of an indoor flight.
     perturbations: fields of ``Perturbations`` with other values, such as ``wind`` [N].
     progress: status callback.
-    settings: further fields of ``Settings``: ``seed``, ``friction``, ``density``, ``stiffness``,
-        ``pull_test``, ``feedback``; ``controller`` by name or ``ideal``, ``gains``, ``upload`` and
-        an ``estimator``: ``ideal``, ``crazyflie``, ``firmware``, ``one_marker``.
+    settings: further fields of ``Settings``: ``seed``, ``cables`` (ropes or clasps), ``friction``,
+        ``density``, ``stiffness``, ``pull_test``, ``feedback``; ``controller`` by name or
+        ``ideal``, ``gains``, ``upload`` and an ``estimator``: ``ideal``, ``crazyflie``,
+        ``firmware``, ``one_marker``.
 
     Raises
     ------
     InputError: an argument is invalid.
     CertificateError: the plan's certificate does not hold.
     UnsupportedError: mujoco is not installed, the plan has only single drones, or several teams and
-        feedback.
+        feedback; with clasps, several teams or objects that can move.
     """
     check_choice("preset", preset, tuple(PRESETS))
     changes = {} if perturbations is None else perturbations
@@ -419,7 +443,7 @@ def _draw_over_time(plots: Sequence[Axes], simulation: Simulation, plan: Flight)
         middle.plot(each[0].t - each[0].t[0], tension, **line)
     tracking = 100.0 * np.max(tracking_errors(flight), axis=-1)
     bottom.plot(record.t[: len(tracking)], tracking, color=style.INK, lw=1.2)
-    first = "vertex error" if simulation.settings.preset.exact else "vertex error\n± 1 to 2 cm"
+    first = "vertex error" if simulation.settings.measures_vertices else "vertex error\n± 1 to 2 cm"
     second = f"tension [N]\nplanned: dashed\nthick: {MEAN_TIME:g} s average"
     titles = f"{first},\nsag included [cm]", second, "largest drone\nerror [cm]"
     drawn = 100.0 * errors.errors, record.tensions, tracking
@@ -442,7 +466,8 @@ def ending(simulation: Simulation) -> str:
     if loss is not None:
         return "no two survivors touch" if loss.collision_free else "survivors TOUCH each other"
     if flight.linking is None:
-        return "not simulated to its end"
+        with_clasps = flight.settings.cables == CLASPS and flight.error is None
+        return "simulated while hitched" if with_clasps else "not simulated to its end"
     ends, parts = [part.states.formed[-1] for part in flight.task.teams], list[str]()
     failures = simulation.outcome.failures
     at_end = {each.kind for each in failures if each.time >= flight.task.duration}

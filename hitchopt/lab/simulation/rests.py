@@ -18,7 +18,6 @@ from hitchopt.drones.controllers import Tube
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
 from hitchopt.lab.simulation.contacts import least_bearing
-from hitchopt.lab.simulation.flight import SimulatedFlight
 from hitchopt.lab.simulation.judgement import (
     ROUNDING,
     ClaspState,
@@ -31,7 +30,7 @@ from hitchopt.lab.simulation.judgement import (
     vertices_of,
 )
 from hitchopt.lab.simulation.planned_rests import REST_TIME, PlannedRest, pull_tests, rests_of
-from hitchopt.lab.simulation.ropes import linking_matrix
+from hitchopt.lab.simulation.record import SimulatedFlight
 from hitchopt.values import Array
 
 AFTER = "rest"  # Name of the rest after the plan
@@ -63,6 +62,9 @@ class Rest(OneLine):
     allowed: Tube  # tracking errors that the plan allows for
     within: bool | None  # whether all drones are within these; None if the plan allows for none
     objects: tuple[ObjectState, ...]  # all movable ones
+
+    def __str__(self) -> str:
+        return f"{self.phase}, {self.end:.1f} s"
 
     @property
     def hitched(self) -> bool:
@@ -154,7 +156,7 @@ def _vertices(
     errors = length(record.vertices[rows][:, clasps] - planned)
     bearing = np.mean(record.bearing[rows][:, clasps], axis=0)
     least = least_bearing(task)[index[-1], clasps]
-    links = clasp_links(_linking(flight, end), layout)[clasps]
+    links = clasp_links(flight.links_at(end), layout)[clasps]
     vertices = {}
     for c, point in enumerate(layout.clasps[clasps].tolist()):
         name = task.team.point_names[point]
@@ -171,13 +173,6 @@ def _vertices(
             **spread, linking=linking, bearing=float(bearing[c]), moved=moved, holds=holds
         )
     return vertices
-
-
-def _linking(flight: SimulatedFlight, end: float) -> NDArray[np.int64]:
-    """Return the linking numbers (n, n) of all cables in the last frame up to a time [s]."""
-    film = flight.film
-    frame = max(int(np.searchsorted(film.t, end + ROUNDING, side="right")) - 1, 0)
-    return linking_matrix(np.split(film.nodes[frame].astype(np.float64), film.cables[1:-1]))
 
 
 def _drone_errors(flight: SimulatedFlight, rows: NDArray[np.intp], drones: slice) -> Array:

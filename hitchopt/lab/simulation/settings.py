@@ -47,6 +47,7 @@ from hitchopt.values.units import (
 
 SHORT_LAG = 0.02  # Time constant of the motors' thrust, to which the attitude loop adds [s]
 MOTOR_LAG = 0.03  # Time constant of the motors' thrust of a flight controller [s]
+ROPES, CLASPS = "ropes", "clasps"  # Models of cables
 IDEAL = "ideal"  # Name of the simplified controller, and of exact states in place of a filter
 MAX_SEED = 2**63 - 1
 
@@ -204,6 +205,15 @@ class Settings(Record):
     preset: Preset = FAST
     perturbations: Perturbations = CALM
     seed: Annotated[int, Key(integers(0, MAX_SEED), "Random seed")] = 0
+    cables: Annotated[
+        str,
+        Key(
+            words(ROPES, CLASPS),
+            "Model of the cables: ropes of links that collide, from the plan's start to its end; "
+            "or clasps, through which cables slide with friction, while the hitch is tied: exact "
+            "vertices and many flights, but no tying, contacts, objects that move or pull tests",
+        ),
+    ] = ROPES
     friction: Annotated[float | None, Key(FRICTION, "Cable friction; null: the team's")] = None
     density: Annotated[
         float | None,
@@ -301,6 +311,11 @@ class Settings(Record):
             object.__setattr__(self, "estimator", ESTIMATORS[self.estimator])
         if self.upload and self.feedback:
             raise refused_value(Feature.FEEDBACK, Neighbour.UPLOADS, True)
+
+    @property
+    def measures_vertices(self) -> bool:
+        """Return whether positions of vertices are accurate to a centimetre."""
+        return self.cables == CLASPS or self.preset.exact
 
     @property
     def lag(self) -> float:

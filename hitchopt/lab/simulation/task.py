@@ -6,7 +6,7 @@ cables, and what flies with them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -361,6 +361,24 @@ class TeamTask:
         forces = new.cable_forces * (1.0 - share**2 * (3.0 - 2.0 * share))
         states = replace(new, t=self.states.t[0] + new.t, cable_forces=forces)
         return TeamTask(self.team, states)
+
+
+class Span(NamedTuple):
+    """Samples of a plan in which a hitch is closed, from the first to the last one."""
+
+    first: int
+    last: int
+
+
+def closed_spans(part: TeamTask) -> Iterator[Span]:
+    """Yield the spans of samples in which the hitch of a team is formed, and no clasp is open."""
+    closed = part.states.formed
+    if part.motion is not None:
+        closed = closed & ~part.motion.in_states(OPEN_STATES)[part.pieces]
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], closed, [False]])))
+    for first, end in edges.reshape(-1, 2).tolist():
+        if end - first > 1:
+            yield Span(first, end - 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -106,11 +106,6 @@ class Airframes(Protocol):
     inertia: Array
 
 
-def inertia_of(masses: Array) -> Array:
-    """Return the moments of inertia (2n, 3) [kg m²] of drones of some masses (2n,) [kg]."""
-    return np.outer(masses, (BODY_RADIUS * np.array(RADII_OF_GYRATION)) ** 2)
-
-
 class World:
     """A compiled model with its state, and indices into MuJoCo's arrays.
 
@@ -263,16 +258,11 @@ class InvalidRunError(HitchoptError):
     """A simulation left its valid range at a time [s].
 
     The quantity is ``strain``, ``penetration``, ``tension`` or ``state`` (MuJoCo's own warnings).
-    The remedy is not the preset that is used.
     """
 
-    def __init__(
-        self, quantity: str, broken: str, time: float, where: str, *, exact: bool = False
-    ) -> None:
+    def __init__(self, quantity: str, broken: str, time: float, where: str, remedy: str) -> None:
         self.quantity, self.time, self.where = quantity, time, where
-        remedy = "use a higher density" if exact else f"use {FINER}"
-        words = f"ropes may have passed each other; {remedy}"
-        super().__init__(f"simulation: {broken}, t = {time:.3f} s: {words}")
+        super().__init__(f"simulation: {broken}, t = {time:.3f} s: {remedy}")
 
 
 def check_valid(world: World, time: float) -> None:
@@ -281,9 +271,10 @@ def check_valid(world: World, time: float) -> None:
     MuJoCo counts its warnings, and starts again from a state that is not finite.
     """
     data, ropes = world.data, world.ropes
-    exact = ropes.preset.exact
+    remedy = "a higher density" if ropes.preset.exact else FINER
+    remedy = f"ropes may have passed each other; use {remedy}"
     if not world.is_finite or data.warning.number.any():
-        raise InvalidRunError("state", "its state is no longer finite", time, "all", exact=exact)
+        raise InvalidRunError("state", "its state is no longer finite", time, "all", remedy)
     substeps = ropes.preset.time_step / world.model.opt.timestep
     strains = np.abs(data.flexedge_length / world.model.flexedge_length0 - 1.0)
     between = np.all(data.contact.flex >= 0, axis=1)
@@ -299,7 +290,7 @@ def check_valid(world: World, time: float) -> None:
             )
             where = " and ".join(world.cable_names[k] for k in cables)
             excess = f"{quantity} of {values[worst]:.4g} {unit} is beyond {limit:.4g} {unit}"
-            raise InvalidRunError(quantity, f"{excess} at {where}", time, where, exact=exact)
+            raise InvalidRunError(quantity, f"{excess} at {where}", time, where, remedy)
 
 
 def inertia_of(masses: Array) -> Array:

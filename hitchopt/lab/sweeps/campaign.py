@@ -6,22 +6,71 @@ import contextlib
 import csv
 import os
 from collections import Counter
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
 
 from hitchopt.errors import HitchoptError, InputError, Progress, UnsupportedError
 from hitchopt.lab.simulation.commands import resolved
 from hitchopt.lab.simulation.departures import Failure
-from hitchopt.lab.simulation.flight import FlightInProgress
+from hitchopt.lab.simulation.flight import FlightInProgress, fly_seeds
 from hitchopt.lab.simulation.judgement import NOT_SIMULATED, START, CampaignRun
-from hitchopt.lab.simulation.report import CAMPAIGN, OWNED, RUNS, Simulation, number
-from hitchopt.lab.simulation.settings import Settings
+from hitchopt.lab.simulation.report import (
+    CAMPAIGN,
+    CAMPAIGN_PICTURE,
+    OWNED,
+    RUNS,
+    Simulation,
+    number,
+)
+from hitchopt.lab.simulation.settings import CLASPS, Settings
 from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.sweeps.sweep import Share, run_tasks
 from hitchopt.storage.files import Writer, replace_files, write_strict_json
 from hitchopt.values import integer
+from hitchopt.view import style
+
+LARGEST_BATCH = 50
+"""Largest number of flights with clasps that are simulated at once, for their memory."""
+
+SIZE = (13.0, 7.2)
+"""[inch] Width and height of the picture."""
+
+WIDTH = 0.35
+"""Half-width of a column of points, over the distance of columns."""
+
+BINS = 20
+"""Number of bars of a histogram."""
+
+SHOWN = {
+    "tracking_largest": ("largest drone error [cm]", 0.01),
+    "separation": ("minimum separation [ellipsoids]", 1.0),
+    "tension_ratio_mean": ("mean tension / planned", 1.0),
+    "peak_tension": ("largest tension [N]", 1.0),
+}
+"""Figures that the picture shows, with labels and units."""
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Distribution of a figure over the flights that have it; nan without any."""
+
+    mean: float
+    deviation: float
+    median: float
+    high: float  # 95 % are at most as large
+    largest: float
+
+    @classmethod
+    def of(cls, values: Iterable[float]) -> Distribution:
+        """Return the distribution of finite values."""
+        finite = np.array([value for value in values if np.isfinite(value)] or [np.nan])
+        median, high, largest = np.quantile(finite, [0.5, 0.95, 1.0]).tolist()
+        return cls(float(np.mean(finite)), float(np.std(finite)), median, high, largest)
 
 
 @dataclass(frozen=True)
@@ -47,6 +96,22 @@ class Campaign:
         return Share(self.successes, len(self.runs)).interval
 
     @property
+    def figures(self) -> dict[str, list[float]]:
+        """Figures of the flights by name, nan for those without one."""
+        names = max((run.figures for run in self.runs), key=len)
+        return {name: [run.figures.get(name, np.nan) for run in self.runs] for name in names}
+
+    @property
+    def rests(self) -> dict[tuple[str, str], list[float]]:
+        """Mean errors [m] of the flights by rest and vertex, nan for those that ended before."""
+        rests = max((run.rests for run in self.runs), key=len)
+        return {
+            (rest, vertex): [run.rests.get(rest, {}).get(vertex, np.nan) for run in self.runs]
+            for rest, vertices in rests.items()
+            for vertex in vertices
+        }
+
+    @property
     def failures(self) -> Counter[tuple[str, str]]:
         """Number of runs by kind and location of the first failure."""
         first = (run.failures[0] for run in self.runs if run.failures)
@@ -66,6 +131,13 @@ class Campaign:
                 {"kind": kind, "where": where, "runs": count}
                 for (kind, where), count in self.failures.most_common()
             ],
+            "figures": {
+                name: asdict(Distribution.of(values)) for name, values in self.figures.items()
+            },
+            "vertex_errors": [
+                {"rest": rest, "vertex": vertex, **asdict(Distribution.of(errors))}
+                for (rest, vertex), errors in self.rests.items()
+            ],
         }
 
 
@@ -83,17 +155,21 @@ def run_campaign(
     Raises InputError for an invalid number of runs or invalid settings.
     """
     workers = processes(runs, workers)
-    flights = [replace(settings, seed=settings.seed + i) for i in range(runs)]
+    seeds = range(settings.seed, settings.seed + runs)
+    size = min(-(-runs // workers), LARGEST_BATCH) if settings.cables == CLASPS else 1
+    batches = [seeds[first : first + size] for first in range(0, runs, size)]
     completed: list[CampaignRun] = []
     with contextlib.ExitStack() as stack:
-        results: Iterable[CampaignRun] = (run_flight(each, task) for each in flights)
-        if workers > 1:
-            tasks = {f"flight-{each.seed}": (each,) for each in flights}
-            futures = run_tasks(run_flight, tasks, workers, shared=task)
+        results: Iterable[list[CampaignRun]] = (
+            run_flights(batch, settings, task) for batch in batches
+        )
+        if min(workers, len(batches)) > 1:
+            tasks = {f"flight-{batch[0]}": (batch, settings) for batch in batches}
+            futures = run_tasks(run_flights, tasks, workers, shared=task)
             stack.enter_context(contextlib.closing(futures))
             results = (future.result() for _, future in futures)
-        for run in results:
-            completed.append(run)
+        for batch_of_runs in results:
+            completed += batch_of_runs
             if progress is not None:
                 succeeded = sum(run.succeeded for run in completed)
                 progress(f"{len(completed)} of {runs} flown, {succeeded} succeeded")
@@ -112,7 +188,12 @@ def processes(runs: int, workers: int | None = None) -> int:
 
 
 def expected_seconds(task: Task, settings: Settings) -> float:
-    """Return the processor time of a flight [s] from its first steps; nan if it cannot start."""
+    """Return the processor time of a flight with ropes [s] from its first steps.
+
+    It is nan for a flight that cannot start, and for others.
+    """
+    if settings.cables == CLASPS:
+        return float("nan")
     try:
         return FlightInProgress(task, settings).expected_seconds()
     except (InputError, UnsupportedError):
@@ -121,18 +202,23 @@ def expected_seconds(task: Task, settings: Settings) -> float:
         return float("nan")
 
 
-def run_flight(settings: Settings, task: Task) -> CampaignRun:
-    """Return the result of one flight; a flight that cannot start is a failure, not an error."""
+def run_flights(seeds: Sequence[int], settings: Settings, task: Task) -> list[CampaignRun]:
+    """Return the results of flights that are simulated at once.
+
+    A flight that cannot start is a failure, not an error.
+    """
     try:
-        return Simulation.of(task, settings).run
+        flights = fly_seeds(task, settings, seeds)
     except (InputError, UnsupportedError):  # these would affect every flight
         raise
     except HitchoptError as error:
-        return CampaignRun(settings.seed, NOT_SIMULATED, (Failure(START, (), 0.0, str(error)),), {})
+        failure = Failure(START, (), 0.0, str(error))
+        return [CampaignRun(seed, NOT_SIMULATED, (failure,), {}) for seed in seeds]
+    return [Simulation.judged(flight).run for flight in flights]
 
 
 def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
-    """Write the campaign's summary and a table of its runs; return the directory."""
+    """Write the campaign's summary, table of runs and picture; return the directory."""
 
     def write_runs(path: Path) -> None:
         rows = []
@@ -141,6 +227,12 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
             figures = {"time": first.time, **run.figures}
             row = {"seed": run.seed, "verdict": run.verdict, "failure": first.kind}
             row |= {"where": " ".join(first.where), "words": first.words}
+            errors = {
+                f"{rest} {vertex}": error
+                for rest, vertices in run.rests.items()
+                for vertex, error in vertices.items()
+            }
+            figures |= errors
             rows.append(row | {name: number(value, 6) for name, value in figures.items()})
         with path.open("w", encoding="utf-8", newline="") as file:
             table = csv.DictWriter(file, max(map(list, rows), key=len), lineterminator="\n")
@@ -149,6 +241,35 @@ def save_campaign(directory: Path | str, campaign: Campaign) -> Path:
 
     writers: dict[str, Writer] = {
         RUNS: write_runs,
+        CAMPAIGN_PICTURE: lambda path: style.save_figure(drawn_campaign(campaign), path),
         CAMPAIGN: lambda path: write_strict_json(path, campaign.to_dict()),
     }
     return replace_files(directory, writers, OWNED, seal=CAMPAIGN)
+
+
+@style.own_style()
+def drawn_campaign(campaign: Campaign) -> Figure:
+    """Return the picture of a campaign: every flight's errors of vertices at rests, and figures."""
+    figure = style.new_figure(SIZE)
+    rests, figures = campaign.rests, campaign.figures
+    rows = figure.add_gridspec(2, 1)
+    top = figure.add_subplot(rows[0], ylabel="mean vertex error\nat rest [cm]")
+    columns = [100.0 * np.array(errors) for errors in rests.values()]
+    for place, errors in enumerate(columns):
+        spread = WIDTH * (np.argsort(np.argsort(errors)) / max(len(errors) - 1, 1) - 0.5)
+        top.plot(place + spread, errors, ".", color=style.INK, ms=3)
+        median = Distribution.of(errors).median
+        top.plot([place - WIDTH, place + WIDTH], [median] * 2, color=style.LIMIT_COLOUR)
+    labels = [f"{vertex}\n{rest}" for rest, vertex in rests]
+    top.set_xticks(range(len(labels)), labels, fontsize="small")
+    if columns:
+        style.from_zero(top)
+    panels = rows[1].subgridspec(1, len(SHOWN))
+    for panel, (name, (label, unit)) in enumerate(SHOWN.items()):
+        axes = figure.add_subplot(panels[panel], xlabel=label)
+        values = np.array(figures.get(name, [])) / unit
+        axes.hist(values[np.isfinite(values)], bins=BINS, color="0.6")
+        axes.set_ylabel("flights" if panel == 0 else "")
+    rate = f"{campaign.successes} of {len(campaign.runs)} flights succeeded; red: medians"
+    style.headline(figure, "", rate)
+    return figure

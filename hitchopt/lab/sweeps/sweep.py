@@ -29,6 +29,7 @@ from hitchopt.errors import (
     TimeLimitError,
     optional_module,
 )
+from hitchopt.lab.simulation.settings import ROPES
 from hitchopt.lab.sweeps.study import Case, Study, digest_of, study_from_dict
 from hitchopt.storage.files import file_bytes, file_text, replace_files, write_strict_json
 from hitchopt.storage.yaml_file import located, parse_yaml, read_text
@@ -104,7 +105,7 @@ def run_sweep(
     InputError, FileError: the study is invalid, the directory is not writable, or a script calls
         this without ``if __name__ == "__main__":``, so that workers cannot import it.
     SweepError: the scheduler was lost.
-    UnsupportedError: dask.distributed or pandas is not installed, or mujoco for simulated flights.
+    UnsupportedError: dask.distributed or pandas is not installed, or mujoco for simulated ropes.
     """
     folder = as_path("directory", directory)
     if workers is not None:
@@ -123,7 +124,8 @@ def run_sweep(
     cases = {case.digest: case for case in study.cases()}
     for name in ("dask", "distributed", "pandas"):  # before anything is computed
         optional_module(name, "sweeps need", "sweep")
-    if any(case.simulate is not None for case in cases.values()):
+    simulated = [case.simulate for case in cases.values() if case.simulate is not None]
+    if any(keys.get("cables", ROPES) == ROPES for keys in simulated):
         optional_module("mujoco", "simulating needs", "simulate")
     content = {
         "format": FORMAT,
