@@ -10,7 +10,7 @@ between their drones and their other clasps. For every instant, as if the plan h
 - a way is the segment from the drone's place to that after the loss. It keeps ``separation`` and
   ``cable_clearance``, with the tracking error, whatever happens when on all ways;
 - a loose cable is in the prism below the triangle of way and far clasp, as deep as a cable that
-  leads straight down and up again;
+  leads straight down and up again; as while cables are tightened, its own drones may be closer;
 - the lost robot's drones rise straight up, above all others.
 
 Not covered: cables that swing sideways, friction, which may keep vertices off their places, and
@@ -45,8 +45,8 @@ from hitchopt.motion.states import TAUT_RATIO
 from hitchopt.trajectory import bernstein
 from hitchopt.trajectory.bernstein import same_degree
 from hitchopt.trajectory.enclosed import Bound, Enclosed, largest_of
-from hitchopt.trajectory.search import TimeSpans, worst
-from hitchopt.values import Array, Indices, true_runs
+from hitchopt.trajectory.search import TimeSpans, rough_bounds, worst
+from hitchopt.values import Array, Indices, lazy, true_runs
 
 MAX_PIECE = 0.25
 """[s] Longest piece on which places after a loss are interpolated while the hitch moves."""
@@ -142,7 +142,7 @@ class AfterLoss:
         """(m,), the cables of the drones that move."""
         return self.drone // 2
 
-    @property
+    @lazy
     def tensions(self) -> Array:
         """Tensions of these cables (pieces, m, degree + 1) [N]."""
         return self.motion.tensions.coefficients[:, self.cable]
@@ -157,7 +157,7 @@ class AfterLoss:
         """Lengths (pieces, m) [m] that the longest way of each piece has at most."""
         return np.asarray(Enclosed(self.place - self.start).norm_upper.value)
 
-    @property
+    @lazy
     def rise(self) -> float:
         """[m] Height by which the drones of a lost robot rise above all others."""
         heights = joined_arrays([self.motion.drones.coefficients, self.place], axis=1)[:, :, 2]
@@ -165,12 +165,12 @@ class AfterLoss:
         height = RISE * self.requirements.separation.height
         return height + float(np.max(differences))
 
-    @property
+    @lazy
     def requirements(self) -> Requirements:
         """Requirements that include the tracking error."""
         return self.motion.requirements.with_reserve
 
-    @property
+    @lazy
     def lengths(self) -> Array:
         """Largest lengths (pieces, m) [m] of the loose parts of cables."""
         chords = [self.clasp - self.far, self.start - self.clasp]
@@ -180,7 +180,7 @@ class AfterLoss:
         edge, leg = (size * (1.0 + factors * size**2) for size in sizes)
         return np.asarray(edge + leg)
 
-    @property
+    @lazy
     def depths(self) -> Array:
         """How far loose cables hang at most below their ends (pieces, m) [m]."""
         ends = np.stack([self.start, self.place], axis=2) - self.far[:, :, None]
@@ -195,8 +195,8 @@ class AfterLoss:
         top = np.stack(corners, axis=2)
         bottom = top.copy()
         bottom[..., 2, :] -= self.depths[:, :, None, None]
-        names = self.motion.team.cable_names
-        return Bodies(np.concatenate([top, bottom], axis=2), [names[c] for c in self.cable])
+        names = [self.motion.team.cable_names[cable] for cable in self.cable]
+        return Bodies(np.concatenate([top, bottom], axis=2), names, outline=len(corners))
 
     def cases(self) -> Iterator[Case]:
         """Yield all distances that are kept."""
@@ -216,10 +216,14 @@ class AfterLoss:
         waiting = Bodies(tops, names)
         loose = self.loose(self.start, self.place, self.far)
         at_first = self.loose(self.start, self.clasp, self.far)
+        taut = Bodies(np.stack([self.place, self.far], axis=2), loose.names)
         may_leave = np.isin(np.arange(len(names)) // 2, self.robots)
 
         def others(row: Indices, drone: Indices) -> Flags:
             return np.asarray((drone != self.drone[row]) & (drone // 2 != self.lost[row]))
+
+        def of_others(row: Indices, drone: Indices) -> Flags:
+            return np.asarray(others(row, drone) & (drone // 2 != self.cable[row]))
 
         def together(row: Indices, other: Indices) -> Flags:
             return np.asarray((self.lost[row] == self.lost[other]) & (row != other))
@@ -268,7 +272,8 @@ class AfterLoss:
         yield ratio(rising, drones, stay)
         yield metres("cable_clearance", ways, parts, foreign)
         yield metres("cable_clearance", loose, ways, together)
-        yield metres("cable_clearance", loose, drones, others)
+        yield metres("cable_clearance", loose, drones, of_others)
+        yield metres("cable_clearance", taut, drones, others)
         yield metres("cable_clearance", rising, parts, not_own)
         yield metres("cable_clearance", at_first, rising, leaves)
         yield metres("crossing", loose, parts, unclasped)
@@ -279,6 +284,11 @@ class AfterLoss:
         yield from Rows.all_of(self, self.motion.drones.breaks, len(self.drone))
 
     def worst(self) -> WorstCase:
+        """Return the smallest distance, or the like, over its limit; a bound if it is kept."""
+        with rough_bounds():
+            return self._worst()
+
+    def _worst(self) -> WorstCase:
         """Return the smallest distance, or the like, over its limit."""
         best = WorstCase(math.inf, 0.0)
         for formula, name in ((_chain_error, "equilibrium"), (_need, "thrust"), (_room, "arena")):

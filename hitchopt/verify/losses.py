@@ -160,6 +160,18 @@ def depth_of(s: Spans, rows: Moves, j: Index, ends: list[Line]) -> Array:
     return np.asarray(0.5 * np.sqrt(np.maximum(squares, 0.0))[:, None])
 
 
+def pairs(allowed: Callable[[Any, Any], Any], first: Items, second: Items) -> Items:
+    """Return the pairs (m, 2) of two groups that are allowed."""
+    i, j = (x.ravel() for x in np.meshgrid(first, second, indexing="ij"))
+    keep = np.broadcast_to(allowed(i, j), i.shape)
+    return np.column_stack([i[keep], j[keep]])
+
+
+def share(line: Line, limit: float) -> Line:
+    """Return a distance over its limit, at most 1."""
+    return minimum(line * (1.0 / limit), 1.0)
+
+
 def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
     """Prove that all distances after losses are kept, as shares of their limits, at most 1."""
     count, names = len(rows.drone), [p.names[i] for i in rows.drone]
@@ -174,11 +186,6 @@ def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
     segments = p.segments
     of_cable = segments[:, 2]
 
-    def pairs(allowed: Callable[[Any, Any], Any], first: Items, second: Items) -> Items:
-        i, j = (x.ravel() for x in np.meshgrid(first, second, indexing="ij"))
-        keep = np.broadcast_to(allowed(i, j), i.shape)
-        return np.column_stack([i[keep], j[keep]])
-
     def way(s: Spans, j: Index) -> list[Line]:
         return [s.point(rows.drone[j]), place_after(s, rows, j)]
 
@@ -192,11 +199,11 @@ def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
         below = concatenate(s.zero, s.zero, lowest)
         return [*corners, start, below + start * (1.0 - UP)]
 
+    def taut(s: Spans, j: Index) -> list[Line]:
+        return [place_after(s, rows, j), s.point(rows.far[j])]
+
     def rising(s: Spans, i: Index) -> list[Line]:
         return [s.point(i), s.point(i) + rise]
-
-    def share(line: Line, limit: float) -> Line:
-        return minimum(line * (1.0 / limit), 1.0)
 
     def ratio(a: list[Line], b: list[Line]) -> Line:
         return share(distance([x * p.scale for x in a], [x * p.scale for x in b]), 1.0)
@@ -205,6 +212,7 @@ def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
     apart_by = partial(prism_gap, ratio=p.ratio)
     cable_limit, crossing_limit = p.cable_limit[1], p.crossing_limit[1]
     others = pairs(lambda j, i: (i != rows.drone[j]) & (i // 2 != rows.lost[j]), each, drones)
+    of_others = others[others[:, 1] // 2 != cable[others[:, 0]]]
     both = pairs(lambda j, i: (rows.lost[j] == rows.lost[i]) & (i != j), each, each)
     leaving = pairs(lambda j, i: rows.lost[j] == i // 2, each, drones)
     staying = pairs(lambda i, j: i // 2 != j // 2, may_leave, drones)
@@ -234,7 +242,8 @@ def cases(p: Plan, rows: Moves, on: Mask) -> Iterator[Row]:
         (foreign, lambda s, j, x: near(way(s, j), s.segment(x)), (names, part_names)),
         (not_own, lambda s, i, x: near(rising(s, i), s.segment(x)), (all_names, part_names)),
         (both, lambda s, j, i: apart_by(loose(s, j), way(s, i)), (names, names)),
-        (others, lambda s, j, i: apart_by(loose(s, j), [s.point(i)] * 2), (names, all_names)),
+        (of_others, lambda s, j, i: apart_by(loose(s, j), [s.point(i)] * 2), (names, all_names)),
+        (others, lambda s, j, i: near(taut(s, j), [s.point(i)]), (names, all_names)),
         (
             leaving,
             lambda s, j, i: apart_by(loose(s, j, at_first=True), rising(s, i)),
