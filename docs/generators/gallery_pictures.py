@@ -28,7 +28,7 @@ from hitchopt.view.style import COLOURS, INK, new_figure, save_figure
 SIZE = (4.2, 4.2)
 """Width and height [inch]."""
 
-EDGES = {"left": 0.01, "right": 0.99, "bottom": 0.01, "top": 0.94}
+EDGES = {"left": 0.01, "right": 0.99, "bottom": 0.01, "top": 0.92}
 """Edges of storyboards, as fractions of the figure."""
 
 PALETTE = 64
@@ -36,7 +36,13 @@ PALETTE = 64
 
 
 PANELS = 4
-"""Number of panels of a storyboard, which a card of the gallery shows some 200 pixels wide."""
+"""Number of panels of a storyboard."""
+
+CARD_WIDTH = 200.0
+"""Width of a picture on a card of the gallery [pixels]."""
+
+CAPTION_HEIGHT = 9.0
+"""Least size of captions there [pixels]."""
 
 
 def draw(file: Path, *, solved: bool) -> Figure:
@@ -52,6 +58,8 @@ def draw(file: Path, *, solved: bool) -> Figure:
         chosen = np.unique(np.linspace(0, len(shots) - 1, PANELS).round().astype(int))
         place = figure.add_gridspec(1, 1, **EDGES)[0]
         draw_plan_storyboard(place, plan.flight, [shots[i] for i in chosen])
+        for axes in figure.axes:
+            axes.title.set_fontsize(CAPTION_HEIGHT * 72.0 * SIZE[0] / CARD_WIDTH)
         return figure
     figure = new_figure(SIZE)
     axes = figure.add_subplot()
