@@ -137,10 +137,12 @@ def _end(
     return ho.Hitch.nearest(start.team, goal, 1.0, kept, limits=limits, separation=separation)
 
 
-def _attempt(rival: Rival, start: ho.Hitch, end: ho.Hitch) -> RivalFlight | RivalError:
+def _attempt(
+    rival: Rival, start: ho.Hitch, end: ho.Hitch, seed: ho.Plan | None = None
+) -> RivalFlight | RivalError:
     """Return the rival's flight or its error."""
     try:
-        return rival.solve(start, end)
+        return rival.solve(start, end, seed)
     except RivalError as error:
         return error
 
@@ -178,24 +180,26 @@ def outcomes(seed: int, rivals: dict[int, Rival], limit: float) -> dict[str, Out
     except ho.InfeasibleError:
         return {}
 
-    def flight_of(optimize: bool) -> float | None:
+    def plan_of(optimize: bool) -> ho.Plan | None:
         try:
-            return ho.morph(start, goal, separation=separation, optimize=optimize).duration
+            return ho.morph(start, goal, separation=separation, optimize=optimize)
         except ho.InfeasibleError:
             return None
 
-    n, results = start.team.robots, dict[str, Outcome]()
+    n, results, plans = start.team.robots, dict[str, Outcome](), dict[str, ho.Plan | None]()
     for kind, optimize in (("straight", False), ("optimised", True)):
-        flight, seconds = timed(partial(flight_of, optimize))
-        results[kind] = Outcome(seconds, flight)
+        plan, seconds = timed(partial(plan_of, optimize))
+        plans[kind] = plan
+        results[kind] = Outcome(seconds, None if plan is None else plan.duration)
     if n <= MAX_RIVAL_ROBOTS and results["straight"].flight is not None:
         end = _end(start, goal, ho.Limits(), separation)
         if n not in rivals:
             rivals[n] = Rival(start.team, ho.Limits(), separation, limit)
             _attempt(rivals[n], start, end)
-        solved, seconds = timed(lambda: _attempt(rivals[n], start, end))
-        flight = None if isinstance(solved, RivalError) else solved.duration
-        results["rival"] = Outcome(seconds, flight)
+        for kind, seed_plan in (("rival", None), ("rival from straight", plans["straight"])):
+            solved, seconds = timed(partial(_attempt, rivals[n], start, end, seed_plan))
+            flight = None if isinstance(solved, RivalError) else solved.duration
+            results[kind] = Outcome(seconds, flight)
     return results
 
 
@@ -211,7 +215,7 @@ def measure_random(count: int, limit: float, table: Table) -> None:
         by_size[SIZES[0][0] + seed % COUNT_OF_SIZES].append(outcomes(seed, rivals, limit))
     for least, largest in (*SIZES, (SIZES[0][0], SIZES[-1][1])):
         found = [each for n in range(least, largest + 1) for each in by_size[n]]
-        for kind in ("straight", "optimised", "rival"):
+        for kind in ("straight", "optimised", "rival", "rival from straight"):
             pairs = [(each["straight"], each[kind]) for each in found if kind in each]
             if not pairs:
                 continue

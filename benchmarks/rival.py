@@ -68,10 +68,8 @@ class Rival:
         q: (n, 2) [m], the q-legs at start and end.
         cables: (n, 1) [m], cable lengths.
         """
-        n, inner = self.team.robots, COEFFICIENTS - DEGREE
-        ends = np.zeros(DEGREE)
-        knots = np.concatenate([ends, np.linspace(0.0, 1.0, inner + 1), ends + 1.0])
-        basis = BSpline(knots, np.eye(COEFFICIENTS), DEGREE)
+        n = self.team.robots
+        basis = BSpline(_knots(), np.eye(COEFFICIENTS), DEGREE)
         level = ca.DM(np.kron(np.eye(n), np.eye(3, 2)))  # coordinates x, y, 0 from x, y
         vertices, rolls, q_legs = [], [], []
         for order in range(3):
@@ -132,8 +130,8 @@ class Rival:
             {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", **limits}},
         )
 
-    def solve(self, start: ho.Hitch, end: ho.Hitch) -> RivalFlight:
-        """Return IPOPT's solution.
+    def solve(self, start: ho.Hitch, end: ho.Hitch, seed: ho.Plan | None = None) -> RivalFlight:
+        """Return IPOPT's solution from a guess of its own, or from a plan of the same morph.
 
         Raises
         ------
@@ -145,8 +143,11 @@ class Rival:
         share = np.linspace(0.0, 1.0, COEFFICIENTS - 2 * FIXED + 2)[1:-1, None]
         guess = first + share * (last - first)
         longest = float(np.max(np.linalg.norm(end.drones - start.drones, axis=-1)))
+        guessed_duration = 2.0 + 4.0 * longest
+        if seed is not None:
+            guess, guessed_duration = self._fitted(seed, first, last), seed.duration
         solution = self.solver(
-            x0=np.append(guess.T.ravel(), 2.0 + 4.0 * longest),
+            x0=np.append(guess.T.ravel(), guessed_duration),
             p=np.concatenate([first, last, q.T.ravel(), cables]),
             lbx=np.append(np.full(guess.size, -np.inf), 0.1),
             ubx=np.inf,
@@ -163,6 +164,17 @@ class Rival:
         outputs, _ = self.flight(fine, *given)
         return RivalFlight(duration, self.excess(outputs))
 
+    def _fitted(self, plan: ho.Plan, first: Array, last: Array) -> Array:
+        """Return the free coefficients of splines next to a plan's vertices, without roll."""
+        s = np.linspace(0.0, 1.0, 4 * SAMPLES)
+        vertices = plan.motion.vertices.at(plan.motion.vertices.breaks[0] + s * plan.duration)
+        level = vertices[..., :2].reshape(len(s), -1)
+        values = np.column_stack([level, np.zeros((len(s), self.team.robots))])
+        basis = BSpline(_knots(), np.eye(COEFFICIENTS), DEGREE)(s)
+        ends = np.outer(basis[:, :FIXED].sum(1), first) + np.outer(basis[:, -FIXED:].sum(1), last)
+        middle = basis[:, FIXED:-FIXED]
+        return np.asarray(np.linalg.lstsq(middle, values - ends, rcond=None)[0])
+
     def excess(self, outputs: Mapping[str, Symbols]) -> float:
         """Return the largest relative excess over the limits of speed and acceleration."""
         speed, acceleration = (
@@ -170,6 +182,13 @@ class Rival:
             for name in ("velocities", "accelerations")
         )
         return max(speed / self.limits.speed, acceleration / self.limits.acceleration) - 1.0
+
+
+def _knots() -> Array:
+    """Return the knots of clamped splines with COEFFICIENTS coefficients on [0, 1]."""
+    ends = np.zeros(DEGREE)
+    inner = np.linspace(0.0, 1.0, COEFFICIENTS - DEGREE + 1)
+    return np.concatenate([ends, inner, ends + 1.0])
 
 
 def squares(columns: Symbols) -> Symbols:
