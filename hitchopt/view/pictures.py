@@ -205,6 +205,7 @@ def draw_summary(
     return figure
 
 
+@style.own_style()
 def _summary_on_page(
     flight: Flight,
     certificate: Certificate,
