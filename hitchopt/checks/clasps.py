@@ -167,6 +167,13 @@ class RollTerms(NamedTuple):
     """The sum V of both legs' pulls [N], up to the factor of ``ClaspSizes``."""
 
 
+@cached
+def _has_slopes(motion: Motion) -> bool:
+    """Return whether edges slope, as those at the ends of a chain may: it has no legs there."""
+    vertices = motion.vertices.coefficients
+    return not motion.team.layout.closed and bool(np.ptp(vertices[:, :, 2]) > 0.0)
+
+
 class Clasps(MotionSpans):
     """Spans of clasps, with the forces (spans, 2) of the cables ahead and behind."""
 
@@ -237,7 +244,12 @@ class Clasps(MotionSpans):
         edge_half_densities = self.exact(self.sizes.edge_half_densities)
         return LegsAndEdges(
             legs=chord_pull(leg_tensions, leg_half_densities, squared_level, leg[2]),
-            edges=chord_pull(edge_tensions, edge_half_densities, squared_edge),
+            edges=chord_pull(
+                edge_tensions,
+                edge_half_densities,
+                squared_edge,
+                edge[2] if _has_slopes(self.source) else None,
+            ),
         )
 
     @lazy

@@ -150,7 +150,8 @@ def clasp_forces(s: Spans, c: Index) -> tuple[list[Line], list[Line], list[Line]
     for cable, other in ((k, 2 * k + 1), (j, 2 * j)):
         length = -s.leg(other).norm().where(p.leg[other]) + p.length[cable]
         weights.append(s.tautness(cable) * (length * (0.5 * p.weight) + 0.5 * G * p.load[c]) * UP)
-    pulls = [s.pull(2 * k), s.edge_pull(k) * factor, s.pull(2 * j + 1), s.edge_pull(j) * factor]
+    ahead, behind = s.edge_pull(k, 1.0) * factor, s.edge_pull(j, -1.0) * factor
+    pulls = [s.pull(2 * k), ahead, s.pull(2 * j + 1), behind]
     return [x.unit() for x in chords], pulls, weights, body_force
 
 

@@ -221,12 +221,17 @@ class Spans:
         weight = leg[2] * self.tautness(k) * (0.5 * self.plan.weight)
         return self.chord_force(self.plan.pulls.on(self, i), k, leg[:2].dot(leg[:2])) + weight
 
-    def edge_pull(self, k: Index) -> Line:
-        """Return the pull of edges; edges around objects have their full length, arcs included."""
-        edge = (self.point(self.plan.end[k]) - self.point(self.plan.begin[k]))[:2]
+    def edge_pull(self, k: Index, sense: float = 0.0) -> Line:
+        """Return the pull of edges; edges around objects have their full length, arcs included.
+
+        Those of chains may slope: the ``sense`` is 1 at their start, -1 at their end.
+        """
+        chord = self.point(self.plan.end[k]) - self.point(self.plan.begin[k])
+        edge, slope = chord[:2], chord[2] * (0.5 * self.plan.weight * sense)
         if self.plan.has_contacts:
             edge = -(self.leg(2 * k).norm() + self.leg(2 * k + 1).norm()) + self.plan.length[k]
-        return self.chord_force(self.plan.tensions.on(self, k), k, edge.dot(edge))
+        pull = self.chord_force(self.plan.tensions.on(self, k), k, edge.dot(edge))
+        return pull if self.plan.closed else pull + slope * self.tautness(k)
 
     def local(self, b: int, x: Line) -> Line:
         """Return points in the frame of body b; -1 is the world."""

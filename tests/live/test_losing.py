@@ -31,7 +31,7 @@ def square(density: float = 0.0) -> ho.Plan:
     return ho.solve(start, steps, limits=ho.Limits(survive="cable"))
 
 
-@pytest.mark.parametrize(("robot", "time", "density"), [(0, 1.0, 0.0), (2, 2.0, 0.004)])
+@pytest.mark.parametrize(("robot", "time", "density"), [(0, 1.0, 0.0), (2, 2.0, 0.008)])
 def test_all_but_two_drones_stay_where_the_plan_stopped(
     robot: int, time: float, density: float
 ) -> None:
