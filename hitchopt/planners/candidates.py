@@ -2,10 +2,10 @@
 
 A planner yields its candidates. ``first_certified`` tries them, and is the only place that catches
 InfeasibleError to try something else. What a planner asks on the way is a query that returns None,
-or a violation, such as ``shape_violation``. The error itself is the answer of three queries: of
+or a violation, such as ``shape_violation``. The error itself is the answer of four queries: of
 forces without a balance (``if_balanced``; how much a move must be slowed), of the largest mass on a
-rim (``rest_capacity``), and of what other numbers of robots hold (``fit``). ``violations_at`` only
-adds the time to an error.
+rim (``rest_capacity``), of what other numbers of robots hold (``fit``), and of how candidates rank
+(``error_of``). ``violations_at`` only adds the time to an error.
 
 The search within one candidate, such as that of the optimiser, has an effort of its own.
 """
@@ -136,6 +136,15 @@ def first_feasible(candidates: Iterable[Candidate[T]], otherwise: U) -> T | U:
     fallback: Candidate[T | U] = Candidate("as it is", lambda: otherwise)
     ways: list[Candidate[T | U]] = [*candidates, fallback]
     return first_certified(ways, Effort())
+
+
+def error_of(query: Callable[[], object]) -> InfeasibleError | None:
+    """Return what a query finds infeasible, or None; it ranks or measures candidates."""
+    try:
+        query()
+    except InfeasibleError as error:
+        return error
+    return None
 
 
 def _report_faults(failures: Sequence[Failure]) -> None:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
+from itertools import product
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
@@ -26,11 +26,13 @@ from hitchopt.objects.placing import (
     stacked_on,
     surface_below,
 )
-from hitchopt.planners.candidates import Candidate, first_certified
+from hitchopt.planners.candidates import Candidate, error_of, first_certified
 from hitchopt.planners.carrying.grasps import (
+    RESERVES,
     ROLL_RESERVE,
     hold_error,
     require_hold,
+    reserve_of,
     wider_for_closing,
 )
 from hitchopt.planners.carrying.hold_search import HoldSearch
@@ -135,14 +137,32 @@ def step_motion(
     return step.with_duration(task, motion)
 
 
-def altitude_over(task: StepTask) -> float:
-    """Return the lowest altitude [m], not below the hitch's, that clears all objects."""
+def altitude_over(task: StepTask, to: Outline) -> float:
+    """Return the lowest altitude [m] of the hitch that clears all objects below its way.
+
+    That is the straight one from its polygon to another, ``to``. Its drones pass within the reach
+    of both hitches.
+    """
     requirements = task.requirements
     hitch = task.hitch
-    tops = [float(body.at[2]) + body.upper for body in requirements.objects.values()]
+    team = hitch.team
+    start = hitch.polygon.centroid
+    onward = to.centroid - start
+    slack = float(np.max(team.cable_length)) - float(np.min(to.edge_lengths))
+    reach = max(
+        float(np.max(length(hitch.drones[:, :2] - start))),
+        float(np.max(length(to.vertices - to.centroid))) + slack,
+    )
     sink = max(hitch.altitude - float(np.min(hitch.drones[:, 2])), 0.0)
     clearance = requirements.separation.radius + OBJECT_MARGIN + sink
-    return max(hitch.altitude, *(top + clearance for top in tops))
+    lowest = -math.inf
+    for body in requirements.objects.values():
+        radius = max(slab.section.circumradius for slab in body.slabs)
+        ahead = (body.at[:2] - start) @ onward / max(float(onward @ onward), PLACE_TOLERANCE)
+        nearest = start + np.clip(ahead, 0.0, 1.0) * onward
+        if length(body.at[:2] - nearest) < reach + radius + clearance:
+            lowest = max(lowest, float(body.at[2]) + body.upper + clearance)
+    return lowest
 
 
 def at_around_speed(requirements: Requirements) -> Requirements:
@@ -166,7 +186,7 @@ def requirements_near(task: StepTask, name: str) -> Requirements:
 @documented
 @dataclass(frozen=True)
 class Enclose(Step):
-    """Rise above an object, change to a polygon around it, and descend.
+    """Rise above what is on the way to an object, change to a polygon around it, and descend.
 
     It ends just below the object's rim, or at the height of its centre of mass if it has none.
     """
@@ -224,21 +244,38 @@ class Enclose(Step):
         size = f"{rounded_up(radius, 2):.2g} m in radius"
         remedy = f"tie the hitch at its size around objects.{self.object} ({size})"
         check_opens(hitch, polygon.vertices, requirements, remedy)
-        safe_altitude = altitude_over(task)
-        start = np.append(hitch.polygon.centroid, hitch.altitude)
-        up = np.append(hitch.polygon.centroid, safe_altitude)
-        over = np.append(polygon.centroid, safe_altitude)
-        moves = [
-            Transport(end).plan
-            for begin, end in pairwise((start, up, over))
-            if np.max(np.abs(end - begin)) >= PLACE_TOLERANCE
-        ]
-        above = plan_in_sequence([*moves, Morph(polygon).plan], task)
-        slow = task.within(at_around_speed(requirements), above.after)
-        down = Transport(np.append(polygon.centroid, altitude)).plan(slow)
+        above = self._above(task, polygon)
+        near = task.within(requirements, above.after)
+        top = max(altitude_over(near, polygon), altitude)
+        slow = at_around_speed(requirements)
+        parts = [above.motion]
+        for height, within in ((top, requirements), (altitude, slow)):
+            if near.hitch.altitude - height >= PLACE_TOLERANCE:
+                down = Transport(np.append(polygon.centroid, height))
+                lower = down.plan(near.within(within, near.before))
+                parts.append(lower.motion)
+                near = near.within(requirements, lower.after)
         grasp = GraspState(self.object, polygons, task.before.team.tension)
-        motion = step_motion(self, task, [above.motion, down.motion])
-        return StepPlan(motion, replace(down.after, grasp=grasp))
+        return StepPlan(step_motion(self, task, parts), replace(near.before, grasp=grasp))
+
+    def _above(self, task: StepTask, polygon: ConvexPolygon) -> StepPlan:
+        """Plan the change to a polygon at an altitude over all that is passed.
+
+        The hitch changes as it travels, or else where it arrives.
+        """
+        hitch = task.hitch
+        altitude = max(hitch.altitude, altitude_over(task, polygon))
+        start = hitch.polygon.centroid
+        rising = [Transport(np.append(start, altitude)).plan]
+        if altitude - hitch.altitude < PLACE_TOLERANCE:
+            rising = []
+        changing = Morph(polygon).plan
+        travelling = Transport(np.append(polygon.centroid, altitude)).plan
+        at_once = partial(certified_plan, partial(plan_in_sequence, [*rising, changing]), task)
+        there = partial(plan_in_sequence, [*rising, travelling, changing], task)
+        ways = [Candidate("way", at_once), Candidate("way", there)]
+        travels = np.max(np.abs(polygon.centroid - start)) >= PLACE_TOLERANCE
+        return first_certified(ways if travels else ways[:1], task.effort, task.progress)
 
 
 def first_orientation(
@@ -325,6 +362,9 @@ def _nearest_turn(polygon: Array, goal: Array) -> float:
     return float(np.angle(max(products, key=abs)))
 
 
+EVEN_SPLITS = (0.3, 0.35, 0.65, 0.7)
+"""Slack splits of all cables of a hold below a rim that are tried before a search over all."""
+
 HoldMethod = Literal["rest", "grip"]  # Method of holding an object
 
 BY = words("rest", "grip")
@@ -409,8 +449,8 @@ class Grasp(TensionStep):
         def closings() -> Iterator[tuple[RestHold, ...]]:
             """Yield the hitches below the rim through which it closes, the last of which hold it.
 
-            Those of the rim's polygons come first. Holds that are found from them have other legs,
-            which change around the object.
+            Those of the rim's polygons come first, then these with EVEN_SPLITS. Holds that are
+            found from them have other legs, which change around the object.
             """
             polygons, gap = task.grasp.polygons, planner_of(task).gap
             holds = list[RestHold]()
@@ -419,17 +459,28 @@ class Grasp(TensionStep):
                 roll = ROLL_RESERVE * goal.roll
                 holds.append(RestHold(team, body, clasps, height, goal.fractions, roll))
                 yield (holds[-1],)
+            for start, split in product(holds, EVEN_SPLITS):
+                yield (replace(start, fractions=np.full(team.robots, split)),)
             for start in holds:
                 search = HoldSearch(start, polygons.around, tension, with_margin, gap)
                 for hold in search.holds():
                     yield replace(hold, polygon=polygons.around), hold
 
         def holds() -> Iterator[Candidate[StepPlan]]:
-            """Yield the plans of all holds."""
+            """Yield the plans of all holds: those without a full reserve last, by reserves."""
+            slower = list[tuple[float, Candidate[StepPlan]]]()
             for closing in closings():
                 planner = planner_of(task).from_state(tension=tension, hold=closing[-1])
-                plan = partial(held, planner, closing)
-                yield Candidate("hold", plan, explained=partial(hold_error, task, planner))
+                explained = partial(hold_error, task, planner)
+                candidate = Candidate("hold", partial(held, planner, closing), explained=explained)
+                is_held = error_of(partial(require_hold, task, planner)) is None
+                reserve = reserve_of(planner) if is_held else RESERVES[0]
+                if reserve == RESERVES[0]:
+                    yield candidate
+                else:
+                    slower.append((reserve, candidate))
+            slower.sort(key=lambda rated: -rated[0])
+            yield from (candidate for _, candidate in slower)
 
         return first_certified(holds(), task.effort, task.progress)
 
@@ -580,7 +631,7 @@ class Loosen(Step):
 @documented
 @dataclass(frozen=True)
 class Leave(Step):
-    """Rise vertically until the hitch is above all objects."""
+    """Rise vertically until the hitch is above the object and those beside it."""
 
     stages: ClassVar[tuple[Stage, Stage] | None] = (Stage.AROUND, Stage.FREE)
     object: ObjectOf
@@ -588,7 +639,9 @@ class Leave(Step):
 
     def plan(self, task: StepTask) -> StepPlan:
         """Plan the vertical ascent."""
-        over = Transport(np.append(task.hitch.polygon.centroid, altitude_over(task)))
+        polygon = task.hitch.polygon
+        altitude = max(task.hitch.altitude, altitude_over(task, polygon))
+        over = Transport(np.append(polygon.centroid, altitude))
         plan = over.plan(task.within(at_around_speed(task.requirements), task.before))
         motion = step_motion(self, task, [plan.motion])
         return StepPlan(motion, replace(plan.after, grasp=None))

@@ -128,6 +128,27 @@ def test_infeasible_holds_are_refused(problem: dict[str, Any], name: str, words:
     assert name in told
 
 
+@pytest.mark.slow
+def test_holds_with_a_reserve_are_preferred_and_carried_without_slowing() -> None:
+    """Other holds of this tray keep drones just apart at rest: slowed down, they take 230 s."""
+    rim = {"circle": 0.248, "at": 0.44}
+    body = {"circle": 0.063, "to": 0.49, "mass": 0.3037, "rim": rim}
+    team = {"tension": 0.91, "cable_density": 0.003}
+    plan = solved(hold(body, 5, 0.91, **team))
+    assert plan.certificate.certified
+    assert not any("slowed down" in phase.remark for phase in plan.phases)
+
+
+@pytest.mark.slow
+def test_hitches_rise_above_what_they_pass_alone() -> None:
+    """A tall post far from the way changes nothing."""
+    problem = steps_of(plans.tray(), ENCLOSED, LEFT)
+    low = solved(problem)
+    post = {"circle": 0.05, "to": 3.0, "at": [-4.0, -4.0, 0.0], "fixed": True}
+    far = solved({**problem, "objects": {**problem["objects"], "post": post}})
+    assert far.duration == pytest.approx(low.duration, rel=1e-6)
+
+
 def test_bends_of_edges_below_the_ground_count() -> None:
     motion = plans.plan("drum").motion
     lowered = motion.contacts.coefficients.copy()

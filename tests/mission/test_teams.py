@@ -220,6 +220,22 @@ def test_teams_change_places_in_layers_but_for_steps_of_a_given_duration() -> No
         exchanged(9.0)
 
 
+def test_teams_that_cross_rise_instead_of_waiting_where_that_takes_less_time() -> None:
+    """Three paths that cross in one point; a low ceiling leaves only the wait."""
+    polygon: Any = np.array(TRIANGLE)
+    places = {"a": [-4.0, 0.0], "b": [2.0, -3.5], "c": [2.0, 3.5]}
+    teams = {name: ho.Team(3, 2.3) for name in places}
+    start: Any = {name: ho.HitchStart(polygon + at, 1.5) for name, at in places.items()}
+    ends = {name: np.array([-at[0], -at[1], 1.5]) for name, at in places.items()}
+    item = {name: Transport(end) for name, end in ends.items()}
+    free = ho.Problem(teams, start, [item])
+    low = ho.Problem(teams, start, [item], arena=ho.Arena([-9, -9, 1.0], [9, 9, 2.0]))
+    above, waiting = ho.solve(free), ho.solve(low)
+    names = {phase.name for each in above.flight.teams for phase in each.motion.phases}
+    assert names >= {"climb", "descend"}
+    assert above.duration < 0.9 * waiting.duration
+
+
 def test_start_times_have_a_larger_margin_until_all_teams_are_certified(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

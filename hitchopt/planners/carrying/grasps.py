@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ from hitchopt.hitch.holding import Grip, grip_capacity
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import HoldBy
 from hitchopt.objects import Rim
-from hitchopt.planners.candidates import Candidate, first_feasible
+from hitchopt.planners.candidates import Candidate, error_of, first_feasible
 from hitchopt.planners.carrying.capacity import best_rim_hold, team_for_rim
 from hitchopt.planners.carrying.holds import RIM_EDGE, GripHold, RestHold
 from hitchopt.planners.carrying.planner import MovePlanner
@@ -21,11 +22,17 @@ from hitchopt.planners.carrying.polygons import rest_polygons
 from hitchopt.planners.task import StepPlan, StepTask, require_certified
 from hitchopt.values.fields import keys_of, with_fields
 
+LENGTH_LIMITED = frozenset({"separation", "cable_clearance", "crossing"})
+"""Constraints of a loaded hold that longer cables may satisfy, or shorter ones."""
+
 CLOSING_MARGIN = 1.03
 """Factor of the separation limits as legs close below a rim, since motion reduces distances."""
 
 ROLL_RESERVE = 1.3
 """Factor of the smallest roll of unloaded legs: a load brings legs closer together."""
+
+RESERVES = (1.0, 0.5, 0.25)
+"""Shares of a carry's acceleration at which holds are judged, the largest first."""
 
 LOAD_LIMITED = frozenset({"load", "thrust", "tilt", "equilibrium", "grip"})
 """Constraints that only less weight or more capacity satisfies."""
@@ -51,6 +58,14 @@ def require_hold(task: StepTask, planner: MovePlanner) -> None:
             moves = [planner.rim_move(planner.gap, 0.0), planner.transfer(0.0, 1.0)]
             taking = planner.motion(moves, "lift")
             require_certified(StepPlan(taking, task.before), when)
+
+
+def reserve_of(planner: MovePlanner) -> float:
+    """Return the largest of RESERVES with which the hold can be carried; 0 if none."""
+    shares = (
+        share for share in RESERVES if error_of(partial(planner.require_reserve, share)) is None
+    )
+    return next(shares, 0.0)
 
 
 def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> InfeasibleError:
@@ -83,6 +98,8 @@ def hold_error(task: StepTask, planner: MovePlanner, error: InfeasibleError) -> 
             alternatives += ", or raise limits.tilt_deg"
         if violation.constraint == "keep_out" and planner.state.object in violation.where:
             alternatives += ", or use longer cables"  # drones are beside the held object itself
+        elif violation.constraint in LENGTH_LIMITED:
+            alternatives += ", or use cables of a different length"
         elif violation.constraint not in LOAD_LIMITED:
             alternatives += f", or {violation.remedy}"
         violations.append(replace(violation, remedy=remedy + alternatives))

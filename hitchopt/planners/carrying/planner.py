@@ -24,12 +24,15 @@ from hitchopt.motion.motion import Motion, Phase, PhaseHold, concatenated
 from hitchopt.objects import SolidObject
 from hitchopt.planners.candidates import Candidate, Effort, first_certified
 from hitchopt.planners.carrying.holds import GripHold, HoldingHitch
-from hitchopt.planners.carrying.moves import Move, SmoothLaw
+from hitchopt.planners.carrying.moves import MAX_STEP_SLOPE, Move, SmoothLaw
 from hitchopt.planners.carrying.polygons import HoldPolygons
 from hitchopt.values import Array
 
-LIFT_SPEED = 0.1
-"""[m/s] Vertical speed with an object, and of clasps toward its rim."""
+LIFT_SPEED = 0.2
+"""[m/s] Vertical speed with an object."""
+
+RIM_SPEED = 0.1
+"""[m/s] Speed of clasps toward a rim, or of those that grip."""
 
 BELOW_RIM = 0.01
 """[m] Depth of cables below a rim, in addition to ``separation.object``."""
@@ -42,6 +45,22 @@ LIFT_ACCELERATION = 0.3
 
 CARRY_CHECKS = ("equilibrium", "grip", "separation", "crossing", "object_clearance")
 """Checks to which moves of a carried object are slowed down."""
+
+RESERVE_CHECKS = (*CARRY_CHECKS, "cable_clearance", "keep_out")
+"""Checks that holds keep at the accelerations of a carry."""
+
+TRIAL_DIRECTIONS = (
+    *(
+        (np.array([math.cos(angle), math.sin(angle), 0.0, 0.0]), CARRY_ACCELERATION)
+        for angle in np.radians([0.0, 45.0, 90.0, 135.0])
+    ),
+    (np.array([0.0, 0.0, 1.0, 0.0]), LIFT_ACCELERATION),
+)
+"""Directions of x, y, z and yaw in which holds are tried, forward and braking, and the largest
+acceleration [m/s²] of each."""
+
+TRIAL_HEIGHT = 1.0
+"""[m] Height above its place at which a held object is tried."""
 
 LOAD_LAW = SmoothLaw(0.75)
 """Law of changes of tensions, of friction feed-forward, and of weight from support to clasps."""
@@ -233,7 +252,7 @@ class MovePlanner:
         """Return the law of a slow motion over a length [m]."""
         limits = self.requirements.limits
         return SmoothLaw.fastest(
-            speed=LIFT_SPEED / length,
+            speed=RIM_SPEED / length,
             acceleration=0.5 * limits.acceleration / length,
             jerk=0.5 * limits.jerk / length,
         )
@@ -260,6 +279,31 @@ class MovePlanner:
         carrying = self.from_state(carried=True)
         move = carrying.move(law, start=start, end=to)
         return carrying.within_limits(move, *carrying.met_at_rest(CARRY_CHECKS))
+
+    def require_reserve(self, share: float) -> None:
+        """Raise InfeasibleError if the hold breaks a limit as it starts to be carried.
+
+        The object is off its support, away from obstacles, and accelerates at a ``share`` of the
+        largest acceleration in TRIAL_DIRECTIONS, and upward.
+        """
+        place = self.body.place + [0.0, 0.0, TRIAL_HEIGHT, 0.0]
+        objects = {self.state.object: self.body.moved_to(place)}
+        free = replace(self.requirements, objects=objects, arena=None, keep_out=())
+        planner = replace(self.from_state(carried=True), requirements=free)
+        limits = self.requirements.limits
+        of_hold = min(limits.acceleration, self.hold.largest_acceleration)
+        for direction, largest in TRIAL_DIRECTIONS:
+            acceleration = share * min(largest, of_hold)
+            speed = min(limits.speed, limits.vertex_speed)
+            distance = MAX_STEP_SLOPE * speed**2 / acceleration  # half of it to reach the speed
+            law = SmoothLaw.fastest(
+                speed / distance, acceleration / distance, limits.jerk / distance
+            )
+            motion = planner.motion([planner.move(law, end=place + distance * direction)])
+            violated = first_violated(motion, RESERVE_CHECKS)
+            if violated is not None:
+                when = f"with objects.{self.state.object} carried at {acceleration:.2g} m/s²"
+                raise InfeasibleError([violated.violation(when, RULE_OF[violated.name].remedy)])
 
     def met_at_rest(self, checks: Sequence[str]) -> list[str]:
         """Return the checks that the hold meets at rest: slower moves violate the others too."""
