@@ -346,6 +346,33 @@ def test_altitudes_by_heading_keep_opposite_flights_apart() -> None:
     assert on_layers(setting_of(replace(setting.task, requirements=required))) is None
 
 
+def test_planes_to_prisms_get_the_margin_that_curves_lacked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Programs that leave a drone 3 % too close to a prism ask for 3 % more after each round."""
+    planner = import_module(SeparatedCurves.__module__)
+    edge = -0.97 * 0.15
+    prism = Prism([[-0.5, edge], [0.5, edge], [0.5, -1.0], [-0.5, -1.0]], 0.0, 3.0)
+    ends = np.array([[[-2.0, 0.0, 1.0]], [[2.0, 0.0, 1.0]]])
+    task = task_of(*ends, separation=Separation(0.15, 0.3), keep_out=(prism,))
+    setting = setting_of(task)
+    guess = planner.Guess(setting, setting.nominal * [1.0, 0.0, 1.0], "")
+    gaps = list[float]()
+
+    def unmoved(*program: Any) -> Array:
+        """Return the same curves."""
+        _, coefficients, _, planes, *_ = program
+        gaps.append(float(np.min(planes.gaps)))
+        return np.asarray(coefficients)
+
+    monkeypatch.setattr(planner, "moved_curves", unmoved)
+    monkeypatch.setattr(planner, "_guesses", lambda _: iter([guess]))
+    with pytest.raises(InfeasibleError, match="keep_out"):
+        separate(task)
+    np.testing.assert_allclose(gaps[:4], [0.97, 0.94, 0.91, 0.88], atol=1e-3)
+    np.testing.assert_allclose(gaps[-1], 0.87, atol=1e-3)
+
+
 def test_drones_pushed_into_prisms_return_to_their_routes() -> None:
     setting = setting_of(forest(16, 5))
     on_routes = stuck_in_prisms(setting, setting.nominal)

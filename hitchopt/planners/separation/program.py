@@ -388,6 +388,10 @@ class Planes(NamedTuple):
     gaps: Array
     """(m, degree + 1): gaps of the coefficients; at least 1 if they keep their distance."""
 
+    def with_margin(self, margin: float) -> Planes:
+        """Return the planes with gaps that are smaller by a margin."""
+        return self._replace(gaps=self.gaps - margin)
+
 
 def planes_between(
     curves: Array, separation: Separation, cutoff: float, required: Indices

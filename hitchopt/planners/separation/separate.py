@@ -108,6 +108,13 @@ drones that are stuck in prisms are put back on their routes."""
 MAX_RESETS = 6
 """Maximum number of rounds after which drones are put back."""
 
+NEARLY_APART = 0.05
+"""Shortfall of separations below which planes to prisms get the margin that curves lacked, after a
+round without improvement."""
+
+MAX_PRISM_MARGIN = 0.1
+"""Largest such margin, over the distance."""
+
 MAX_EFFORT = 150_000.0
 """Effort after which no further guess is tried but drones one by one; programs take one unit per
 drone and piece."""
@@ -275,13 +282,14 @@ def _improved(guess: Guess, report: Progress, effort: Effort) -> CurveBounds:
     setting = guess.setting
     current = best = evaluate(setting, guess.coefficients)
     required_sides = np.zeros((0, 3), dtype=np.intp)
+    prism_margin = 0.0
     idle_rounds = stuck_rounds = resets = 0
     is_hurried = among_prisms = bool(setting.task.requirements.keep_out)
     max_iterations = MAX_ITERATIONS_AMONG_PRISMS if among_prisms else MAX_ITERATIONS
     for iteration in range(MAX_PROGRAMS_AMONG_PRISMS if among_prisms else MAX_PROGRAMS):
         if best.clear and setting.task.drones >= LARGE_CROWD:
             break
-        planes, moving = _planes(setting, current, required_sides)
+        planes, moving = _planes(setting, current, required_sides, prism_margin)
         between_drones = planes.sides[:, 2] >= 0
         required_sides = planes.sides[between_drones]
         if not best.clear and is_hurried:
@@ -303,6 +311,10 @@ def _improved(guess: Guess, report: Progress, effort: Effort) -> CurveBounds:
         idle_rounds = 0 if improved else idle_rounds + 1
         if current.merit < best.merit:
             best = current
+        if best.clear:
+            prism_margin = 0.0
+        elif idle_rounds and current.closest >= 1.0 - NEARLY_APART:
+            prism_margin = min(prism_margin + 1.0 - current.to_prisms, MAX_PRISM_MARGIN)
         is_apart = current.closest >= 1.0
         stuck_rounds = 0 if current.clear or not (is_apart or idle_rounds) else stuck_rounds + 1
         if stuck_rounds >= MAX_STUCK_ROUNDS and resets < MAX_RESETS:
@@ -345,11 +357,12 @@ def _search_ends(
 
 
 def _planes(
-    setting: Setting, current: CurveBounds, required: Indices
+    setting: Setting, current: CurveBounds, required: Indices, prism_margin: float
 ) -> tuple[Planes, NDArray[np.bool_]]:
     """Return the planes of the next program, also of required sides, and the mask (N,) of movers.
 
     In a LARGE_CROWD only drones move that are too close to others, as long as there are any.
+    ``prism_margin`` is what curves lacked before to prisms, over the distance.
     """
     task = setting.task
     separation = task.requirements.separation
@@ -364,7 +377,9 @@ def _planes(
         moving[planes.sides[close, 1:]] = True
     distance = separation.radius + 2.0 * setting.trust
     planes_to_prisms = [
-        planes_to_prism(pieces, prism, separation.radius, distance, task.requirements.arena)
+        planes_to_prism(
+            pieces, prism, separation.radius, distance, task.requirements.arena
+        ).with_margin(prism_margin)
         for prism in task.requirements.keep_out
     ]
     return _concatenated([planes, *planes_to_prisms]), moving
@@ -429,14 +444,15 @@ class CurveBounds:
         return not self.violations
 
     @property
+    def to_prisms(self) -> float:
+        """Smallest distance of drones to prisms, over its limit; at most 1."""
+        short = (each for each in self.violations if each.constraint == "keep_out")
+        return min((each.value / each.limit for each in short), default=1.0)
+
+    @property
     def nearest(self) -> float:
         """Smallest distance of drones to each other and to prisms, over its limit; at most 1."""
-        to_prisms = [
-            violation.value / violation.limit
-            for violation in self.violations
-            if violation.constraint == "keep_out"
-        ]
-        return min([1.0, self.closest, *to_prisms])
+        return min(1.0, self.closest, self.to_prisms)
 
     @property
     def merit(self) -> float:
