@@ -229,7 +229,7 @@ def blended_plan(
             return plan.with_remark(f"legs roll by up to {roll:.0f}° on the way")
 
         paths = rolling_paths(path, task.requirements)[:MAX_ROLLING] or [path]
-        planners = [Candidate("path with legs that roll", partial(rolling, path)) for path in paths]
+        planners = [Candidate("rolling path", partial(rolling, path)) for path in paths]
         return first_certified(planners, task.effort, task.progress)
 
     def candidates() -> Iterator[Candidate[StepPlan]]:
@@ -239,7 +239,7 @@ def blended_plan(
         for rolls in (False, True) if free_legs else (False,):
             for count in BLEND_SHAPES:
                 planner = partial(along, routes, count, rolls=rolls)
-                yield Candidate("path along the steps' routes", planner)
+                yield Candidate("blended path", planner)
 
     return first_certified(candidates(), task.effort, task.progress)
 
@@ -433,7 +433,7 @@ def rolling_action_plan(
         return require_certified(_flown_plan(task, flown, end, replace(phase, remark=remark)))
 
     paths = morph.rolling[:MAX_ROLLING] or [morph.path_by_law]
-    rolling = [Candidate("path with legs that roll", partial(along, path)) for path in paths]
+    rolling = [Candidate("rolling path", partial(along, path)) for path in paths]
     return first_certified(rolling, task.effort, task.progress)
 
 

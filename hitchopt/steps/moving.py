@@ -676,9 +676,9 @@ class FollowVertex(ActionStep):
         for way, legs in zip(super().ways(task), (self.legs, "spread"), strict=False):
             yield replace(way, amended=partial(with_fields(self, legs=legs).rolling, task))
         count = len(self.points)
-        for parts in () if self.is_timed else (2, 4, count):
+        for parts in () if self.is_timed else sorted({2, 4, count}):
             if 1 < parts <= count:
-                yield Candidate(f"path in {parts} parts", partial(self._in_parts, parts, task))
+                yield Candidate(f"{parts}-part path", partial(self._in_parts, parts, task))
 
     def rolling(self, task: StepTask, error: InfeasibleError) -> Candidate[StepPlan] | None:
         """Return the flight with legs that roll, after an error of one without; None if unneeded.
