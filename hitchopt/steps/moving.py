@@ -760,7 +760,7 @@ class FollowVertex(ActionStep):
             times = scaled_points(self.points[:, 0], factor, np.zeros(1))
             return (Edit("path", np.column_stack([times, self.points[:, 1:]]).tolist()),)
 
-        covers = checks_relaxed_by("time") | checks_relaxed_by("tension")
+        covers = checks_relaxed_by("time") | checks_relaxed_by("tension") | {"duration"}
         knob = Knob(
             "path",
             1.0,

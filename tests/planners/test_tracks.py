@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -93,3 +94,20 @@ def test_times_that_drones_cannot_meet_are_refused() -> None:
     step = [[t, *point] for t, point in zip(TIGHT, jagged(TIGHT, 1, 2e-3), strict=True)]
     with pytest.raises(ho.InfeasibleError, match=r"allow more time for the points"):
         ho.solve(START, ho.FollowVertex(K, step))
+
+
+def test_refusals_name_the_smallest_time_that_drones_need() -> None:
+    problem = ho.load_problem(WILD / "writes_at_times.yaml")
+    step = problem.mission[0]
+
+    def stretched(factor: float) -> ho.Problem:
+        path = np.column_stack([factor * step.path[:, 0], step.path[:, 1:]])
+        return replace(problem, mission=(replace(step, path=path),))
+
+    with pytest.raises(ho.InfeasibleError) as caught:
+        ho.solve(stretched(0.8))
+    (late,) = caught.value.violations
+    assert late.constraint == "duration"
+    assert late.value == pytest.approx(0.8 * step.path[-1, 0])
+    plan = ho.solve(stretched(0.8 * 1.002 * late.limit / late.value))
+    assert plan.duration == pytest.approx(1.002 * late.limit)

@@ -45,6 +45,7 @@ from hitchopt.planners.timing.timed_motion import (
     MAX_CABLE_ERROR,
     MAX_PIECES,
     cable_error,
+    check_duration,
     clocked_limits,
     in_duration,
     motion_along,
@@ -311,12 +312,17 @@ class ActionMorph:
         )
 
     def _timed(self, path: Path, seconds: float) -> Motion:
-        """Return the motion whose s is time over ``seconds`` [s], eased if it exceeds a limit."""
+        """Return the motion whose s is time over ``seconds`` [s], eased if it exceeds a limit.
+
+        Raises InfeasibleError with the smallest time if that is not enough.
+        """
         motion = fly_timed(path, self.requirements, seconds)
         if not 1.0 < needed_stretch(motion) < MAX_EASED_STRETCH:
             return motion
         limits = clocked_limits(path, self.requirements)
-        return fly_timed(eased(path, limits, seconds), self.requirements, seconds)
+        motion = fly_timed(eased(path, limits, seconds), self.requirements, seconds)
+        check_duration(seconds, needed_stretch(motion) * seconds)
+        return motion
 
     def _moved_drones(self, motion: Motion) -> MovedDrones:
         """Return which drones the law moves, and which further ones the motion moves.
