@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import hitchopt as ho
 from hitchopt.errors import Violation
 from hitchopt.planners.task import StepPlan, StepTask
@@ -18,7 +20,7 @@ def refusal(name: str, limit: float, ratio: float = 2.0) -> ho.InfeasibleError:
     return ho.InfeasibleError([violation])
 
 
-def problem_of(step: Hold, **limits: float) -> ho.Problem:
+def problem_of(step: Hold, **limits: Any) -> ho.Problem:
     """Return the problem of a triangle at rest, with a step."""
     team = ho.Team(3, 2.4)
     start = ho.Hitch.spread(team, TRIANGLE)

@@ -341,7 +341,7 @@ def held_at(motion: Motion, breaks: list[float], order: int = 0) -> Motion:
     return with_parts(motion, lambda p: at(breaks, p.at(p.breaks[0]), order))
 
 
-def replaced(motion: Motion, **limits: float) -> Motion:
+def replaced(motion: Motion, **limits: Any) -> Motion:
     """Return the motion with other limits."""
     spec = motion.requirements
     return motion.replaced(requirements=replace(spec, limits=replace(spec.limits, **limits)))

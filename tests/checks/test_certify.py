@@ -170,6 +170,12 @@ def certified(kind: str) -> tuple[Motion, Certificate]:
     return motion, certify(motion)
 
 
+def limits_of(name: str, value: float) -> ho.Limits:
+    """Return the default limits with another one."""
+    limit: dict[str, Any] = {name: value}
+    return ho.Limits(**limit)
+
+
 @pytest.mark.parametrize("name", SYMMETRIES)
 @pytest.mark.parametrize("kind", MOTIONS)
 def test_certificates_are_invariant_to_place_time_and_numbering(name: str, kind: str) -> None:
@@ -314,7 +320,7 @@ def test_merged_certificates_equal_recomputed_ones(
 ) -> None:
     """Also for parts that violate limits."""
     parts = [part.slowed(slower) for part in parts[:count]]
-    whole = replaced(concatenated(parts), duration=duration)  # type: ignore[arg-type]
+    whole = replaced(concatenated(parts), duration=duration)
     anew, ours = certify(whole), merged(whole, [certify(part) for part in parts])
     assert ours.duration == anew.duration
     assert [c.name for c in ours.checks] == [c.name for c in anew.checks]
@@ -359,7 +365,7 @@ def rest(**requirements: Any) -> ho.Certificate:
 def test_limits_reached_to_the_last_digit_hold() -> None:
     usual = rest()
     legs = np.linalg.norm(HITCH.drones - HITCH.vertices[TEAM.layout.anchors], axis=1)
-    exact = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].worst)}
+    exact: dict[str, Any] = {"leg": float(np.min(legs)), "tilt": math.radians(usual["tilt"].worst)}
     radius = 0.12 * usual["separation"].worst
     certificate = rest(
         limits=ho.Limits(**exact),
@@ -370,7 +376,7 @@ def test_limits_reached_to_the_last_digit_hold() -> None:
     assert certificate["arena"].worst == pytest.approx(0.0, abs=1e-9)
     assert certificate["legs"].worst < exact["leg"]  # a bound still, rounding included
     for name, off in (("leg", 1e-6), ("tilt", -1e-6)):
-        assert not rest(limits=ho.Limits(**{name: exact[name] * (1.0 + off)})).certified
+        assert not rest(limits=limits_of(name, exact[name] * (1.0 + off))).certified
 
 
 @pytest.mark.parametrize("duration", [0.1 + 0.2, 0.3 * (1.0 - 5e-10)])
@@ -399,7 +405,7 @@ def test_drones_may_start_on_a_wall_and_touching() -> None:
 @pytest.mark.filterwarnings("ignore::hitchopt.errors.UnitWarning")
 @pytest.mark.parametrize(("name", "limit"), [("speed", 1e-6), ("acceleration", 1e-9)])
 def test_the_slowest_limits_are_planned(name: str, limit: float) -> None:
-    slow, polygon = ho.Limits(**{name: limit}), ho.regular_polygon(3, 0.9)
+    slow, polygon = limits_of(name, limit), ho.regular_polygon(3, 0.9)
     for plan in (ho.separate(passing(3.0, limits=slow)), ho.morph(HITCH, polygon, limits=slow)):
         assert plan.certificate.certified
         assert plan.certificate[name].worst <= limit

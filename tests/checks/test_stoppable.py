@@ -85,7 +85,7 @@ def freed(motion: Motion, name: str, factor: float) -> Motion:
         acceleration=factors["acceleration"] * limits.acceleration,
         jerk=factors["jerk"] * limits.jerk,
         tilt=min(factors["tilt"] * limits.tilt, 1.5),
-        body_rate=factor if name == "turning" else None,  # type: ignore[arg-type]
+        body_rate=factor if name == "turning" else None,
     )
 
 

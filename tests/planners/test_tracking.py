@@ -57,13 +57,14 @@ def test_widened_ellipsoids_contain_the_sum_with_the_tube(
 
 def test_controllers_define_tracking_and_tilt_unless_the_problem_does() -> None:
     start = ho.HitchStart(ho.regular_polygon(3, 1.0), 1.0)
-    for kind, stated, off, tilt in (
+    cases: list[tuple[ho.Quadrotor, dict[str, Any], float | None, float]] = [
         (RETUNED, {}, 0.05, 45.0),
         (RETUNED, {"tracking": 0.02}, 0.02, 45.0),
         (RETUNED, {"tracking": 0.0}, 0.0, 45.0),
         (ho.Quadrotor(controller="pid"), {"tilt_deg": 30.0}, 0.52, 20.0),
         (ho.Quadrotor(stiffness=3.0), {}, None, 45.0),
-    ):
+    ]
+    for kind, stated, off, tilt in cases:
         team = ho.Team(3, 2.4, quadrotor=kind)
         need = ho.Problem(team, start, (Hold(1.0),), Limits(**stated)).requirements
         assert (need.limits.tracking, round(math.degrees(need.limits.tilt), 9)) == (off, tilt)
