@@ -40,8 +40,10 @@ AXIAL_STIFFNESS = 100.0
 """[N] Axial stiffness EA: cables stretch by 0.4 % at 0.4 N, which their planned length includes."""
 
 CROSSING = math.radians(60.0)
-"""[rad] Angle α at which the tangents of both cables of a clasp cross: ropes of short links slide
-as with 60° to 65° at clasps of 60° and of 90°."""
+"""[rad] Angle α at which the tangents of both cables of a clasp cross.
+
+It is fitted, not derived: after three morphs of a triangle at μ = 0.1, vertices rest within 0.8 cm
+of those of ropes with links of 10 mm. With 45° and 75° they are up to 0.7 and 1.1 cm off."""
 
 TOGETHER, APART = 1.0 + math.cos(CROSSING), 1.0 - math.cos(CROSSING)
 """Eigenvalues of G, for the common and for the opposite part of x and y."""

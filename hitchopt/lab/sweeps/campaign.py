@@ -270,6 +270,7 @@ def drawn_campaign(campaign: Campaign) -> Figure:
         values = np.array(figures.get(name, [])) / unit
         axes.hist(values[np.isfinite(values)], bins=BINS, color="0.6")
         axes.set_ylabel("flights" if panel == 0 else "")
+        axes.locator_params("y", integer=True)
     rate = f"{campaign.successes} of {len(campaign.runs)} flights succeeded; red: medians"
     style.headline(figure, "", rate)
     return figure
