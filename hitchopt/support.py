@@ -58,6 +58,7 @@ class Neighbour(StrEnum):
     OTHERS = "`others`"
     OBJECTS = "objects"
     KEEP_OUTS = "`keep_out`"
+    LOOSE_CLASPS = "a start with loose clasps"
     INTEGRAL_GAINS = "integral gains"
     UPLOADS = "uploaded files"
 
@@ -193,6 +194,11 @@ REFUSALS: Mapping[tuple[Feature, Neighbour], Refusal] = {
     ),
     (Feature.CLASPS, Neighbour.OBJECTS): Refusal(
         "cables that slide through clasps meet no objects", "simulate ropes"
+    ),
+    (Feature.SIMULATION, Neighbour.LOOSE_CLASPS): Refusal(
+        "simulation does not support plans that begin with loose clasps, as after the loss of a "
+        "robot",
+        "simulate the plan before it",
     ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): Refusal(
         "single drones have no cables", "simulate a hitch's plan"

@@ -26,7 +26,7 @@ from hitchopt.lab.simulation.task import Task
 from hitchopt.lab.statics.tolerance import taut_times
 from hitchopt.live.lost import Reactions
 from hitchopt.motion.flight import TeamMotion
-from hitchopt.motion.motion import Motion
+from hitchopt.motion.motion import CableState, Motion
 from hitchopt.motion.states import final_hitch
 from hitchopt.planners.carrying.polygons import grip_clasps
 from hitchopt.planners.optimise.cost import FlightCost
@@ -87,6 +87,13 @@ def swarm() -> ho.Flight:
 def drum() -> Motion:
     """Return the motion of two cables that are tied around a drum, carry it and are untied."""
     return planned("two_robots_drum").motion
+
+
+def loosely_clasped() -> ho.Flight:
+    """Return the flight that begins with the stage in which a tied triangle is tightened."""
+    motion = planned("form_triangle").motion
+    (tightened,) = motion.spans(frozenset({CableState.TIGHTENING}))
+    return ho.Flight.of(tightened)
 
 
 def in_company(motion: Motion, neighbour: Neighbour) -> ho.Flight:
@@ -201,6 +208,7 @@ RAISED: dict[tuple[Feature, Neighbour], Callable[[], object]] = {
         Task.of(planned("two_robots_drum").flight), Settings(), [0]
     ),
     (Feature.SIMULATION, Neighbour.SINGLE_DRONES): lambda: Task.of(swarm()),
+    (Feature.SIMULATION, Neighbour.LOOSE_CLASPS): lambda: Task.of(loosely_clasped()),
 }
 """A refused call of each combination, but those that ``Flight.of_one_team`` refuses."""
 

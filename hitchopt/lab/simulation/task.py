@@ -21,7 +21,7 @@ from hitchopt.hitch import Team
 from hitchopt.hitch.team import Layout
 from hitchopt.motion.flight import CombinedSwarm, Flight, TeamMotion, team_label
 from hitchopt.motion.loads import tautness
-from hitchopt.motion.motion import OPEN_STATES, Motion
+from hitchopt.motion.motion import OPEN_STATES, CableState, Motion
 from hitchopt.motion.plan_file import read_plan
 from hitchopt.motion.states import DRONE_FIELDS, States, sample_times, states_at
 from hitchopt.objects import SolidObject
@@ -398,6 +398,8 @@ class Task:
         """Return the task of a plan; UnsupportedError for drones without cables."""
         if not flight.has_cables:
             raise unsupported(Feature.SIMULATION, Neighbour.SINGLE_DRONES)
+        if any(each.motion.phases[0].state is CableState.TIGHTENING for each in flight.teams):
+            raise unsupported(Feature.SIMULATION, Neighbour.LOOSE_CLASPS)
         t = sample_times(flight.duration, RATE)
         tied = [each for each in flight.teams if each.motion.team.has_cables]
         single = [each for each in flight.teams if not each.motion.team.has_cables]
