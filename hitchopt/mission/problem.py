@@ -168,7 +168,7 @@ def _check_blend(steps: tuple[Step, ...], i: int) -> None:
         bound = "omitted: steps settle where they stop"
         raise InputError("settle", step.settling, bound, "omit settle or blend")
     is_blended = step.blends or (i > 0 and steps[i - 1].blends)
-    for key in ("optimize", "tension", "duration") if is_blended else ():
+    for key in ("optimize", "tension") if is_blended else ():
         if vars(step).get(key):
             bound = "omitted: it is not allowed on blended steps"
             raise InputError(key, vars(step)[key], bound, f"omit {key} or blend")

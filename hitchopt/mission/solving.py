@@ -42,7 +42,7 @@ from hitchopt.planners.compensation import with_settling
 from hitchopt.planners.ends import split_hitch
 from hitchopt.planners.rests import check_at_rest, check_start
 from hitchopt.planners.task import RestState, StepPlan, StepTask
-from hitchopt.steps.moving import ShapeStep, plan_blended
+from hitchopt.steps.moving import NonstopStep, plan_blended
 from hitchopt.steps.step import Step
 from hitchopt.values import Array, integer
 
@@ -379,9 +379,11 @@ def _new_plan(group: tuple[Step, ...], task: StepTask, report: Progress) -> Step
         if len(group) == 1:
             plan = group[0].plan(task)
         else:
-            shape_steps = cast("tuple[ShapeStep, ...]", group)  # no others blend
-            plan = plan_blended(shape_steps, task)
-        plan = with_settling(plan, task, group[-1].settling)
+            nonstop_steps = cast("tuple[NonstopStep, ...]", group)  # no others blend
+            plan = plan_blended(nonstop_steps, task)
+        # Cables slid in the last step that has the key, if a transport follows
+        settling = [step.settling for step in group if "settle" in vars(step)]
+        plan = with_settling(plan, task, settling[-1] if settling else False)
     report(f"certifying step {task.index} ({group[0].name})")
     _ = plan.certificate  # stored with the plan
     return plan

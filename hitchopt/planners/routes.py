@@ -156,20 +156,32 @@ BLEND_SHAPES = (2, 6, 14)
 """Numbers of shapes of each step's own route through which a flight without stops is led."""
 
 
+class PassedStep(NamedTuple):
+    """A step of a flight without a stop."""
+
+    name: str
+    """Name of its phase."""
+
+    hitches: Callable[[int], list[Hitch]]
+    """Returns hitches that the flight passes in the step: about a number of them, and the end."""
+
+    duration: float | None
+    """Least duration of its share of the flight [s], or None."""
+
+
 def blended_plan(
     task: StepTask,
-    names: Sequence[str],
-    ends: Sequence[Hitch],
+    steps: Sequence[PassedStep],
     stopped: Callable[[], Sequence[StepPlan]],
     *,
     free_legs: bool = False,
 ) -> StepPlan:
-    """Return the plan through the hitches at the ends of steps, without a stop in between.
+    """Return the plan through the hitches of steps, without a stop in between.
 
     One path leads through all of them and is timed as a whole; the phase of each step, with its
-    name, ends as the path passes its hitch. The first step is that of the task. Where that path is
-    infeasible, others lead through shapes of the routes on which the steps stop; then legs roll on
-    these paths.
+    name, ends as the path passes its last hitch. The first step is that of the task. The whole
+    flight is slowed down until no step is shorter than its duration. Where that path is infeasible,
+    others lead through shapes of the routes on which the steps stop; then legs roll on these paths.
 
     Parameters
     ----------
@@ -177,16 +189,18 @@ def blended_plan(
     free_legs: whether the hitches between the steps may have other legs and roll.
     """
 
-    def through_ends() -> StepPlan:
-        """Return the plan through the ends alone."""
-        return through([[end] for end in ends])
+    def through_own() -> StepPlan:
+        """Return the plan through the steps' own hitches alone."""
+        return through([step.hitches(0) for step in steps])
 
     def along(routes: Sequence[StepPlan], count: int, *, rolls: bool) -> StepPlan:
         """Return the plan through a number of shapes of each route, and its end."""
         hitches = list[list[Hitch]]()
-        for route in routes:
-            shapes = [] if route.path is None else hitches_along(route.path, count)
-            hitches.append([*shapes, route.after.tied])
+        for step, route in zip(steps, routes, strict=True):
+            if route.path is None:
+                hitches.append(step.hitches(count))
+            else:
+                hitches.append([*hitches_along(route.path, count), route.after.tied])
         plan = through(hitches, rolls=rolls)
         with_stops = sum(route.motion.duration for route in routes)
         if rolls and plan.motion.duration > MAX_ROLLING_RATIO * with_stops:
@@ -210,12 +224,15 @@ def blended_plan(
             """Return the plan along a path."""
             motion, times_within = morph.timed(path)
             times = [0.0, *times_within[last].tolist(), motion.duration]
-            remarks = ["continues without a stop"] * (len(names) - 1) + [""]
+            remarks = ["continues without a stop"] * (len(steps) - 1) + [""]
             phases = tuple(
-                Phase(name, task.index + j, times[j], times[j + 1], remarks[j])
-                for j, name in enumerate(names)
+                Phase(step.name, task.index + j, times[j], times[j + 1], remarks[j])
+                for j, step in enumerate(steps)
             )
-            plan = task.plan_ending(motion.replaced(phases=phases), inner[-1])
+            durations = np.array([step.duration or 0.0 for step in steps])
+            slowing = max(1.0, float(np.max(durations / np.diff(times))))
+            slowed = motion.replaced(phases=phases).slowed(slowing)
+            plan = task.plan_ending(slowed, inner[-1])
             return with_friction_feedforward(plan, timed=False)
 
         path = morph.problem
@@ -234,7 +251,7 @@ def blended_plan(
 
     def candidates() -> Iterator[Candidate[StepPlan]]:
         """Yield the paths; raise InfeasibleError if a step that stops is infeasible itself."""
-        yield Candidate("path through the ends", through_ends)
+        yield Candidate("path through the ends", through_own)
         routes = stopped()
         for rolls in (False, True) if free_legs else (False,):
             for count in BLEND_SHAPES:

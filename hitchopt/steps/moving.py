@@ -30,6 +30,7 @@ from hitchopt.planners.compensation import settling_plan, with_friction_feedforw
 from hitchopt.planners.ends import End, end_of_action, end_of_morph
 from hitchopt.planners.rests import IDLE, check_at_rest, hover_motion, rest_motion
 from hitchopt.planners.routes import (
+    PassedStep,
     RouteSearch,
     action_plan,
     blended_plan,
@@ -125,18 +126,27 @@ class HitchStep(Step):
         return motion.replaced(phases=(phase,))
 
 
-class ShapeStep(HitchStep):
-    """A step that changes vertices and legs without prescribed times on the path."""
+class NonstopStep(HitchStep):
+    """A step that may precede or follow another one without a stop."""
 
     blendable: ClassVar[bool] = True
-    searches_faster_routes: ClassVar[bool] = False
-    """True if routes that take much longer than the lower bound are replaced."""
-
-    legs: Legs | None
 
     @abstractmethod
     def end(self, task: StepTask) -> End:
         """Return the hitch after the step."""
+
+    def passed(self, task: StepTask, count: int) -> list[Hitch]:  # noqa: ARG002
+        """Return hitches that a flight without a stop passes: about ``count``, and the end."""
+        return [self.end(task).hitch]
+
+
+class ShapeStep(NonstopStep):
+    """A step that changes vertices and legs without prescribed times on the path."""
+
+    searches_faster_routes: ClassVar[bool] = False
+    """True if routes that take much longer than the lower bound are replaced."""
+
+    legs: Legs | None
 
     @abstractmethod
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
@@ -174,7 +184,7 @@ class ShapeStep(HitchStep):
         return search.plan()
 
 
-def plan_blended(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
+def plan_blended(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
     """Return the plan of steps without a stop in between; ``task`` is the first step's.
 
     Where no such plan is found, it stops after as many of them as it can fly without a stop.
@@ -206,7 +216,9 @@ def _reason(error: InfeasibleError) -> str:
     )
 
 
-def _plan_stopping(steps: Sequence[ShapeStep], count: int, reason: str, task: StepTask) -> StepPlan:
+def _plan_stopping(
+    steps: Sequence[NonstopStep], count: int, reason: str, task: StepTask
+) -> StepPlan:
     """Return the plan that stops after ``count`` steps, for a ``reason`` in its remark."""
 
     def first(task: StepTask) -> StepPlan:
@@ -222,13 +234,13 @@ def _plan_stopping(steps: Sequence[ShapeStep], count: int, reason: str, task: St
     return plan_in_sequence([first, others], task)
 
 
-def _plan_nonstop(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
+def _plan_nonstop(steps: Sequence[NonstopStep], task: StepTask) -> StepPlan:
     """Return the certified plan of steps without a stop; of one step that of its own."""
     from hitchopt.planners.morph.morph import moves
 
     if len(steps) == 1:
         return require_certified(steps[0].plan(task))
-    ends = list[Hitch]()
+    passed = list[PassedStep]()
     start = task.hitch
     for index, step in enumerate(steps, task.index):
         step_task = StepTask(RestState(start.team, start.drones, start), index, task.requirements)
@@ -238,22 +250,23 @@ def _plan_nonstop(steps: Sequence[ShapeStep], task: StepTask) -> StepPlan:
             bound = "a step with motion if steps are blended"
             remedy = "omit it, or omit blend"
             raise RequestError(f"mission[{index}].{step.name}", "no motion", bound, remedy)
-        ends.append(end)
+        hitches = partial(step.passed, step_task)
+        passed.append(PassedStep(step.name, hitches, step.prescribed_duration))
         start = end
 
     def stopped() -> list[StepPlan]:
-        """Return the certified plans of the steps that stop, each from the end of the last one."""
+        """Return the fastest certified plans of the steps, each from the end of the last one."""
         plans = list[StepPlan]()
         state = task.before
         for index, step in enumerate(steps, task.index):
             step_task = replace(task.within(task.requirements, state), index=index)
-            plans.append(require_certified(step.fly(step_task)))
+            untimed = with_fields(step, duration=None)
+            plans.append(require_certified(untimed.fly(step_task)))
             state = plans[-1].after
         return plans
 
-    names = [step.name for step in steps]
-    free_legs = all(step.legs is None for step in steps[:-1])
-    return blended_plan(task, names, ends, stopped, free_legs=free_legs)
+    free_legs = all(step.split is None for step in steps[:-1])
+    return blended_plan(task, passed, stopped, free_legs=free_legs)
 
 
 class ActionStep(ShapeStep):
@@ -778,19 +791,48 @@ class FollowVertex(ActionStep):
         return (Edit("path", np.column_stack([self.points[:, :-2], points]).tolist()),), centre
 
 
+MAX_PASSED_TURN = math.radians(15.0)
+"""[rad] Largest turn between two hitches that a transport passes in a flight without a stop."""
+
+
 @documented
 @dataclass(frozen=True, eq=False)
-class Transport(HitchStep):
-    """Move the whole hitch and turn it about its centroid, without changing its shape or legs."""
+class Transport(NonstopStep):
+    """Move the whole hitch and turn it about its centroid, without changing its shape or legs.
+
+    In a flight without a stop it has them at its joints; near these they still change a little.
+    """
 
     to: Annotated[Points, Key(POINT3, "Goal [x, y, z] of its centroid [m]", [0, 0, 1])]
     yaw: Yaw = 0.0
     duration: Seconds = None
+    blend: Blend = False
 
     def polygon_after(self, team: Team, outline: Outline) -> Outline:
         """Return the outline turned about its centroid and moved to the goal."""
         turned = outline.translated(-outline.centroid).rotated(self.yaw)
         return _convex(team, turned.vertices + np.asarray(self.to)[:2], "to", self.to)
+
+    def end(self, task: StepTask) -> End:
+        """Return the hitch at the goal."""
+        start = task.hitch
+        outline = self.polygon_after(start.team, start.polygon)
+        altitude = float(np.asarray(self.to)[2])
+        return End(Hitch(start.team, outline, altitude, start.q_legs, start.roll))
+
+    def passed(self, task: StepTask, count: int) -> list[Hitch]:
+        """Return hitches on the straight way to the goal, turned by MAX_PASSED_TURN at most."""
+        start = task.hitch
+        centroid = np.append(start.polygon.centroid, start.altitude)
+        parts = max(count + 1, math.ceil(abs(self.yaw) / MAX_PASSED_TURN))
+        shares = np.arange(1, parts) / parts
+        on_way = [
+            replace(
+                self, to=centroid + share * (np.asarray(self.to) - centroid), yaw=share * self.yaw
+            )
+            for share in shares.tolist()
+        ]
+        return [step.end(task).hitch for step in (*on_way, self)]
 
     def fly(self, task: StepTask) -> StepPlan:
         """Return the plan of a rigid motion."""
@@ -798,10 +840,8 @@ class Transport(HitchStep):
         from hitchopt.planners.morph.path import RigidPath
         from hitchopt.planners.timing.timed_motion import motion_along
 
-        start, to = task.hitch, np.asarray(self.to)
-        path = RigidPath(start, to, self.yaw)
-        outline = self.polygon_after(start.team, start.polygon)
-        end = Hitch(start.team, outline, float(to[2]), start.q_legs, start.roll)
+        path = RigidPath(task.hitch, np.asarray(self.to), self.yaw)
+        end = self.end(task).hitch
         self.check_end(end, task)
         if path.is_constant:
             return task.plan_ending(self.in_phase(task, None, end), end)

@@ -137,7 +137,10 @@ SETTLE_TEXT = (
 Seconds = Annotated[
     float | None, Key(DURATION, "Exact duration; default: as fast as the limits allow")
 ]
-Blend = Annotated[bool, Key(FLAGS, "Continue into the next step without a stop")]
+Blend = Annotated[
+    bool,
+    Key(FLAGS, "Continue into the next step without a stop; their durations are then least ones"),
+]
 SettleAtEnd = Annotated[
     float | Literal["auto", False], Key(either(AUTO_SECONDS, words(False)), SETTLE_TEXT)
 ]

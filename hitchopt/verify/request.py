@@ -36,6 +36,8 @@ class Step(NamedTuple):
     phases: list[dict[str, Any]]
     before: Array
     """Vertices (P, 3) that it starts from: the goals of a step that goes on without a stop."""
+    continues: bool
+    """Whether the step before it goes on without a stop."""
 
     def points(self, end: int, of: slice) -> Array:
         """Return points (k, 3) at the step's start (0) or end (-1)."""
@@ -118,6 +120,12 @@ def angle_between(first: Array, last: Array, turn: float) -> float:
     return float(np.angle(z * np.exp(-1j * turn))) if z else math.inf
 
 
+def lasts(s: Step, value: Any, step: Mapping[str, Any]) -> Shown:
+    """Return the difference from a duration [s], the least one of a step that is blended."""
+    off = s.seconds - value
+    return min(off, 0.0) if s.continues or step.get("blend") else off
+
+
 def polygon(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     """Return differences of vertices from their goals."""
     return s.vertices()[:, :2] - np.array(value, dtype=float)
@@ -135,6 +143,13 @@ def moved_vertices(step: Mapping[str, Any], count: int) -> list[int]:
 def goals_after(s: Step, step: Mapping[str, Any]) -> Array:
     """Return the vertices (P, 3) that the keys of a step lead to."""
     goals = s.before.copy()
+    place = np.array(step.get("to") or (), dtype=float)
+    if place.shape == (3,):  # of a transport
+        arms = goals - centroid_of(goals, closed=s.p.closed)
+        turn = math.radians(step.get("yaw_deg") or 0.0)
+        cosine, sine = math.cos(turn), math.sin(turn)
+        turned_arms = arms[:, :2] @ np.array([[cosine, sine], [-sine, cosine]])
+        return np.asarray(place + np.column_stack([turned_arms, arms[:, 2]]))
     moved = moved_vertices(step, len(goals))
     if step.get("by") is not None:
         goals[moved, :2] += step["by"]
@@ -172,13 +187,12 @@ def untied(s: Step, _value: Any, _: Mapping[str, Any]) -> Shown:
     return unless(s.p.taut[s.pieces[-1]])
 
 
-def centroid(s: Step) -> Array:
+def centroid_of(vertices: Array, *, closed: bool) -> Array:
     """Return the centroid (3,) of the area of a polygon, or of the length of an open chain."""
-    vertices = s.vertices()
     origin = vertices[0, :2]
     x = vertices[:, :2] - origin
     y = np.roll(x, -1, axis=0)
-    if s.p.closed:
+    if closed:
         cross = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
         level = (x + y).T @ cross / (3.0 * np.sum(cross))
     else:
@@ -189,7 +203,7 @@ def centroid(s: Step) -> Array:
 
 def turned(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
     """Return the angle between the hitch and the one that was turned."""
-    first, last = (x[1] - x[0] for x in (s.vertices(0), s.vertices()))
+    first, last = (x[1] - x[0] for x in (s.before, s.vertices()))
     return angle_between(first, last, math.radians(value))
 
 
@@ -419,7 +433,7 @@ def stopped(s: Step, value: Any, _: Mapping[str, Any]) -> Shown:
 
 
 STEP_KEYS: dict[str, Shows] = {
-    "duration": lambda s, x, _: s.seconds - x,
+    "duration": lasts,
     "seconds": lambda s, x, _: s.seconds - x,
     "polygon": polygon,
     "altitude": lambda s, x, _: s.vertices()[:, 2] - x,
@@ -438,7 +452,7 @@ STEP_KEYS: dict[str, Shows] = {
     "move_edge.by": partial(moved_to, by=1.0),
     "follow_vertex.path": path,
     "follow_vertex.speed": speed,
-    "transport.to": lambda s, x, _: centroid(s) - np.array(x, dtype=float),
+    "transport.to": lambda s, x, _: centroid_of(s.vertices(), closed=s.p.closed) - x,
     "transport.yaw_deg": turned,
     "open_vertex.vertex": pair,
     "close_vertex.vertex": pair,
@@ -497,7 +511,7 @@ IMPLIED: dict[str, dict[str, Any]] = {
 }
 """Keys of ``IMPLICIT`` by step; every step ends at rest unless it blends."""
 
-OF_END = {"polygon", "altitude", "legs", "to", "by", "others_stay"}
+OF_END = {"polygon", "altitude", "legs", "to", "by", "yaw_deg", "others_stay"}
 """Keys of the end of a step, which steps that go on without a stop do not show."""
 
 
@@ -572,7 +586,7 @@ def contradicts(key: str, value: Any, own: Mapping[str, Any]) -> bool:
 
 def start_faults(p: Plan) -> Iterator[Fault]:
     """Yield keys of the start where the plan begins elsewhere."""
-    start, s = p.asked["start"], Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0))
+    start, s = p.asked["start"], Step(p, np.array([0]), p.phases[:1], vertices_at(p, 0, 0), False)
     hitch, drones = (start.get(x) if isinstance(start, dict) else None for x in ("hitch", "drones"))
     shown = dict[str, Any]()
     if hitch:
@@ -602,7 +616,13 @@ def step_faults(p: Plan) -> Iterator[Fault]:
         within = (p.breaks[:-1] >= start - POS_TOL) & (p.breaks[1:] <= end + POS_TOL)
         moving = [x for x in phases if x["name"] != "wait"] or phases
         pieces = np.flatnonzero(within)
-        s = Step(p, pieces, moving, vertices_at(p, pieces[0], 0) if goals is None else goals)
+        s = Step(
+            p,
+            pieces,
+            moving,
+            vertices_at(p, pieces[0], 0) if goals is None else goals,
+            goals is not None,
+        )
         ((name, keys),) = step.items()
         goals = goals_after(s, keys) if keys and keys.get("blend") else None
         yield end, wider_tensions(s, keys or {}), f"mission[{i}].{name}.tension is not as requested"

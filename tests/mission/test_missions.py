@@ -108,6 +108,29 @@ def test_a_blend_that_cannot_be_flown_stops_where_it_has_to_and_says_so() -> Non
         ho.solve(mission(outward, replace(back, by=np.array([0.9, 0.0]))))
 
 
+@pytest.mark.parametrize("turn", [0.4, -2.0])
+@pytest.mark.parametrize("seconds", [1.0, 6.0])
+def test_transports_blend_and_take_their_duration_at_least(turn: float, seconds: float) -> None:
+    """The whole flight is slowed down until the transport takes as long."""
+    goal = np.array([2.2, 2.2, 1.5])
+    transport, last = Transport(goal, turn), Transport(goal + [0.3, 0.0, 0.0])
+    fast = ho.solve(mission(*blended((MOVES[0], transport, Adjust("spread"), last))))
+    timed = replace(transport, duration=seconds)
+    plan = ho.solve(mission(*blended((MOVES[0], timed, Adjust("spread"), last))))
+    share, least = (x.phases[1].end - x.phases[1].start for x in (plan, fast))
+    assert share == pytest.approx(max(seconds, least), rel=1e-9)
+    for phase in plan.phases[:-1]:
+        assert phase.remark == "continues without a stop"
+        assert fastest(plan, phase.end) > 0.02
+    phase = plan.phases[1]
+    times = np.linspace(phase.start, phase.end, 40)
+    vertices = plan.motion.vertices.at(times)[..., :2] @ [1.0, 1.0j]
+    edges = np.roll(vertices, -1, axis=1) - vertices
+    np.testing.assert_allclose(edges[-1], edges[0] * np.exp(1.0j * turn), atol=1e-6)
+    lengths = np.abs(edges) / np.abs(edges[0])
+    assert np.max(np.abs(lengths - 1.0)) < 0.1  # it swings on from the step before
+
+
 VERTEX = blended(MOVES)[0]
 NO_MOTION = Adjust("balanced", blend=True)
 
@@ -115,8 +138,8 @@ NO_MOTION = Adjust("balanced", blend=True)
 @pytest.mark.parametrize(
     ("steps", "words"),
     [
-        ([VERTEX, Transport(np.ones(3))], r"\.blend = True: must be false before a transport"),
-        ([VERTEX, Morph(SQUARE, duration=3.0)], r"mission\[1\]\.morph\.duration = 3\.0: must"),
+        ([VERTEX, Hold(1.0)], r"\.blend = True: must be false before a hold"),
+        ([VERTEX, Morph(SQUARE, tension=(0.2, 0.7))], r"mission\[1\]\.morph\.tension = .*: must"),
         ([NO_MOTION, NO_MOTION, MOVES[0]], r"mission\[0\]\.adjust.*with motion"),
     ],
 )

@@ -102,6 +102,16 @@ mission:
   - move_vertex: {vertex: 0, by: [0.1, 0.1], blend: true}
   - move_edge: {edge: 1, by: [0, 0.1]}
 """
+CARRIED_ON = """
+team: {robots: 3, cable_length: 2.4}
+start: {hitch: {polygon: [[0, -1], [-0.4, 0.5], [0.4, 0.5]], altitude: 1.0}}
+mission:
+  - move_vertex: {vertex: 0, to: [0, -0.8], blend: true}
+  - transport: {to: [0.5, 0.2, 1.3], yaw_deg: 40, duration: 5, blend: true}
+  - move_edge: {edge: 1, by: [0, 0.1]}
+  - move_edge: {edge: 1, by: [0, -0.1], blend: true}
+  - transport: {to: [0.8, 0.2, 1.2], yaw_deg: 20, duration: 4}
+"""
 GRASPED = """
 team: {robots: 3, cable_length: 1.69, tension: 1.0}
 objects: {drum: {circle: 0.2, to: 0.3, mass: 0.03, at: [0, 0, 0]}}
@@ -121,6 +131,7 @@ TEXTS = {
     "swung": SWUNG,
     "chained": CHAINED,
     "unstopped": UNSTOPPED,
+    "carried_on": CARRIED_ON,
     "grasped": GRASPED,
 }
 ROLLED, DRUM, BOX = "roll_square", "two_robots_drum", "carry_box"
@@ -263,6 +274,14 @@ LIES = [
     lie("lay_triangle", "mission 0 form by", "swaps"),
     lie("lay_triangle", "mission 0 form order", [2, 1, 0]),
     lie("blended", "mission 0 move_vertex blend", False),
+    lie("carried_on", "mission 1 transport blend", False),
+    lie("carried_on", "mission 1 transport to 0", 0.51),
+    lie("carried_on", "mission 1 transport yaw_deg", 41),
+    lie("carried_on", "mission 1 transport duration", 9),
+    lie("carried_on", "mission 2 move_edge by 1", 0.11),
+    lie("carried_on", "mission 4 transport to 2", 1.21),
+    lie("carried_on", "mission 4 transport yaw_deg", 21),
+    lie("carried_on", "mission 4 transport duration", 9),
     lie("swarms/circle_6", "goal 0", [0, 0, 1]),
     lie("swarms/circle_6", "start 0", [0, 0, 1]),
     lie("swarms/circle_6", "duration", 30.0),
