@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from hitchopt.checks.custom import Rule
@@ -22,6 +23,7 @@ from hitchopt.mission.others import Other
 from hitchopt.mission.problem import DronesStart, HitchStart, Problem, Start
 from hitchopt.mission.repair import BUDGET, NO_CHANGE, Suggestion, find_suggestions
 from hitchopt.mission.solving import Cache, solve_problem
+from hitchopt.motion.motion import Motion
 from hitchopt.motion.request import check_request
 from hitchopt.objects import SolidObject
 from hitchopt.plan import Plan, load
@@ -145,6 +147,7 @@ def morph(
     arena: Arena | None = None,
     limit: float | None = None,
     cost: CostFunction | None = None,
+    like: Plan | None = None,
 ) -> Plan:
     """Return the certified plan of a change of the polygon: every vertex moves to its goal.
 
@@ -170,6 +173,8 @@ def morph(
         ``exterior_angles``, ``separations``), the inputs ``vertices``, ``vertex_velocities``,
         ``vertex_accelerations``, ``q_legs`` and ``tensions``, and s. The optimiser then always
         runs.
+    like: plan of a team of the same size between nearly the same hitches. Its route, slack splits
+        and roll, moved to the new ends, are tried first, which spares searching a route.
 
     Raises
     ------
@@ -186,11 +191,23 @@ def morph(
         tension=tension,
         settle=settle,
         cost=cost,
+        like=None if like is None else _tied_motion(like, start.team),
     )
     seconds = _seconds(limit)
     problem = step_problem(start.team, start, step, limits, separation, arena)
     with step_errors(step):
         return solve(problem, limit=seconds)
+
+
+def _tied_motion(plan: Plan, team: Team) -> Motion:
+    """Return the motion of a plan; InputError unless it is of a tied hitch of a team's size."""
+    check_instance("like", plan, Plan)
+    motion = plan.motion
+    same = motion.team.has_cables and motion.team.layout.points == team.layout.points
+    if not same or not np.all(motion.formed) or np.any(motion.holding):
+        bound = f"a plan of a hitch of {team.robots} robots that is tied and holds nothing"
+        raise InputError("like", str(plan), bound, "pass an earlier morph's, or omit it")
+    return motion
 
 
 def morphs(

@@ -380,10 +380,20 @@ def final_hitch(motion: Motion) -> Hitch:
         raise refused_value(Feature.END, Neighbour.SINGLE_DRONES, "single drones")
     if not motion.formed[-1]:
         raise refused_value(Feature.END, Neighbour.FREE_CABLES, "free cables")
-    layout = team.layout
     drones = motion.drones.coefficients[-1, ..., -1]
     vertices = motion.vertices.coefficients[-1, ..., -1]
-    legs = motion.legs.coefficients[-1, ..., -1]
+    hitch = fitted_hitch(team, drones, vertices, motion.legs.coefficients[-1, ..., -1])
+    if np.max(np.abs(hitch.drones - drones)) > MAX_DEVIATION:
+        raise unsupported(Feature.END, Neighbour.OTHER_TENSIONS)
+    return hitch
+
+
+def fitted_hitch(team: Team, drones: Array, vertices: Array, legs: Array) -> Hitch:
+    """Return the hitch with vertices (points, 3), legs (n, 2) and heights of drones (2n, 3) [m].
+
+    Newton's method on the roll of each clasp, by the height of its q-drone, and on the q-legs.
+    """
+    layout = team.layout
     outline = vertices[:, :2]
     altitude = float(np.mean(vertices[:, 2]))
     q_drones = 2 * layout.clasps  # q_k, whose leg is at clasp k
@@ -402,7 +412,4 @@ def final_hitch(motion: Motion) -> Hitch:
         hitch = hitch_of(hitch.q_legs + leg_step, hitch.roll + limited_step)
         if max(np.max(np.abs(leg_step)), np.max(np.abs(roll_step))) < CONVERGED:
             break
-    hitch = hitch_of(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))
-    if np.max(np.abs(hitch.drones - drones)) > MAX_DEVIATION:
-        raise unsupported(Feature.END, Neighbour.OTHER_TENSIONS)
-    return hitch
+    return hitch_of(hitch.q_legs, np.where(np.abs(hitch.roll) < ROLL_ROUNDING, 0.0, hitch.roll))

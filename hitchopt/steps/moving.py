@@ -35,6 +35,7 @@ from hitchopt.planners.routes import (
     action_plan,
     blended_plan,
     past_obstacles,
+    plan_along,
     rolling_action_plan,
     straight_plan,
 )
@@ -403,6 +404,7 @@ class Morph(ShapeStep):
     ] = None
     settle: SettleAtEnd = AUTO
     cost: CostFunction | None = None  # of scripts: problem files have no functions
+    like: Motion | None = None  # of scripts: an earlier motion between nearly the same hitches
 
     @property
     def outline(self) -> Outline:
@@ -431,6 +433,21 @@ class Morph(ShapeStep):
     def end(self, task: StepTask) -> End:
         """Return the hitch on the polygon."""
         return end_of_morph(task.hitch, self.outline, self.split, task.requirements)
+
+    def ways(self, task: StepTask) -> Iterator[Candidate[StepPlan]]:
+        """Yield the plan on the route of an earlier one, if any, before all others."""
+        if self.like is not None:
+            yield Candidate("earlier route", partial(self._plan_like, task, self.like))
+        yield from super().ways(task)
+
+    def _plan_like(self, task: StepTask, motion: Motion) -> StepPlan:
+        """Return the certified plan on the route of an earlier motion, moved to the step's ends."""
+        from hitchopt.planners.morph.retargeting import EarlierRoute
+
+        end = self.end(task).hitch
+        phase = Phase(self.name, task.index, 0.0, 0.0, "on the route of an earlier plan")
+        path = EarlierRoute.of(motion).path(task.hitch, end)
+        return require_certified(plan_along(task, path, end, phase, self.duration))
 
     def direct_plan(self, task: StepTask, end: End) -> StepPlan:
         """Return the plan along straight lines."""
