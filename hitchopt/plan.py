@@ -206,6 +206,7 @@ class Plan(OneLine):
 
         entry = Aborts(self.flight).plan(t, how)
         rules = tuple(replace(rule, worst=None) for rule in self.stated_rules)
+        entry.certificate.raise_if_violated()
         certificate = entry.certificate.stating(rules)
         return Plan(entry.flight, certificate, f"{self.title} ({how} at {t:g} s)".strip())
 

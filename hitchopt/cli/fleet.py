@@ -24,7 +24,7 @@ from hitchopt.cli.options import (
     plan_path,
 )
 from hitchopt.cli.output import ProgressBar, record, say, show_places, show_plan
-from hitchopt.errors import InfeasibleError, InputError, Missing, UnsupportedError
+from hitchopt.errors import FileError, InfeasibleError, InputError, Missing, UnsupportedError
 from hitchopt.tables import table
 
 if TYPE_CHECKING:
@@ -32,9 +32,11 @@ if TYPE_CHECKING:
 
     from hitchopt.exports.exporting import Export
     from hitchopt.exports.lint import Report
-    from hitchopt.live.abort import AbortTable
-    from hitchopt.live.fly import Outlet
+    from hitchopt.live.ahead import AbortsAhead
+    from hitchopt.live.fly import CommandedPlan, Outlet
 
+FIRST_ABORTS = 5.0  # Seconds of a plan whose aborts are planned before it can begin
+SAID_SHARE = 0.1  # Share of a plan after whose aborts a flight says how far they are planned
 MAX_LISTED = 5  # Maximum number of findings listed per rule
 HOWS = ("hold", "back", "release_and_land", "land")  # Aborts; the last two end a flight
 THEN = ("hold", "land")  # What follows a loss
@@ -274,13 +276,15 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     found from some times.
     """
     from hitchopt.checks.drones import largest_at_rest, thrust_share, tilt
-    from hitchopt.live.abort import abort_table, save_aborts
+    from hitchopt.checks.registry import certificate_of
+    from hitchopt.live.abort import abort_table, read_aborts, save_aborts
     from hitchopt.motion.plan_file import read_plan
 
     path = plan_path(directory)
     flight = read_plan(path)
     how = how or _default_abort(flight)
     with ProgressBar("planning aborts") as progress:
+        certificate_of(flight, progress).raise_if_violated()
         aborts = abort_table(flight, how, every, progress)
     rows = []
     for entry in aborts.entries:
@@ -295,7 +299,8 @@ def abort(directory: Path, how: str | None, every: float) -> None:
     )
     needed = f"{thrust:.1%} of a drone's thrust and a tilt of {angle:.2f}°"
     say(f"hovering anywhere on the paths needs up to {needed}")
-    save_aborts(path.parent, aborts)
+    tables = read_aborts(path.parent, flight) | {how: aborts}
+    save_aborts(path.parent, flight, tables.values())
     say(
         f"aborts.json and aborts.zip are in {path.parent}",
         directory=str(path.parent),
@@ -410,9 +415,12 @@ def fly(
 
     The stream begins at rest at the plan's start. Keys: space resumes and pauses, b flies back, a
     aborts, l lands, q quits before the start; Ctrl-C lands. All changes of the clock and all aborts
-    are certified; aborts are planned first. A lost operator or lost measurements lead to a hold,
-    then to a landing. Exits with code 3 unless the drones have landed.
+    are certified; aborts of the first seconds are planned first, the others meanwhile, and saved in
+    DIR. A lost operator or lost measurements lead to a hold, then to a landing. Exits with code 3
+    unless the drones have landed.
     """
+    from hitchopt.live.abort import AbortTable, read_aborts, save_aborts
+    from hitchopt.live.ahead import AbortsAhead
     from hitchopt.live.fly import CommandedPlan, SetpointStream
     from hitchopt.live.links import KEYS_HELP, Operator
     from hitchopt.values import positive
@@ -420,28 +428,43 @@ def fly(
     if not hasattr(signal, "SIGHUP"):
         raise UnsupportedError("fly needs Linux or macOS; on Windows use WSL")
     rate, patience = positive("rate", rate), positive("patience", patience)
+    path = plan_path(directory)
     with ProgressBar("certifying"):
-        plan = ho.load(plan_path(directory).parent)
+        plan = ho.load(path.parent)
     plan.certificate.raise_if_violated()
     flight = plan.flight
     outlet = _outlet_of(flight, **options)
-    tables = _abort_tables(flight, how)
     watched = flight.team.drone_names if measurements else ()
-    commanded, operator = CommandedPlan(flight, tables), Operator()
-    with ThreadPoolExecutor(1) as workers, operator.attached():
+    how, operator = how or _default_abort(flight), Operator()
+    saved = read_aborts(path.parent, flight)
+    ahead = AbortsAhead(
+        flight,
+        {each: saved.get(each) or AbortTable.unplanned(flight, each) for each in ("land", how)},
+    )
+    with ThreadPoolExecutor(2) as workers, ahead.planning():
+        _await_first(ahead)
+        tables = {"land": ahead.tables["land"], "abort": ahead.tables[how]}
+        commanded = CommandedPlan(flight, tables)
         parts = commanded, outlet, operator.commands, watched, workers.submit, say
         stream = SetpointStream(*parts, rate=rate, patience=patience)
+        extending = workers.submit(_extend, commanded, ahead, how)
         say(
             f"streaming at {rate:g} Hz, at rest at the plan's start; keys: {KEYS_HELP}, Ctrl-C land"
         )
-        with _land_on_signals(operator.add):
+        with operator.attached(), _land_on_signals(operator.add):
             due = time.monotonic()
             try:
                 while stream.tick(time.monotonic()):
+                    ahead.clock.value = commanded.time
                     due = max(due + 1.0 / rate, time.monotonic() - 1.0 / rate)
                     time.sleep(max(0.0, due - time.monotonic()))
             finally:
                 outlet.close(landed=stream.landed)
+    extending.result()
+    try:
+        save_aborts(path.parent, flight, (saved | ahead.to_save).values())
+    except FileError as error:
+        say(str(error), err=True)
     landed, late = stream.landed, stream.late
     if late:
         subject = "1 setpoint was" if late == 1 else f"{late} setpoints were"
@@ -488,19 +511,29 @@ def _outlet_of(
     return outlet
 
 
-def _abort_tables(flight: ho.Flight, how: str | None) -> dict[str, AbortTable]:
-    """Return the aborts of the commands ``abort`` and ``land``."""
-    from hitchopt.live.abort import abort_table
+def _await_first(ahead: AbortsAhead) -> None:
+    """Wait for the aborts of the plan's first seconds, and for one of each reaction."""
+    with ProgressBar("planning the first aborts") as progress:
+        while not ahead.covers(FIRST_ABORTS):
+            progress(f"planning the first aborts, {ahead.planned:.0%} of all")
+            if not ahead.receive():
+                raise RuntimeError("the process that plans aborts has ended")
+    for how, aborts in ahead.tables.items():
+        if not aborts.entries:
+            remedy = "after a lost link, drones could not land; choose another --how"
+            raise InfeasibleError([], f"no abort {how} was found; {remedy}")
 
-    how = how or _default_abort(flight)
-    aborts = {}
-    with ProgressBar("planning aborts") as progress:
-        for each in dict.fromkeys(("land", how)):
-            aborts[each] = abort_table(flight, each, progress=progress)
-            if not aborts[each].entries:
-                remedy = "after a lost link, drones could not land; choose another --how"
-                raise InfeasibleError([], f"no abort {each} was found; {remedy}")
-    return {"land": aborts["land"], "abort": aborts[how]}
+
+def _extend(commanded: CommandedPlan, ahead: AbortsAhead, how: str) -> None:
+    """Extend the tables of a flight as its aborts are planned, and say how far they are."""
+    said = ahead.planned
+    while extended := ahead.receive():
+        for key, reaction in (("land", "land"), ("abort", how)):
+            if reaction == extended:
+                commanded.extend(key, ahead.tables[reaction])
+        if ahead.planned >= said + SAID_SHARE or ahead.planned == 1.0 != said:
+            said = ahead.planned
+            say(f"aborts are planned for {said:.0%} of the plan")
 
 
 @contextmanager

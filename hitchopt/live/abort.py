@@ -1,37 +1,39 @@
 """Certified aborts of a plan from the moving state at any time.
 
 A command stops the plan's clock. The abort continues with a hold, with the plan backward, or with a
-landing of its own. If the certificate does not hold, a later stop is tried, up to the plan's next
-rest. Where drones cannot land from any of these, as around an object, they continue, or fly back,
-to one of the plan's rests from which they can, whichever lands first. No abort moves an object that
-is at rest on its support at the time of the command.
+landing of its own. It is certified from a rest of the plan before the stop on: until the stop, it
+is the plan. If that does not hold, a later stop is tried, up to the plan's next rest.
+Where drones cannot land from any of these, as around an object, they continue, or fly back, to one
+of the plan's rests from which they can, whichever lands first. No abort moves an object that is at
+rest on its support at the time of the command.
 """
 
 from __future__ import annotations
 
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import lru_cache, reduce
 from itertools import islice, pairwise
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from hitchopt.checks import Certificate, certify
+from hitchopt.checks import Certificate, Check, certify
 from hitchopt.checks.arena import height_above_floor
-from hitchopt.checks.registry import RULE_OF, check_of
+from hitchopt.checks.registry import RULE_OF, RULES, check_of
 from hitchopt.checks.violations import infeasible_error
-from hitchopt.errors import HitchoptError, InfeasibleError, InputError, Progress
+from hitchopt.errors import FileError, HitchoptError, InfeasibleError, InputError, Progress
 from hitchopt.exports.directory import ABORT_PLANS, ABORTS
 from hitchopt.hitch import Hitch
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.live.player import Player
-from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.motion.flight import REST_RATE, Flight, TeamMotion
 from hitchopt.motion.motion import JOINT, SHARE_TOLERANCE, CableState, Motion, Phase
-from hitchopt.motion.plan_file import write_plan
+from hitchopt.motion.plan_file import flight_digest, read_plan, write_plan
 from hitchopt.motion.request import objects_at
 from hitchopt.motion.retiming import (
     append_motion,
@@ -46,12 +48,21 @@ from hitchopt.planners.forming.stages import stage, straight_lines
 from hitchopt.planners.forming.tying import vertical_motion
 from hitchopt.planners.task import RestState, StepTask
 from hitchopt.steps.tying import Release
-from hitchopt.storage.files import replace_files, write_strict_json
+from hitchopt.storage.archive import READ_ERRORS
+from hitchopt.storage.files import (
+    digest,
+    file_bytes,
+    parsed_json,
+    replace_files,
+    write_strict_json,
+)
 from hitchopt.trajectory.clock_phases import ClockPhases
 from hitchopt.trajectory.piecewise import on_breaks
-from hitchopt.values import Array, check_choice, nonnegative, positive
+from hitchopt.values import Array, check_choice, lazy, nonnegative, positive
 
 How = Literal["hold", "back", "release_and_land", "land"]
+
+FORMAT = "hitchopt-aborts/2"
 
 HOLD = 1.0  # duration of the rest at the end of a hold [s]
 DEFAULT_INTERVAL = 2.0  # default interval of the entries of a table [s]
@@ -65,6 +76,12 @@ HANGING_STATES = frozenset({CableState.FREE, CableState.GROUND, CableState.NONE}
 
 # Checks that exclude rests while tensions change, or before the chords of a swap have met
 REST_CHECKS = ("tension", "interlacing")
+
+# Quick checks before all others, of the way to a rest, and with its continuation
+WAY_CHECKS = ("thrust",)
+QUICK_CHECKS = ("tension",)
+
+KNOWN_STOPS = 64  # stops of a plan that are kept: those of one time serve all reactions
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +98,12 @@ class StoppedPlan:
 class Abort(StoppedPlan):
     """A plan that stops, and continues with a certified flight."""
 
-    certificate: Certificate
+    asked: float  # plan time of the command [s]
+
+    @lazy
+    def certificate(self) -> Certificate:
+        """The certificate of the whole flight, which is computed when it is read."""
+        return certify(self.flight)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +120,8 @@ class Aborts:
     def __init__(self, flight: Flight) -> None:
         self.others = flight.others  # they fly on regardless of this plan's clock
         self.flight = flight.without_others
+        self._rests = self.flight.breaks[self.flight.rest_breaks]
+        self._stopped = lru_cache(KNOWN_STOPS)(self._stop_at)
 
     def plan(self, time: float, how: str) -> Abort:
         """Return the first abort for a command at a plan time [s]; see ``Plan.abort``."""
@@ -113,6 +137,18 @@ class Aborts:
         when = f"from t = {time:.4g} s: every route moves an object at rest on its support"
         raise found or _refusal(when, "abort earlier or later, or choose another abort")
 
+    def find(self, time: float, how: str, saved: Abort | None = None) -> Abort | None:
+        """Return ``saved`` if it holds, or else the first abort for a command [s]; None if refused.
+
+        Raises InputError as ``plan``.
+        """
+        if saved is not None and self.holds(saved):
+            return saved
+        try:
+            return self.plan(time, how)
+        except InfeasibleError:
+            return None
+
     def _in_place(self, time: float, how: str) -> Abort | InfeasibleError | None:
         """Return the first hold, way back or landing that starts where a stop ends, or an error."""
         refusal: InfeasibleError | None = None
@@ -122,7 +158,7 @@ class Aborts:
             origin = self._free_before(stop.rest) if how == "back" else stop.rest
             if moves_standing(self.flight, time, stop.rest, origin):
                 continue
-            found = self._attempt(stop, how, origin)
+            found = self._attempt(time, stop, how, origin)
             if isinstance(found, Abort):
                 return found
             refusal = refusal or found.error
@@ -138,7 +174,7 @@ class Aborts:
             for rest in self._landing_rests(stop.rest):
                 if rest in unsuited or moves_standing(self.flight, time, stop.rest, rest):
                     continue
-                attempt = self._attempt(stop, how, rest, fallback)
+                attempt = self._attempt(time, stop, how, rest, fallback)
                 if isinstance(attempt, Abort):
                     return attempt
                 fallback = fallback or attempt.error
@@ -147,27 +183,62 @@ class Aborts:
         return fallback
 
     def _attempt(
-        self, stop: StoppedPlan, how: str, origin: float, shorter: object = None
+        self, time: float, stop: StoppedPlan, how: str, origin: float, shorter: object = None
     ) -> Abort | _Refused:
         """Return the certified continuation of a stop from a plan time [s], or why there is none.
 
         It must be shorter than the abort ``shorter``.
         """
+        most = shorter.flight.duration if isinstance(shorter, Abort) else np.inf
         try:
             way = self._way(stop, origin)
         except InfeasibleError as error:
             return _Refused(error, at_end=False)
+        if violated := self._violated(way, stop.start, WAY_CHECKS):
+            return _Refused(_error(violated, way), at_end=False)
         try:
+            _require_shorter(way, most)
             flight = replace(self._continuation(way, how, origin), others=self.others)
+            _require_shorter(flight, most)
         except InfeasibleError as error:
             return _Refused(error, at_end=True)
-        if isinstance(shorter, Abort) and flight.duration >= shorter.flight.duration:
-            return _Refused(_refusal("is shorter"), at_end=True)
-        certificate = certify(flight)
-        if certificate.certified:
-            return Abort(stop.start, stop.seconds, stop.rest, flight, certificate)
-        at_end = all(check.time > way.duration + JOINT for check in certificate.violated)
-        return _Refused(infeasible_error(certificate, flight), at_end)
+        violated = self._violated(flight, stop.start, QUICK_CHECKS)
+        violated = violated or self._violated(flight, stop.start)
+        if not violated:
+            return Abort(stop.start, stop.seconds, stop.rest, flight, time)
+        at_end = all(check.time > way.duration + JOINT for check in violated)
+        return _Refused(_error(violated, flight), at_end)
+
+    def _violated(self, flight: Flight, start: float, names: Sequence[str] = ()) -> list[Check]:
+        """Return the violated checks, all or those of some names, from a rest of the plan on.
+
+        It is the last one before the clock slows down [s]. Rules of whole motions, such as how
+        swaps interlace cables, are checked from the plan's start on.
+        """
+        first = min(start + JOINT, flight.duration - JOINT)
+        rest = float(self._rests[self._rests <= first][-1])
+        part = flight.between(rest, flight.duration)
+        wanted = [RULE_OF[name] for name in names] if names else RULES
+        whole = {rule.name: rule for rule in wanted if rule.whole}
+        if names:
+            partly = [check_of(rule, part) for rule in wanted if not rule.whole]
+        else:
+            violated = certify(part, reports=()).violated
+            partly = [check for check in violated if check.name not in whole]
+        checks = [check and replace(check, time=rest + check.time) for check in partly]
+        checks += [check_of(rule, flight) for rule in whole.values()]
+        return [check for check in checks if check is not None and not check.holds]
+
+    def holds(self, entry: Abort) -> bool:
+        """Return whether an abort from a file continues this plan from a rest, and is certified."""
+        followed, stopped = entry.flight, entry.start + entry.seconds
+        try:
+            ends = followed.drones.at(stopped), self.flight.drones.at(entry.rest)
+            continues = np.max(np.abs(ends[0] - ends[1])) <= JOINT
+            rests = np.max(np.abs(followed.drones.at(stopped, 1))) <= REST_RATE
+            return bool(continues and rests) and not self._violated(followed, entry.start)
+        except HitchoptError:
+            return False
 
     def _stops(self, time: float, *, holdable: bool = True) -> Iterator[StoppedPlan]:
         """Yield the plan stopped after increasing delays from a time [s], up to its next rest.
@@ -175,16 +246,20 @@ class Aborts:
         A stop later than that would begin what has not begun. ``holdable`` leaves out rests while
         tensions change, or before the chords of a swap have met.
         """
-        rests = self.flight.breaks[self.flight.rest_breaks]
         candidates = [(start, False) for start in time + DELAYS if start < self.flight.duration]
-        candidates += [(rest, True) for rest in rests if rest >= time - JOINT]
+        candidates += [(rest, True) for rest in self._rests if rest >= time - JOINT]
         for start, is_rest in sorted(candidates):
-            stop = until_stop(self.flight, float(start), stop=not is_rest)
-            can_hold = _is_holdable(stop.flight)
+            stop, can_hold = self._stopped(float(start), is_rest)
             if can_hold or not holdable:
                 yield stop
             if can_hold and is_rest:
                 return
+
+    def _stop_at(self, start: float, is_rest: bool) -> tuple[StoppedPlan, bool]:
+        """Return the plan stopped from a time [s] on, and whether it can rest there."""
+        stop = until_stop(self.flight, start, stop=not is_rest)
+        held = stop.flight.followed_by(stop.flight.each_team(lambda end: resting(end, HOLD)))
+        return stop, not self._violated(held, start, REST_CHECKS)
 
     def _free_before(self, time: float) -> float:
         """Return the last plan time [s] with free cables in all teams, 0 without cables."""
@@ -207,7 +282,7 @@ class Aborts:
 
         There is at most one after the time [s]: later ones belong to what has not begun.
         """
-        rests = self.flight.breaks[self.flight.rest_breaks]
+        rests = self._rests
         behind = [x for x in rests[rests < time - JOINT].tolist() if self._lands_at(x, ahead=False)]
         ahead = (x for x in rests[rests > time + JOINT].tolist() if self._lands_at(x, ahead=True))
         return sorted([*behind, *islice(ahead, 1)], key=lambda rest: abs(rest - time))
@@ -272,11 +347,14 @@ def moves_standing(flight: Flight, *times: float) -> bool:
     return False
 
 
-def _is_holdable(flight: Flight) -> bool:
-    """Return whether a flight can rest at its end."""
-    held = flight.followed_by(flight.each_team(lambda motion: resting(motion, HOLD)))
-    checks = [check_of(RULE_OF[name], held) for name in REST_CHECKS]
-    return all(check is None or check.holds for check in checks)
+def _require_shorter(flight: Flight, most: float) -> None:
+    if flight.duration >= most:
+        raise _refusal("is shorter")
+
+
+def _error(violated: Sequence[Check], flight: Flight) -> InfeasibleError:
+    """Return the error of the violated checks of a flight."""
+    return infeasible_error(Certificate(flight.duration, tuple(violated)), flight)
 
 
 def _can_land(motion: Motion, phase: Phase, time: float) -> bool:
@@ -416,12 +494,20 @@ def _turning_senses(whole: Motion) -> Array | None:
 
 @dataclass(frozen=True, eq=False)
 class AbortTable:
-    """Certified aborts from all times of a plan."""
+    """Certified aborts from all times of a plan, or from those planned so far."""
 
     how: str
     entries: tuple[Abort, ...]  # by start; between two the plan runs on to the later one
     end: float  # of the plan [s]
-    missing: tuple[tuple[float, float], ...] = ()  # spans of time [s] without an abort
+    refused: tuple[float, ...] = ()  # times of commands [s] without an abort
+    pending: tuple[float, ...] = ()  # times of commands [s] that are not planned yet
+    every: float = DEFAULT_INTERVAL  # time between commands [s]
+
+    @classmethod
+    def unplanned(cls, flight: Flight, how: str, every: float = DEFAULT_INTERVAL) -> AbortTable:
+        """Return the table of a plan before any abort is planned, about ``every`` [s]."""
+        end, every = flight.duration, positive("every", every)
+        return cls(how, (), end, pending=_command_times(end, every), every=every)
 
     @property
     def longest(self) -> float:
@@ -430,56 +516,129 @@ class AbortTable:
         rests = [entry.start + entry.seconds for entry in self.entries]
         return max((b - a for a, b in zip(starts, rests, strict=False)), default=float("inf"))
 
+    @property
+    def missing(self) -> tuple[tuple[float, float], ...]:
+        """Spans of time [s] from whose commands no abort was found, up to the next entry."""
+        starts = [entry.start for entry in self.entries]
+        spans = set[tuple[float, float]]()
+        for time in self.refused:
+            after = bisect_left(starts, time)
+            last = starts[after - 1] if after else 0.0
+            spans.add((last, starts[after] if after < len(starts) else self.end))
+        return tuple(sorted(spans))
+
+    @property
+    def planned(self) -> float:
+        """Share of the plan's times that are planned, 0 to 1."""
+        return 1.0 - len(self.pending) / len(_command_times(self.end, self.every))
+
+    def with_outcome(self, time: float, entry: Abort | None) -> AbortTable:
+        """Return the table with the abort found for a command at a time [s], or without one.
+
+        An entry serves all commands from its own to the start of its stop.
+        """
+        pending = [each for each in self.pending if each != time]
+        if entry is None:
+            return replace(self, pending=tuple(pending), refused=(*self.refused, time))
+        pending = [each for each in pending if not entry.asked <= each <= entry.start + JOINT]
+        entries = sorted([*self.entries, entry], key=lambda each: each.start)
+        return replace(self, pending=tuple(pending), entries=tuple(entries))
+
+
+def _command_times(end: float, every: float) -> tuple[float, ...]:
+    """Return the times [s] of commands of a table, with the plan's end."""
+    return *np.arange(0.0, end - JOINT, every).tolist(), end
+
 
 def abort_table(
     flight: Flight, how: str, every: float = DEFAULT_INTERVAL, progress: Progress | None = None
 ) -> AbortTable:
     """Return aborts from all times of a plan, with an entry about ``every`` [s] of plan time."""
-    every, aborts, end = positive("every", every), Aborts(flight), flight.duration
-    entries, missing, time = list[Abort](), list[tuple[float, float]](), 0.0
-    last, refused = 0.0, False  # start of the last entry; whether none was found since
-    while True:
+    table, aborts = AbortTable.unplanned(flight, how, every), Aborts(flight)
+    while table.pending:
         if progress is not None:
-            progress(f"{how} from t = {time:.4g} s")
-        try:
-            entry = aborts.plan(time, how)
-        except InfeasibleError:
-            reached, refused = time, True
-        else:
-            entries.append(entry)
-            if refused:
-                missing.append((last, entry.start))
-            reached, last, refused = entry.start, entry.start, False
-        if reached >= end - JOINT:
-            break
-        time = min(reached + every, end)
-    if refused:
-        missing.append((last, end))
-    return AbortTable(how, tuple(entries), end, tuple(missing))
+            progress(f"{how} from t = {table.pending[0]:.4g} s, {table.planned:.0%}")
+        table = table.with_outcome(table.pending[0], aborts.find(table.pending[0], how))
+    return table
 
 
-def save_aborts(directory: Path | str, table: AbortTable) -> Path:
+def save_aborts(directory: Path | str, flight: Flight, tables: Iterable[AbortTable]) -> Path:
     """Write ``aborts.json`` and ``aborts.zip``, a plan file per entry, next to a plan."""
-    names = [f"{table.how}_{i:03d}.npz" for i in range(len(table.entries))]
-    rows = [
-        {key: getattr(entry, key) for key in ("start", "seconds", "rest")}
-        | {"ends": entry.flight.duration, "plan": name}
-        for entry, name in zip(table.entries, names, strict=True)
+    named = [
+        (table, entry, f"{table.how}_{i:03d}.npz")
+        for table in tables
+        for i, entry in enumerate(table.entries)
     ]
-    content = {
-        "format": "hitchopt-aborts/1",
-        "how": table.how,
-        "longest": table.longest if rows else None,
-        "missing": [list(span) for span in table.missing],
-        "entries": rows,
-    }
+    keys = "asked", "start", "seconds", "rest"
+
+    def content_of(table: AbortTable) -> dict[str, Any]:
+        """Return what the file states of a table."""
+        rows = [
+            {key: getattr(entry, key) for key in keys}
+            | {"ends": entry.flight.duration, "plan": name}
+            for owner, entry, name in named
+            if owner is table
+        ]
+        return {
+            "how": table.how,
+            "longest": table.longest if rows else None,
+            "missing": [list(span) for span in table.missing],
+            "every": table.every,
+            "refused": list(table.refused),
+            "pending": list(table.pending),
+            "entries": rows,
+        }
 
     def write_plans(path: Path) -> None:
         with zipfile.ZipFile(path, "w") as archive, tempfile.TemporaryDirectory() as scratch:
-            for entry, name in zip(table.entries, names, strict=True):
+            for table, entry, name in named:
                 file = Path(scratch) / name
                 write_plan(file, entry.flight, f"{table.how} at {entry.start:g} s")
                 archive.writestr(zipfile.ZipInfo(name), file.read_bytes())
 
-    writers = {ABORTS: lambda path: write_strict_json(path, content), ABORT_PLANS: write_plans}
+    def write_table(path: Path) -> None:
+        content = {"format": FORMAT, "plan": flight_digest(flight)}
+        content |= {"plans": digest(path.with_name(ABORT_PLANS))}
+        write_strict_json(path, content | {"tables": [content_of(table) for table in tables]})
+
+    tables = list(tables)
+    writers = {ABORT_PLANS: write_plans, ABORTS: write_table}
     return replace_files(directory, writers, tuple(writers), seal=ABORTS)
+
+
+def read_aborts(directory: Path, flight: Flight) -> dict[str, AbortTable]:
+    """Return the saved tables of a plan by their reactions; none if they are of another plan.
+
+    Their entries are not certified here: ``Aborts.holds`` tells whether they can be flown.
+    """
+    path, plans = directory / ABORTS, directory / ABORT_PLANS
+    if not (path.is_file() and plans.is_file()):
+        return {}
+    try:
+        content = parsed_json(file_bytes(path))
+        if (content["format"], content["plan"], content["plans"]) != (
+            *(FORMAT, flight_digest(flight), digest(plans)),
+        ):
+            return {}
+        with zipfile.ZipFile(plans) as archive, tempfile.TemporaryDirectory() as scratch:
+
+            def entry_of(row: dict[str, Any]) -> Abort:
+                """Return an entry with its plan, which others flown at the same time join."""
+                file = Path(scratch) / ABORT_PLANS
+                file.write_bytes(archive.read(row["plan"]))
+                own = replace(read_plan(file), others=flight.others)
+                return Abort(row["start"], row["seconds"], row["rest"], own, row["asked"])
+
+            return {
+                table["how"]: AbortTable(
+                    table["how"],
+                    tuple(map(entry_of, table["entries"])),
+                    flight.duration,
+                    tuple(table["refused"]),
+                    tuple(table["pending"]),
+                    table["every"],
+                )
+                for table in content["tables"]
+            }
+    except READ_ERRORS as error:
+        raise FileError(f"{path}: cannot be read: {error}; remove it, or abort again") from None

@@ -55,19 +55,44 @@ class FleetSetpoints:
 
 
 class CommandedPlan:
-    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables."""
+    """A plan at rest at its start, flown by commands; ``abort`` and ``land`` use tables.
+
+    The tables of these commands may be planned further during the flight (``extend``).
+    """
 
     def __init__(self, flight: Flight, tables: Mapping[str, AbortTable]) -> None:
         self.flight = flight
         self._player = _player_at(flight, 0.0, 0.0)
-        player = cache(lambda entry: _player_at(entry.flight, entry.start + entry.seconds, 1.0))
-        self._landings = {
-            command: [(entry.rest, player(entry)) for entry in table.entries]
-            for command, table in tables.items()
-        }
+        self._landing_of = cache(
+            lambda entry: _player_at(entry.flight, entry.start + entry.seconds, 1.0)
+        )
+        self._tables = dict[str, AbortTable]()
+        for command, table in tables.items():
+            self.extend(command, table)
+        self._waiting = ""  # command that holds until its table has been planned further
+        self._is_extended = False  # whether that has happened
         self._landing: Player | None = None
         self.descending = False  # whether the landing itself has started
         self.started = False  # whether the plan has left its start
+
+    def extend(self, command: str, table: AbortTable) -> None:
+        """Use a table that is planned further; another thread may call this."""
+        for entry in table.entries:
+            self._landing_of(entry)
+        self._tables[command] = table
+        self._is_extended = True
+
+    def retry(self) -> str:
+        """Return the command that waited and may be possible now, once; empty if there is none."""
+        if not (self._waiting and self._is_extended):
+            return ""
+        self._is_extended = False
+        return self._waiting
+
+    @property
+    def time(self) -> float:
+        """Plan time [s], of the landing once it has begun."""
+        return self._player.time
 
     @property
     def resting(self) -> bool:
@@ -112,7 +137,8 @@ class CommandedPlan:
         """
         if command not in COMMANDS:
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
-        if command in self._landings:
+        self._waiting = ""
+        if command in self._tables:
             return self._land(command)
         if self.descending and command == "back":
             raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
@@ -124,25 +150,35 @@ class CommandedPlan:
     def _land(self, command: str) -> str:
         """Move the clock to the nearest rest with a landing, preferably a later one.
 
-        No object that is now at rest on its support moves.
+        No object that is now at rest on its support moves. While no such landing is planned, it
+        may be an earlier one, or the clock stops until there is one.
         """
         if self.descending:
             return f"landing continues at full speed in {self._player.resume():.2f} s"
-        time = self._player.time
+        self._is_extended = False
+        time, table = self._player.time, self._tables[command]
         refusal = InfeasibleError([], f"{command}: the plan has no such landing")
-        landings = [
-            x for x in self._landings[command] if not moves_standing(self.flight, time, x[0])
-        ]
-        nearest = sorted(landings, key=lambda x: (x[0] < time, abs(x[0] - time)))
-        for rest, landing in nearest[:MAX_ATTEMPTS]:
+        entries = [x for x in table.entries if not moves_standing(self.flight, time, x.rest)]
+        nearest = sorted(entries, key=lambda x: (x.rest < time, abs(x.rest - time)))
+        for entry in nearest[:MAX_ATTEMPTS]:
             try:
-                seconds = self._player.seek(rest)
+                seconds = self._player.seek(entry.rest)
             except InfeasibleError as error:
                 refusal = error
             else:
-                self._landing = landing
-                return f"{EFFECTS[command]} in {seconds:.2f} s"
-        raise refusal
+                self._landing = self._landing_of(entry)
+                is_behind = bool(table.pending) and entry.rest < time
+                back = f", back at t = {entry.rest:.4g} s: {ahead_planned(table)}"
+                return f"{EFFECTS[command]} in {seconds:.2f} s{back if is_behind else ''}"
+        if not table.pending:
+            raise refusal
+        seconds, self._waiting = self._player.pause(), command
+        return f"{command}: {ahead_planned(table)}; at rest in {seconds:.2f} s until one is"
+
+
+def ahead_planned(table: AbortTable) -> str:
+    """Return words on how far a table is planned."""
+    return f"no landing ahead is planned yet, {table.planned:.0%} of the plan are"
 
 
 def _player_at(flight: Flight, time: float, rate: float) -> Player:
@@ -299,6 +335,8 @@ class SetpointStream:
             if self._plan.started and not self._armed:  # not before, to avoid idling on the floor
                 self._outlet.arm()
                 self._armed = True
+        if self._job is None and (retried := self._plan.retry()):
+            self._queue.append(retried)
         if self._job is None and self._queue:
             command = self._queue.popleft()
             self._job = self._submit(lambda: self._plan.obey(command))

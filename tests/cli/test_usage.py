@@ -404,7 +404,8 @@ def test_results_are_one_json_object_and_slow_commands_report_progress() -> None
     assert object_of("view out --save plan.png")["file"] == "plan.png"
     aborts = object_of("abort out --how hold")
     assert (aborts["how"], aborts["missing"], aborts["directory"]) == ("hold", [], "out")
-    assert len(aborts["entries"]) == len(written("out/aborts.json")["entries"])
+    (table,) = written("out/aborts.json")["tables"]
+    assert len(aborts["entries"]) == len(table["entries"])
     fitted = object_of("fit circle:0.15 --robots 3 -o fit")
     assert fitted["fit"] == written("fit/fit.json")
     assert object_of("statics out --at 1")["statics"] == written("out/statics.json")

@@ -201,7 +201,7 @@ def test_the_command_writes_a_table_that_can_be_recomputed(tmp_path: Path) -> No
     plan.save(tmp_path, rate=10.0)
     done = CliRunner().invoke(main, ["abort", str(tmp_path), "--how", "hold", "--every", "1"])
     assert done.exit_code == 0, done.output
-    table = json.loads((tmp_path / "aborts.json").read_text())
+    (table,) = json.loads((tmp_path / "aborts.json").read_text())["tables"]
     assert (table["how"], table["missing"]) == ("hold", [])
     starts, seconds = np.array([[e["start"], e["seconds"]] for e in table["entries"]]).T
     assert np.all(np.diff(starts) > 0.0)
