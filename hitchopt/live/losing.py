@@ -52,6 +52,12 @@ class Remaining:
 
     flight: Flight
     certificate: Certificate
+    stopped: Flight
+    """The plan until its clock has stopped."""
+
+    rising: Flight
+    """What follows at once: the lost robot's drones rise, and all others rest."""
+
     start: float
     """[s] Time from the loss to the start of the flight, at rest."""
 
@@ -63,6 +69,9 @@ class Remaining:
 
     robots: dict[str, str]
     """Robots of the plan by those of the chain."""
+
+    drones: tuple[str, ...]
+    """The drones of the flight, in its order, by their names in the plan."""
 
 
 class _Place(NamedTuple):
@@ -83,26 +92,47 @@ def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") ->
         reason = f"the plan does not stop before t = {run.drones.breaks[-1]:.4g} s, when its hitch"
         raise InfeasibleError([], f"loss of {robot} at t = {time:.4g} s: {reason} is not taut")
     chain, leaving, rise = _motions_after(flown.motion, place.cable, stop.rest)
+    seconds = leaving.rising.duration
     name = flown.name or CHAIN
     lost = f"{flown.name}-{LOST}" if flown.name else LOST
-    teams = [TeamMotion(name, chain), TeamMotion(lost, leaving.motion)]
+    teams = [TeamMotion(name, chain), TeamMotion(lost, leaving.aside)]
+    waiting = resting(chain, seconds, first=True)
+    first = [TeamMotion(name, waiting), TeamMotion(lost, leaving.rising)]
     for other in flight.teams:
         if other is not flown:
             stopped = next(each for each in stop.flight.teams if each.name == other.name)
             teams.append(TeamMotion(other.name, resting(stopped.motion, chain.duration)))
+            first.append(TeamMotion(other.name, resting(stopped.motion, seconds)))
     held = Flight(tuple(teams))
     if how == "land":
         held = Aborts(held).plan(held.duration, "release_and_land").flight
     certificate = certify(held)
     if not certificate.certified:
         raise infeasible_error(certificate, held, f"after the loss of {robot} at t = {time:.4g} s")
-    seconds = stop.start - time + stop.seconds + leaving.seconds
+    start = stop.start - time + stop.seconds + seconds
     labels = sorted(label for label in flown.motion.team.labels if label != _label(robot))
     robots = {
         team_label(name, str(number)): flown.label(str(label))
         for number, label in enumerate(labels)
     }
-    return Remaining(held, certificate, seconds, stop.rest, rise, robots)
+    places = {name: _chain_places(flown.motion.team, place.cable), lost: _own(place.cable)}
+    drones = [
+        each.label(drone)
+        for part in teams
+        for each in [flown if part.name in places else part]
+        for drone in np.array(each.motion.team.drone_names)[places.get(part.name, ...)].tolist()
+    ]
+    return Remaining(
+        held,
+        certificate,
+        stop.flight,
+        Flight(tuple(first)),
+        start,
+        stop.rest,
+        rise,
+        robots,
+        tuple(drones),
+    )
 
 
 def _label(robot: str) -> int:
@@ -143,13 +173,13 @@ def _taut_run(motion: Motion, time: float, robot: str) -> Motion:
 
 
 class _Leaving(NamedTuple):
-    """The drones of a lost robot, above all others."""
+    """The drones of a lost robot."""
 
-    motion: Motion
-    """The flight aside."""
+    rising: Motion
+    """Their flight up."""
 
-    seconds: float
-    """[s] Time in which they have risen."""
+    aside: Motion
+    """Their flight aside, above all others."""
 
 
 def _motions_after(motion: Motion, cable: int, time: float) -> tuple[Motion, _Leaving, float]:
@@ -182,7 +212,7 @@ def _leaving(
 
     All others are within ``reach`` [m] from the middle of all drones, seen from above.
     """
-    own = [2 * cable, 2 * cable + 1]
+    own = _own(cable)
     swarm = Swarm(2, quadrotor=[team.kinds[drone] for drone in own])
     above = drones[own] + [0.0, 0.0, rise]
     outward = np.mean(drones[own], axis=0) - np.mean(drones, axis=0)
@@ -191,10 +221,13 @@ def _leaving(
     distance = max(0.0, reach + ASIDE * need.with_reserve.separation.radius - np.min(offsets))
     aside = above + _within(need, above, distance * outward)
     limits = need.limits.with_reserve
-    seconds = straight_lines(swarm, limits, drones[own], above).duration
-    lines = straight_lines(swarm, limits, above, aside)
-    phase = Phase("aside", 0, 0.0, lines.duration)
-    return _Leaving(Motion.single(swarm, need, lines, [phase]), seconds)
+
+    def straight(name: str, start: Array, end: Array) -> Motion:
+        """Return the flight on straight lines."""
+        lines = straight_lines(swarm, limits, start, end)
+        return Motion.single(swarm, need, lines, [Phase(name, 0, 0.0, lines.duration)])
+
+    return _Leaving(straight("rise", drones[own], above), straight("aside", above, aside))
 
 
 def _within(need: Requirements, points: Array, move: Array) -> Array:
@@ -213,9 +246,8 @@ def _chain(
 ) -> Motion:
     """Return the motion of all cables but one from rest: to balanced places, and under tension."""
     layout = motion.team.layout
-    cables = np.arange(motion.team.robots)
-    cables = np.roll(cables, -cable)[1:] if layout.closed else cables[cables != cable]
-    places = np.column_stack([2 * cables, 2 * cables + 1]).ravel()
+    places = _chain_places(motion.team, cable)
+    cables = places[::2] // 2
     team = _chain_team(motion.team, cables)
     clasps = vertices[layout.starts[cables[1:]]]
     end = balanced[places]
@@ -240,6 +272,18 @@ def _chain(
     )
     held = resting(tightened, HOLD, Phase("hold", 1, 0.0, HOLD))
     return concatenated([reach, tightened, held])
+
+
+def _own(cable: int) -> Indices:
+    """Return the drones of a cable."""
+    return np.array([2 * cable, 2 * cable + 1])
+
+
+def _chain_places(team: Team, cable: int) -> Indices:
+    """Return the drones of all other cables than one, in order along the chain."""
+    cables = np.arange(team.robots)
+    cables = np.roll(cables, -cable)[1:] if team.layout.closed else cables[cables != cable]
+    return np.column_stack([2 * cables, 2 * cables + 1]).ravel()
 
 
 def _chain_team(team: Team, cables: Indices) -> Team:

@@ -11,6 +11,7 @@ from hitchopt.checks.losses import AfterLoss, after_losses
 from hitchopt.checks.stops import stop_table
 from hitchopt.hitch.losses import Losses, displacement_by_energy
 from hitchopt.motion.flight import Flight, TeamMotion
+from hitchopt.planners.forming.stages import rise_seconds
 from hitchopt.planners.timing.ramps import fastest_ramps
 
 DELAY = 0.1
@@ -63,7 +64,7 @@ def _robots(flown: TeamMotion, stop: float) -> Iterator[dict[str, Any]]:
         distances = [max(part.rise for part in parts), max(ways.values())]
         limits = motion.requirements.limits.with_reserve
         times = fastest_ramps(distances, limits.speed, limits.acceleration, limits.jerk).durations
-        seconds = round(stop + float(np.sum(times)), 2)
+        seconds = round(stop + float(np.sum(times)) + rise_seconds(motion.team), 2)
         yield {"robot": names[cable], "remains": CHAIN, "ways": ways, "seconds": seconds}
 
 

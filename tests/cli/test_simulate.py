@@ -174,7 +174,11 @@ def test_a_flight_that_is_invalid_ends_with_3(solved: Path) -> None:
         ("simulate --perturb density=0.00001", "density = 1e-05: must be at least"),
         ("simulate --runs 0", "runs = 0: must be at least 1; use 1 or more"),
         ("simulate --lose q0@0.05 --runs 3", "must be of a single flight"),
-        ("simulate --no-reaction", "--no-reaction = True: must be omitted without a lost drone"),
+        ("simulate --cut 2", "--cut = '2': must be ROBOT@SECONDS; write 2@12.5"),
+        ("simulate --cut 9@0.1", "--cut = '9': must be one of 0, 1, 2"),
+        ("simulate --cut 1@0.1 --lose q0@0.1", "must be omitted with"),
+        ("simulate --cut 1@0.1 --runs 2", "must be of a single flight"),
+        ("simulate --no-reaction", "--no-reaction = True: must be omitted without a loss"),
         ("simulate --workers 2", "--workers = 2: must be of several flights; add --runs"),
         ("simulate --width 3.5 --runs 2", "--width = 3.5: must be of the picture of a single"),
         (

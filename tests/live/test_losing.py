@@ -12,8 +12,10 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
+from hitchopt.live.abort import HOLD
 from hitchopt.live.losing import after_loss_of
 from hitchopt.motion.flight import TeamMotion
+from hitchopt.planners.losses import after_loss
 
 
 @cache
@@ -58,6 +60,17 @@ def test_all_but_two_drones_stay_where_the_plan_stopped(
     ends = {chain.team.drone_names[i] for i in np.flatnonzero(moved)}
     assert {names[end] for end in ends} == {f"q{(robot + 1) % 4}", f"r{(robot - 1) % 4}"}
     np.testing.assert_allclose(chain.tensions.at(chain.duration), 0.3)
+
+
+@pytest.mark.parametrize("time", [0.4, 1.5])
+def test_the_certificate_states_by_when_tension_is_back(time: float) -> None:
+    plan = square(0.008)
+    rows = after_loss(plan.flight)["robots"]
+    for row in rows:
+        found = after_loss_of(plan.flight, row["robot"], time)
+        back = found.start + found.flight.duration - HOLD
+        assert back <= row["seconds"] + 0.01
+        assert found.drones[-2:] == (f"q{row['robot']}", f"r{row['robot']}")
 
 
 def test_the_chain_is_untied_and_lands(tmp_path: Path) -> None:

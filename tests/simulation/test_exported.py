@@ -291,7 +291,7 @@ def test_a_drone_of_an_export_is_lost_while_the_others_fly_on(
         in result.stdout
     )
     content = json.loads((folder / "simulation" / "simulation.json").read_text(encoding="utf-8"))
-    assert content["loss"]["drone"] == "q1"
+    assert content["loss"]["lost"] == "q1"
 
 
 @pytest.mark.slow

@@ -266,7 +266,7 @@ def test_separation_and_tension_are_measured_before_the_pull_test() -> None:
 def test_invalid_losses_are_refused() -> None:
     assert Loss.parsed("r2@0.5") == Loss("r2", 0.5)
     messages = dict.fromkeys(("q0", "q0@", "@1.0", "q0@soon", "q0@nan"), r"write q0@12\.5")
-    messages |= {"q9@0.1": "one of q0", "q0@9.0": "before the flight ends"}
+    messages |= {"q9@0.1": "of the drones q0", "q0@9.0": "before the flight ends"}
     for text, words in messages.items():
         with pytest.raises(ho.InputError, match=words):
             fly(resting_task(regular_hitch(3), 0.5), Settings(lost=Loss.parsed(text)))

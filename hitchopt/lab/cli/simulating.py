@@ -75,13 +75,16 @@ SPREADS = {
     "tracking": "drone errors",
 }
 LOSS_ROWS = {
-    "drone": "lost drone",
+    "lost": "lost",
     "time": "time of the loss [s]",
     "among": "survivors that touch",
-    "others": "survivors that touch cables or the lost drone",
+    "others": "survivors that touch cables or what is lost",
     "peak_tension": "largest tension since the loss [N]",
     "moved": "largest distance of a survivor from its setpoint [m]",
-    "hangs": "height of the lost drone at the end [m]",
+    "displaced": "largest displacement of a survivor since the loss [m]",
+    "bound": "its bound, loss_displacement [m]",
+    "taut_after": "time until cables are under tension again [s]",
+    "hangs": "height of the lost drones at the end [m]",
     "linked": "clasps linked at the end",
 }
 # Errors of all vertices, and their labels
@@ -152,6 +155,13 @@ def _settings_options() -> Sequence[click.Option]:
         str,
         "DRONE@SECONDS",
     ),
+    option(
+        "--cut",
+        "Let a robot drop its cable and leave upward at a time, such as 2@12.5; the others react "
+        "as hitchopt react plans.",
+        str,
+        "ROBOT@SECONDS",
+    ),
     option("--reaction/--no-reaction", "Let the others react to the loss.", True),
     paper_option("the picture of a single flight"),
 )
@@ -162,6 +172,7 @@ def simulate(
     runs: int | None,
     workers: int | None,
     lose: str | None,
+    cut: str | None,
     as_calibrated: Path | None,
     perturb: Mapping[str, Any],
     width: float | None,
@@ -179,8 +190,9 @@ def simulate(
     flight, hit the ground, a cable is pulled with five times its planned tension, a vertex does not
     hold at a rest, an object is touched, dropped or not placed within 3 cm and 5° beyond the plan's
     tracking errors, or the simulation leaves its valid range; with --lose, if a survivor touches
-    anything or no reaction is found (exports contain none: survivors fly on). A campaign (--runs)
-    exits with 0 and reports the success rate.
+    anything or no reaction is found (exports contain none: survivors fly on), and with --cut, if
+    anything but the cable that falls is touched. A campaign (--runs) exits with 0 and reports the
+    success rate.
     """
     from hitchopt.lab.simulation.commands import flown_gains
     from hitchopt.lab.simulation.control import read_calibrated
@@ -190,7 +202,8 @@ def simulate(
     from hitchopt.lab.simulation.task import read_task
     from hitchopt.motion.plan_file import read_saved_plan
 
-    _check_flights(runs, workers, lose, width, reaction=reaction)
+    losses = {"lose": lose, "cut": cut}
+    _check_flights(runs, workers, losses, width, reaction=reaction)
     exported = None
     if plan is not None or is_export(directory):
         exported, source = _read_export(directory, plan), plan or directory
@@ -208,7 +221,9 @@ def simulate(
     if settings.drones is not None:
         drones = _disturbed_drones(task, settings)
         say(drones, drones=drones)
-    if lose is not None and exported is not None:
+    if cut is not None:
+        settings, task = _with_cut(settings, task, cut, react=reaction)
+    elif lose is not None and exported is not None:
         settings = replace(settings, lost=Loss.parsed(lose))
         say("exported files contain no reaction to a loss: the other drones continue as planned")
     elif lose is not None:
@@ -233,20 +248,24 @@ def simulate(
 def _check_flights(
     runs: int | None,
     workers: int | None,
-    lose: str | None,
+    losses: Mapping[str, str | None],
     width: float | None,
     *,
     reaction: bool,
 ) -> None:
     """Raise InputError for options of a single flight with several, or the reverse."""
-    if runs is not None and lose is not None:
-        raise InputError("lose", lose, "of a single flight", "omit --runs")
+    stated = {key: loss for key, loss in losses.items() if loss is not None}
+    if runs is not None:
+        for key, loss in stated.items():
+            raise InputError(key, loss, "of a single flight", "omit --runs")
+    if len(stated) > 1:
+        raise InputError("cut", losses["cut"], "omitted with lose", "simulate one loss")
     if runs is not None and width is not None:
         raise InputError("width", width, "of the picture of a single flight", "omit --runs")
     if runs is None and workers is not None:
         raise InputError("workers", workers, "of several flights", "add --runs")
-    if lose is None and not reaction:
-        raise InputError("reaction", False, "omitted without a lost drone", "add --lose")
+    if not stated and not reaction:
+        raise InputError("reaction", False, "omitted without a loss", "add --lose or --cut")
 
 
 def _read_export(directory: Path, plan: Path | None) -> ExportedFlight:
@@ -298,7 +317,7 @@ def _with_loss(
         return settings, task
     with ProgressBar("planning the reaction"):
         motion = read_plan(plan_path(directory)).of_one_team(Feature.REACTION)
-        reaction = Reactions(motion).plan(loss.drone, loss.time)
+        reaction = Reactions(motion).plan(loss.name, loss.time)
     say(
         f"reaction: tension is released from t = {reaction.start:.3f} s, all drones are on the "
         f"ground at {reaction.motion.duration:.3f} s; hovering takes up to {reaction.thrust:.0%} "
@@ -308,6 +327,25 @@ def _with_loss(
         reaction.motion, reaction.start, RELEASE_TIME
     )
     return settings, Task((released,))
+
+
+def _with_cut(settings: Settings, task: Task, text: str, *, react: bool) -> tuple[Settings, Task]:
+    """Return settings and task of a flight that loses a robot, and report the reaction."""
+    from hitchopt.lab.simulation.cuts import task_with_cut
+    from hitchopt.lab.simulation.settings import Loss
+
+    loss = Loss.parsed(text, cut=True)
+    if task.received is not None:
+        raise InputError("cut", text, "of a plan, since files do not react", "name a plan's folder")
+    with ProgressBar("planning the reaction"):
+        flown, found = task_with_cut(task, loss, react=react)
+    if react:
+        begins = loss.time + found.start
+        say(
+            f"reaction: all rest at t = {begins - found.rising.duration:.3f} s; the drones of "
+            f"robot {loss.name} have risen at {begins:.3f} s, when those at the ends begin to move"
+        )
+    return replace(settings, lost=loss), flown
 
 
 def _flown(task: Task, settings: Settings) -> Simulation:
@@ -410,7 +448,7 @@ def flight_tables(simulation: Simulation) -> str:
         parts += _tables_of_rests(simulation.rests, measured=measured)
     if loss := content.get("loss"):
         loss |= {name: [" and ".join(x) for x in loss[name]] for name in ("among", "others")}
-        parts.append(quantities("Loss of a drone", _headed(loss, LOSS_ROWS)))
+        parts.append(quantities("Loss", _headed(loss, LOSS_ROWS)))
     if content["objects"]:
         objects = [_headed(each, OBJECT_COLUMNS) for each in content["objects"]]
         parts.append(table("Objects after the flight, relative to the plan", objects))

@@ -8,6 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass, replace
 from itertools import islice
 from time import process_time
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -154,7 +155,7 @@ class FlightInProgress:
         self._contacts = contacts.ClaspContacts(world, team)
         self._objects = contacts.ObjectContacts(world, task.cargo)
         self._least_bearing = contacts.least_bearing(task)
-        self._lost = _lost_drone(task, settings)
+        self._lost = _lost(task, settings)
         self._damping, self._drag = 0.0, control.CableDrag(world)
         self._tensions = world.tensions  # of all segments after the last step
         self._loose_offset = self._drones(0) - task.states.positions[0]
@@ -310,13 +311,14 @@ class FlightInProgress:
         tightened, more than 1 in the pull test, in which drones add the force; None is 1.
         """
         world, task, substeps = self._world, self._task, 1
-        if self._lost is not None and time >= self._lost[1]:
-            self._fleet.stop(self._lost[0])
-            substeps = LOSS_SUBSTEPS if time < self._lost[1] + LOSS_TIME else 1
+        is_loose = False
+        if self._lost is not None and time >= self._lost.time:
+            is_loose = self._lose(self._lost)
+            substeps = LOSS_SUBSTEPS if time < self._lost.time + LOSS_TIME else 1
         if index != self._moment.index:
             self._moment = self._moment_at(index)
         world.push(*self._fleet.advance(time, index, self._bodies, pull, offset))
-        is_loose, load_shares = self._moment.is_slack, self._moment.load_shares
+        is_loose, load_shares = is_loose or self._moment.is_slack, self._moment.load_shares
         if pull is not None:
             by_cable = np.minimum(pull[::2], 1.0)
             is_loose = self._are_slack(by_cable * task.states.tensions[index])
@@ -329,6 +331,14 @@ class FlightInProgress:
         substeps = max(substeps, world.ropes.substeps(float(np.maximum.reduce(self._tensions))))
         world.step(self._substeps, loose=is_loose, substeps=substeps)
         self._observe(time)
+
+    def _lose(self, lost: _Lost) -> bool:
+        """Stop the motors of a lost drone, or let go of a cable; return whether ropes whip."""
+        if lost.cable is None:
+            self._fleet.stop(lost.drone)
+            return False
+        self._world.let_go(lost.cable)
+        return True
 
     def _observe(self, time: float) -> None:
         """Check and record the state after the step at a time [s]."""
@@ -425,14 +435,28 @@ def _planned_tests(task: Task, settings: Settings) -> list[PullTest]:
     return sorted(test for test in {*pull_tests(task).values()} if test.time < task.duration)
 
 
-def _lost_drone(task: Task, settings: Settings) -> tuple[int, float] | None:
-    """Return the index of a lost drone and the time of its loss [s]; InputError if invalid."""
+class _Lost(NamedTuple):
+    """A loss during a flight."""
+
+    drone: int
+    """The drone that is lost, or the first of a robot."""
+
+    cable: int | None
+    """The cable that is let go; None if the drone stays on it."""
+
+    time: float
+    """[s]"""
+
+
+def _lost(task: Task, settings: Settings) -> _Lost | None:
+    """Return what is lost, if anything; InputError if invalid."""
     lost, names, end = settings.lost, task.team.drone_names, task.duration
     if lost is None:
         return None
-    if lost.drone not in names:
+    if not {*lost.drones} <= {*names}:
         listed = ", ".join(task.team.listed_names)
-        raise InputError("lose", lost.drone, f"one of {listed}", "name a drone")
+        raise InputError(lost.key, lost.name, f"of the drones {listed}", "name one of them")
     if lost.time >= end:
-        raise InputError("lose", lost.time, f"before the flight ends at {end:g} s", "lower it")
-    return names.index(lost.drone), lost.time
+        raise InputError(lost.key, lost.time, f"before the flight ends at {end:g} s", "lower it")
+    drone = names.index(lost.drones[0])
+    return _Lost(drone, drone // 2 if lost.cut else None, lost.time)

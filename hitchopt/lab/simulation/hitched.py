@@ -57,7 +57,9 @@ def fly_hitched(
     if settings.feedback:
         raise InputError("feedback", True, f"omitted with cables={CLASPS}", "simulate ropes")
     if settings.lost is not None:
-        raise InputError("lose", settings.lost, f"omitted with cables={CLASPS}", "simulate ropes")
+        raise InputError(
+            settings.lost.key, settings.lost, f"omitted with cables={CLASPS}", "simulate ropes"
+        )
     spans = [*closed_spans(part)]
     if not spans:
         raise InputError("cables", CLASPS, "ropes for a plan without a hitch", "simulate ropes")

@@ -7,12 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from hitchopt.drones.controllers import Tube
 from hitchopt.errors import OneLine
 from hitchopt.geometry.vectors import length
+from hitchopt.hitch.losses import displacements
 from hitchopt.hitch.requirements import Separation
 from hitchopt.hitch.team import Layout
 from hitchopt.lab.simulation.commands import named_controllers
@@ -24,7 +26,7 @@ from hitchopt.lab.simulation.planned_rests import (
 )
 from hitchopt.lab.simulation.record import SimulatedFlight, ground_of
 from hitchopt.lab.simulation.ropes import largest_tension, simulated_density
-from hitchopt.lab.simulation.settings import CLASPS, Settings
+from hitchopt.lab.simulation.settings import CLASPS, Loss, Settings
 from hitchopt.lab.simulation.task import RATE, Task, closed_spans, team_of
 from hitchopt.lab.simulation.world import BODY_HALF_HEIGHT
 from hitchopt.motion.states import TAUT_RATIO
@@ -40,6 +42,10 @@ MAX_ANGLE = 5.0  # Largest angle of an object from its planned attitude [°]
 # Largest depth of a carried object below its planned height, beyond the tracking errors [m]
 MAX_DROP = 0.05
 RELEASE_TIME = 0.2  # Final time of the rest in which no cable may touch a free object [s]
+AVERAGE_TIME = 0.2  # Averaging time of tensions [s]
+TAUT_AGAIN = (
+    0.8  # Smallest tension of a chain that is taut again after a loss, over the planned one
+)
 HANG_TIME = 0.5  # Final time of a flight over which the height of a lost drone is averaged [s]
 
 # Warnings about cables without friction; about weightless ones, with the density of their ropes
@@ -174,10 +180,10 @@ def tracking_errors(flight: SimulatedFlight) -> Array:
 
 
 def _flying(flight: SimulatedFlight) -> NDArray[np.bool_]:
-    """Return whether drones (2n,) fly to the end; False for one that is lost."""
+    """Return whether drones (2n,) fly to the end; False for those that are lost."""
     lost = flight.settings.lost
     names = np.array(flight.task.team.drone_names)
-    return np.asarray(names != ("" if lost is None else lost.drone))
+    return ~np.isin(names, () if lost is None else lost.drones)
 
 
 @dataclass(frozen=True)
@@ -251,13 +257,14 @@ def judge(flight: SimulatedFlight) -> Outcome:
     same applies where the plan stops for a pull test.
     Drones and cables must stay within what the plan was certified for (see ``departures``).
     Objects must be at their planned positions, and free unless the plan ends holding them. After
-    the loss of a drone only contacts of survivors are failures.
+    the loss of a drone only contacts of survivors are failures, except with a cable that was let
+    go.
     """
     lost, names = flight.settings.lost, set(flight.task.team.drone_names)
     failures = [
         Failure("touch", pair, time, " touches ".join(pair))
         for pair, time in flight.touches.items()
-        if lost is None or time < lost.time or set(pair) & (names - {lost.drone})
+        if lost is None or time < lost.time or _is_failure(pair, lost, names)
     ]
     failures += departures(flight)
     if (error := flight.error) is not None:
@@ -273,6 +280,11 @@ def judge(flight: SimulatedFlight) -> Outcome:
         objects = object_states(flight)
         failures += [failure for each in objects for failure in _object_failures(flight, each)]
     return Outcome(clasps, tuple(sorted(failures, key=lambda failure: failure.time)), objects)
+
+
+def _is_failure(pair: tuple[str, str], lost: Loss, drones: set[str]) -> bool:
+    """Return whether a contact after a loss is one of survivors, not with what falls."""
+    return bool({*pair} & (drones - {*lost.drones})) and lost.cable not in pair
 
 
 def clasp_links(links: NDArray[np.int64], layout: Layout) -> NDArray[np.int64]:
@@ -479,17 +491,23 @@ def _slipped(middles: Array, carried: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True)
 class LossOutcome(OneLine):
-    """Outcome for a team after the loss of a drone at a time [s]."""
+    """Outcome for a team after a loss, of a drone or a robot, at a time [s]."""
 
-    drone: str
+    lost: str
     time: float
     among: tuple[tuple[str, str], ...]  # contacts of two survivors
     others: tuple[tuple[str, str], ...]  # contacts of survivors with cables or the lost drone
     peak_tension: float  # largest tension of a cable since the loss [N]
     moved: float  # largest distance of a survivor from its setpoint since the loss [m]
-    # mean height of the lost drone above the ground at the end [m]; about 0 if it lies
+    # largest distance of a survivor from where it was beside its setpoint at the loss [m]
+    displaced: float
+    # what a cut displaces at most, ``loss_displacement`` [m]; nan for a lost drone
+    bound: float
+    # mean height of what is lost above the ground at the end [m]; about 0 if it lies
     hangs: float
     linked: tuple[str, ...]  # names of clasps whose cables are linked at the end
+    # time from which all remaining cables are under tension again [s], after the loss; nan if never
+    taut_after: float
 
     @property
     def collision_free(self) -> bool:
@@ -504,22 +522,42 @@ def loss_outcome(flight: SimulatedFlight) -> LossOutcome | None:
         return None
     after = record.t >= min(loss.time - 1e-9, record.t[-1])
     survivors = _flying(flight)
-    names = set(team.drone_names) - {loss.drone}
+    errors = (record.drones - record.commanded)[after][:, survivors]
+    names = set(team.drone_names) - {*loss.drones}
     late = [p for p, t in flight.touches.items() if t >= loss.time - 1e-9 and set(p) & names]
     end = record.drones[record.t > record.t[-1] - HANG_TIME][:, ~survivors, 2]
     layout, linked = team.layout, np.zeros(0, dtype=np.intp)
     if flight.linking is not None:
         linked = layout.clasps[np.abs(clasp_links(flight.linking, layout)) == 1]
     return LossOutcome(
-        loss.drone,
+        loss.name,
         loss.time,
         tuple(pair for pair in late if set(pair) <= names),
         tuple(pair for pair in late if not set(pair) <= names),
         float(np.max(record.peak_tensions[after])),
-        float(np.max(length(record.drones - record.commanded)[after][:, survivors])),
+        float(np.max(length(errors))),
+        float(np.max(length(errors - errors[0]))),
+        float(np.max(displacements(team)[survivors])) if loss.cut else np.nan,
         float(np.mean(end)) - ground_of(flight.task) - BODY_HALF_HEIGHT,
         tuple(team.point_names[point] for point in linked),
+        _taut_after(flight, loss, survivors[::2]),
     )
+
+
+def _taut_after(flight: SimulatedFlight, loss: Loss, remaining: NDArray[np.bool_]) -> float:
+    """Return the time [s] after a loss from which the remaining cables (n,) are taut for good.
+
+    Their tensions, means over AVERAGE_TIME, are then at least TAUT_AGAIN of the planned ones at the
+    end.
+    """
+    record = flight.record
+    planned = flight.task.states.tensions[-1, remaining]
+    tensions = uniform_filter1d(record.tensions[:, remaining], round(AVERAGE_TIME * RATE), axis=0)
+    slack = np.any(tensions < TAUT_AGAIN * planned, axis=1) & (record.t > loss.time)
+    last = int(np.max(np.flatnonzero(slack), initial=0))
+    if not np.all(planned > 0.0) or last + 1 >= len(record.t):
+        return np.nan
+    return max(0.0, float(record.t[last + 1]) - loss.time)
 
 
 @dataclass(frozen=True)

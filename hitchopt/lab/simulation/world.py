@@ -163,6 +163,7 @@ class World:
         # Addresses (2n, 6) of velocities and rates
         self._moving_dofs: Index = np.concatenate([self.drone_dofs, self.drone_dofs + 3], axis=1)
         self._wrenches = np.zeros((2 * count, 6))
+        self._held = np.ones(len(self.edge_cables), dtype=np.bool_)  # edges of constant length
         self._edge_time = self._longest_edge_time = float(model.eq_solref[0, 0])
         self._stepping = float(model.opt.timestep), self._edge_time
 
@@ -199,6 +200,23 @@ class World:
             self.model.eq_solref[:, 0] = time
         self._advance(self.model, self.data, nstep=count * count_per_step)
 
+    def let_go(self, cable: int) -> None:
+        """Let both drones of a cable let go of its ends.
+
+        Its first and last edges become free, and their elements those next to them, so that nothing
+        touches what would be between a drone and the rope.
+        """
+        edges = np.flatnonzero(self.edge_cables == cable)[[0, -1]]
+        self._held[edges] = False
+        self.model.flexedge_rigid[edges] = True  # these have no constraints
+        elements = self.model.flex_elem.reshape(-1, 2)
+        elements[edges] = elements[edges + [1, -1]]
+
+    @property
+    def held(self) -> NDArray[np.bool_]:
+        """Whether edges are held at their length (edges,): all but those that drones let go."""
+        return self._held
+
     @property
     def is_finite(self) -> bool:
         """Return whether all positions and attitudes are finite, and so is their sum."""
@@ -206,13 +224,28 @@ class World:
 
     @property
     def nodes(self) -> Array:
-        """Positions of all nodes (nodes, 3) [m] by cable, with drones at the ends."""
-        return np.asarray(self.data.flexvert_xpos)
+        """Positions of all nodes (nodes, 3) [m] by cable, with drones at the ends.
+
+        Ends that drones let go are those of the ropes.
+        """
+        nodes = np.asarray(self.data.flexvert_xpos)
+        if self._held.all():
+            return nodes
+        first, last = self.cable_vertices[:-1], self.cable_vertices[1:] - 1
+        free = first[~self._held[first - np.arange(len(first))]]
+        ends = last[~self._held[last - np.arange(len(last)) - 1]]
+        nodes = nodes.copy()
+        nodes[free], nodes[ends] = nodes[free + 1], nodes[ends - 1]
+        return nodes
 
     @property
     def tensions(self) -> Array:
         """Tension of every segment (edges,) [N], in the order of ``edge_cables``."""
-        return -np.asarray(self.data.efc_force[: len(self.edge_cables)])
+        if self._held.all():
+            return -np.asarray(self.data.efc_force[: len(self.edge_cables)])
+        tensions = np.zeros(len(self.edge_cables))
+        tensions[self._held] = -self.data.efc_force[: np.count_nonzero(self._held)]
+        return tensions
 
     @property
     def cables(self) -> list[Array]:
@@ -276,7 +309,7 @@ def check_valid(world: World, time: float) -> None:
     if not world.is_finite or data.warning.number.any():
         raise InvalidRunError("state", "its state is no longer finite", time, "all", remedy)
     substeps = ropes.preset.time_step / world.model.opt.timestep
-    strains = np.abs(data.flexedge_length / world.model.flexedge_length0 - 1.0)
+    strains = np.abs(data.flexedge_length / world.model.flexedge_length0 - 1.0) * world.held
     between = np.all(data.contact.flex >= 0, axis=1)
     depths, pairs = -data.contact.dist[between], data.contact.flex[between]
     for quantity, values, limit, unit in (

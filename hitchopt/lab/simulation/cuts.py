@@ -1,0 +1,97 @@
+"""The task of a flight in which a robot lets go of its cable and leaves upward.
+
+From the loss on, nothing pulls at its drones. With a reaction, the plan's clock stops, these drones
+rise, and the others form the chain of ``hitchopt react``. Without one, the others fly on as planned
+while they rise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+
+import numpy as np
+
+from hitchopt.errors import InputError
+from hitchopt.hitch import Team
+from hitchopt.lab.simulation.settings import Loss
+from hitchopt.lab.simulation.task import RATE, Task, TeamTask
+from hitchopt.live.losing import Remaining, after_loss_of
+from hitchopt.motion.motion import Motion
+from hitchopt.motion.states import (
+    DRONE_FIELDS,
+    States,
+    flight_states_at,
+    sample_times,
+    states_at,
+)
+from hitchopt.support import Feature
+from hitchopt.values import Indices
+
+MIN_TIME = 4.0
+"""[s] Shortest time after a loss to which others fly on without a reaction."""
+
+PATH_FIELDS = ("positions", "velocities", "accelerations", "jerks")
+"""Fields of states that a path determines."""
+
+
+def task_with_cut(task: Task, loss: Loss, *, react: bool) -> tuple[Task, Remaining]:
+    """Return the task of a plan's only team with the loss of a robot, and what remains.
+
+    Raises UnsupportedError for several teams; others as ``Plan.after_loss``.
+    """
+    flight = task.of_one_team(Feature.SIMULATED_LOSS).flight
+    assert flight is not None  # the task of a plan
+    motion = flight.teams[0].motion
+    try:
+        found = after_loss_of(flight, loss.name, loss.time)
+    except InputError as error:
+        raise error.renamed(lambda _: loss.key) from None
+    states = _with_reaction(motion, found) if react else _without(motion, found, loss)
+    team = motion.team
+    leaving, late = _drones(team, loss.drones), states.t >= loss.time
+    for name in ("cable_forces", "cable_force_rates"):
+        getattr(states, name)[np.ix_(late, leaving)] = 0.0
+    states.tensions[late, leaving[0] // 2] = 0.0
+    return Task((TeamTask(team, states),)), found
+
+
+def _drones(team: Team, names: Sequence[str]) -> Indices:
+    """Return the indices of a team's drones by name."""
+    return np.array([team.drone_names.index(name) for name in names], dtype=np.intp)
+
+
+def _copied(states: States) -> States:
+    """Return states whose arrays can be changed."""
+    return States(*(np.array(getattr(states, field.name)) for field in fields(states)))
+
+
+def _with_reaction(motion: Motion, found: Remaining) -> States:
+    """Return the states of the plan until it stops, and of what follows."""
+    begin = found.stopped.duration
+    follows = found.rising.followed_by(found.flight)
+    (stopped,) = found.stopped.teams
+    states = _copied(states_at(stopped.motion, sample_times(begin + follows.duration, RATE)))
+    later = states.t >= begin
+    t = states.t[later] - begin
+    drones = _drones(motion.team, found.drones)
+    after = flight_states_at(follows, t)
+    for name in DRONE_FIELDS:
+        getattr(states, name)[np.ix_(later, drones)] = getattr(after, name)
+    chain = follows.teams[0].motion
+    cables = drones[: chain.team.drones : 2] // 2
+    states.tensions[np.ix_(later, cables)] = states_at(chain, t).tensions
+    return states
+
+
+def _without(motion: Motion, found: Remaining, loss: Loss) -> States:
+    """Return the states of the plan, above which the drones of a lost robot rise."""
+    end = max(motion.duration, loss.time + MIN_TIME)
+    states = _copied(states_at(motion, sample_times(end, RATE)))
+    late = states.t >= loss.time
+    leaving = np.ix_(late, _drones(motion.team, loss.drones))
+    rising = states_at(found.rising.teams[1].motion, states.t[late] - loss.time)
+    rising.positions[:] -= rising.positions[0].copy()
+    for name in PATH_FIELDS:
+        getattr(states, name)[leaving] += getattr(rising, name)
+    return states
