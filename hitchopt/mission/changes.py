@@ -578,17 +578,6 @@ def rim_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[C
         yield Change(edits[0].key, "of the mean radius", "none", new, "", relative, changed, edits)
 
 
-def detour_changes(problem: Problem, violations: Sequence[Violation]) -> Iterator[Change]:
-    """Yield changes to routes around obstacles, nearer ones first."""
-    distance = float(np.max(problem.team.cable_length)) + problem.requirements.separation.radius
-    for i, step in enumerate(problem.mission):
-        for waypoint in step.detours(problem.objects, _names(violations), distance):
-            place = np.round(waypoint, 2).tolist()
-            edits = _in_step(problem, i, (Edit("via", [place]),))
-            changed = with_edits(problem, edits)
-            yield Change(edits[0].key, "", "none", str([place]), "", 0.0, changed, edits)
-
-
 def _wall_knobs(problem: Problem, violations: Sequence[Violation]) -> Iterator[Knob]:
     """Yield the arena's walls and ceiling: all vertical ones together, and each alone."""
     arena = problem.arena

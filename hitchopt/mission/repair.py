@@ -37,7 +37,6 @@ from hitchopt.mission.changes import (
     broken_constraints,
     change_of,
     constraint_name,
-    detour_changes,
     knobs_of,
     retuning_changes,
     rim_changes,
@@ -57,7 +56,7 @@ from hitchopt.planners.fitting import (
     separating_cables,
     shortest_cable,
 )
-from hitchopt.planners.routes import BEST_ROUTE, OBSTACLE_CHECKS
+from hitchopt.planners.routes import BEST_ROUTE
 from hitchopt.steps.step import Knob
 
 BUDGET = 18.0
@@ -270,9 +269,6 @@ class _Search:
         done = {(each.change.key, each.change.relative > 0.0) for each in suggestions}
         sufficient = [knob for knob in sufficient if (knob.key, knob.sign > 0) not in done]
         suggestions += self._single_changes(sufficient)
-        if broken <= OBSTACLE_CHECKS and max_changes and len(suggestions) < MAX_SUGGESTIONS:
-            verdicts = map(self._verdict_of, detour_changes(problem, error.violations))
-            suggestions += [each for each in verdicts if isinstance(each, Suggestion)][:1]
         if not suggestions and error.note.partition(UNPLANNED)[0]:  # the optimiser may help
             evaluate = partial(self._verdict_of, optimiser=True)
             suggestions = _smallest_changes(problem, sufficient, evaluate)

@@ -13,7 +13,7 @@ import numpy as np
 
 from hitchopt.errors import InfeasibleError, RequestError, Violation, rounded_up
 from hitchopt.geometry import ConvexPolygon, Outline
-from hitchopt.geometry.vectors import length, rotated, unit
+from hitchopt.geometry.vectors import length, rotated
 from hitchopt.hitch import Team
 from hitchopt.hitch.requirements import Requirements, Separation
 from hitchopt.motion.motion import Motion, PhaseHold
@@ -21,12 +21,12 @@ from hitchopt.objects import SolidObject
 from hitchopt.objects.placing import (
     CONTACT_GAP,
     footing,
-    in_world,
     poses_of,
     stacked_on,
     surface_below,
 )
 from hitchopt.planners.candidates import Candidate, error_of, first_certified
+from hitchopt.planners.carrying.detours import CarrySearch
 from hitchopt.planners.carrying.grasps import (
     RESERVES,
     ROLL_RESERVE,
@@ -37,6 +37,7 @@ from hitchopt.planners.carrying.grasps import (
 )
 from hitchopt.planners.carrying.hold_search import HoldSearch
 from hitchopt.planners.carrying.holds import GripHold, RestHold, polygon_at
+from hitchopt.planners.carrying.moves import Move
 from hitchopt.planners.carrying.planner import (
     BELOW_RIM,
     LIFT_SPEED,
@@ -542,7 +543,10 @@ class Lift(Step):
 @documented
 @dataclass(frozen=True, eq=False)
 class Carry(Step):
-    """Fly the object along a straight line, gently enough that it stays on its supports."""
+    """Fly the object along a straight line, gently enough that it stays on its supports.
+
+    Where objects are in the way, it flies beside them, with a stop or two.
+    """
 
     of_two_robots: ClassVar[bool] = True
     needs_hitch: ClassVar[bool | None] = None
@@ -557,10 +561,29 @@ class Carry(Step):
         return np.append(self.to, body.yaw + self.yaw)
 
     def plan(self, task: StepTask) -> StepPlan:
-        """Plan the flight along the line."""
+        """Plan the flight along the line, or past what is in its way."""
         to = goal_of(self, task.requirements, self.object)
-        move = planner_of(task).carry(to, task.requirements.limits.speed)
-        return moves_plan(self, task, task.grasp, [move])
+        straight = Candidate("straight way", partial(self._through, [to], task))
+        ways = CarrySearch(planner_of(task), to).ways()
+        beside = [Candidate("detour", partial(self._past, way, task)) for way in ways]
+        return first_certified([*beside, straight], task.effort, task.progress)
+
+    def _past(self, places: Sequence[Array], task: StepTask) -> StepPlan:
+        """Return the certified plan through places (4,) beside obstacles."""
+        plan = require_certified(self._through(places, task))
+        stops = "once" if len(places) == 2 else f"{len(places) - 1} times"
+        return plan.with_remark(f"stops {stops} on the way past obstacles")
+
+    def _through(self, places: Sequence[Array], task: StepTask) -> StepPlan:
+        """Return the plan through places (4,) x, y, z [m] and yaw [rad], at rest in each."""
+        planner = planner_of(task)
+        requirements = task.requirements
+        moves = list[Move]()
+        for place in places:
+            moves.append(planner.carry(place, requirements.limits.speed))
+            objects = {**requirements.objects, self.object: planner.body.moved_to(place)}
+            planner = replace(planner, requirements=replace(requirements, objects=objects))
+        return moves_plan(self, task, task.grasp, moves)
 
 
 @documented
@@ -697,26 +720,6 @@ class TransportObject(TensionStep):
         higher_place = max(np.asarray(self.to)[2], objects[self.object].at[2])
         lift = max(tops, default=0.0) + separation.object - higher_place
         return max(0.0, float(lift) / self.lift - 1.0)
-
-    def detours(
-        self, objects: Mapping[str, SolidObject], names: Sequence[str], distance: float
-    ) -> Iterator[Array]:
-        """Yield waypoints on both sides of obstacles, unless it has waypoints."""
-        if self.via is not None:
-            return
-        start, end = objects[self.object].at, np.asarray(self.to)
-        altitude = float(max(start[2], end[2])) + self.lift
-        along = unit(end[:2] - start[:2])
-        across = np.array([-along[1], along[0]])
-        for body in self._obstacles(objects, names):
-            section = body.section
-            radius = float(np.max(length(section.core - section.centroid))) + section.rounding
-            centre = in_world(body.pose, np.append(section.centroid, 0.0))[:2]
-            offset = centre - start[:2]
-            for side in (across, -across):
-                forward = (offset @ along) * along
-                sideways = (offset @ side + (distance + radius)) * side
-                yield np.array([*(start[:2] + forward + sideways), altitude])
 
     def advice(self, check: str, key: str) -> str:
         """Return the advice for keeping clear of obstacles."""

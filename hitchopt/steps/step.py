@@ -261,8 +261,18 @@ def planner_of(task: StepTask) -> MovePlanner:
 
 
 def moves_plan(step: Step, task: StepTask, after: GraspState, moves: Sequence[Move]) -> StepPlan:
-    """Return the plan of consecutive moves to a state, in the step's prescribed duration."""
-    motion = step.with_duration(task, planner_of(task).motion(moves, step.name))
+    """Return the plan of consecutive moves to a state, in the step's prescribed duration.
+
+    Their laws are slowed down, not their curves: legs tilt with the object's acceleration.
+    """
+    from hitchopt.planners.timing.timed_motion import check_duration
+
+    duration = step.prescribed_duration
+    if duration is not None:
+        fastest = sum(move.law.duration for move in moves)
+        check_duration(duration, fastest, f"of step {task.index} ({step.name})")
+        moves = [replace(move, law=move.law.slowed(duration / fastest)) for move in moves]
+    motion = planner_of(task).motion(moves, step.name)
     return plan_to(task, after, motion, moves[-1].end, moves[-1].below[1])
 
 
@@ -422,15 +432,6 @@ class Step(Record, ABC):
         ``names`` are the bodies that violations concern.
         """
         return 0.0
-
-    def detours(
-        self,
-        objects: Mapping[str, SolidObject],  # noqa: ARG002
-        names: Sequence[str],  # noqa: ARG002
-        distance: float,  # noqa: ARG002
-    ) -> Iterator[Array]:
-        """Yield waypoints (3,) [m], past the named objects, at a distance from them."""
-        yield from ()
 
     @abstractmethod
     def plan(self, task: StepTask) -> StepPlan:

@@ -140,12 +140,12 @@ def test_free_offsets_keep_the_distances(tilt: float, place: list[float]) -> Non
     start = ho.Hitch.spread(ho.Team(3, 2.4), TRIANGLE, 1.5)
     end = ho.Hitch.spread(ho.Team(3, 2.4), GOAL, 1.5)
     requirements = Requirements(objects={"body": body})
-    search = DetourSearch(HitchPath.straight(start, end), requirements)
+    search = DetourSearch.of(HitchPath.straight(start, end), requirements)
     direction = search.direction(tilt)
     gaps = search.gaps(direction)
     offsets = np.linspace(-1.5, 1.5, 61)
     free = gaps.free(offsets)
-    parts = search.path.team.layout.part_nodes
+    parts = search.layout.part_nodes
     drones = np.arange(3, 9)
     share = np.linspace(0.0, 1.0, 101)[:, None]
     cosine, sine = math.cos(0.4), math.sin(0.4)

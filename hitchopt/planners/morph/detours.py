@@ -9,7 +9,7 @@ on a grid of offsets and pulled taut as splines.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple, Protocol, Self
@@ -90,22 +90,27 @@ class Obstacle(NamedTuple):
     """(5,): place [m], cosine and sine of its yaw."""
 
     bodies: list[tuple[Indices, float]]
-    """Nodes (bodies, 2) at the ends of bodies, and the distance [m] that they keep."""
+    """Nodes (bodies, k) whose convex hulls are bodies, and the distance [m] that they keep."""
 
 
 AT_ORIGIN = np.array([0.0, 0.0, 0.0, 1.0, 0.0])
 """Pose of prisms."""
 
 
-def obstacles_of(layout: Layout, requirements: Requirements) -> Iterator[Obstacle]:
-    """Yield the obstacles of a team; nodes are those of ``Layout.routes``."""
+def obstacles_of(
+    layout: Layout, requirements: Requirements, carried: Sequence[tuple[Indices, float]] = ()
+) -> Iterator[Obstacle]:
+    """Yield the obstacles of a team; nodes are those of ``Layout.routes``.
+
+    ``carried`` are bodies of an object that it carries, with their distance from others.
+    """
     drones = layout.points + np.arange(2 * layout.robots)
     drone_nodes = np.column_stack([drones, drones])
     separation = requirements.separation
     drones_only = [(drone_nodes, separation.radius)]
     for prism in requirements.keep_out:
         yield Obstacle(prism.slab, AT_ORIGIN, drones_only)
-    bodies = [*drones_only, (layout.part_nodes, separation.object)]
+    bodies = [*drones_only, (layout.part_nodes, separation.object), *carried]
     for body in requirements.objects.values():
         for slab in body.slabs:
             yield Obstacle(slab, body.pose, bodies)
@@ -116,11 +121,11 @@ def detours(path: Translatable, requirements: Requirements) -> list[PiecewisePol
 
     If there are none, the hitch first moves aside or up where it is, and last to where it ends.
     """
-    search = DetourSearch(path, requirements)
+    search = DetourSearch.of(path, requirements)
     found = search.all()
     if not found:
         stays = search.staying()
-        staying = DetourSearch(path.translated(stays), requirements)
+        staying = DetourSearch.of(path.translated(stays), requirements)
         found = [summed(shift, stays) for shift in staying.all()]
     return sorted(found, key=search.travel_with)
 
@@ -147,6 +152,15 @@ class Gaps(NamedTuple):
         free: NDArray[np.bool_] = within & ~np.any(inside, axis=1)
         return free
 
+    def are_free(self, offsets: Array) -> NDArray[np.bool_]:
+        """Return which rows of offsets (W, J) are free at all samples within the path."""
+        inner = offsets[:, 1:-1]
+        each = inner[..., None]
+        inside = np.any((self.lower[1:-1] < each) & (each < self.upper[1:-1]), axis=-1)
+        within = (self.least[1:-1] <= inner) & (inner <= self.largest[1:-1])
+        free: NDArray[np.bool_] = np.all(within & ~inside, axis=1)
+        return free
+
     def around(self, offsets: Array) -> tuple[Array, Array]:
         """Return the ends (J,) of the free intervals that contain free offsets (J,)."""
         is_below = self.upper <= offsets[:, None]
@@ -160,28 +174,40 @@ class Gaps(NamedTuple):
 class DetourSearch:
     """The search for translations of a path around obstacles."""
 
-    path: FlatPath
-    """Path whose shapes are feasible."""
+    layout: Layout
+    """Layout of the team."""
+
+    nodes: Array
+    """(J, nodes, 3) [m]: vertices, then drones, then points of a carried object, at the samples."""
+
+    obstacles: Sequence[Obstacle]
+    """Obstacles, with the bodies that keep a distance from them."""
 
     requirements: Requirements
-    """Obstacles, distances and arena."""
+    """Arena and floor."""
+
+    clearance: float = CLEARANCE
+    """[m] Distance in addition to the limits."""
+
+    @classmethod
+    def of(cls, path: FlatPath, requirements: Requirements) -> Self:
+        """Return the search along a path whose shapes are feasible."""
+        s = np.linspace(0.0, 1.0, SAMPLES)
+        vertices = path.flat(s, 1).vertices[..., 0]
+        drones = drones_along(path, s).positions[..., 0]
+        layout = path.team.layout
+        obstacles = tuple(obstacles_of(layout, requirements))
+        return cls(layout, np.concatenate([vertices, drones], axis=1), obstacles, requirements)
 
     @cached_property
     def s(self) -> Array:
         """(J,): the samples."""
         return np.linspace(0.0, 1.0, SAMPLES)
 
-    @cached_property
-    def nodes(self) -> Array:
-        """(J, nodes, 3) [m]: vertices, then drones, at the samples."""
-        vertices = self.path.flat(self.s, 1).vertices[..., 0]
-        drones = drones_along(self.path, self.s).positions[..., 0]
-        return np.concatenate([vertices, drones], axis=1)
-
     @property
     def vertices(self) -> Array:
         """(J, points, 3) [m]: vertices at the samples."""
-        return self.nodes[:, : self.path.team.layout.points]
+        return self.nodes[:, : self.layout.points]
 
     def all(self) -> list[PiecewisePolynomial]:
         """Return the translations along all lines of offsets."""
@@ -230,10 +256,10 @@ class DetourSearch:
     def gaps(self, direction: Array) -> Gaps:
         """Return the offsets along a direction (3,) that are not free."""
         ends = np.minimum(self.s, 1.0 - self.s)
-        margins = CLEARANCE * np.minimum(ends / CLEARANCE_RAMP, 1.0)
+        margins = self.clearance * np.minimum(ends / CLEARANCE_RAMP, 1.0)
         lower = [np.empty((SAMPLES, 0))]
         upper = [np.empty((SAMPLES, 0))]
-        for obstacle in obstacles_of(self.path.team.layout, self.requirements):
+        for obstacle in self.obstacles:
             for nodes, distance in obstacle.bodies:
                 interval = self._blocked(obstacle, nodes, distance + margins, direction)
                 lower.append(interval[0])
@@ -248,7 +274,7 @@ class DetourSearch:
 
         Parameters
         ----------
-        ends: (bodies, 2), nodes at the ends of bodies.
+        ends: (bodies, k), nodes whose convex hulls are bodies.
         distances: (J,) [m], kept at the samples.
         """
         angles = 2.0 * math.pi / HEADINGS * np.arange(HEADINGS)
@@ -271,7 +297,8 @@ class DetourSearch:
     def _within_walls(self, direction: Array) -> tuple[Array, Array]:
         """Return the smallest and the largest offset (J,) along a direction within the walls."""
         requirements = self.requirements
-        drones = self.nodes[:, self.path.team.layout.points :]
+        first, count = self.layout.points, 2 * self.layout.robots
+        drones = self.nodes[:, first : first + count]
         lower = np.full(3, -np.inf)
         upper = np.full(3, np.inf)
         if requirements.arena is not None:
