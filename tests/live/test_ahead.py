@@ -84,6 +84,7 @@ def test_a_flight_that_begins_early_reacts_as_with_the_whole_table() -> None:
     assert other.landed
 
 
+@pytest.mark.slow
 def test_before_an_entry_ahead_is_planned_the_team_flies_back_to_one_and_says_so() -> None:
     late = 0.7 * plan().duration
     flown = course(early(2), late)
@@ -139,6 +140,7 @@ def test_what_the_clock_has_overtaken_is_planned_last() -> None:
     assert [next_time(long, now) for now in (1.0, 3.0, 22.5, 50.0)] == [2.0, 4.0, 28.0, 2.0]
 
 
+@pytest.mark.slow
 def test_another_process_plans_the_same_table_and_saved_ones_are_certified_again(
     tmp_path: Path,
 ) -> None:

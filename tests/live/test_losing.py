@@ -73,6 +73,7 @@ def test_the_certificate_states_by_when_tension_is_back(time: float) -> None:
         assert found.drones[-2:] == (f"q{row['robot']}", f"r{row['robot']}")
 
 
+@pytest.mark.slow
 def test_the_chain_is_untied_and_lands(tmp_path: Path) -> None:
     plan = square().after_loss(1, 1.5, how="land")
     assert np.max(plan.at(plan.duration).positions[:, 2]) <= 1e-6

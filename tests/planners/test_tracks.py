@@ -96,6 +96,7 @@ def test_times_that_drones_cannot_meet_are_refused() -> None:
         ho.solve(START, ho.FollowVertex(K, step))
 
 
+@pytest.mark.slow
 def test_refusals_name_the_smallest_time_that_drones_need() -> None:
     problem = ho.load_problem(WILD / "writes_at_times.yaml")
     step = problem.mission[0]

@@ -49,6 +49,7 @@ def test_the_scene_rests_where_the_simulated_flight_rests(tmp_path: Path) -> Non
         assert np.max(apart) < 0.03
 
 
+@pytest.mark.slow
 def test_a_turned_scene_is_the_turned_one(tmp_path: Path) -> None:
     plan = ho.solve(START, ho.Hold(0.3))
     scenes = list[tuple[Array, Array]]()
