@@ -27,7 +27,7 @@ PUBLIC_NAMES = {
     "lab.statics.equilibrium": ("equilibrium",),
     "lab.statics.tolerance": ("tolerance",),
     "lab.sweeps.sweep": ("load_sweep", "run_sweep"),
-    "live.player": ("Player",),
+    "live.reacting": ("Player",),
     "live.replanner": ("Replanner",),
     "mission.loading": ("load_problem", "problem_from_dict"),
     "mission.others": ("Other",),

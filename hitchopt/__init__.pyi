@@ -29,7 +29,7 @@ from hitchopt.lab.statics.equilibrium import equilibrium as equilibrium
 from hitchopt.outline_fit import fit as fit
 from hitchopt.lab.statics.tolerance import tolerance as tolerance
 from hitchopt.lab.sweeps.sweep import load_sweep as load_sweep, run_sweep as run_sweep
-from hitchopt.live.player import Player as Player
+from hitchopt.live.reacting import Player as Player
 from hitchopt.live.replanner import Replanner as Replanner
 from hitchopt.mission.loading import load_problem as load_problem
 from hitchopt.mission.loading import problem_from_dict as problem_from_dict

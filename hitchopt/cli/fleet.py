@@ -414,7 +414,8 @@ def fly(
     """Stream the setpoints of the plan in DIR to drones, controlled by keys.
 
     The stream begins at rest at the plan's start. Keys: space resumes and pauses, b flies back, a
-    aborts, l lands, q quits before the start; Ctrl-C lands. All changes of the clock and all aborts
+    aborts, l lands, q quits before the start; x2 and Enter: robot 2 is lost, and the others hold
+    what remains (hitchopt react); Ctrl-C lands. All changes of the clock and all aborts
     are certified; aborts of the first seconds are planned first, the others meanwhile, and saved in
     DIR. A lost operator or lost measurements lead to a hold, then to a landing. Exits with code 3
     unless the drones have landed.

@@ -173,9 +173,11 @@ def tracking_notes(flight: Flight) -> Iterator[str]:
 
 
 def _notes(kind: Format, flight: Flight, options: ExportOptions) -> Iterator[str]:
-    """Yield notes on tracking errors, trims of drones, velocities, and other plans in the air."""
+    """Yield notes on tracking errors, losses, trims, velocities, and other plans in the air."""
     yield from tracking_warnings(flight)
     yield from tracking_notes(flight)
+    if any(each.motion.requirements.limits.survive is not None for each in flight.teams):
+        yield "files do not react to the loss of a robot: stream the plan with hitchopt fly"
     trim = 100.0 * float(np.max(np.linalg.norm(flight.team.trim, axis=1)))
     size = f"trims of drones, up to {trim:.3g} cm,"  # they turn with the heading
     if trim and kind.flown_by and kind.has_heading:

@@ -17,14 +17,16 @@ import numpy as np
 
 from hitchopt.errors import HitchoptError, InfeasibleError, InputError
 from hitchopt.hitch import GRAVITY
-from hitchopt.live.abort import AbortTable, moves_standing
-from hitchopt.live.player import Player, Setpoints
+from hitchopt.live.abort import Aborts, AbortTable, moves_standing
+from hitchopt.live.losing import check_loss
+from hitchopt.live.player import Setpoints
+from hitchopt.live.reacting import Player
 from hitchopt.motion.flight import Flight
 from hitchopt.motion.motion import JOINT
 from hitchopt.motion.states import flight_states_at
 from hitchopt.values import Array, positive
 
-COMMANDS = ("pause", "resume", "back", "abort", "land")
+COMMANDS = ("pause", "resume", "back", "abort", "land", "lose")
 EFFECTS = {
     "pause": "at rest",
     "resume": "full speed",
@@ -69,11 +71,13 @@ class CommandedPlan:
         self._tables = dict[str, AbortTable]()
         for command, table in tables.items():
             self.extend(command, table)
-        self._waiting = ""  # command that holds until its table has been planned further
+        # command that holds until its table has been planned further, or until all rest
+        self._waiting, self._awaits_rest = "", False
         self._is_extended = False  # whether that has happened
         self._landing: Player | None = None
         self.descending = False  # whether the landing itself has started
         self.started = False  # whether the plan has left its start
+        self.lost = ""  # the robot that was lost, if any
 
     def extend(self, command: str, table: AbortTable) -> None:
         """Use a table that is planned further; another thread may call this."""
@@ -84,7 +88,8 @@ class CommandedPlan:
 
     def retry(self) -> str:
         """Return the command that waited and may be possible now, once; empty if there is none."""
-        if not (self._waiting and self._is_extended):
+        is_possible = self._player.resting if self._awaits_rest else self._is_extended
+        if not (self._waiting and is_possible):
             return ""
         self._is_extended = False
         return self._waiting
@@ -118,34 +123,80 @@ class CommandedPlan:
             self.descending = True
         flight, setpoints = self._player.flight, self._player.step(seconds)
         states, team = flight_states_at(flight, [setpoints.time]), flight.team
-        states = states.listed(team)
-        mass, false_pull = states.masses[0, :, None], team.false_pull[team.listed]
-        share = 0.0 if self.landed else 1.0
-        forward = setpoints.accelerations - share * states.held_forces(false_pull)[0] / mass
+        listed, share = self._player.listed, 0.0 if self.landed else 1.0
+        mass = states.masses[0, listed, None]
+        forces = states.held_forces(team.false_pull)[0, listed]
+        rates = states.held_force_rates(team.false_pull)[0, listed]
+        forward = setpoints.accelerations - share * forces / mass
         return FleetSetpoints(
             setpoints,
             mass * (forward + [0.0, 0.0, GRAVITY]),
-            mass * setpoints.jerks
-            - setpoints.rate * share * states.held_force_rates(false_pull)[0],
+            mass * setpoints.jerks - setpoints.rate * share * rates,
             forward,
         )
 
     def obey(self, command: str) -> str:
-        """Execute one of COMMANDS; return a message with its effect.
+        """Execute one of COMMANDS, such as ``lose 2``; return a message with its effect.
 
         Raises InfeasibleError if that is not possible now; the current command continues.
         """
-        if command not in COMMANDS:
+        name, _, robot = command.partition(" ")
+        if name not in COMMANDS or bool(robot) != (name == "lose"):
             raise InputError("command", command, f"one of {', '.join(COMMANDS)}", "choose one")
-        self._waiting = ""
+        self._waiting, self._awaits_rest = "", False
+        if robot:
+            return self._lose(robot)
         if command in self._tables:
-            return self._land(command)
+            return self._land_chain(command) if self.lost else self._land(command)
+        if self.lost and command == "back":
+            raise InfeasibleError([], f"back: robot {self.lost} is lost")
         if self.descending and command == "back":
             raise InfeasibleError([], "back: the landing has begun; pause and resume it only")
         seconds = getattr(self._player, command)()
         self.started = self.started or command == "resume"
         self._landing = None
         return f"{EFFECTS[command]} in {seconds:.2f} s"
+
+    def _await_rest(self, command: str) -> None:
+        """Let a command be retried at the next rest."""
+        self._waiting, self._awaits_rest = command, True
+
+    def _lose(self, robot: str) -> str:
+        """Stop, and fly on without a robot; that is planned at rest, where delays are harmless."""
+        player = self._player
+        if self.lost or self.descending:
+            after = f"robot {self.lost} is lost" if self.lost else "the landing has begun"
+            raise InfeasibleError([], f"lose {robot}: no reaction since {after}; land")
+        if not player.resting:
+            check_loss(player.flight, robot, player.time)
+            self._landing, seconds = None, player.pause()
+            self._await_rest(f"lose {robot}")
+            return f"lose {robot}: at rest in {seconds:.2f} s"
+        seconds = player.lose(robot)
+        self.lost = robot
+        return f"robot {robot} is lost: the others hold a chain in {seconds:.2f} s"
+
+    def _land_chain(self, command: str) -> str:
+        """Land what remains after a loss once it is held: untied, or else straight down."""
+        player = self._player
+        if self.descending:
+            return f"landing continues at full speed in {player.resume():.2f} s"
+        flight, is_held = player.flight, player.time >= player.flight.duration - JOINT
+        if not (player.resting and is_held):
+            if player.resting:
+                player.resume()
+            self._await_rest(command)
+            return f"{command}: as soon as the chain is held"
+        refusal = InfeasibleError([], f"{command}: the chain has no landing")
+        for how in dict.fromkeys((self._tables[command].how, "land")):
+            try:
+                entry = Aborts(flight).plan(flight.duration, how)
+            except InfeasibleError as error:
+                refusal = error
+            else:
+                self._landing = self._landing_of(entry)
+                return f"{EFFECTS[command]}: {how}"
+        raise refusal
 
     def _land(self, command: str) -> str:
         """Move the clock to the nearest rest with a landing, preferably a later one.

@@ -56,6 +56,8 @@ LANDING_PERIOD = 0.2
 KEYS = {word[0]: word for word in ("pause", "resume", "back", "abort", "land", "quit")}
 KEYS[" "] = "toggle"
 KEYS_HELP = "space pause/resume, b back, a abort, l land, q quit before the start"
+KEYS_HELP += ", x2 and Enter: robot 2 is lost"
+LOSE = "x"  # Key that begins the name of a lost robot, which Enter ends
 
 
 class Operator:
@@ -66,6 +68,7 @@ class Operator:
 
     def __init__(self) -> None:
         self._pending: list[str] = []
+        self._lost: str | None = None  # what is typed of a lost robot's name
         try:
             self._input: int | None = sys.stdin.fileno()
         except (AttributeError, ValueError, OSError):  # closed, or replaced by an object
@@ -82,9 +85,21 @@ class Operator:
             data = b""
             with suppress(OSError):  # the terminal was closed
                 data = os.read(self._input, 1024)
-            commands += [KEYS[key] for key in data.decode("utf-8", "ignore").lower() if key in KEYS]
+            for key in data.decode("utf-8", "ignore"):
+                commands += self._typed(key)
             self._input = self._input if data else None
         return commands, self._input is not None
+
+    def _typed(self, key: str) -> list[str]:
+        """Return the command that a key completes, if any."""
+        if self._lost is None:
+            self._lost = "" if key.lower() == LOSE else None
+            return [KEYS[key.lower()]] if key.lower() in KEYS else []
+        if key not in "\r\n":
+            self._lost += key
+            return []
+        robot, self._lost = self._lost.strip(), None
+        return [f"lose {robot}"] if robot else []
 
     @contextmanager
     def attached(self) -> Iterator[None]:

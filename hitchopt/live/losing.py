@@ -23,10 +23,10 @@ from hitchopt.hitch import Swarm, Team
 from hitchopt.hitch.losses import Losses, places_after_loss
 from hitchopt.hitch.requirements import Requirements
 from hitchopt.hitch.team import OPEN, Assignment
-from hitchopt.live.abort import HOLD, Aborts, until_stop
+from hitchopt.live.abort import HOLD, Aborts, StoppedPlan, until_stop
 from hitchopt.motion.flight import Flight, TeamMotion, team_label
 from hitchopt.motion.motion import JOINT, CableState, Motion, Phase, concatenated
-from hitchopt.motion.retiming import resting
+from hitchopt.motion.retiming import resting, truncated
 from hitchopt.planners.forming.stages import SMOOTH, rise_seconds, straight_lines
 from hitchopt.planners.losses import DELAY
 from hitchopt.trajectory import PiecewisePolynomial
@@ -81,14 +81,39 @@ class _Place(NamedTuple):
     cable: int
 
 
-def after_loss_of(flight: Flight, robot: str, time: float, how: str = "hold") -> Remaining:
-    """Return the certified flight after the loss of a robot; see ``Plan.after_loss``."""
+def check_loss(flight: Flight, robot: str, time: float) -> None:
+    """Raise InputError if a robot cannot be lost at a plan time [s]; see ``Plan.after_loss``."""
+    place = _place(flight, robot)
+    _taut_run(flight.teams[place.team].motion, nonnegative("t", time), robot)
+
+
+def after_loss_at_rest(flight: Flight, robot: str, time: float, rest: float) -> Remaining:
+    """Return the certified flight after a loss, where the clock stops at a plan time ``rest`` [s].
+
+    Errors are those of ``Plan.after_loss``.
+    """
+
+    def until_rest(motion: Motion) -> Motion:
+        return truncated(motion, rest) if rest > JOINT else resting(motion, HOLD, first=True)
+
+    stopped = flight.untimed.each_team(until_rest)
+    return after_loss_of(flight, robot, time, stop=StoppedPlan(rest, 0.0, rest, stopped))
+
+
+def after_loss_of(
+    flight: Flight, robot: str, time: float, how: str = "hold", stop: StoppedPlan | None = None
+) -> Remaining:
+    """Return the certified flight after the loss of a robot; see ``Plan.after_loss``.
+
+    By default the clock stops as soon as it can, DELAY after the loss.
+    """
     check_choice("how", how, HOW)
     place = _place(flight, robot)
     flown = flight.teams[place.team]
     run = _taut_run(flown.motion, nonnegative("t", time), robot)
-    stop = until_stop(flight, min(time + DELAY, flight.duration))
-    if stop.rest > run.drones.breaks[-1] + JOINT:
+    stop = stop or until_stop(flight, min(time + DELAY, flight.duration))
+    first_taut, last_taut = run.drones.breaks[[0, -1]]
+    if not first_taut - JOINT <= stop.rest <= last_taut + JOINT:
         reason = f"the plan does not stop before t = {run.drones.breaks[-1]:.4g} s, when its hitch"
         raise InfeasibleError([], f"loss of {robot} at t = {time:.4g} s: {reason} is not taut")
     chain, leaving, rise = _motions_after(flown.motion, place.cable, stop.rest)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 from math import comb
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from hitchopt.motion.motion import Motion
 from hitchopt.support import Feature, Neighbour, unsupported
 from hitchopt.trajectory import PiecewisePolynomial
 from hitchopt.trajectory.clock_phases import ClockPhases, concatenate_clocks
-from hitchopt.values import Array, finite, nonnegative
+from hitchopt.values import Array, Indices, finite, nonnegative
 from hitchopt.values.fields import suggest_keywords
 
 SEEK_RATES = (1.0, 0.7, 0.4)  # candidate rates to seek a plan time
@@ -57,24 +58,7 @@ class Setpoints(OneLine):
 
 
 class Player(OneLine):
-    """A plan flown on a clock that all drones share.
-
-    Paths, separations, clearances and crossings are those of the plan at every rate. Every change
-    of the rate is verified for its whole duration before it starts: acceleration, jerk, thrust,
-    tilt and body rates keep their limits, and a held object its balance. If a change cannot start
-    at once, the clock continues until it can.
-
-    Parameters
-    ----------
-    plan: a plan, its flight, or the motion of a team; players of the same one share computed data.
-    time: initial plan time [s].
-    rate: initial rate of the clock, from -1 to 1.
-
-    Raises
-    ------
-    InputError: the time is outside the plan, or the rate out of range.
-    UnsupportedError: other plans fly at the same time, on separate clocks.
-    """
+    """A plan flown on a clock that all drones share; see ``ho.Player``, which reacts to losses."""
 
     @suggest_keywords
     def __init__(self, plan: object, time: float = 0.0, rate: float = 1.0) -> None:
@@ -90,6 +74,8 @@ class Player(OneLine):
         self._check_time(time)
         self._profile = self._clamped(ClockProfile(float(time), _checked_rate(rate)))
         self._durations = DURATIONS
+        self._listed = flight.team.listed
+        self._following: _Following | None = None
 
     def _parts(self) -> Iterator[str]:
         yield f"{len(self.flight.team.drone_names)} drones"
@@ -113,7 +99,18 @@ class Player(OneLine):
     @property
     def resting(self) -> bool:
         """Return whether the clock is at rest and not about to start."""
-        return not self._profile.phases and self._profile.rate == 0.0
+        is_still = not self._profile.phases and self._profile.rate == 0.0
+        return is_still and self._following is None
+
+    @property
+    def listed(self) -> Indices:
+        """Places (drones,) of the drones of setpoints among those of ``flight``."""
+        return self._listed
+
+    @property
+    def rest(self) -> float:
+        """Plan time [s] at which the current change of the rate ends."""
+        return self._profile.time
 
     @property
     def ahead(self) -> ClockPhases:
@@ -125,13 +122,15 @@ class Player(OneLine):
 
         Raises InputError if the time is negative or not finite.
         """
+        if self._following is not None and not self._profile.phases:
+            self._begin(self._following)
         self._profile = self._profile.after(nonnegative("seconds", seconds))
         if not self._start <= self.time <= self._end:
             self._profile = self._clamped(ClockProfile(self.time, self.clock_rate))
         time, rate, slope, jerk = self._profile.now
         each = [sampler.values(time, rate, slope, jerk) for sampler in self._shared.samplers]
         places = np.concatenate(each, axis=1)
-        return Setpoints(time, rate, *places[:, self.flight.team.listed])
+        return Setpoints(time, rate, *places[:, self._listed])
 
     def pause(self) -> float:
         """Stop as soon as the limits allow; return the time until rest [s]."""
@@ -174,6 +173,23 @@ class Player(OneLine):
         self._check_time(time)
         profile = self._first_feasible(partial(_to_time, time), 0.0)
         return self._follow(profile, f"plan time {time:g} s")
+
+    def follow(self, flight: Flight, drones: tuple[str, ...]) -> None:
+        """Continue with another flight once at rest, where it begins at rest.
+
+        ``drones`` are those of the flight, in its order, by their names in this one. From then on
+        ``flight`` and ``time`` are those of the other flight; setpoints keep their order.
+        """
+        names = self.flight.team.drone_names
+        places = [drones.index(names[drone]) for drone in self._listed]
+        self._following = _Following(flight, np.array(places))
+
+    def _begin(self, following: _Following) -> None:
+        """Continue, at rest, with the flight that follows."""
+        self.flight, self._listed, self._following = *following, None
+        self._shared = _shared_data(self.flight)
+        self._start, self._end = (float(b) for b in self.flight.breaks[[0, -1]])
+        self._profile, self._durations = ClockProfile(self._start, 1.0), DURATIONS
 
     def _check_time(self, time: float) -> None:
         if not self._start <= finite("time", time) <= self._end:
@@ -245,6 +261,8 @@ class Player(OneLine):
 
     def _follow(self, profile: ClockProfile | None, goal: str) -> float:
         """Start following a profile; return its duration [s]."""
+        if self._following is not None:
+            raise InfeasibleError([], f"{goal}: the flight that follows begins at rest")
         if profile is None:
             reason = "no change of the clock was found that keeps all limits"
             if self._shared.limits.carried:
@@ -257,6 +275,16 @@ class Player(OneLine):
         if profile.phases:  # a held object can start as slowly as it has stopped
             self._durations = (*DURATIONS, 2.0 * profile.phases[-1][0])
         return profile.seconds
+
+
+class _Following(NamedTuple):
+    """What a player flies next."""
+
+    flight: Flight
+    """Its flight, from rest."""
+
+    listed: Indices
+    """(drones,), places in it of the drones of setpoints."""
 
 
 def _checked_rate(rate: float) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -12,10 +14,15 @@ from click.testing import CliRunner
 import hitchopt as ho
 from hitchopt import verify as second
 from hitchopt.cli import main
-from hitchopt.live.abort import HOLD
+from hitchopt.live.abort import HOLD, AbortTable
+from hitchopt.live.fly import CommandedPlan
+from hitchopt.live.links import Operator
 from hitchopt.live.losing import after_loss_of
+from hitchopt.live.player import Setpoints
 from hitchopt.motion.flight import TeamMotion
 from hitchopt.planners.losses import after_loss
+
+STEP = 0.01
 
 
 @cache
@@ -91,6 +98,8 @@ def test_the_command_writes_a_plan_that_others_read(tmp_path: Path) -> None:
     assert CliRunner().invoke(main, ["check", str(out)]).exit_code == 0
     exported = CliRunner().invoke(main, ["export", str(out), "--format", "csv"])
     assert exported.exit_code == 0, exported.output
+    uploaded = CliRunner().invoke(main, ["export", str(folder), "--format", "csv"])
+    assert "files do not react to the loss of a robot" in uploaded.output
 
 
 @pytest.mark.parametrize(
@@ -134,3 +143,88 @@ def test_teams_are_named_and_others_rest() -> None:
     rest = plan.motion.drones.at(found.rest)
     own = next(flown for flown in found.flight.teams if flown.name == "a")
     np.testing.assert_allclose(own.motion.drones.at(1.0), rest, atol=1e-9)
+
+
+def flown_by(step: Callable[[float], Setpoints], seconds: float) -> list[Setpoints]:
+    """Return setpoints over some time, in steps of STEP."""
+    return [step(STEP) for _ in range(round(seconds / STEP))]
+
+
+def check_continuous(series: list[Setpoints], limits: ho.Limits) -> None:
+    """Each setpoint follows from the one before within the limits."""
+    positions, velocities = (
+        np.array([getattr(each, name) for each in series]) for name in ("positions", "velocities")
+    )
+    led = positions[:-1] + 0.5 * STEP * (velocities[1:] + velocities[:-1])
+    assert np.max(np.abs(positions[1:] - led)) <= limits.jerk * STEP**3
+    assert np.max(np.linalg.norm(velocities, axis=-1)) <= limits.speed * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize(("robot", "rate"), [("1", 1.0), (2, 0.4)])
+def test_a_player_flies_from_the_plan_to_the_chain(robot: int | str, rate: float) -> None:
+    plan = square()
+    player = ho.Player(plan, 0.5, rate)
+    before = flown_by(player.step, 0.4)
+    seconds = player.lose(robot)
+    with pytest.raises(ho.InfeasibleError, match="begins at rest"):
+        player.resume()
+    after = flown_by(player.step, seconds + 1.0)
+    check_continuous(before + after, plan.motion.requirements.limits)
+    assert player.resting
+    assert player.time == pytest.approx(player.flight.duration)
+    last = dict(zip(plan.motion.team.listed_names, after[-1].positions, strict=True))
+    ends = player.flight.drones.coefficients[-1, ..., -1]
+    held = {name: ends[place] for name, place in zip(last, player.listed, strict=True)}
+    assert last.keys() == held.keys()
+    np.testing.assert_allclose([*last.values()], [*held.values()], atol=1e-9)
+    assert last[f"q{robot}"][2] > 0.8 + max(last[f"{end}{k}"][2] for end in "qr" for k in (0, 3))
+
+
+def test_a_player_refuses_what_cannot_be_lost_and_flies_on() -> None:
+    player = ho.Player(square(), 0.5)
+    with pytest.raises(ho.InputError, match="must be one of 0, 1, 2, 3"):
+        player.lose("7")
+    assert player.clock_rate == 1.0
+    player.step(0.1)
+
+
+def test_a_stream_stops_holds_the_chain_and_lands() -> None:
+    plan = square()
+    limits = plan.motion.requirements.limits
+    tables = {
+        "land": AbortTable.unplanned(plan.flight, "land"),
+        "abort": AbortTable.unplanned(plan.flight, "release_and_land"),
+    }
+    commanded = CommandedPlan(plan.flight, tables)
+    commanded.obey("resume")
+
+    def step(seconds: float) -> Setpoints:
+        if retried := commanded.retry():
+            commanded.obey(retried)
+        return commanded.step(seconds).setpoints
+
+    series = flown_by(step, 0.8)
+    for wrong, words in {"lose 9": "one of 0, 1", "lose": "command", "land 2": "command"}.items():
+        with pytest.raises(ho.InputError, match=words):
+            commanded.obey(wrong)
+    assert "at rest in" in commanded.obey("lose 3")
+    series += flown_by(step, 3.0)
+    assert commanded.lost == "3"
+    with pytest.raises(ho.InfeasibleError, match="lost"):
+        commanded.obey("back")
+    assert "as soon as the chain is held" in commanded.obey("land")
+    series += flown_by(step, 12.0)
+    check_continuous(series, limits)
+    assert commanded.landed
+    assert np.max(np.abs(series[-1].positions[:6, 2])) < 1e-6
+
+
+def test_the_operator_types_the_robot_that_is_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    read, write = os.pipe()
+    with os.fdopen(read, "rb") as keys, os.fdopen(write, "wb", buffering=0) as typing:
+        monkeypatch.setattr("sys.stdin", keys)
+        operator = Operator()
+        typing.write(b" xa.")
+        assert operator.commands() == (["toggle"], True)
+        typing.write(b"2\nbx\nL")
+        assert operator.commands() == (["lose a.2", "back", "land"], True)
