@@ -24,6 +24,7 @@ NAMES = (
     "replay",
     "statics",
     "live",
+    "losses",
     "views",
     "sweeps",
     "tracking",
